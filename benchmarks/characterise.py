@@ -158,9 +158,9 @@ def bend_found(count: int, bend: float, rng: np.random.Generator) -> float:
     for _ in range(DRAWS):
         variances = DARK_DN2 + GAIN_DN_PER_E * (1.0 - bend * signals / (0.7 * WELL_DN)) * signals
         seen = variances * rng.chisquare(PIXELS - 1, count) / (PIXELS - 1)
-        dark = GroupStatistics(closed, 2, PIXELS, 100.0, DARK_DN2 * rng.chisquare(PIXELS - 1) / (PIXELS - 1), 0.0)
+        dark = GroupStatistics(closed, 2, PIXELS, 100.0, DARK_DN2 * rng.chisquare(PIXELS - 1) / (PIXELS - 1), 0.0, 0.0)
         bright = [
-            GroupStatistics(open_, 2, PIXELS, 100.0 + s, v, 0.0, photons=s) for s, v in zip(signals, seen, strict=True)
+            GroupStatistics(open_, 2, PIXELS, 100.0 + s, v, 0.0, 0.0, s) for s, v in zip(signals, seen, strict=True)
         ]
         found += photon_transfer(make_steps(bright, [dark]), WELL_DN).bend_u > 0
     return found / DRAWS
@@ -177,7 +177,7 @@ def bend_power() -> str:
     return (
         f"The test for a bent photon transfer, {DRAWS} draws for each of {len(BENDS)} bends: pairs of 640 × 480 pixels "
         "at exposures evenly spaced up to 70 % of saturation. The local gain falls in proportion to the signal; the "
-        "bend is its fall over that range. A bend that is found grows with the root of the number of pixels.\n\n"
+        "bend is its fall over that range. The bend that is found falls with the root of the number of pixels.\n\n"
         "| exposures | false alarms | found in half of the cases | found in 95 % |\n|---|---|---|---|\n"
         + "\n".join(rows)
     )

@@ -1,12 +1,12 @@
 """Are NewtonBench's laws found by `radiometer reconcile --propose`, without any language model?
 
-    python -m benchmarks newton_laws --laws NEWTONBENCH --sections 12 --first-seed 1302001
+    python -m benchmarks newton_laws --laws NEWTONBENCH --wholes 12 --sections 12 --first-seed 1302001
 
 NEWTONBENCH is a checkout of HKUST-KnowComp/NewtonBench; without it the benchmark says so and stops. A law shifts the
-black level of a simulated camera: its first variable goes with the exposure, its second one with the f-number, and
-the largest shift is 40 DN. Each frame's shift has the relative noise of their benchmark, 0, 1e-4 or 1e-2. Laws of one
-and two variables are hidden whole. Of the others the grammar can hold no more than a section: `--sections` of them are
-drawn, with two drawn variables; the others rest at the middle of their ranges.
+black level of a simulated camera: its first variable follows the exposure, its second one the f-number, and
+the largest shift is 40 DN. Each frame's shift has the relative noise of their benchmark, 0, 1e-4 or 1e-2. Of the laws
+of one and two variables `--wholes` are drawn and hidden whole. Of the others the grammar can hold at most a section:
+`--sections` of them are drawn, with two drawn variables; the other variables rest at the middle of their ranges.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -159,18 +159,17 @@ def left_by(section: Section, proposal: Proposal) -> float:
     return float(np.std(rest) / np.std(truth))
 
 
-def sections_of(laws: Sequence[Law], drawn: int, dice: np.random.Generator) -> Iterator[Section]:
-    """Yield the laws of one and two variables whole, and sections of so many others."""
-    others = []
-    for law in laws:
-        needed = law.depends_on(np.random.default_rng(1))
-        if len(needed) <= 2:
-            yield Section(law, needed, is_whole=True)
-        else:
-            others.append((law, needed))
-    for n in dice.permutation(len(others))[:drawn]:
-        law, needed = others[n]
-        yield Section(law, tuple(needed[i] for i in sorted(dice.choice(len(needed), 2, replace=False))), is_whole=False)
+def sections_of(laws: Sequence[Law], wholes: int, drawn: int, dice: np.random.Generator) -> list[Section]:
+    """Return so many laws of one and two variables whole, and sections of so many others, all drawn."""
+    needed = {law.name: law.depends_on(np.random.default_rng(1)) for law in laws}
+    few = [law for law in laws if len(needed[law.name]) <= 2]
+    many = [law for law in laws if len(needed[law.name]) > 2]
+    found = [Section(few[n], needed[few[n].name], is_whole=True) for n in dice.permutation(len(few))[:wholes]]
+    for n in dice.permutation(len(many))[:drawn]:
+        names = needed[many[n].name]
+        along = tuple(names[i] for i in sorted(dice.choice(len(names), 2, replace=False)))
+        found.append(Section(many[n], along, is_whole=False))
+    return found
 
 
 def beyond(laws: Sequence[Law]) -> str:
@@ -214,6 +213,7 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks newton_laws", description=__doc__)
     parser.add_argument("--laws", type=Path, default=Path("NewtonBench"), help="checkout of HKUST-KnowComp/NewtonBench")
+    parser.add_argument("--wholes", type=int, default=12, help="laws of one and two variables, hidden whole")
     parser.add_argument("--sections", type=int, default=12, help="laws of more variables of which a section is hidden")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--results", type=Path, default=RESULTS)
@@ -228,7 +228,7 @@ def main() -> None:
     done = {(r["law"], r["noise"], r["seed"]): r for r in map(json.loads, lines)}
     options.results.parent.mkdir(parents=True, exist_ok=True)
     results = []
-    tasks = list(sections_of(laws, options.sections, np.random.default_rng(options.first_seed)))
+    tasks = sections_of(laws, options.wholes, options.sections, np.random.default_rng(options.first_seed))
     for noise in NOISES:
         for number, section in enumerate(tasks):
             key = section.law.name, noise, options.first_seed + number
@@ -244,8 +244,8 @@ def main() -> None:
     body = f"{page(results)}\n\nOf all {len(laws)} laws:\n\n{beyond(laws)}"
     print(body)
     if options.write:
-        asked = f"python -m benchmarks newton_laws --laws NEWTONBENCH --sections {options.sections}"
-        asked += f" --first-seed {options.first_seed}"
+        asked = f"python -m benchmarks newton_laws --laws NEWTONBENCH --wholes {options.wholes}"
+        asked += f" --sections {options.sections} --first-seed {options.first_seed}"
         write_section("newton_laws", "Laws of other people: NewtonBench", asked, body)
 
 

@@ -66,7 +66,7 @@ def truth_of(taps: Taps) -> list[dict[str, float]]:
 
 
 def page(results: Mapping[str, Sequence[Mapping[str, tuple[float, float, float]]]]) -> str:
-    """Return how each tool's figures lie to the truth and to ours, in Markdown.
+    """Return how far each tool's figures are from the truth and from ours, in Markdown.
 
     Args:
         results: By tool, of every tap and figure: its value, the truth, and ours with its u.

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks._sections import write_section
-from radiometer.reconciliation.advice.next_capture import CapturePool
 from radiometer.reconciliation.engine import examine
 from radiometer.reconciliation.measure.reduce import frame_reader
+from radiometer.reconciliation.next_capture import CapturePool
 from radiometer.reconciliation.search.outcome import Reconciled
 from testing.generator.plan import Setting, bracket
 from testing.generator.session import make_session

@@ -18,19 +18,19 @@ from typing import Final
 import numpy as np
 
 from benchmarks._sections import write_section
-from radiometer.reconciliation.advice.separability import (
-    Separability,
-    asked_sizes,
-    left_by_fit,
-    noiseless,
-    separability,
-)
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.search.screening import StartPool, screen
+from radiometer.reconciliation.separability import (
+    Separability,
+    asked_sizes,
+    left_by_fit,
+    noiseless,
+    separability,
+)
 from radiometer.reconciliation.thresholds import RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 from testing.generator.plan import Setting
@@ -94,8 +94,7 @@ def like(state: FitState, truth: CatalogueEffect, pool: StartPool) -> dict[str, 
         if candidate.gain < _WORTH_A_FIT * whole or candidate.flexible:
             continue
         left, fitted = left_by_fit(exact, truth, candidate)
-        if not fitted.unlike_itself(state.model.context):  # bent so far it does what another name stands for
-            found[fitted.name] = min(left, found.get(fitted.name, np.inf))
+        found[fitted.name] = min(left, found.get(fitted.name, np.inf))
     return {name: left for name, left in found.items() if left < 2.0 * RIVAL_NATS and name != truth.name}
 
 

@@ -54,6 +54,7 @@ PLAUSIBLE: Final[Mapping[str, Range]] = {
     "conversion_gain": Range(1e-6, 1e9, "e-/DN"),  # with electron multiplication 10⁻³; large wells in 8 bits 10⁴
     "read_noise": Range(0.0, 1e9, "e-"),
     "radiance": Range(1e-18, 1e18, "W sr-1 m-2"),  # a dark sky 10⁻⁷, the sun 2·10⁷, lasers 10¹⁵
+    "width": Range(1e-6, 1000.0, "nm"),  # of a line: lasers 10⁻⁶, phosphors 100
     "screen": Range(-1.0, 1e6, "cd m-2"),  # the brightest walls have 10⁴; noise may bring black below 0
     "luminance": Range(0.0, 1e15, "cd m-2"),  # the sun 1.6·10⁹
     "scotopic_ratio": Range(0.0, 1000.0),  # the greatest, in the violet, is some 60

@@ -32,7 +32,6 @@ import numpy as np
 import tifffile
 import yaml
 
-from radiometer.adaptation.journal import read_events
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.analysis.exports.curves import read_curves, write_curves
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
@@ -40,6 +39,7 @@ from radiometer.archive.trend import read_histories
 from radiometer.bench.boxes import read_preset
 from radiometer.data import Calibration, CaptureSet, ResponseCurve
 from radiometer.data.capture_set import read_digital_numbers
+from radiometer.data.event_journal import read_events
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml
 from radiometer.errors import RadiometerError
@@ -51,7 +51,7 @@ from radiometer.importing.photograph_times import read_exif, read_list
 from radiometer.importing.statistics_table import read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
 from radiometer.importing.xmp import read_xmp
-from radiometer.reconciliation.inputs.light_meter import read_meter_table
+from radiometer.reconciliation.inputs.tables import read_meter_table
 from radiometer.screen.measured_elsewhere import read_screen_readings
 from simulators.scenes.image_file import ImageScene
 from testing.sky_log import sky_log

@@ -9,9 +9,8 @@ from typing import Any, Protocol
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.measure.seen import CaptureStatistics
 
 
 class Captured(Protocol):

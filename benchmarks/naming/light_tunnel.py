@@ -1,7 +1,7 @@
 """Sessions of a world by other people: the light tunnel of the package `causalchamber` (Gamella et al. 2025).
 
-The world is their model F3, which knows leaking polarisers and LEDs that every channel sees. The description that goes
-with the frames follows their simpler models: F2, whose polarisers block all light when crossed, or F1, which sees every
+The world is their model F3, which knows leaking polarisers and LEDs that every channel sees. The description of
+the frames follows their simpler models: F2, whose polarisers block all light when crossed, or F1, which sees every
 LED alike. A null session is described by F3. Photons, read noise and codes are drawn here; the package has none.
 """
 
@@ -35,12 +35,15 @@ _PLACES: Final = ((49, 49), (65, 49), (49, 65), (65, 65))  # of four patches in 
 _PATCH_PX: Final = 14
 _ANGLES: Final = (0, 20, 40, 60, 75)  # degrees between the polarisers
 _LEDS: Final = {"white": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
-# What each task shows, and which names are right: the leak is light that adds to every pattern with the LEDs' level.
+# What each task shows, its kind, and which names are right. The leak is light that adds to every pattern with the LEDs'
+# level; who knows only the aligned polarisers also has the light between them too strong, and no entry does both.
+_LEAK: Final = ("display_black_leak", "veiling_glare")
 TASKS: Final = {
-    "null": ("angles", ()),
-    "null colours": ("colours", ()),
-    "leaking polarisers": ("angles", ("display_black_leak", "veiling_glare")),
-    "LEDs seen unlike": ("colours", ("spectral_mismatch",)),
+    "null": ("angles", "null", ()),
+    "null colours": ("colours", "null", ()),
+    "leaking polarisers": ("angles", "leaking polarisers", _LEAK),
+    "leaking polarisers, known aligned": ("angles", "outsider", _LEAK),
+    "LEDs seen unlike": ("colours", "LEDs seen unlike", ("spectral_mismatch",)),
 }
 
 
@@ -58,12 +61,11 @@ def make(folder: Path, count: int, first_seed: int) -> None:
         ImportError: Where the package is not installed.
     """
     lt, truth, number = simulators(), dict[str, Any](), 0
-    for task, (plan, right) in TASKS.items():
+    for task, (plan, kind, right) in TASKS.items():
         for seed in range(first_seed, first_seed + count):
             for channel in (0, 1, 2) if plan == "angles" else (None,):
                 name = f"{number:04d}"
                 _write(lt, folder / "sessions" / name, task, channel, seed)
-                kind = "null" if task.startswith("null") else task
                 truth[name] = {"kind": kind, "hidden": [] if kind == "null" else [task], "seed": seed,
                                "right": [list(right)] if right else []}  # fmt: skip
                 number += 1
@@ -73,8 +75,8 @@ def make(folder: Path, count: int, first_seed: int) -> None:
 def _write(lt: Any, folder: Path, task: str, channel: int | None, seed: int) -> None:
     dice = np.random.default_rng([seed, sum(map(ord, task)), 3 if channel is None else channel])
     patterns = tuple(f"pol_{angle:02d}" for angle in _ANGLES) if TASKS[task][0] == "angles" else tuple(_LEDS)
-    base = {pattern: _value(lt, "F3", pattern, channel, 1.0, 1.0) for pattern in patterns}
-    exposure = _HIGHEST / max(base.values())
+    channels = (0, 1, 2) if channel is None else (channel,)  # each clips by itself
+    exposure = _HIGHEST / max(_value(lt, "F3", pattern, one, 1.0, 1.0) for pattern in patterns for one in channels)
     stated = {pattern: _stated(lt, task, pattern, channel) * exposure for pattern in patterns}
     per_value = _WELL_E * _STOP**2 / (_RIG.electrons_per_radiance_second * _BASE_S)
     errors = {pattern: 1 + _RIG.patch_error * dice.standard_normal(len(_PLACES)) for pattern in patterns}
@@ -139,9 +141,9 @@ def _value(lt: Any, name: str, pattern: str, channel: int | None, level: float, 
 
 def _stated(lt: Any, task: str, pattern: str, channel: int | None) -> float:
     """Return the value in the hexagon as the description has it, per unit of exposure."""
-    if task == "leaking polarisers":  # whoever measured the polarisers aligned knows what they let through then
-        aligned = 0.0 if channel is None else float(_ALIGNED[channel, 0])
-        return aligned * _value(lt, "F2", pattern, channel, 1.0, 1.0)
+    if task.startswith("leaking polarisers") and channel is not None:
+        leak = 0.0 if task.endswith("aligned") else float(_CROSSED[channel, 0])
+        return (float(_ALIGNED[channel, 0]) - leak) * _value(lt, "F2", pattern, channel, 1.0, 1.0)
     if task == "LEDs seen unlike":
         bright = _value(lt, "F3", "white", channel, 1.0, 1.0) / _value(lt, "F1", "white", channel, 1.0, 1.0)
         return bright * _value(lt, "F1", pattern, channel, 1.0, 1.0)

@@ -94,7 +94,7 @@ class _Seen:
     def summary(self, sigmas: np.ndarray) -> dict[Any, np.ndarray]:
         """Return a change by setting: its part that is even, and its slopes along light, column, row and radius².
 
-        These do not depend on where the patches stand, so that sessions of one plan can be compared.
+        These do not depend on the places of the patches, so that sessions of one plan can be compared.
 
         Args:
             sigmas: Change over its uncertainty, shape (2, settings, patches).

@@ -21,8 +21,8 @@ ELSEWHERE = {"firmware.md": "drivers/firmware/light_box/README.md", "changelog.m
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages that are made."""
     made: dict[str, Callable[[], str]] = {
-        "reference/commands.md": commands, "reference/effects.md": effects, "reference/python.md": python_names,
-        "reference/thresholds.md": thresholds
+        "reference/bench.md": bench_keys, "reference/commands.md": commands, "reference/effects.md": effects,
+        "reference/python.md": python_names, "reference/thresholds.md": thresholds
     }  # fmt: skip
     made |= {name: partial(_from_elsewhere, path) for name, path in ELSEWHERE.items()}
     for name, content in made.items():
@@ -64,8 +64,65 @@ def commands() -> str:
         parts.append(f"{heading} `{words}`\n\n```\n{usage}\n```\n\n{_escaped(one.text)}")
         rows = (*one.arguments, *one.options)
         if rows:
-            parts.append("| | |\n|---|---|\n" + "\n".join(f"| `{name}` | {_cell(said)} |" for name, said in rows))
+            parts.append("| | |\n|---|---|\n" + "\n".join(f"| `{name}` | {_cell(meaning)} |" for name, meaning in rows))
     return "\n\n".join(parts) + "\n"
+
+
+def bench_keys() -> str:
+    """Return the keys of a bench file, section by section, from the form that every bench file is checked by."""
+    from radiometer.bench.config import BenchConfig
+    from simulators.scenes.factory import SCENES
+
+    form = BenchConfig.model_json_schema()
+    parts = [
+        "# Keys of a bench file\n\nMade from the form that every bench file is checked by. `radiometer new-bench` "
+        "writes one, and [the tutorial](../tutorial.md#3-a-camera-of-your-own-the-bench-file) changes it. An unknown "
+        "key is refused. Keys without a default must be stated."
+    ]
+    for title, section in {"BenchConfig": form, **form["$defs"]}.items():
+        parts.append(f"## {_section_title(title)}\n\n{_escaped(section['description'].partition(chr(10))[0])}")
+        rows = [
+            f"| `{name}` | {_allowed(one)} | {_default(name, one, section)} | {_cell(one.get('description', ''))} |"
+            for name, one in section["properties"].items()
+        ]
+        parts.append("| key | value | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows))
+    kinds = ", ".join(f"`{name}`" for name in sorted(SCENES))
+    parts.append(
+        f"## Scene\n\nWhat a simulated camera looks at. `kind` is one of {kinds}. "
+        "[The simulated camera](../explanation/simulator.md#scenes) names the keys of each."
+    )
+    return "\n\n".join(parts) + "\n"
+
+
+def _section_title(name: str) -> str:
+    words = re.findall("[A-Z][a-z]+", name.removesuffix("Config"))
+    return " ".join(words).capitalize()
+
+
+def _allowed(one: dict[str, Any]) -> str:
+    """Return in words what a key of a form takes."""
+    choices = one.get("anyOf") or one.get("oneOf")
+    if choices:
+        return " or ".join(dict.fromkeys(_allowed(each) for each in choices if each.get("type") != "null"))
+    if "$ref" in one:
+        title = _section_title(one["$ref"].rpartition("/")[2])
+        return f"section [{title}](#{title.lower().replace(' ', '-')})"
+    if "const" in one or "enum" in one:
+        return " or ".join(f"`{value}`" for value in one.get("enum", [one.get("const")]))
+    if one["type"] == "array":
+        each = one.get("items") or {"type": "number"}
+        return f"list of {_allowed(each)}"
+    words = {"string": "text", "integer": "whole number", "boolean": "true or false", "object": "mapping"}
+    signs = {"exclusiveMinimum": "above", "minimum": "from", "exclusiveMaximum": "below", "maximum": "up to"}
+    bounds = [f"{sign} {one[key]:g}" for key, sign in signs.items() if key in one]
+    return " ".join([words.get(one["type"], "number"), *bounds])
+
+
+def _default(name: str, one: dict[str, Any], section: dict[str, Any]) -> str:
+    if name in section.get("required", ()):
+        return "–"
+    value = one.get("default")
+    return "none" if value in (None, []) else "its defaults" if isinstance(value, dict) else f"`{value}`"
 
 
 def python_names() -> str:

@@ -76,7 +76,7 @@ class FrameStream:
         aravis: The library's module.
         camera: An open `Aravis.Camera`.
         chunk_names: Float chunk values to read from every frame.
-        is_lost: Tells whether the library has noticed that the camera is gone.
+        is_lost: Returns whether the library has noticed that the camera is gone.
     """
 
     def __init__(

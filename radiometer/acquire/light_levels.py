@@ -1,15 +1,20 @@
-"""Measures the radiance of a light box's channels over their levels with a camera."""
+"""Measures the radiance of a light box's channels over their levels with a camera; taken up where it was interrupted.
+
+Events of its journal after `start`: `plan` (the order of a channel's levels), and `level` after every level.
+"""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Final
 
 import numpy as np
 
 from radiometer.data import Reading
+from radiometer.data.event_journal import Event, EventJournal
 from radiometer.data.light_calibration import ChannelCalibration, LightPoint
 from radiometer.devices.light_box import (
     FULL_LEVEL,
@@ -67,6 +72,9 @@ class LevelSurvey:
     rng: np.random.Generator  # makes the order
     points_per_decade: float = 4.0  # density of the levels
     progress: Progress | None = None  # called with channel, points done and points in all
+    # Open journal that keeps every level; levels in it are not measured again
+    journal: EventJournal = field(default_factory=lambda: EventJournal(None))
+    wall_s: Callable[[], float] = time.time  # Unix time in s
     _dark: Reading | None = field(default=None)
 
     def survey(self, channel: str, correction: SpectralCorrection) -> ChannelCalibration:
@@ -77,28 +85,50 @@ class LevelSurvey:
             DeviceError: If box or camera fails.
         """
         capabilities = self.box.channels[channel]
-        self.box.safe()
-        self._dark = self.measure()
-        levels = plan_levels(capabilities, self.points_per_decade)
-        order = [levels[index] for index in self.rng.permutation(len(levels))]
-        reference = DriveLevel(capabilities.level_limit[CurrentRange.HIGH] // 4)
-        measured, references = self._run(channel, order, reference)
+        order = self._order(channel)
+        references, measured = self._kept(channel)
+        if not references or references[-1].order < len(order):
+            self.box.safe()
+            self._dark = self.measure()
+            self._run(channel, order, begins=len(measured))
+            references, measured = self._kept(channel)
         return assemble(capabilities, measured, references, correction)
 
-    def _run(
-        self, channel: str, order: Sequence[DriveLevel], reference: DriveLevel
-    ) -> tuple[list[Measured], list[Measured]]:
-        measured: list[Measured] = []
-        references: list[Measured] = []
-        for number, drive in enumerate(order):
-            if number % REFERENCE_EVERY == 0:
-                references.append(self._point(channel, reference, number - 0.5))
-            measured.append(self._point(channel, drive, float(number)))
+    def _order(self, channel: str) -> list[DriveLevel]:
+        """Return the levels in random order, that of the journal where it has one."""
+        capabilities = self.box.channels[channel]
+        levels = plan_levels(capabilities, self.points_per_decade)
+        order = [levels[index] for index in self.rng.permutation(len(levels))]
+        for event in self.journal.of_kind("plan"):
+            if event["channel"] == channel:
+                return [_drive_of(one) for one in event["order"]]
+        self.journal.write("plan", self.wall_s(), channel=channel, order=[_as_drive(one) for one in order])
+        return order
+
+    def _kept(self, channel: str) -> tuple[list[Measured], list[Measured]]:
+        """Return the references and the levels of a channel that the journal holds."""
+        known = [event for event in self.journal.of_kind("level") if event["channel"] == channel]
+        return tuple(  # type: ignore[return-value]
+            [_measured_of(one) for one in known if one["reference"] is reference] for reference in (True, False)
+        )
+
+    def _run(self, channel: str, order: Sequence[DriveLevel], begins: int) -> None:
+        """Measure the levels of a channel from one on, with the reference level before, between and after them."""
+        reference = DriveLevel(self.box.channels[channel].level_limit[CurrentRange.HIGH] // 4)
+        for number, drive in enumerate(order[begins:], begins):
+            if number % REFERENCE_EVERY == 0 or number == begins:
+                # After an interruption the reference before the level may have been measured already: 0.25 follows it.
+                before = 0.25 if number == begins > 0 else 0.5
+                self._keep(channel, self._point(channel, reference, number - before), reference=True)
+            self._keep(channel, self._point(channel, drive, float(number)))
             if self.progress is not None:
                 self.progress(channel, number + 1, len(order))
-        references.append(self._point(channel, reference, float(len(order))))
+        self._keep(channel, self._point(channel, reference, float(len(order))), reference=True)
         self.box.safe()
-        return measured, references
+
+    def _keep(self, channel: str, one: Measured, *, reference: bool = False) -> None:
+        found = asdict(one) | {"drive": _as_drive(one.drive)}
+        self.journal.write("level", self.wall_s(), channel=channel, reference=reference, **found)
 
     def _point(self, channel: str, drive: DriveLevel, order: float) -> Measured:
         self._let_recover(channel, drive)
@@ -212,6 +242,21 @@ def assemble(
         settle_s=max(one.settle_s for one in good),
         points=points,
     )
+
+
+def _as_drive(drive: DriveLevel) -> dict[str, int | str]:
+    return {"level": drive.level, "current_range": str(drive.current_range)}
+
+
+def _drive_of(entry: Event) -> DriveLevel:
+    return DriveLevel(int(entry["level"]), CurrentRange(entry["current_range"]))
+
+
+def _measured_of(event: Event) -> Measured:
+    """Return a level as the journal holds it; the uncertainty of one that is not above the noise is null there."""
+    numbers = {name: event[name] for name in ("radiance", "shared_u_rel", "start_rel", "settle_s", "order")}
+    own_u_rel = math.inf if event["own_u_rel"] is None else event["own_u_rel"]
+    return Measured(_drive_of(event["drive"]), own_u_rel=own_u_rel, **numbers)
 
 
 def _point(channel: ChannelCapabilities, one: Measured, drift: float, correction: SpectralCorrection) -> LightPoint:

@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.adaptation.adaptation_fit import best_branches
-from radiometer.adaptation.journal import Event
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.adaptation.reliability import BLIND_SPOT, BRIGHT
 from radiometer.adaptation.threshold_series import FEWEST, ThresholdSeries
+from radiometer.data.event_journal import Event
 from radiometer.errors import MeasurementError
 
 _CURVE_POINTS: Final = 160  # twice as many as a terminal has columns

@@ -14,9 +14,9 @@ from typing import Any, Final
 from aiohttp import web
 
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.data.event_journal import Event
 from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
 from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
@@ -80,7 +80,7 @@ class LivePage(Opened):
         self._fitter.join()
         self._server.stop(self._say_goodbye)
 
-    def tell(self, event: Event) -> None:
+    def publish(self, event: Event) -> None:
         """Take an event of the run, at once and without waiting for any browser."""
         if event["kind"] == "trial":
             self._devices = self._ask_devices()
@@ -102,7 +102,7 @@ class LivePage(Opened):
                 self._controls.stop(_BY)
             case "lights_off":  # the test ends, or its next blink would light the box again
                 self._controls.stop(_LIGHTS_OFF)
-                self._keep(self._tell_dark())
+                self._keep(self._publish_dark())
             case _:
                 return
         self._broadcast()
@@ -159,7 +159,7 @@ class LivePage(Opened):
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _tell_dark(self) -> None:
+    async def _publish_dark(self) -> None:
         self._send_all(await darkened(self._darken))
 
     async def _send(self, socket: web.WebSocketResponse, message: Message) -> None:
@@ -198,4 +198,4 @@ def replayed(page: LivePage, events: list[Event]) -> None:
     """Tell a page what a journal held already; its prompts are not sounded again."""
     for event in events:
         if event["kind"] != "prompt":
-            page.tell(event)
+            page.publish(event)

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from radiometer.adaptation.journal import Event
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.data.event_journal import Event
 from radiometer.numbers import with_u
 from radiometer.reporting.terminal_chart import TerminalChart
 

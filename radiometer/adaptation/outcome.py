@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.adaptation.reliability import BLANK, Reliability
+from radiometer.data.event_journal import Event
 from radiometer.errors import InputError
 
 

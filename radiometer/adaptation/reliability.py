@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.adaptation.journal import Event
+from radiometer.data.event_journal import Event
 
 BLANK: Final = "blank"
 BRIGHT: Final = "bright"

@@ -16,12 +16,13 @@ import numpy as np
 
 from radiometer.adaptation.checks import Check
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import FORMAT, REFUSED, Event, RunJournal
+from radiometer.adaptation.journal import FORMAT, REFUSED, RunJournal
 from radiometer.adaptation.methods import Method, begin
 from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of, too_many_false
 from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
 from radiometer.adaptation.reliability import BLANK, BLIND_SPOT, BRIGHT, kind_of_catch
 from radiometer.adaptation.run_facts import facts_of
+from radiometer.data.event_journal import START, Event
 from radiometer.errors import UsageError
 
 Watcher = Callable[[Event], None]
@@ -174,7 +175,7 @@ class _Run:
         facts: dict[str, Any] = {"format": FORMAT, "subject": self.subject, "protocol": name, "seed": self.seed}
         if self.eye is not None:
             facts["eye"] = self.eye
-        self.note("start", **{**facts, **self.visit}, unix_s=wall_s, facts=facts_of(self.protocol))
+        self.note(START, **{**facts, **self.visit}, unix_s=wall_s, facts=facts_of(self.protocol))
 
     def _check_journal(self) -> None:
         begun = self.journal.events[0]
@@ -252,7 +253,7 @@ class _Run:
                 self._single(number, BRIGHT)
             case "blind_spot":
                 self._single(number, BLIND_SPOT)
-                self._tell_lost_fixation()
+                self._announce_lost_fixation()
             case _:
                 self._threshold(number, shift=rng.random())
 
@@ -323,7 +324,7 @@ class _Run:
         minutes = round((self._latest_s - self._dark_since_s) / 60, 5)
         self.note("trial", catch=True, of=of, seen=seen, false_press=False, threshold=None, minutes=minutes)
 
-    def _tell_lost_fixation(self) -> None:
+    def _announce_lost_fixation(self) -> None:
         """Journal that fixation is lost where enough of the latest lights in the blind spot were seen."""
         lost, of = LOST_OF
         announced = max((event["sequence"] for event in self.journal.of_kind("fixation")), default=-1)

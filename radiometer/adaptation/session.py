@@ -10,7 +10,7 @@ from pathlib import Path
 from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.checks import Check
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import DEVICE_FACTS, Event, RunJournal
+from radiometer.adaptation.journal import DEVICE_FACTS, RunJournal
 from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.live_text import LiveText, event_line
 from radiometer.adaptation.outcome import Outcome
@@ -20,6 +20,7 @@ from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.screen_setup import ScreenStage, open_screen_stage
 from radiometer.adaptation.simulated_stage import simulated_stage
 from radiometer.bench.box_holder import darken_held
+from radiometer.data.event_journal import Event
 from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
 
@@ -124,7 +125,7 @@ class Session:
         with LivePage(stage.protocol, self.controls, port, audio=audio, health=health, darken=darken_held) as page:
             announce(page.url)
             replayed(page, self.journal.events)
-            yield page.tell
+            yield page.publish
 
     def with_prompts(self, watch: Watcher, sound: Watcher) -> Watcher:
         """Return a watcher that journals prompts and has them sounded as well."""

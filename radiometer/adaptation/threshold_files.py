@@ -17,8 +17,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.adaptation.journal import DEVICE_FACTS, is_journal, read_events
+from radiometer.adaptation.journal import DEVICE_FACTS
 from radiometer.data import text_table
+from radiometer.data.event_journal import is_journal, read_events
 from radiometer.data.reader_limits import bounded_reader, unpacked
 from radiometer.errors import InputError
 from radiometer.units import heading_parts, unit_of

@@ -60,7 +60,7 @@ class ThresholdSeries:
         table = read_table(path)
         rows = table.rows
         for time, threshold in rows[:, :2]:
-            PLAUSIBLE["time_in_dark"].check(f"{path}: time {time:g} min", time)
+            PLAUSIBLE["time_in_dark"].check(f"{path}: time", time)
             PLAUSIBLE["log10_threshold"].check(f"{path}: log10 threshold after {time:g} min", threshold)
         sigma = rows[:, 2] if rows.shape[1] == 3 else None
         return cls(rows[:, 0], rows[:, 1], sigma, table.facts, table.taken)

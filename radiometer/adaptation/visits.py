@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit
-from radiometer.adaptation.journal import Event, read_events
-from radiometer.adaptation.report import label_of, origin_of
-from radiometer.adaptation.report_picture import short
+from radiometer.adaptation.report import label_of, origin_of, short
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.data.event_journal import Event, read_events
 from radiometer.errors import InputError, UsageError
 from radiometer.numbers import unit_text
 from radiometer.reporting.page import page, paragraph, section, table

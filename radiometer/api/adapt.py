@@ -15,12 +15,10 @@ import numpy as np
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
-from radiometer.adaptation.report import LABELS, curve_csv, label_of, to_mapping, write_page
-from radiometer.adaptation.report_picture import short
+from radiometer.adaptation.report import LABELS, curve_csv, label_of, short, to_mapping, write_page
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
 from radiometer.adaptation.run_facts import intercept_of, number_of
@@ -31,6 +29,7 @@ from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of, visit_at, visit_in, visits_html
 from radiometer.api.files import PathLike
 from radiometer.api.result import Notice, Result, require_other, unheard
+from radiometer.data.event_journal import Event
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import check_outputs, write_text_atomic
@@ -207,11 +206,11 @@ def adapt_run(
             watchers.append(reported)
         if view:
             watchers.append(held.enter_context(view(session)))
-        tell = _all_of(watchers, slow_s)
+        notify = _all_of(watchers, slow_s)
         if audio:
             ring = (lambda: None) if page or page_port > 0 else bell
-            tell = session.with_prompts(tell, _sounded(tell, ring))
-        outcome = session.run(tell)
+            notify = session.with_prompts(notify, _sounded(notify, ring))
+        outcome = session.run(notify)
         table = table_file if csv or outcome.can_be_fitted else None
         if table is not None:
             write_text_atomic(table, session.table(outcome))
@@ -223,18 +222,18 @@ def _at(url: str) -> str:
 
 
 def _all_of(watchers: Sequence[Watcher], slow_s: float) -> Watcher:
-    def tell(event: Event) -> None:
+    def notify(event: Event) -> None:
         for watcher in watchers:
             watcher(event)
         if slow_s and event["kind"] == "trial":
             time.sleep(slow_s)
 
-    return tell
+    return notify
 
 
-def _sounded(tell: Watcher, ring: Callable[[], None]) -> Watcher:
+def _sounded(notify: Watcher, ring: Callable[[], None]) -> Watcher:
     def sound(event: Event) -> None:
-        tell(event)
+        notify(event)
         ring()
 
     return sound
@@ -270,7 +269,8 @@ class AdaptationCurve(Result):
         for name, estimate in self.fit.estimates.items():
             interval = estimate.profile or estimate.bootstrap
             expanded = 2.0 * estimate.u
-            ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval else []
+            known = interval is not None and interval.low < interval.high  # ends of an area are chosen, not estimated
+            ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval and known else []
             shown = f"   {ends[0]} to {ends[1]} (95 %)" if ends else ""
             value = rounded(estimate.value, expanded)[0]
             found.append(f"{label_of(name, self.fit):<32} {value:>9} {unit_text(estimate.unit):<10}{shown}".rstrip())
@@ -384,15 +384,15 @@ def adapt_retest(visits: Sequence[PathLike]) -> Retest:
     """
     if len(visits) % 2:
         raise UsageError(f"{len(visits)} tables: give two for each subject, first and second visit")
-    fits = [_fitted(Path(one)) for one in visits]
+    fits = [_fitted(Path(one)).fit for one in visits]
     return Retest(tuple(compare_visits(list(zip(fits[::2], fits[1::2], strict=True)))))
 
 
-def _fitted(file: Path) -> AdaptationFit:
+def _fitted(file: Path) -> AdaptationCurve:
     series = ThresholdSeries.read(file)
     request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
     try:
-        return fit_adaptation(series, request, np.random.default_rng(1))
+        return AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, file.stem)
     except MeasurementError as error:
         raise MeasurementError(f"{file}: {error}") from error
 
@@ -489,7 +489,7 @@ class Visits(Result):
         return [
             f"{label_of_visit(one.series, one.name)}: "
             + ", ".join(
-                f"{label_of(name, one.fit).lower()} {short(one.fit, name)} {unit_text(one.fit.estimates[name].unit)}"
+                f"{label_of(name, one.fit)} {short(one.fit, name)} {unit_text(one.fit.estimates[name].unit)}"
                 for name in OVERLAID
                 if name in one.fit.estimates
             )
@@ -524,17 +524,7 @@ def adapt_visits(visits: Sequence[PathLike], *, report: PathLike | None = None) 
     """
     if len(visits) < 2:
         raise UsageError(f"{len(visits)} visit: name two at least")
-    curves = []
-    for one in visits:
-        series = ThresholdSeries.read(Path(one))
-        request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
-        try:
-            curves.append(
-                AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, Path(one).stem)
-            )
-        except MeasurementError as error:
-            raise MeasurementError(f"{one}: {error}") from error
-    found = Visits(tuple(curves))
+    found = Visits(tuple(_fitted(Path(one)) for one in visits))
     if report is not None:
         found.write_report(report)
     return found

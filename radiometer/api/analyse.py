@@ -7,7 +7,7 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from radiometer.typing import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_MOST_IN_HEADLINE: Final = 3
 _FIGURES = ("mean", "median", "lowest", "highest", "deviation", "uniformity")
 
 
@@ -140,8 +141,17 @@ class MapAnalysis(Drawn):
             section("Further figures, k = 2", listed(further)),
             section("Flags and assumptions", listed([*flags, *self.assumptions])),
         ]
-        outcome = f"{len(self.regions)} region{'' if len(self.regions) == 1 else 's'}"
-        origin = Origin(further=(("map", self.origin), ("exposure times", exposures)))
+        more = ", …" if len(self.regions) > _MOST_IN_HEADLINE else ""
+        means = [f"{one.name} {with_u(one.mean.value, 2 * one.mean.u)}" for one in self.regions[:_MOST_IN_HEADLINE]]
+        outcome = f"Mean of {', '.join(means)}{more} {unit_text(self.map.unit)} (k = 2)"
+        known = {name: str(value) for name, value in self.map.provenance.parameters.get("origin", {}).items()}
+        origin = Origin(
+            known.get("taken", ""),
+            known.get("camera", ""),
+            known.get("lens", ""),
+            known.get("calibration", ""),
+            further=(("map", self.origin), ("merged", known.get("merged", "")), ("exposure times", exposures)),
+        )
         write_text_atomic(Path(path), page("Figures of a radiance map", outcome, parts, kind="analyse", origin=origin))
 
     def plot(self, axes: Axes | None = None) -> Axes:

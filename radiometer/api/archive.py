@@ -10,7 +10,6 @@ from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Progress, Result
 from radiometer.archive.jobs import JOBS, JobSettings
-from radiometer.archive.journal import journal_of
 from radiometer.archive.passport import Passport as Passport
 from radiometer.archive.passport import passports
 from radiometer.archive.run import BatchSummary, run_batch
@@ -18,8 +17,10 @@ from radiometer.archive.sessions import find_captures, read_sessions
 from radiometer.archive.trend import Trend as Trend
 from radiometer.archive.trend import read_histories
 from radiometer.archive.trend_report import trend_report
+from radiometer.data.event_journal import journal_of
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, UsageError
+from radiometer.progress import counted, unseen
 
 
 @dataclass(frozen=True, repr=False)
@@ -143,12 +144,11 @@ def batch(
         patch=(region.x, region.y, region.width, region.height) if region else None,
         maps=str(Path(maps).resolve()) if maps else None,
     )
-
-    def advance(done: int, total: int, _rows: object) -> None:
-        if progress:
-            progress(do, done, total)
-
-    summary = run_batch(captures, settings, Path(output), scheduler=scheduler, workers=workers, progress=advance)
+    report = counted(progress, do)
+    summary = run_batch(
+        captures, settings, Path(output), scheduler=scheduler, workers=workers,
+        progress=lambda done, total, _rows: report(done, total),
+    )  # fmt: skip
     return Batch(summary, Path(output), tuple(unfinished))
 
 
@@ -188,5 +188,5 @@ def passport(archive: PathLike, *, progress: Progress | None = None) -> Passport
     Raises:
         InputError: If it holds no session.
     """
-    heard = (lambda name: progress(f"reading {name}", 0, None)) if progress else (lambda _name: None)
-    return Passports(tuple(passports(read_sessions(Path(archive), heard))))
+    report = progress or unseen
+    return Passports(tuple(passports(read_sessions(Path(archive), lambda name: report(f"reading {name}", 0, None)))))

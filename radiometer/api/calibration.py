@@ -54,8 +54,9 @@ from radiometer.devices import CameraPreset
 from radiometer.errors import InputError, UsageError
 from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.response import linear_doubt
-from radiometer.photographs.scene import UNTOLD_SHUTTER_U_S, Photographs, has_untold_shutter, with_offset
+from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
 from radiometer.photographs.stated import at_iso, reference_iso, with_f_number, with_gains, with_iso
+from radiometer.progress import counted
 from radiometer.units import exact_exposure_s
 
 if TYPE_CHECKING:
@@ -337,8 +338,8 @@ def _seen(
             raise UsageError("--patch is missing: say where in the photographs the known source is (X,Y,W,H)")
         if channel == "each":
             raise UsageError("--channel each: a calibration holds one channel; give luminance, red, green or blue")
-        report = None if progress is None else (lambda done, total: progress("reading", done, total))
-        taken = stack_of(open_source(Path(capture), channel, report=report), str(capture)).as_photographs()
+        read = open_source(Path(capture), channel, report=counted(progress, "reading"))
+        taken = stack_of(read, str(capture)).as_photographs()
         unstated = not any(frame.settings.iso for frame in taken.only.light)
         taken = taken.each(lambda one: with_gains(with_iso(one, iso if unstated else None), speeds)).placed(align)
         bracket = taken.without_absent()
@@ -515,8 +516,8 @@ def _with_statements(
     if model is not None:
         shape = seen.bracket.shape if seen is not None else None
         base = with_found_effects(base, Path(model), base.uncertainties.model_fields_set, shape)
-    elif "exposure_u_s" not in base.uncertainties.model_fields_set and _is_untold(seen, base.response):
-        base = _with_u(base, exposure_u_s=UNTOLD_SHUTTER_U_S)
+    elif "exposure_u_s" not in base.uncertainties.model_fields_set and _has_unstated_offset(seen, base.response):
+        base = _with_u(base, exposure_u_s=UNSTATED_SHUTTER_U_S)
     if not spectrum_stated and "efficacy_u_rel" not in base.uncertainties.model_fields_set:
         base = _with_u(base, efficacy_u_rel=UNKNOWN_EFFICACY_U_REL)
     if preset is not None and preset.spectral_response is not None:
@@ -526,9 +527,9 @@ def _with_statements(
     return base
 
 
-def _is_untold(seen: _Seen | None, curve: ResponseCurve | None) -> bool:
+def _has_unstated_offset(seen: _Seen | None, curve: ResponseCurve | None) -> bool:
     """Return whether the exposures are those of a shutter whose offset is unknown."""
-    return seen is not None and seen.photographs is not None and has_untold_shutter(seen.photographs, curve)
+    return seen is not None and seen.photographs is not None and has_unstated_shutter_offset(seen.photographs, curve)
 
 
 def _with_u(base: Calibration, **figures: float) -> Calibration:

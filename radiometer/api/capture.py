@@ -18,6 +18,7 @@ from radiometer.bench.capturing import capture_exposures, capture_settings
 from radiometer.data import CaptureSet, Patch
 from radiometer.devices import Camera
 from radiometer.errors import UsageError
+from radiometer.progress import counted
 
 
 @dataclass(frozen=True, repr=False)
@@ -111,11 +112,7 @@ def bracket(
         raise UsageError("--plan states all settings; leave out --stops, --from, --to, --patch, --u-rel, --darks")
     region = as_patch(patch)
     request = BracketRequest(region, u_rel, time_limit_s, darks)
-
-    def taken(done: int, total: int) -> None:
-        if progress:
-            progress("capturing", done, total)
-
+    taken = counted(progress, "capturing")
     with open_bench_camera(Path(bench) if bench else None, camera) as (config, device):
         if plan is not None:
             return _planned(capture_settings(Path(out), device, read_capture_plan(Path(plan)), config, ask, taken))

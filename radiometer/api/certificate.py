@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final
 
 import radiometer
-from radiometer.analysis.exports.certificate import Certified, Item, Laboratory, certificate_xml
+from radiometer.analysis.exports.certificate import COVERAGE_FACTORS, Certified, Item, Laboratory, certificate_xml
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
-from radiometer.data import Calibration, Contribution, Quantity, Reading
+from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import check_outputs, read_text, write_text_atomic
 from radiometer.errors import InputError, UsageError
 from radiometer.numbers import unit_text, with_u
+from radiometer.plausible import PLAUSIBLE
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
 
@@ -161,7 +164,10 @@ def _of_reading(
     stated = {name: content[name] for name in ("radiance", "luminance") if content.get(name)}
     if stated["radiance"]["unit"] == "relative":
         raise UsageError(_RELATIVE)
-    k = float(content["coverage_factor"])
+    k = COVERAGE_FACTORS.check("coverage_factor", float(content["coverage_factor"]))
+    if Flag.UNCALIBRATED.value in content["flags"]:
+        raise UsageError(_RELATIVE)
+    results = tuple((name, _result(name, stated[name]), k) for name in stated)
     conditions = [("exposure times", ", ".join(f"{one:.4g} s" for one in content["exposures_s"]))]
     patch = content["patch"]
     conditions.append(
@@ -172,17 +178,38 @@ def _of_reading(
     return Certified(
         identifier=identifier,
         title="radiance of a patch",
-        date=str(content["time"])[:10],
+        date=_day(str(content["time"])),
         method=_READING_METHOD,
         item=laboratory.item,
         equipment=(("camera", str(content["instrument"])),),
         conditions=tuple(conditions),
-        results=tuple(
-            (name, Quantity(float(one["value"]), float(one["u"]), str(one["unit"])), k) for name, one in stated.items()
-        ),
+        results=results,
         budget=budget,
         version=radiometer.__version__,
     )
+
+
+def _result(name: str, stated: dict[str, Any]) -> Quantity:
+    """Return a quantity of a reading as a file states it. Raises InputError if no reading has it."""
+    unit, known = {"radiance": ("W sr-1 m-2", "radiance"), "luminance": ("cd m-2", "luminance")}[name]
+    if stated["unit"] != unit:
+        raise InputError(f"{name} has the unit {stated['unit']!r}; a reading states it in {unit}")
+    value, u = PLAUSIBLE[known].check(name, float(stated["value"])), float(stated["u"])
+    if not 0.0 < u < math.inf:
+        raise InputError(f"{name}: the standard uncertainty is {u:g}; it must be above 0")
+    return Quantity(value, u, unit)
+
+
+def _day(time: str) -> str:
+    """Return the day of a time in ISO 8601. Raises InputError if it is none, or in the future."""
+    try:
+        moment = datetime.fromisoformat(time)
+    except ValueError as error:
+        raise InputError(f"time {time[:40]!r} is none of ISO 8601") from error
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    if moment > datetime.now(UTC) + timedelta(days=1):
+        raise InputError(f"time {time[:40]} is in the future; correct the clock or the file")
+    return moment.date().isoformat()
 
 
 def _of_calibration(calibration: Calibration, laboratory: Laboratory, identifier: str) -> Certified:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -105,6 +105,7 @@ class ColourReading(Drawn):
         assumptions: What was assumed, a sentence each.
         calibration: The calibration in use.
         maps: Quantities of every pixel, where they were asked for.
+        origin: When and with what the frames were taken, in words by name.
     """
 
     source: str
@@ -117,6 +118,7 @@ class ColourReading(Drawn):
     assumptions: tuple[str, ...]
     calibration: ColourCalibration
     maps: MapPicture | None = None
+    origin: Mapping[str, str] = field(default_factory=dict)
     _inches = (6.4, 6.8)
 
     def __getitem__(self, name: str) -> Quantity | None:
@@ -180,7 +182,11 @@ class ColourReading(Drawn):
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
         origin = Origin(
-            "", calibration=f"of colours, {moment(self.calibration.created)}", further=(("source", self.source),)
+            self.origin.get("taken", ""),
+            self.origin.get("camera", ""),
+            self.origin.get("lens", ""),
+            calibration=f"of colours, {moment(self.calibration.created)}",
+            further=(("source", self.source),),
         )
         write_text_atomic(Path(path), page(f"colour of {self.source}", str(self), parts, kind="colour", origin=origin))
 
@@ -355,6 +361,7 @@ def colour_measure(
         },
         found, (*flags, *_flags(known, found, kind)), (*known.provenance.assumptions, *seen.assumptions), known,
         _converted(seen, known, kind) if maps is not None else None,
+        next(iter(seen.maps.values())).provenance.parameters.get("origin", {}),
     )  # fmt: skip
     if maps is not None:
         reading.write_maps(maps)

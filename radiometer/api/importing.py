@@ -14,6 +14,7 @@ from radiometer.api.result import Progress, Result
 from radiometer.data.statements import StatementMap
 from radiometer.importing import ImportOptions, import_into
 from radiometer.importing.sources import WrittenSet
+from radiometer.progress import counted
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,12 +76,8 @@ def import_capture(
     several = [sources] if isinstance(sources, str | os.PathLike) else sources
     stated = mapped if isinstance(mapped, StatementMap) else StatementMap.parse(mapped)
     options = ImportOptions(as_patch(crop), sample, full_scale, pedestal, stated)
-
-    def advance(done: int, total: int) -> None:
-        if progress:
-            progress("reading headers", done, total)
-
-    return Imported(tuple(import_into([Path(one) for one in several], Path(output), options, advance)))
+    report = counted(progress, "reading headers")
+    return Imported(tuple(import_into([Path(one) for one in several], Path(output), options, report)))
 
 
 def _mapping(one: WrittenSet) -> dict[str, Any]:

@@ -26,7 +26,8 @@ from radiometer.bench.boxes import (
     open_light_box,
     require_known_box,
 )
-from radiometer.bench.light_bench import SurveyRequest, open_light_camera, survey_box
+from radiometer.bench.light_bench import SurveyRequest, asked_of, open_light_camera, survey_box
+from radiometer.data.event_journal import kept_until_written
 from radiometer.data.json_text import json_text
 from radiometer.data.light_calibration import LevelChoice, LightCalibration
 from radiometer.data.storage import check_outputs
@@ -38,6 +39,7 @@ from radiometer.importing.drive_table import DriveTable, read_drive_table
 from radiometer.numbers import with_u
 from radiometer.statistics.drive_law import DriveLaw, fit_drive_law
 
+RUN_FORMAT: Final = "radiometer-light-run/1"  # of the journal of an unfinished calibration
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
 _BUDGET_USED_UP: Final = 0.02  # of the full budget: it refills from the moment the light went out
 _FOREVER_S: Final = 1e9  # 32 years
@@ -498,9 +500,12 @@ def light_calibrate(
     preset: PathLike | None = None,
     out: PathLike | None = None,
     force: bool = False,
+    notice: Notice = unheard,
     progress: Progress | None = None,
 ) -> CalibratedBox:
     """Measure the radiance of a box's channels over their levels with the camera, on both current ranges.
+
+    A journal next to the file keeps every level until it is written. After an interruption the same call goes on there.
 
     Examples:
         >>> import radiometer as rm
@@ -522,10 +527,11 @@ def light_calibrate(
         preset: Light-box preset with safety bounds.
         out: File to write; the box's own by default.
         force: Calibrate channels anew that the box's own file holds already.
+        notice: Gets where levels are kept after an interruption.
         progress: Called after every level.
 
     Raises:
-        UsageError: If the box has no such channel.
+        UsageError: If the box has no such channel, or a journal of another calibration is next to the file.
         MeasurementError: If a channel does not rise above the noise.
         DeviceError: If box or camera fails.
         OutputError: If the file cannot be written.
@@ -548,8 +554,9 @@ def light_calibrate(
         request = SurveyRequest(
             channels, points_per_decade, seed, Path(responsivity) if responsivity else None, spectral_u_rel
         )
-        found = survey_box(opened, instrument, request, progress)
-    found.write(file)
+        with kept_until_written(file, RUN_FORMAT, asked_of(opened, instrument, request), notice) as journal:
+            found = survey_box(opened, instrument, request, progress, journal)
+            found.write(file)
     return CalibratedBox(found, channels, file)
 
 
@@ -615,8 +622,9 @@ class EngineLaws(Result):
 
 def _law_text(law: DriveLaw) -> str:
     half = with_u(100 * law.deviation_rel, 200 * law.u_deviation_rel, "%")
+    onset = f"onset {with_u(100 * law.onset, 200 * law.u_onset, '%')}, " if law.onset else ""
     return (
-        f"exponent {with_u(law.exponent, 2 * law.u_exponent)}, droop {with_u(law.droop, 2 * law.u_droop)}, "
+        f"exponent {with_u(law.exponent, 2 * law.u_exponent)}, droop {with_u(law.droop, 2 * law.u_droop)}, {onset}"
         f"half drive {half} off proportional, misfit {100 * law.misfit_rel:.2g} %"
     )
 

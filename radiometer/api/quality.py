@@ -18,6 +18,7 @@ from radiometer.bench.quality_session import chosen_steps, procedure_named, take
 from radiometer.data import Calibration, SpectralResponse
 from radiometer.data.json_text import json_text
 from radiometer.errors import DeviceError
+from radiometer.progress import counted, unseen
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,14 +131,9 @@ def quality_take(
     for step in missing:
         if ask is not None:
             ask(f"{chosen.title}, step {step.name}: {step.ask}")
-
-        def taken(done: int, total: int, name: str = step.name) -> None:
-            if progress:
-                progress(name, done, total)
-
         take_step(
             folder / step.name, chosen, step, bench=Path(bench) if bench else None, name=camera, patch=as_patch(patch),
-            repeat=repeat, darks=darks, ask=ask, taken=taken,
+            repeat=repeat, darks=darks, ask=ask, taken=counted(progress, step.name),
         )  # fmt: skip
     return [folder / one.name for one in missing]
 
@@ -173,7 +169,7 @@ def quality_report(
     response = _response(Path(spectral_response)) if spectral_response else None
     known = Calibration.read(Path(calibration)) if calibration else None
     how = Evaluation(known, as_patch(patch), source_u_rel, response)
-    return QualityReport(evaluate(Path(session), how, lambda title: progress(title, 0, None) if progress else None))
+    return QualityReport(evaluate(Path(session), how, lambda title: (progress or unseen)(title, 0, None)))
 
 
 def _response(path: Path) -> SpectralResponse:

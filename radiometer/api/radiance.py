@@ -53,6 +53,7 @@ from radiometer.photographs.scene import (
     prepared,
 )
 from radiometer.progress import counted, unseen
+from radiometer.reporting.origin import moment
 
 if TYPE_CHECKING:
     import xarray
@@ -453,7 +454,7 @@ def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress 
     maps, camera = {}, camera_with_taps(capture, asked.taps)
     for name, plane in _planes(capture, asked):
         frames = _streamed(plane, (*dark, *lit), counted(progress, "merging"))
-        maps[name] = _of_capture(frames, levels, camera, capture.header.lens, asked).map
+        maps[name] = _of_capture(frames, levels, camera, capture.header.lens, asked, capture.header.created).map
     return Radiance(maps, notes=tuple(f"{path.name}: {line}" for line in notes))
 
 
@@ -494,6 +495,7 @@ def _of_capture(
     camera: CameraDescription,
     lens: LensDescription,
     asked: _Asked,
+    created: str | None = None,
 ) -> Radiance:
     """Return the map of a capture set: dark frames first, then light ones.
 
@@ -503,6 +505,7 @@ def _of_capture(
         camera: As the capture set describes it.
         lens: As the capture set describes it.
         asked: What is asked for.
+        created: When it was taken: ISO 8601 time in UTC; None where that is not known.
     """
     if asked.vignetting:
         raise UsageError("--vignetting belongs to photographs; a capture set takes its calibration's flat field")
@@ -525,7 +528,8 @@ def _of_capture(
             noise=SensorNoise.of(camera),
             black_level=BlackLevel(dn=next(black for black in stated if black is not None)),
         )
-    return Radiance({"mono": merge_bracket(frames, Setup(camera, lens, known))})
+    setup = Setup(camera, lens, known, taken=moment(created) if created else "")
+    return Radiance({"mono": merge_bracket(frames, setup)})
 
 
 def _of_photographs(photographs: Photographs, asked: _Asked, progress: Progress) -> Radiance:

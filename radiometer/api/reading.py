@@ -22,6 +22,7 @@ from radiometer.bench.reopening import reopen
 from radiometer.data import Bracket, CameraDescription, LensDescription, Reading
 from radiometer.data.serials import serial_shown
 from radiometer.errors import DeviceLost, DeviceTimeout, UsageError
+from radiometer.progress import counted
 from radiometer.reporting.reading_page import ReadingRecord, check_report_name, write_reading_page
 
 
@@ -175,14 +176,12 @@ def _one(
 ) -> tuple[Reading, Bracket]:
     """Return a reading; with somebody to hear of it, a camera that was lost is waited for and read anew."""
     camera, settings = instrument.camera, instrument.camera.settings
-
-    def taken(done: int, total: int, _frame: object) -> None:
-        if progress:
-            progress("measuring", done, total)
-
+    report = counted(progress, "measuring")
     while True:
         try:
-            frames = instrument.take_bracket(target_u_rel=u_rel, progress=taken)
+            frames = instrument.take_bracket(
+                target_u_rel=u_rel, progress=lambda done, total, _frame: report(done, total)
+            )
             return instrument.with_origin(instrument.read(frames, sequence=number)), frames
         except (DeviceLost, DeviceTimeout) as error:
             if waiting is None:

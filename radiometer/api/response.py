@@ -26,7 +26,7 @@ from radiometer.errors import MeasurementError, UsageError
 from radiometer.photographs.response import ENOUGH_PIXELS
 from radiometer.photographs.scene import Photographs, reject_inconsistent_photographs
 from radiometer.photographs.stated import with_gains, with_iso_speeds
-from radiometer.progress import unseen
+from radiometer.progress import counted, unseen
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -198,8 +198,7 @@ def recover_response(
             found.setdefault(name, []).append(bracket)
     joint: Sequence[ResponseEstimate | None] = [None] * len(found)
     if DEFAULT_METHOD in names and len(found) > 1:
-        if progress is not None:
-            progress("recovering the response of all colours together", 0, None)
+        (progress or unseen)("recovering the response of all colours together", 0, None)
         joint = recover_colours_auto(list(found.values()))
     estimates = [
         with_iso_speeds(estimate, *found.values())
@@ -251,11 +250,7 @@ def _read(
 
 
 def _opened(path: Path, channel: str, measured_iso: dict[float, float], progress: Progress | None) -> Stack:
-    def report(done: int, total: int) -> None:
-        if progress is not None:
-            progress(f"reading {path.name}", done, total)
-
-    speeds = IsoSpeeds(measured_iso)
+    report, speeds = counted(progress, f"reading {path.name}"), IsoSpeeds(measured_iso)
     return stack_of(open_source(path, channel, report=report, speeds=speeds, most_pixels=ENOUGH_PIXELS), str(path))
 
 
@@ -273,8 +268,7 @@ def _recovered(
 ) -> Iterator[ResponseEstimate]:
     """Yield the estimate of every method; that of the default is given where it was made with other colours."""
     for done, name in enumerate(names):
-        if progress is not None:
-            progress("recovering the response", done, len(names))
+        (progress or unseen)("recovering the response", done, len(names))
         try:
             if name == DEFAULT_METHOD and with_other_colours is not None:
                 yield telling(with_other_colours, brackets[0].origin)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,10 +14,11 @@ from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
 from radiometer.bench.screen import BROWSER, SIMULATED_SIZE, ScreenBench, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
 from radiometer.data.drawing import check_plot_name, new_axes
+from radiometer.data.event_journal import kept_until_written
 from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs
 from radiometer.devices import Display
-from radiometer.errors import UsageError
+from radiometer.errors import RadiometerError, UsageError
 from radiometer.numbers import unit_text, with_u
 from radiometer.progress import counted
 from radiometer.reporting.origin import moment
@@ -34,6 +35,7 @@ from radiometer.screen.verification import COVERAGE, Verified, verify_screen
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+RUN_FORMAT: Final = "radiometer-screen-run/1"  # of the journal of an unfinished calibration
 # Names of what a level is looked up by, as the command line writes them.
 _UNITS: Final[Mapping[str, str]] = {"cd": LUMINANCE, "scotopic": SCOTOPIC, "W": RADIANCE}
 
@@ -151,6 +153,8 @@ def screen_calibrate(
 ) -> CalibratedScreen:
     """Measure which level of a screen gives which radiance and luminance, with uncertainty.
 
+    A journal next to `out` keeps every patch until `out` is written. After an interruption the same call goes on there.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.screen_calibrate("screen.yaml", "lcd", quick=True)
@@ -166,7 +170,8 @@ def screen_calibrate(
         repeats: Readings of every patch.
         size: Patch size as a share of the screen's.
         pixel_mm: Distance of two pixels in mm, for an adaptation test.
-        chromaticities: Where a colorimeter's chromaticities of this screen are: a .ti3, or an earlier calibration.
+        chromaticities: Where a colorimeter's chromaticities of this screen are: a .ti3, or an earlier calibration. By
+            default those of the calibration that is replaced.
         warm_up_s: Longest wait for the screen to settle in s.
         white: Spectrum assumed for grey.
         primaries: Spectra of red, green and blue: a display type, or a CSV of them.
@@ -180,11 +185,12 @@ def screen_calibrate(
         seed: Seed of the random order.
         force: Replace exports that exist.
         announce: Called with the page's address.
-        notice: Gets warnings of the page.
+        notice: Gets warnings of the page, and where patches are kept after an interruption.
         progress: Called after every patch.
 
     Raises:
-        UsageError: If display, channel, level or form is unknown, or no camera looks at a browser's page.
+        UsageError: If display, channel, level or form is unknown, or no camera looks at a browser's page. Also if
+            `out` holds a journal of another calibration.
         MeasurementError: If white clips or is hardly brighter than black; before the screen warms up.
         DeviceError: If display or camera fails.
         OutputError: If a file cannot be written.
@@ -194,7 +200,8 @@ def screen_calibrate(
         check_outputs(*_export_files(kinds, Path(out)), force=force)
     if plot is not None:
         check_plot_name(Path(plot))
-    known_xy = chromaticities_in(Path(chromaticities)) if chromaticities is not None else {}
+    target = Path(out) if out is not None else None
+    known_xy = _known_chromaticities(chromaticities, target, name or display, notice)
     options = Options(
         name=name or display, levels=parse_levels("quick" if quick else levels), channels=tuple(channels),
         repeats=repeats, patch_size=size, warm_up_limit_s=warm_up_s, seed=seed, pixel_mm=pixel_mm,
@@ -202,17 +209,42 @@ def screen_calibrate(
     )  # fmt: skip
     lamps = lights(white, primaries_of(display, options.channels, primaries))
     with opened_screen(display, bench, camera, calibration, patch, port, announce) as opened:
-        found = calibrate_screen(opened, options, lamps, progress=_advance(progress), waiting=warming(progress))
-        warn_of_page(opened.display, notice)
         serial = opened.instrument.camera.description.serial or ""
-        found = replace(found, instrument=serial, measured_with=opened.measured_with)
-    if out is not None:
-        found.write(Path(out))
-        _exports(found, kinds, Path(out))
-    done = CalibratedScreen(found, Path(out) if out is not None else None)
+        asked = asdict(options) | {"display": display, "camera": serial, **opened.measured_with}
+        asked["spectra"] = {name: light.spectrum for name, light in lamps.items()}
+        with kept_until_written(target, RUN_FORMAT, asked, notice) as journal:
+            found = calibrate_screen(
+                opened, options, lamps, journal=journal, progress=_advance(progress), waiting=warming(progress)
+            )
+            warn_of_page(opened.display, notice)
+            found = replace(found, instrument=serial, measured_with=opened.measured_with)
+            if target is not None:
+                found.write(target)
+                _exports(found, kinds, target)
+    done = CalibratedScreen(found, target)
     if plot is not None:
         done.write_plot(plot)
     return done
+
+
+def _known_chromaticities(
+    stated: PathLike | None, replaced: Path | None, name: str, notice: Notice
+) -> Mapping[str, tuple[float, float]]:
+    """Return the chromaticities of a screen: those stated, else those of its calibration that is replaced."""
+    if stated is not None:
+        return chromaticities_in(Path(stated))
+    if replaced is None or not replaced.is_file():
+        return {}
+    try:
+        before = ScreenCalibration.read(replaced)
+    except RadiometerError:  # it is replaced whatever it is
+        return {}
+    if before.name != name or not before.chromaticities:
+        return {}
+    notice(
+        f"{replaced}: its chromaticities of {', '.join(before.chromaticities)} are kept; --chromaticities replaces them"
+    )
+    return before.chromaticities
 
 
 @dataclass(frozen=True, repr=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -50,6 +50,7 @@ class DisplayReport(Result):
         conditions: Measuring conditions that all methods share, a sentence each.
         sections: Results, one section for each method.
         created: When, as ISO 8601 in UTC.
+        measured_with: Camera, lens and calibration in words.
     """
 
     screen: str
@@ -57,6 +58,7 @@ class DisplayReport(Result):
     conditions: tuple[str, ...]
     sections: tuple[Section, ...]
     created: str
+    measured_with: Mapping[str, str]
 
     def section(self, method: str) -> Section:
         """Return the results of a method. Raises KeyError where it was not measured."""
@@ -67,6 +69,7 @@ class DisplayReport(Result):
         return {
             "screen": self.screen,
             "created": self.created,
+            "measured_with": dict(self.measured_with),
             "geometry": self.geometry.name,
             "conditions": list(self.conditions),
             "methods": {
@@ -101,9 +104,15 @@ class DisplayReport(Result):
                     *(paragraph(note, "flag") for note in one.notes),
                 )
             )
-        main = [f"{_in_words(one.method)} {figure_text(one.figures[0])}" for one in self.sections if one.figures]
+        measured = [one for one in self.sections if one.figures]
+        ordered = sorted(measured, key=lambda one: one.method == "warm_up")  # warming up is no result
+        main = [f"{_in_words(one.method)} {figure_text(one.figures[0])}" for one in ordered]
         outcome = f"{', '.join(main[:3])}{', …' if len(main) > 3 else ''} (k = 2)"
-        origin = Origin(moment(self.created), box=self.screen, protocol=f"geometry {self.geometry.name}")
+        known = self.measured_with
+        origin = Origin(
+            moment(self.created), known["camera"], known["lens"], known["calibration"], box=self.screen,
+            protocol=f"geometry {self.geometry.name}",
+        )  # fmt: skip
         text = page(f"display {self.screen}", outcome, parts, kind="display report", origin=origin)
         write_text_atomic(Path(path), text)
 
@@ -250,7 +259,8 @@ def screen_report(
             progress=_advance(progress),
         )  # fmt: skip
         warn_of_page(opened.display, notice)
-    report = DisplayReport(name or display, known, doubts, found, utc_now())
+        with_what = opened.measured_with
+    report = DisplayReport(name or display, known, doubts, found, utc_now(), with_what)
     if out is not None:
         report.write_report(out)
     return report

@@ -39,7 +39,7 @@ from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.devices import Camera, CameraCapabilities
 from radiometer.errors import UsageError
 from radiometer.importing import open_capture
-from radiometer.numbers import with_u
+from radiometer.numbers import unit_text, with_u
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -102,7 +102,7 @@ class Sensor(Result):
     def rows(self) -> list[tuple[str, str, str, str, str]]:
         """Return sign, meaning, value, U (k = 2) and unit of every figure as it is printed, in the standard's order."""
         return [
-            (one.sign, one.meaning, *as_printed(key, self[key]), "" if self[key].unit == "1" else self[key].unit)
+            (one.sign, one.meaning, *as_printed(key, self[key]), unit_text(self[key].unit))
             for key, one in SYMBOLS.items()
             if key in self.figures
         ]

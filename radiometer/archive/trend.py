@@ -41,7 +41,7 @@ _SEASON_YEARS: Final = 0.75  # three quarters of a year separate a season from a
 _SEASON_REL: Final = 0.02  # engineering prior: lamps and cameras in a room follow it by 1 to 2 %
 _WITH_SEASON: Final = 4  # columns of the design: level, months, the year's sine and cosine
 # Before so much of a year a change that a straight line shows may be a season's.
-_TOLD_YEARS: Final = 1.5
+_REPORTED_YEARS: Final = 1.5
 # Correlation times that are tried, as parts of the span; and the correlation of neighbours that counts as whole.
 _TIMES_OF_SPAN: Final = np.geomspace(1e-3, 1.0, 25)
 _MOST_CORRELATED: Final = 0.995  # nearer to 1 the covariance cannot be inverted in double precision
@@ -97,14 +97,14 @@ class Trend:
         """
         if self.drifts:
             return "drift"
-        season_is_known = self.time_s[-1] - self.time_s[0] >= _TOLD_YEARS * _YEAR_S
+        season_is_known = self.time_s[-1] - self.time_s[0] >= _REPORTED_YEARS * _YEAR_S
         shown = abs(self.straight_per_month) > self.claim_sigmas * self.u_straight_per_month
         return "season_or_drift" if shown and not season_is_known else "no_drift"
 
     @property
     def decided_from_s(self) -> float:
         """Return from when on the record separates a season from a drift, in s since 1970."""
-        return float(self.time_s[0]) + _TOLD_YEARS * _YEAR_S
+        return float(self.time_s[0]) + _REPORTED_YEARS * _YEAR_S
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the figures as plain numbers."""

@@ -40,6 +40,7 @@ from radiometer.errors import (
     OutputError,
     UsageError,
 )
+from radiometer.plausible import PLAUSIBLE
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import VirtualLine
 
@@ -121,8 +122,8 @@ class ChannelConfig(ConfigSection):
 
     @model_validator(mode="after")
     def _has_a_width(self) -> Self:
-        if self.peak_nm is not None and self.fwhm_nm <= 0.0:
-            raise ValueError("fwhm_nm must be above 0 where there is a peak_nm")
+        if self.peak_nm is not None and not PLAUSIBLE["width"].holds(self.fwhm_nm):
+            raise ValueError(f"fwhm_nm of a peak: {PLAUSIBLE['width'].refusal(self.fwhm_nm)}")
         return self
 
     @property

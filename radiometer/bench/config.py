@@ -20,26 +20,28 @@ SIMULATED = "sim"
 class FlickerConfig(ConfigSection):
     """How a simulated light changes in time: a sine, or a square wave of a duty."""
 
-    frequency_Hz: float = Field(gt=0, le=1e6)  # noqa: N815 (the file's key)
-    modulation: float = Field(1.0, ge=0, le=1)
-    duty: float = Field(0.0, ge=0, lt=1)
+    frequency_Hz: float = Field(gt=0, le=1e6, description="Frequency in Hz.")  # noqa: N815 (the file's key)
+    modulation: float = Field(1.0, ge=0, le=1, description="Modulation of the sine; 1 is down to darkness.")
+    duty: float = Field(0.0, ge=0, lt=1, description="Lit share of a square wave; 0 for a sine.")
 
 
 class SimulatedCameraConfig(ConfigSection):
     """A simulated camera: datasheet preset, serial number, random seed, temperature and settings at power-on."""
 
-    kind: Literal["simulated"]
-    preset: str
-    serial: str = "22500001"
-    seed: int = Field(1, ge=0)
-    temperature_C: float = Field(40.0, ge=-40, le=120)  # noqa: N815 (the file's key)
-    black_level_dn: float = Field(64.0, ge=0)
-    gain_db: float = Field(0.0, ge=0)
-    pixel_format: str = "Mono12"
-    width: int | None = Field(None, gt=0)
-    height: int | None = Field(None, gt=0)
-    model: str | None = None
-    flicker: FlickerConfig | None = None
+    kind: Literal["simulated"] = Field(description="A simulated camera.")
+    preset: str = Field(description="Shipped preset by model, such as `BFS-U3-19S4M`, or a camera file.")
+    serial: str = Field("22500001", description="Serial number that it states.")
+    seed: int = Field(1, ge=0, description="Makes its noise and fixed pattern.")
+    temperature_C: float = Field(  # noqa: N815 (the file's key)
+        40.0, ge=-40, le=120, description="Temperature of the sensor in °C."
+    )
+    black_level_dn: float = Field(64.0, ge=0, description="Black level at power-on in DN.")
+    gain_db: float = Field(0.0, ge=0, description="Gain at power-on in dB.")
+    pixel_format: str = Field("Mono12", description="GenICam pixel format.")
+    width: int | None = Field(None, gt=0, description="Width in pixels; the preset's by default.")
+    height: int | None = Field(None, gt=0, description="Height in pixels; the preset's by default.")
+    model: str | None = Field(None, description="Camera model with hidden effects, such as `reconcile -o` writes.")
+    flicker: FlickerConfig | None = Field(None, description="How the light changes in time; steady by default.")
 
 
 def _as_text(value: object) -> object:
@@ -53,12 +55,16 @@ class GenicamCameraConfig(ConfigSection):
     `preset` is given where the model's own is not to be used.
     """
 
-    kind: Literal["genicam", "v4l2", "picamera", "gphoto2"]
-    id: Annotated[str | None, BeforeValidator(_as_text)] = None
-    preset: str | None = None
-    black_level_dn: float = Field(64.0, ge=0)
-    gain_db: float = Field(0.0, ge=0)
-    pixel_format: str = "Mono12"
+    kind: Literal["genicam", "v4l2", "picamera", "gphoto2"] = Field(
+        description="What drives it: `genicam` for GigE Vision and USB3 Vision."
+    )
+    id: Annotated[str | None, BeforeValidator(_as_text)] = Field(
+        None, description="Serial number, address or path that `radiometer devices` lists; the only camera by default."
+    )
+    preset: str | None = Field(None, description="Camera file, where the model's own preset is not to be used.")
+    black_level_dn: float = Field(64.0, ge=0, description="Black level to set in DN.")
+    gain_db: float = Field(0.0, ge=0, description="Gain to set in dB.")
+    pixel_format: str = Field("Mono12", description="GenICam pixel format, such as `Mono12p` or `BayerRG12`.")
 
 
 CameraConfig = Annotated[SimulatedCameraConfig | GenicamCameraConfig, Field(discriminator="kind")]
@@ -68,8 +74,8 @@ class LensConfig(LensDescription):
     """The lens in front of the camera: as capture sets record it, with its focal length and f-number."""
 
     model_config = ConfigDict(extra="forbid")
-    focal_length_mm: float = Field(gt=0)
-    f_number: float = Field(gt=0)
+    focal_length_mm: float = Field(gt=0, description="Focal length in mm.")
+    f_number: float = Field(gt=0, description="f-number that it is set to.")
 
     @property
     def description(self) -> LensDescription:
@@ -80,10 +86,10 @@ class LensConfig(LensDescription):
 class PatchConfig(ConfigSection):
     """A region of the frame in pixels."""
 
-    x: int = Field(ge=0)
-    y: int = Field(ge=0)
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
+    x: int = Field(ge=0, description="Left edge.")
+    y: int = Field(ge=0, description="Upper edge.")
+    width: int = Field(gt=0, description="Width.")
+    height: int = Field(gt=0, description="Height.")
 
     @property
     def patch(self) -> Patch:
@@ -92,23 +98,21 @@ class PatchConfig(ConfigSection):
 
 
 class BenchConfig(ConfigSection):
-    """The whole of a bench file.
+    """The whole of a bench file."""
 
-    `patches` are regions of even light and their radiances, as far as known, for `radiometer reconcile`; `patch` is
-    the one that is measured. `lens: null` is a lens of which nothing is known.
-    """
-
-    format: Literal["radiometer-bench/1"] = "radiometer-bench/1"
-    name: str = "bench"
-    camera: CameraConfig
-    lens: LensConfig | None
-    scene: dict[str, Any] | None = None
-    source: SourceDescription = SourceDescription()
-    calibration: str | None = None
-    spectrum: str | None = None
-    patch: PatchConfig | None = None
-    patches: tuple[PatchDescription, ...] = ()
-    time_limit_s: float = Field(60.0, gt=0)
+    format: Literal["radiometer-bench/1"] = Field("radiometer-bench/1", description="Name and version of the form.")
+    name: str = Field("bench", description="What the bench is called.")
+    camera: CameraConfig = Field(description="The camera.")
+    lens: LensConfig | None = Field(description="The lens; `null` is one of which nothing is known.")
+    scene: dict[str, Any] | None = Field(None, description="What a simulated camera looks at: `kind` and its keys.")
+    source: SourceDescription = Field(SourceDescription(), description="The light source.")
+    calibration: str | None = Field(None, description="Calibration file, from the folder of the bench file.")
+    spectrum: str | None = Field(None, description="Spectrum of the light: a name such as `white_led`, or a CSV.")
+    patch: PatchConfig | None = Field(None, description="The region that is measured; the middle by default.")
+    patches: tuple[PatchDescription, ...] = Field(
+        (), description="Regions of even light and their radiances as far as known, for `reconcile` and `quality`."
+    )
+    time_limit_s: float = Field(60.0, gt=0, description="Longest time of one reading in s.")
 
     @property
     def lens_description(self) -> LensDescription:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from radiometer.bench.config import SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument
 from radiometer.data import Calibration, Patch, Provenance
 from radiometer.data.config_files import shipped_config
+from radiometer.data.event_journal import EventJournal
 from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
 from radiometer.devices import CameraPreset
 from radiometer.errors import CalibrationError, UsageError
@@ -76,9 +77,16 @@ def open_light_camera(
 
 
 def survey_box(
-    opened: OpenedBox, instrument: Instrument, request: SurveyRequest, progress: Progress | None = None
+    opened: OpenedBox,
+    instrument: Instrument,
+    request: SurveyRequest,
+    progress: Progress | None = None,
+    journal: EventJournal | None = None,
 ) -> LightCalibration:
     """Measure channels of a box and return its calibration; channels calibrated before are kept.
+
+    Args:
+        journal: Open journal that keeps every level; levels in it are not measured again.
 
     Raises:
         MeasurementError: If a channel does not stand out of the noise.
@@ -91,12 +99,24 @@ def survey_box(
         np.random.default_rng(request.seed),
         request.points_per_decade,
         progress,
+        EventJournal(None) if journal is None else journal,
     )
     found: dict[str, ChannelCalibration] = dict(opened.calibration.channels) if opened.calibration else {}
     corrections = {name: _correction(opened, instrument, request, name) for name in request.channels}
     for name in request.channels:
         found[name] = survey.survey(name, corrections[name])
     return LightCalibration(opened.box.identity.serial, found, provenance=_provenance(instrument, request, corrections))
+
+
+def asked_of(opened: OpenedBox, instrument: Instrument, request: SurveyRequest) -> dict[str, Any]:
+    """Return what a survey measures and with what, by name: what a journal must agree in to be continued."""
+    calibration = instrument.calibration
+    return asdict(request) | {
+        "responsivity": None if request.responsivity is None else str(request.responsivity),
+        "box": opened.box.identity.serial,
+        "camera": instrument.camera.identity.serial,
+        "calibration": None if calibration is None else calibration.created,
+    }
 
 
 def _correction(opened: OpenedBox, instrument: Instrument, request: SurveyRequest, channel: str) -> SpectralCorrection:

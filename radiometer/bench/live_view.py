@@ -22,8 +22,7 @@ from radiometer.data import Frame, Patch
 from radiometer.data.storage import write_text_atomic
 from radiometer.devices import Camera
 from radiometer.errors import ConfigurationError, InputError, UsageError
-from radiometer.screen.loopback import LoopbackServer, Message
-from radiometer.screen.page_server import page_text
+from radiometer.screen.loopback import LoopbackServer, Message, page_text
 
 _BINS: Final = 64
 _MOST_PIXELS: Final = 900  # of the picture's longer side on the page

@@ -110,7 +110,7 @@ def _in_colour(capture: CaptureSet, channel: str) -> CaptureSet:
 def _capture_brackets(capture: CaptureSet, report: Callable[[int, int], None] | None) -> list[Bracket]:
     frames = []
     for frame, entry in zip(capture.frames(), capture.header.frames, strict=True):
-        frames.append(_named(frame, entry.file))
+        frames.append(replace(frame, extra={**frame.extra, "file": entry.file}))
         if report is not None:
             report(len(frames), len(capture))
     dark = [frame for frame in frames if frame.settings.is_dark]
@@ -128,10 +128,6 @@ def _capture_brackets(capture: CaptureSet, report: Callable[[int, int], None] | 
 
 def _origin(capture: CaptureSet, pattern: str, level: float, count: int) -> str:
     return str(capture.path) if count == 1 else f"{capture.path} (pattern {pattern}, source level {level:g})"
-
-
-def _named(frame: Frame, file: str) -> Frame:
-    return replace(frame, extra={**frame.extra, "file": file})
 
 
 def _instead(path: Path) -> str:

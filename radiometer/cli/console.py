@@ -17,10 +17,20 @@ if TYPE_CHECKING:
 def console(*, to_stderr: bool = False) -> Console:
     """Return a console; colour only on a terminal, and never under NO_COLOR."""
     from rich.console import Console
+    from rich.table import Table
     from rich.text import Text
 
     class PlainConsole(Console):
-        """A console whose texts cannot steer the terminal: remarks and serial numbers come from outside."""
+        """A console whose texts cannot steer the terminal, and whose tables cut no number short.
+
+        Remarks and serial numbers come from outside.
+        """
+
+        def print(self, *objects: Any, **how: Any) -> None:
+            for one in objects:
+                for column in one.columns if isinstance(one, Table) else ():
+                    column.overflow, column.no_wrap = "fold", False
+            super().print(*objects, **how)
 
         def render_str(self, text: str, **how: Any) -> Text:
             return super().render_str(printable(text), **how)

@@ -261,7 +261,7 @@ class DeviceKeeper:
         started = self._call_began = time.monotonic()
         future = asyncio.get_running_loop().run_in_executor(self._thread, _holding_nothing, call, *arguments)
         usual = self._usual_s.get(name, _FIRST_CALL_S) if usual_s is None else usual_s
-        await self._tell_if_late(future, name, started, started + self._times.overdue_s + 1.5 * usual)
+        await self._warn_if_late(future, name, started, started + self._times.overdue_s + 1.5 * usual)
         try:
             result = await future
             self._call_began = None
@@ -275,7 +275,7 @@ class DeviceKeeper:
         self._usual_s[name] = time.monotonic() - started
         return result
 
-    async def _tell_if_late(self, future: asyncio.Future[_T], name: str, started: float, usual_end: float) -> None:
+    async def _warn_if_late(self, future: asyncio.Future[_T], name: str, started: float, usual_end: float) -> None:
         """Return when the call is over; put the alarm up meanwhile if the device itself, else the clock, says late.
 
         Time in which this program itself did not get to run is nothing that the device is to blame for.

@@ -190,20 +190,20 @@ class MqttPublisher:
     def _connected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         """Called in paho's thread."""
         if reason.is_failure:
-            self._tell(f"MQTT broker {self.target} refuses: {reason}; look at user, password and TLS")
+            self._report(f"MQTT broker {self.target} refuses: {reason}; look at user, password and TLS")
             return
         client.subscribe(f"{self.topic}/{_patch_topic('+', quoted=True)}", qos=_AT_LEAST_ONCE)
         client.subscribe(f"{self.topic}/state", qos=_AT_LEAST_ONCE)
-        self._tell("")
+        self._report("")
 
     def _disconnected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         """Called in paho's thread."""
         if reason.is_failure:
-            self._tell(f"MQTT broker {self.target} is gone: {reason}; trying again")
+            self._report(f"MQTT broker {self.target} is gone: {reason}; trying again")
 
     def _not_connected(self, client: Any, userdata: Any) -> None:
         """Called in paho's thread."""
-        self._tell(f"MQTT broker {self.target} does not answer; trying again")
+        self._report(f"MQTT broker {self.target} does not answer; trying again")
 
     def _acknowledged(self, client: Any, userdata: Any, mid: int, reason: Any, properties: Any) -> None:
         """Called in paho's thread."""
@@ -228,7 +228,7 @@ class MqttPublisher:
         self._retained.add(name)
         self._clear_outdated()
 
-    def _tell(self, trouble: str) -> None:
+    def _report(self, trouble: str) -> None:
         self._in_loop(lambda: self._took(trouble))
 
     def _in_loop(self, call: Callable[[], object]) -> None:

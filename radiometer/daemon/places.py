@@ -65,9 +65,9 @@ class Places(Generic[_C]):
             return None
         now = self._clock()
         places = {c: place for c, place in self._places.items() if not own or place.peer == peer}
-        strangers = [connection for connection, place in places.items() if not place.known]
-        crowd = len(strangers) >= max(_CROWD, self._limit // 2)
-        waited = [c for c in strangers if crowd or now - self._places[c].since >= self._patience_s]
+        unidentified = [connection for connection, place in places.items() if not place.known]
+        crowd = len(unidentified) >= max(_CROWD, self._limit // 2)
+        waited = [c for c in unidentified if crowd or now - self._places[c].since >= self._patience_s]
         idle = [
             connection
             for connection, place in places.items()

@@ -111,7 +111,7 @@ class Service:
         station: The instrument, not yet started.
         options: Where to listen.
         announce: Told, one line each, where the daemon listens and what must be known of it.
-        notifier: Tells systemd; by default the one that systemd asked for.
+        notifier: Notifies systemd; by default the one that systemd asked for.
     """
 
     def __init__(

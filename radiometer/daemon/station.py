@@ -62,7 +62,7 @@ class Station:
         self.alarms = Alarms(self._alarm_changed)
         self.writer = JournalWriter(journal, self.alarms, self._publish, keep_days=keep_days)
         self.camera = DeviceKeeper("camera", instrument, self.alarms, times=times, proof="measure")
-        self.light = Light(box, self.alarms, self.writer, times, self.tell_status)
+        self.light = Light(box, self.alarms, self.writer, times, self.publish_status)
         self.lateness = Lateness(self.alarms)
         self.acquisition = Acquisition(instrument, self.camera, self.writer, self.alarms, self.lateness, self._measured)
         self._initial_settings = settings or MeasurementSettings()
@@ -127,13 +127,13 @@ class Station:
         settings = replace(self.settings, **changes)
         self.acquisition.check_settings(settings)
         self._take_settings(settings)
-        self.tell_status()
+        self.publish_status()
         return settings
 
     def reset(self) -> None:
         """Return to the settings the daemon was started with; readings and journal stay."""
         self._take_settings(self._initial_settings)
-        self.tell_status()
+        self.publish_status()
 
     def set_every(self, every_s: float | None) -> None:
         """Set the period of continuous measurement in s; None stops it. Raises SettingOutOfRange."""
@@ -158,7 +158,7 @@ class Station:
             self.alarms.put_up("stopped", f"continuous measurement {now}: limits of {limited} are not watched")
         else:
             self.alarms.clear("stopped")
-        self.tell_status()
+        self.publish_status()
 
     def annotate(self, message: str) -> None:
         """Keep a remark of a person in the journal. Raises UsageError for an empty or endless one."""
@@ -166,7 +166,7 @@ class Station:
         if not 0 < len(text) <= _LONGEST_REMARK:
             raise UsageError(f"a remark has 1 to {_LONGEST_REMARK} characters, not {len(text)}")
         self.writer.note("remark", text)
-        self.tell_status()
+        self.publish_status()
 
     async def reload_calibration(self) -> str:
         """Read the calibration again; a bad file puts up an alarm and the old one stays in use."""
@@ -217,7 +217,7 @@ class Station:
         metrics.queue_depth.labels("journal").set(self.writer.depth)
         metrics.alarms.set(len(self.alarms.active))
 
-    def tell_status(self) -> None:
+    def publish_status(self) -> None:
         """Hand the state, after a change of it, to whoever listens."""
         for callback in self.on_change:
             callback()
@@ -272,11 +272,11 @@ class Station:
 
     def _alarm_changed(self, kind: str, name: str, message: str) -> None:
         self.writer.note(kind, f"{name}: {message}")
-        self.tell_status()
+        self.publish_status()
 
     def _clock_jumped(self, jump: Jump) -> None:
         """Note in journal and state that times are not comparable across this moment."""
         _log.warning("the clock was set", by_s=jump.by_us / 1e6)
         self.latest_jump = jump
         self.writer.note_jump(jump)
-        self.tell_status()
+        self.publish_status()

@@ -91,15 +91,19 @@ class LensDescription(FileSection):
     focused anew (refocused), its iris turned and set again (iris_reset).
     """
 
-    focal_length_mm: float | None = Field(None, gt=0)
-    f_number: Annotated[float | None, within("f_number")] = None
-    transmittance: float | None = Field(None, gt=0, le=1)
-    transmittance_u_rel: float | None = Field(None, ge=0)
-    magnification: float = Field(0.0, ge=0)
-    pupil_magnification: float = Field(1.0, gt=0)
-    principal_point_px: tuple[float, float] | None = None
-    vignetting: Literal["none", "cos4"] = "none"
-    since_calibration: tuple[LensHandling, ...] = ()
+    focal_length_mm: float | None = Field(None, gt=0, description="Focal length in mm.")
+    f_number: Annotated[float | None, within("f_number")] = Field(None, description="f-number that it is set to.")
+    transmittance: float | None = Field(None, gt=0, le=1, description="Transmittance.")
+    transmittance_u_rel: float | None = Field(None, ge=0, description="Its relative standard uncertainty.")
+    magnification: float = Field(0.0, ge=0, description="Image size over object size; 0 for a distant object.")
+    pupil_magnification: float = Field(1.0, gt=0, description="Exit pupil over entrance pupil.")
+    principal_point_px: tuple[float, float] | None = Field(
+        None, description="Where the optical axis meets the frame: x and y in pixels; its middle by default."
+    )
+    vignetting: Literal["none", "cos4"] = Field("none", description="Natural fall-off to the corners: cos⁴, or none.")
+    since_calibration: tuple[LensHandling, ...] = Field(
+        (), description="What was done to it since the camera was calibrated; each adds to the uncertainty."
+    )
 
     def in_words(self, f_numbers: Iterable[float | None] = ()) -> str:
         """Return focal length and f-number in one line; "" where neither is stated.
@@ -117,23 +121,27 @@ class LensDescription(FileSection):
 class SourceDescription(FileSection):
     """The light source: its kind, wavelength in nm, relative reproducibility, polarisation and flicker in Hz."""
 
-    kind: Literal["screen", "led", "sphere", "scene"] = "scene"
-    wavelength_nm: float | None = Field(None, gt=0)
-    reproducibility_u_rel: float | None = Field(None, ge=0)
-    polarised: bool | None = None
-    flicker_hz: float | None = Field(None, gt=0)
+    kind: Literal["screen", "led", "sphere", "scene"] = Field("scene", description="What gives the light.")
+    wavelength_nm: float | None = Field(None, gt=0, description="Wavelength in nm; of a narrow line alone.")
+    reproducibility_u_rel: float | None = Field(
+        None, ge=0, description="Relative standard uncertainty of its light from one setting to the next."
+    )
+    polarised: bool | None = Field(None, description="Whether its light is polarised.")
+    flicker_hz: float | None = Field(None, gt=0, description="Frequency of its flicker in Hz.")
 
 
 class PatchDescription(FileSection):
     """A region of the scene and what is known of its radiance at source level 1 (None: unknown but constant)."""
 
-    name: str
-    x: int = Field(ge=0)
-    y: int = Field(ge=0)
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
-    radiance_W_per_sr_m2: float | dict[str, float] | None = None  # noqa: N815 (the file's key)
-    u_rel: float | None = Field(None, ge=0)
+    name: str = Field(description="Its name.")
+    x: int = Field(ge=0, description="Left edge in pixels.")
+    y: int = Field(ge=0, description="Upper edge in pixels.")
+    width: int = Field(gt=0, description="Width in pixels.")
+    height: int = Field(gt=0, description="Height in pixels.")
+    radiance_W_per_sr_m2: float | dict[str, float] | None = Field(  # noqa: N815 (the file's key)
+        None, description="Radiance in W·sr⁻¹·m⁻² at source level 1, or one for each pattern; unknown by default."
+    )
+    u_rel: float | None = Field(None, ge=0, description="Relative standard uncertainty of the radiance.")
 
     @property
     def patch(self) -> Patch:

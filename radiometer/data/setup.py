@@ -25,6 +25,7 @@ class Setup:
     # Name of the light's spectrum, or path of a CSV; `AS_CALIBRATED`; None where it is unknown: then all kinds of light
     # count in the uncertainty
     spectrum: str | None = AS_CALIBRATED
+    taken: str = ""  # when the frames were taken, for people, where the frames themselves state no date
 
     def __post_init__(self) -> None:
         if self.calibration is not None and self.spectrum not in (None, AS_CALIBRATED):

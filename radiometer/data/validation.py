@@ -12,9 +12,10 @@ from radiometer.errors import RadiometerError
 from radiometer.plausible import PLAUSIBLE
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
-# No quantity in the units of these files is so large, or so small but zero: products and powers of some stay finite.
+# No quantity in the units of these files is so large; what must be above 0 is not so small. Products and powers of
+# some stay finite.
 _LARGEST: Final = 1e30
-_SMALLEST: Final = 1e-60
+_SMALLEST: Final = 1e-30
 
 
 def within(quantity: str) -> AfterValidator:
@@ -22,6 +23,9 @@ def within(quantity: str) -> AfterValidator:
 
     Args:
         quantity: Key of `PLAUSIBLE`.
+
+    Raises:
+        ValueError: When a field is checked, of a number outside the range; pydantic reports it with the field.
     """
 
     def check(value: float | tuple[float, ...] | None) -> float | tuple[float, ...] | None:
@@ -48,7 +52,7 @@ class _Section(BaseModel):
     def _numbers_have_a_size(self) -> Self:
         for key in type(self).model_fields:
             for number in _numbers_of(getattr(self, key)):
-                if number and not _SMALLEST <= abs(number) <= _LARGEST:
+                if abs(number) > _LARGEST or (_is_above_zero(type(self), key) and number < _SMALLEST):
                     raise ValueError(f"{key} = {number:g}: no quantity has this size; correct the power of ten")
         return self
 
@@ -86,11 +90,12 @@ def _line(entry: Mapping[str, Any], model: type[BaseModel]) -> str:
     if entry["type"] == "extra_forbidden":
         allowed = ", ".join(sorted(_keys_at(model, entry["loc"][:-1])))
         return f"unknown key {key!r}" + (f"; allowed here: {allowed}" if allowed else "")
+    message = entry["msg"].removeprefix("Value error, ")
     if isinstance(entry.get("input"), Mapping) and entry["type"] == "value_error":  # of a whole section, which names it
-        return ": ".join(filter(None, (key, entry["msg"].removeprefix("Value error, "))))
+        return ": ".join(filter(None, (key, message)))
     shown = repr(entry.get("input"))
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
-    return f"{key} = {shown}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
+    return f"{key} = {shown}: {message[0].lower()}{message[1:]}"
 
 
 def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
@@ -112,6 +117,11 @@ def _numbers_of(value: Any) -> Iterator[float]:
         for one in value.values() if isinstance(value, dict) else value:
             if isinstance(one, float | int):
                 yield one
+
+
+@functools.cache
+def _is_above_zero(model: type[BaseModel], name: str) -> bool:
+    return any(getattr(rule, "gt", None) == 0 for rule in model.model_fields[name].metadata)
 
 
 def _holds_truth(value: Any) -> bool:

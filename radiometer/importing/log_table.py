@@ -203,7 +203,9 @@ def _usable(
             unit = heading_parts(table.header[places[key]], key)[1]
             base = written if unit is None else np.array([unit.to_base(one) for one in written])
             is_word = np.isin(written, list(known.numbers))
-            reasons[f"the {key} is unknown"] = is_word | (base < known.low) | (base > known.high)
+            beyond = (base < known.low) | (base > known.high)
+            # Steps of a gain may be any numbers; without a unit exposures are in s, temperatures in °C.
+            reasons[f"the {key} is unknown"] = is_word | (beyond & (unit is not None or key != "gain"))
     out = np.zeros(value.size, dtype=np.bool_)
     for reason, there in reasons.items():
         if there.any():

@@ -50,7 +50,7 @@ def recovered_curves(
     """
     from radiometer.data import ResponseCurve
 
-    thin = {_channel(bracket): bracket.thinned(ENOUGH_PIXELS) for bracket in brackets}
+    thin = {str(bracket.light[0].extra.get("channel", "mono")): bracket.thinned(ENOUGH_PIXELS) for bracket in brackets}
     key = _fingerprint(thin)
     if map_path is None:
         return _recovered(thin, key, say), []
@@ -319,10 +319,6 @@ def _straight_line(bracket: Bracket, black_dn: float) -> ResponseCurve:
     return ResponseCurve(
         g, np.where(signal > 0, 0.0, np.inf), valid_dn=(lowest, max(white_level_dn(bracket) - 1, lowest + 1))
     )
-
-
-def _channel(bracket: Bracket) -> str:
-    return str(bracket.light[0].extra.get("channel", "mono"))
 
 
 def _fingerprint(brackets: Mapping[str, Bracket]) -> str:

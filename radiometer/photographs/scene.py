@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 # The offset of a shutter that photographs did not show. The travel of one curtain against the other is adjusted to
 # 0.1 ms (`analysis.response.shutter_offset` names the source), taken as a rectangle: 6 % (k = 1) at 1/1000 s.
-UNTOLD_SHUTTER_U_S: Final = 1e-4 / math.sqrt(3.0)
+UNSTATED_SHUTTER_U_S: Final = 1e-4 / math.sqrt(3.0)
 ALIGN_CHOICES: Final = ("auto", "on", "off")
 
 
@@ -290,7 +290,7 @@ def times_as_stated(photographs: Photographs) -> str:
     return f"exposure times as stated by {photographs.listed or 'EXIF'}"
 
 
-def has_untold_shutter(photographs: Photographs, curve: ResponseCurve | None) -> bool:
+def has_unstated_shutter_offset(photographs: Photographs, curve: ResponseCurve | None) -> bool:
     """Return whether exposures are those of a shutter whose offset is unknown: EXIF's labels, as they are printed.
 
     Args:
@@ -305,9 +305,9 @@ def with_shutter_doubt(relative: Calibration, photographs: Photographs) -> Calib
     Args:
         relative: The calibration, with the response of the photographs.
     """
-    if not has_untold_shutter(photographs, relative.response):
+    if not has_unstated_shutter_offset(photographs, relative.response):
         return relative
-    doubt = relative.uncertainties.model_copy(update={"exposure_u_s": UNTOLD_SHUTTER_U_S})
+    doubt = relative.uncertainties.model_copy(update={"exposure_u_s": UNSTATED_SHUTTER_U_S})
     return replace(relative, uncertainties=doubt)
 
 

@@ -23,22 +23,17 @@ from radiometer.data.white_level import white_level_notes
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
-from radiometer.reconciliation.advice.separability import Separability, inseparable, separability
-from radiometer.reconciliation.advice.sizes import limits
-from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfit
-from radiometer.reconciliation.fit.descent import first_state
+from radiometer.reconciliation.fit.descent import first_state, fitted_parameters, is_misfit
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
-from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.design import CaptureStatistics, Design
+from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
 from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, frame_reader, reduce_frames
-from radiometer.reconciliation.measure.scenes import scenes_of
-from radiometer.reconciliation.measure.seen import CaptureStatistics
-from radiometer.reconciliation.noise.darkness import black_by_noise, drift_of_black, wander_of_black
-from radiometer.reconciliation.noise.repeatability import repeats_of
+from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
 from radiometer.reconciliation.propose.search import held_to_laws
+from radiometer.reconciliation.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
 from radiometer.reconciliation.result import (
     CovariateGap,
     FittedParameter,
@@ -51,15 +46,14 @@ from radiometer.reconciliation.result import (
     Series,
     Verdict,
 )
-from radiometer.reconciliation.search.frame_order import FrameLight, Periodic, periodic, steadied
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconciliation.search.outcome import Reconciled, Search, Step
 from radiometer.reconciliation.search.search import search
+from radiometer.reconciliation.separability import Separability, inseparable, limits, separability
 from radiometer.reconciliation.verdict import (
     doubts_of,
     faint,
     insignificant_names,
-    is_doubted,
     rest_of,
     size_of_rest,
     sizes_by_own_law,
@@ -363,7 +357,7 @@ def examine(
     scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
     if scenes:
         notes.append(f"the scene changes: {1 + len(scenes)} scenes are shown, each with a separate pattern")
-    found = search(start, entries, say, lambda found: is_doubted(found, posterior_of(found.state, entries)))
+    found = search(start, entries, say)
     outcome = _optional_step("laws outside the catalogue", lambda: held_to_laws(found, entries, say), notes) or found
     levels = levels_of_brightest(header, read)
     well = shown_well(outcome.state, levels)

@@ -16,7 +16,7 @@ import numpy as np
 from radiometer.data import CaptureHeader
 from radiometer.data.pile_up import white_levels_of
 from radiometer.data.white_level import EDGE_SIGMAS, WhiteLevel
-from radiometer.reconciliation.fit.covariance import fitted_parameters
+from radiometer.reconciliation.fit.descent import fitted_parameters
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.reduce import FrameReader
 from radiometer.reconciliation.result import FittedParameter, FoundEffect

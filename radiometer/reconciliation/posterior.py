@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.fit.covariance import scatter_of
+from radiometer.reconciliation.fit.descent import scatter_of
 from radiometer.reconciliation.fit.state import FitState, ModelFit
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS

@@ -15,10 +15,9 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.chances import log_variance
-from radiometer.reconciliation.measure.design import Design, slope_lengths
-from radiometer.reconciliation.measure.row_bands import RowBins
-from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
+from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics, Design, slope_lengths
+from radiometer.reconciliation.measure.lines import RowBins
+from radiometer.statistics.chances import log_variance
 from radiometer.typing import Array, Mask
 from simulators.effects.context import Signal
 from simulators.effects.rounding import excess_kurtosis, rounding_amplitude

@@ -34,35 +34,28 @@ def _row(name: str, value: float, unit: str, reason: str, measured: str = _TOGET
 
 
 _NULL: Final = "sets without an effect (docs/benchmarks/reconcile.md): share of false alarms and largest gap"
-_WEAK: Final = (
-    "effects at their smallest realistic size bring hundreds of nats, nearly all (docs/benchmarks/reconcile.md, weak)"
-)
 _ODDS: Final = "a statement about odds, not a measurement"
+
+
+def _acted(sessions: int) -> str:
+    return f"acted in {sessions} of 79 sessions (docs/benchmarks/reconcile.md, rules that decide a name)"
+
 
 # ---- whether anything disagrees -------------------------------------------------------------------------------------
 SIGNIFICANCE: Final = _row(
-    "SIGNIFICANCE", 0.005, "chance", "a false alarm among all tests of one pass; a search makes two or more", _NULL
-)
-OWN_SIGNIFICANCE: Final = _row(
-    "OWN_SIGNIFICANCE",
-    0.01,
+    "SIGNIFICANCE",
+    0.005,
     "chance",
-    "another cause that looks much alike: the few tests in a name's own place",
+    "a false alarm among all tests of one pass, and among the few in a name's own place",
     _NULL,
-)
-PERIOD_SIGNIFICANCE: Final = _row(
-    "PERIOD_SIGNIFICANCE",
-    0.001,
-    "chance",
-    "a period among frames that scatter at random",
-    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py): none",
 )
 FRAME_SIGNIFICANCE: Final = _row(
     "FRAME_SIGNIFICANCE",
     0.001,
     "chance",
-    "one of equal frames reported as an outlier by chance",
-    "series drawn at random (tests/unit/reconciliation/test_repeats.py)",
+    "a period among frames that scatter at random, one of equal frames reported as an outlier by chance",
+    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py), series drawn at random "
+    "(tests/unit/reconciliation/test_repeats.py): none",
 )
 SCATTER_SIGMAS: Final = _row(
     "SCATTER_SIGMAS", 5.0, "sigma", "scatter without any trend, which no test along a covariate sees", _NULL
@@ -79,7 +72,7 @@ PARAMETER_NATS: Final = _row(
     "freedom that is no knowledge: each parameter pays it beyond what held-out settings say",
 )
 FLEXIBLE_NATS: Final = _row(
-    "FLEXIBLE_NATS", 5.0, "nats", "a flexible form that takes a name from a rigid entry of another"
+    "FLEXIBLE_NATS", 5.0, "nats", "a flexible form that takes a name from a rigid entry of another", _acted(6)
 )
 NAMED_NATS: Final = _row(
     "NAMED_NATS",
@@ -88,28 +81,21 @@ NAMED_NATS: Final = _row(
     "a name, another law or another name in its place by chance: odds of 3000; also what a curve may predict better by",
     _ODDS,
 )
-LATER_NATS: Final = _row(
-    "LATER_NATS", 2.0, "nats", "further names after a first: they are less likely beforehand", _ODDS
-)
 FEW_TRIES: Final = _row(
-    "FEW_TRIES", 2.0, "1", "one of many starts that fits by chance: ln(starts / 2) nats more", _ODDS
+    "FEW_TRIES", 2.0, "1", "one of many starts that fits by chance: ln(starts / 2) nats more", _acted(2)
 )
 SHOWN_CHI2: Final = _row(
-    "SHOWN_CHI2", 8.0, "χ²", "a name that its own statistic does not support, only others that it happens to improve"
+    "SHOWN_CHI2",
+    8.0,
+    "χ²",
+    "a name that its own statistic does not support, only others that it happens to improve",
+    _acted(20),
 )
-STATED_NATS: Final = _row(
-    "STATED_NATS",
-    6.0,
-    "nats",
-    "an error of calibration that depends on the level: radiances are measured once, their errors are correlated",
-    "sessions of a second generator with turned charts (docs/explanation/reconcile.md)",
-)
-STATED_SHARE: Final = _row("STATED_SHARE", 0.5, "1", "the same: share of the χ² from which they carry the evidence")
 OWN_LAW_NATS: Final = _row(
     "OWN_LAW_NATS", 2.0, "nats", "a rigid law that stays though its own tests speak against it already"
 )
 SMOOTH_SHARE: Final = _row(
-    "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate"
+    "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate", _acted(16)
 )
 LAW_SHARE: Final = _row(
     "LAW_SHARE",
@@ -138,24 +124,8 @@ MOST_STEPS: Final = int(
 )
 
 # ---- doubts ---------------------------------------------------------------------------------------------------------
-FAINT_NATS: Final = _row(
-    "FAINT_NATS",
-    40.0,
-    "nats",
-    "the residual of a law that is not quite the one named, treated as one more effect",
-    _WEAK,
-)
 ESSENTIAL_SIGMAS: Final = _row(
     "ESSENTIAL_SIGMAS", 3.0, "sigma", "an entry that fits by its further terms alone, its essential one being nothing"
-)
-TESTED_NATS: Final = _row(
-    "TESTED_NATS",
-    100.0,
-    "nats",
-    "a size not separated from its form, believed though its law is hardly tested: from here it is, to a tenth",
-)
-BOUND_CHI2: Final = _row(
-    "BOUND_CHI2", 9.0, "χ²", "an entry bent to what it is not: what the end of a range brings over the usual value"
 )
 
 TABLE: Final[tuple[Threshold, ...]] = tuple(_ROWS.values())

@@ -7,27 +7,22 @@ above 1.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import fields, replace
 from typing import Final
 
 import numpy as np
 
 from radiometer.reconciliation.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
-from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfit, scatter_of
-from radiometer.reconciliation.fit.covariates import covariates
-from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.descent import fitted_parameters, is_misfit, refit, scatter_of
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
+from radiometer.reconciliation.measure.frame_order import Periodic
 from radiometer.reconciliation.posterior import Posterior
 from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
-from radiometer.reconciliation.search.frame_order import Periodic
-from radiometer.reconciliation.search.localise import axis_of, departing, own_place
+from radiometer.reconciliation.search.localise import axis_of, covariates, departing, own_place
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.thresholds import (
-    BOUND_CHI2,
     ESSENTIAL_SIGMAS,
-    FAINT_NATS,
+    NAMED_NATS,
     SMOOTH_SHARE,
-    TESTED_NATS,
 )
 from radiometer.statistics.least_squares import chi_square
 from radiometer.typing import Array
@@ -57,11 +52,6 @@ def verdict_of(
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
 
 
-def is_doubted(outcome: Search, weighed: Posterior) -> bool:
-    """Return whether the names of a search are provisional though nothing structured is left."""
-    return not leaves_structure(outcome) and bool(doubts_of(outcome, weighed))
-
-
 def doubts_of(
     outcome: Search, weighed: Posterior, alternatives: Mapping[str, Collection[str]] | None = None
 ) -> list[str]:
@@ -75,29 +65,13 @@ def doubts_of(
     alike: Mapping[str, Collection[str]] = alternatives or {
         step.name: [rival.name for rival in step.rivals] for step in outcome.steps
     }
-    doubts = [f"{name} is fitted at the end of its range: the data contain something else" for name in _at_bound(state)]
-    doubts += [
+    doubts = [
         f"{name} has a probability of {probability:.2f}, its alternatives included: other models predict as well"
         for name, probability in uncertain([effect.name for effect in effects], weighed, alike).items()
     ]
     doubts += [
-        f"{name} is the likelier of two by its prior probability alone: the other predicts better"
-        for name in outperformed(outcome.steps, effects)
-    ]
-    doubts += [
         f"{name} fits by its secondary terms alone: its essential parameter is within three uncertainties of zero"
-        for name in without_essential(outcome.steps, effects, fitted_parameters(state))
-    ]
-    doubts += [
-        f"{size}: smaller than this cause ever is, so another cause acts like it" for size in below_least(effects)
-    ]
-    doubts += [
-        f"{name} with these parameters acts like other causes: no data are specific to it"
-        for name in acting_as_others(state)
-    ]
-    doubts += [
-        f"{name} improves the prediction little; it may be another effect or the residual of one"
-        for name in insignificant_next_to_others(outcome.steps, effects)
+        for name in without_essential(effects, fitted_parameters(state))
     ]
     doubts += [
         f"{name} is not exactly the law that the data follow: a residual remains where it acts"
@@ -123,7 +97,8 @@ def insignificant_names(outcome: Search) -> list[str]:
     if not leaves_structure(outcome):
         return []
     faint = _fainter_than_the_rest(outcome)
-    return [*faint, *(name for name in _of_no_substance(outcome) if name not in faint)]
+    bare = without_essential(outcome.state.effects, fitted_parameters(outcome.state))
+    return [*faint, *(name for name in bare if name not in faint)]
 
 
 def _fainter_than_the_rest(outcome: Search) -> list[str]:
@@ -131,13 +106,8 @@ def _fainter_than_the_rest(outcome: Search) -> list[str]:
     named = [step for step in outcome.steps if step.name in present]
     most = max((step.gain_nats for step in named), default=0.0)
     unknown = max((step.gain_nats for step in outcome.steps if step.name == "unnamed"), default=0.0)
-    needed = max(min(FAINT_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
+    needed = max(min(NAMED_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
     return [step.name for step in named if step.gain_nats < needed]
-
-
-def _of_no_substance(outcome: Search) -> list[str]:
-    declared = [effect for effect in outcome.state.effects if effect.essential]
-    return without_essential(outcome.steps, declared, fitted_parameters(outcome.state)) if declared else []
 
 
 def faint(outcome: Search) -> list[str]:
@@ -307,34 +277,6 @@ def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParame
     return found
 
 
-def _at_bound(state: FitState) -> list[str]:
-    """Return what parameters the data push out of their physical range: the entry is bent to what it is not."""
-    own = state.parameters
-    low, high = own.on_bounds()  # what moves nothing where it stands is frozen too
-    ends = [index for index in sorted(state.frozen) if (low | high)[index] and own.values[index] != 0.0]
-    ends = [index for index in ends if own.names[index] not in own.effects[own.owner[index]].endless]
-    return [
-        f"{own.names[index]} of {own.effects[own.owner[index]].name}"
-        for index in ends
-        if _push(state, index) > BOUND_CHI2
-    ]
-
-
-def _push(state: FitState, index: int) -> float:
-    """Return the χ² that a parameter gains by the end of its range over its usual value, all others fitted anew."""
-    own = state.parameters
-    effect, name = own.effects[own.owner[index]], own.names[index]
-    usual = {entry.name: entry.default for entry in fields(effect)}.get(name)
-    if not isinstance(usual, float):
-        return 0.0
-    values = own.values
-    values[index] = usual
-    moved = with_effects(state, own.replaced(values))
-    if moved.parameters.size == own.size:  # else the effect is rigid there: the parameter is none of its free ones
-        moved = replace(moved, frozen=frozenset({index}))
-    return refit(moved, iterations=_REFITS).cost - state.cost
-
-
 # ---- what speaks against names --------------------------------------------------------------------------------------
 
 
@@ -383,59 +325,20 @@ def uncertain(
     return {name: probability for name, probability in found.items() if probability < SURE}
 
 
-def outperformed(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names that their prior probability alone speaks for: something else predicts better."""
-    present = {effect.name for effect in effects}
-    return [step.name for step in steps if step.outperformed and step.name in present]
-
-
 def without_essential(
-    steps: Sequence[Step],
-    effects: Sequence[CatalogueEffect],
-    parameters: Mapping[str, Mapping[str, FittedParameter]],
+    effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]
 ) -> list[str]:
     """Return the names of effects of which an essential parameter is within three standard uncertainties of nothing.
 
-    Where an effect names none, the one that it is fitted by first is its size. A size that is not separated from the
-    form (a fall along a line, of any depth and as slow) makes the name doubtful only where little else tests its law.
+    One at the end of its range has no uncertainty, and is doubted where that end is nothing.
 
     Args:
         parameters: Their fitted parameters by effect and name.
     """
-    gains = {step.name: step.gain_nats for step in steps}
     found = []
     for effect in effects:
-        fitted = parameters[effect.name]
-        if not effect.essential and gains.get(effect.name, 0.0) >= TESTED_NATS:
-            continue
-        sizes = ((name, fitted[name]) for name in effect.essential or effect.fitted[:1] if name in fitted)
-        away = ((abs(size.value - effect.neutral(name)), size.u) for name, size in sizes)
-        if any(u is not None and far < ESSENTIAL_SIGMAS * u for far, u in away):
+        sizes = {name: parameters[effect.name].get(name) for name in effect.essential}
+        known = ((abs(size.value - effect.neutral(name)), size.u) for name, size in sizes.items() if size is not None)
+        if any(far <= ESSENTIAL_SIGMAS * (u or 0.0) for far, u in known):
             found.append(effect.name)
     return found
-
-
-def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return names with a parameter that is nearer to its value without effect than where they are the cause."""
-    return [
-        f"{effect.name} with {name} = {getattr(effect, name):.6g}"
-        for effect in effects
-        for name, least in effect.least.items()
-        if abs(getattr(effect, name) - effect.neutral(name)) < least
-    ]
-
-
-def insignificant_next_to_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names that bring little where another entry might absorb them, or where others bring more.
-
-    What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.
-    """
-    present = {effect.name for effect in effects}
-    named = [step for step in steps if step.name in present]
-    most = max((step.gain_nats for step in named), default=0.0)
-    return [s.name for s in named if s.gain_nats < FAINT_NATS and (s.rivals or s.gain_nats < most)]
-
-
-def acting_as_others(state: FitState) -> list[str]:
-    """Return the names of effects that, with their fitted parameters and these settings, act as other causes do."""
-    return [effect.name for effect in state.effects if effect.unlike_itself(state.model.context)]

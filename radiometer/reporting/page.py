@@ -17,6 +17,7 @@ _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
 _DATE: Final = re.compile(r"\d{4}-\d\d-\d\d( \d\d:\d\d)?")  # no line ends within it
 _MANY_COLUMNS: Final = 4  # a table of so many has no room on a phone: its rows become blocks of names and values
+_MOST_UNBROKEN: Final = 6  # columns of figures that fit a line of text whole; of more, units may wrap
 STYLE: Final = "\n".join(
     (
         ":root{color-scheme:light}*{box-sizing:border-box}",
@@ -42,7 +43,8 @@ STYLE: Final = "\n".join(
         ".wide{overflow-x:auto}table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums}",
         "td,th{padding:.25rem .9rem .25rem 0;text-align:right;border-bottom:1px solid #ddd;vertical-align:baseline}",
         "td:first-child,th:first-child,td.words,th.words{text-align:left}th{font-weight:600;color:#444}",
-        "td.words{overflow-wrap:anywhere}td:not(:first-child,.words){white-space:nowrap}td:last-child,th:last-child{padding-right:.2rem}",
+        ".many td,.many th{padding-right:.5rem}.packed td:not(:first-child,.words){white-space:normal}",
+        "td.words{overflow-wrap:anywhere}td.words:not(:first-child){min-width:7.5rem}td:not(:first-child,.words){white-space:nowrap}td:last-child,th:last-child{padding-right:.2rem}",
         "details{margin:.7rem 0;border-top:1px solid #ddd;padding-top:.5rem}",
         "summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}",
         "summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}",
@@ -51,9 +53,10 @@ STYLE: Final = "\n".join(
         ".many,.many tbody,.many tr{display:block}.many thead{display:none}",
         ".many tr{padding:.35rem 0;border-bottom:1px solid #ddd}",
         ".many td{display:flex;justify-content:space-between;gap:1rem;border:0;padding:.1rem .2rem .1rem 0;",
-        "text-align:right}td:not(:first-child,.words){white-space:normal}",
-        ".many td:first-child{font-weight:600;overflow-wrap:anywhere}.many td:empty{display:none}",
-        ".many td::before{content:attr(data-head);color:#555;text-align:left;font-weight:400}}",
+        "text-align:right;min-width:0}td:not(:first-child,.words){white-space:normal}",
+        ".many td:first-child{font-weight:600;overflow-wrap:anywhere;text-align:left}.many td:empty{display:none}",
+        ".many td::before{content:attr(data-head);color:#555;text-align:left;font-weight:400;flex:none}",
+        ".many td[data-head='']::before{content:none}}",
         "@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}",
         "figure,.do,.flag,tr{break-inside:avoid}.do,.flag{background:none}.wide{overflow:visible}",
         "summary{min-height:0}",
@@ -139,7 +142,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: Sequence
 
     body = "".join(f"<tr>{line(row, 'td')}</tr>" for row in rows)
     top = f"<thead><tr>{line(head, 'th')}</tr></thead>" if head else ""
-    kind = " class='many'" if many else ""
+    kind = f" class='many{' packed' if len(head) > _MOST_UNBROKEN else ''}'" if many else ""
     return f"<div class='wide'><table{kind}>{top}<tbody>{body}</tbody></table></div>" if body else ""
 
 

@@ -9,8 +9,7 @@ from typing import Any, ClassVar, Final
 from radiometer.devices import DisplayPatch
 from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError, SettingOutOfRange
-from radiometer.screen.loopback import Darken, nothing_to_darken
-from radiometer.screen.page_server import PageServer
+from radiometer.screen.loopback import Darken, PageServer, nothing_to_darken
 from radiometer.screen.stimulus import Blink, Hold, Rest, ScreenPicture, Shape
 
 

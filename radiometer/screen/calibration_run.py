@@ -1,20 +1,26 @@
-"""The whole calibration of a screen: checks, levels, drift, curves."""
+"""The whole calibration of a screen: checks, levels, drift, curves; taken up where it was interrupted.
+
+Events of its journal after `start`: `warm_up` of each part, `checks` (flicker, uniformity, readings of each patch) and
+`patch` after every patch. Its `number` is the place in the plan, null for a reference that a new part begins with.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final, Protocol
 
 import numpy as np
 
 from radiometer.data import Provenance
+from radiometer.data.event_journal import START, Event, EventJournal
 from radiometer.devices import Display, DisplayPatch
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.checks import Flicker, Uniformity, additivity, as_mapping, wait_until_steady
 from radiometer.screen.exports.chromaticity import ASSUMPTION
 from radiometer.screen.meter import ScreenReading
-from radiometer.screen.plan import make_plan
+from radiometer.screen.plan import ScreenStep, make_plan
 from radiometer.screen.run import Light, Measured, Progress, curves_of, measure_steps
 
 _WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
@@ -65,16 +71,20 @@ def calibrate_screen(
     options: Options,
     lights: Mapping[str, Light],
     *,
+    journal: EventJournal | None = None,
     progress: Progress | None = None,
     waiting: Callable[[float, float], None] | None = None,
+    wall_s: Callable[[], float] = time.time,
 ) -> ScreenCalibration:
     """Warm the screen up, check it, measure its levels and return its calibration.
 
     Args:
         bench: An open display and what looks at it.
         lights: Light of every channel.
+        journal: Open journal that keeps every patch; patches in it are not measured again.
         progress: Called after every patch.
         waiting: Called while the screen warms up with the time so far and the longest time, both in s.
+        wall_s: Unix time in s, by which the parts of an interrupted calibration follow each other.
 
     Raises:
         UsageError: If a channel is unknown.
@@ -83,22 +93,16 @@ def calibrate_screen(
     """
     channels = tuple(dict.fromkeys(("grey", *options.channels)))
     plan = make_plan(options.levels, channels, np.random.default_rng(options.seed))
-    # White and black come first: what clips, or is no screen, is refused before the minutes of the warm-up.
-    measure_steps(bench.display, bench, plan[:2], patch_size=options.patch_size)
-    bench.display.show(_WHITE)
-    warm_up = wait_until_steady(bench, bench.sleep, limit_s=options.warm_up_limit_s, progress=waiting)
-    flicker = bench.check_flicker()
-    uniformity = bench.check_uniformity()
-    repeats = _repeats(bench, options.repeats) if flicker.found else options.repeats
-    measured = measure_steps(
-        bench.display, bench, plan, repeats=repeats, patch_size=options.patch_size, progress=progress
-    )
-    curves, drift = curves_of(measured, lights, unsettled_rel=warm_up.drift_rel)
+    run = _Run(bench, options, EventJournal(None) if journal is None else journal, wall_s)
+    measured = run.measure(plan, progress, waiting)
+    warm_ups, seen = run.journal.of_kind("warm_up"), run.journal.of_kind("checks")[0]
+    curves, drift = curves_of(measured, lights, unsettled_rel=max(one["drift_rel"] for one in warm_ups))
     checks: dict[str, Any] = {
-        "warm_up": as_mapping(warm_up),
-        "flicker": as_mapping(flicker),
-        "uniformity": as_mapping(uniformity),
-        "repeats": repeats,
+        "warm_up": {name: warm_ups[-1][name] for name in ("waited_s", "drift_rel", "steady")},
+        "flicker": seen["flicker"],
+        "uniformity": seen["uniformity"],
+        "repeats": seen["repeats"],
+        "interruptions": len(warm_ups) - 1,
         "drift_rel": drift.range_rel,
         "drift_u_rel": drift.u_rel,
         "additivity_rel": _additivity(measured),
@@ -117,6 +121,74 @@ def calibrate_screen(
         pixel_mm=options.pixel_mm,
         chromaticities=options.chromaticities,
     )
+
+
+@dataclass(slots=True)
+class _Run:
+    """One part of a calibration: from its beginning, or from an interruption, to its end or the next interruption."""
+
+    bench: Instrumented
+    options: Options
+    journal: EventJournal
+    wall_s: Callable[[], float]
+    shift_s: float = 0.0  # added to the meter's clock, which begins anew with every part
+
+    def measure(
+        self, plan: Sequence[ScreenStep], progress: Progress | None, waiting: Callable[[float, float], None] | None
+    ) -> list[Measured]:
+        """Return all patches of the plan, those of earlier parts from the journal."""
+        known = self.journal.of_kind("patch")
+        begins = max((one["number"] + 1 for one in known if one["number"] is not None), default=0)
+        if begins < len(plan):
+            size = self.options.patch_size
+            # White and black come first: what clips, or is no screen, is refused before the minutes of the warm-up.
+            first = measure_steps(self.bench.display, self.bench, plan[:2], patch_size=size)
+            self._set_clock(first[-1].readings[-1].time_s, known)
+            self._warm_up_and_check(waiting)
+            repeats = self.journal.of_kind("checks")[0]["repeats"]
+            if begins:  # the screen may have changed meanwhile: its drift is known from references on both sides
+                measure_steps(
+                    self.bench.display, self.bench, plan[:2], repeats=repeats, patch_size=size,
+                    keep=lambda one: self._keep(one, None),
+                )  # fmt: skip
+            numbers = iter(range(begins, len(plan)))
+            measure_steps(
+                self.bench.display, self.bench, plan[begins:], repeats=repeats, patch_size=size,
+                progress=progress and (lambda done, _total, step: progress(begins + done, len(plan), step)),
+                keep=lambda one: self._keep(one, next(numbers)),
+            )  # fmt: skip
+        return [_measured_of(one) for one in self.journal.of_kind("patch")]
+
+    def _set_clock(self, now_s: float, known: Sequence[Event]) -> None:
+        """Let the times of this part follow those of the parts before, by as much as passed in between."""
+        if known:
+            started = self.journal.of_kind(START)
+            passed_s = self.wall_s() - float(started[0]["unix_s"]) if started else 0.0
+            self.shift_s = max(float(known[0]["time_s"]) + passed_s, float(known[-1]["time_s"])) - now_s
+
+    def _warm_up_and_check(self, waiting: Callable[[float, float], None] | None) -> None:
+        bench = self.bench
+        bench.display.show(_WHITE)
+        warm_up = wait_until_steady(bench, bench.sleep, limit_s=self.options.warm_up_limit_s, progress=waiting)
+        self.journal.write("warm_up", self.shift_s, **as_mapping(warm_up))
+        if not self.journal.of_kind("checks"):
+            flicker = bench.check_flicker()
+            uniformity = bench.check_uniformity()
+            repeats = _repeats(bench, self.options.repeats) if flicker.found else self.options.repeats
+            self.journal.write(
+                "checks", self.shift_s, flicker=as_mapping(flicker), uniformity=as_mapping(uniformity), repeats=repeats
+            )
+
+    def _keep(self, one: Measured, number: int | None) -> None:
+        readings = [replace(reading, time_s=reading.time_s + self.shift_s) for reading in one.readings]
+        self.journal.write(
+            "patch", readings[-1].time_s, number=number, step=asdict(one.step), readings=list(map(asdict, readings))
+        )
+
+
+def _measured_of(event: Event) -> Measured:
+    readings = (ScreenReading(**{**one, "flags": tuple(one["flags"])}) for one in event["readings"])
+    return Measured(ScreenStep(**event["step"]), tuple(readings))
 
 
 def _repeats(bench: Instrumented, least: int) -> int:

@@ -102,6 +102,7 @@ def measure_steps(
     repeats: int = 1,
     patch_size: float = 1.0,
     progress: Progress | None = None,
+    keep: Callable[[Measured], None] = lambda one: None,
 ) -> list[Measured]:
     """Show every step and read it.
 
@@ -111,6 +112,7 @@ def measure_steps(
         repeats: Readings of each.
         patch_size: Size of the patch as a fraction of the screen's.
         progress: Called after every step with (done, total, step).
+        keep: Gets every step with its readings before the next one is shown.
 
     Raises:
         DeviceError: If display or camera fail.
@@ -128,6 +130,7 @@ def measure_steps(
         done.append(Measured(step, readings))
         if len(done) == 2:
             _require_contrast(done)
+        keep(done[-1])
         if progress:
             progress(len(done), len(plan), step)
     return done

@@ -56,6 +56,8 @@ LINKS: Final = {
         Link("shutter", "shutter", "SHUTTER", "EXPOSURE", "", "s",
              "signal * (1.0 + {law} / context.settings.exposure_s)", "lets light in for longer", _PLACE,
              "a shutter that opens unevenly", ("exposure_s",)),
+        Link("exposure", "shutter", "SHUTTER", "EXPOSURE", "", "1", _FACTOR, "scales the exposure",
+             ("exposure_s",), "a shutter, or a sensor that does not add up light in proportion to time"),
         Link("charge_rate", "charge", "ELECTRONS", "ELECTRONS", "shot_noise", "e- s-1",
              "signal + {law} * context.settings.exposure_s", "adds charge in proportion to exposure",
              (*_PLACE, "temperature_C"), "the glow of an amplifier or heat next to the sensor", ("exposure_s",)),

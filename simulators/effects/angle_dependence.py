@@ -33,7 +33,6 @@ class AngleDependence(Scaling):
     fitted = ("strength",)
     varies = "f_number"
     settles = "an even field with the camera tilted"
-    stands_for = ("natural_vignetting", "fnumber_tstop_error")
     # A fall-off that no stop changes is the lens, a loss at wide stops that is the same all over is its transmission.
     essential = ("strength", "stop_power", "cone")
     strength: float = parameter(0.0, "1", -3.0, 3.0, source="engineering prior; refined on a real rig")
@@ -54,11 +53,6 @@ class AngleDependence(Scaling):
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return the form with separate powers."""
         return (cls(0.01, 2.5, -0.5),)
-
-    @classmethod
-    def in_place_of_others(cls) -> Self:
-        """Return the form of slant and cone apart: a lens that falls off and whose stops are off may be no more."""
-        return cls(0.03, 2.0, 0.0, 0.03)
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: the cone where it acts apart, the powers where they are not the plain ones."""

@@ -10,7 +10,6 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Any, ClassVar, Final, Literal, Self, cast
 
 import numpy as np
@@ -48,17 +47,13 @@ class CatalogueEffect(Effect):
             fitted where any differs from its default.
         varies: Setting that must differ between captures: `f_number`, `gain_db` or `temperature_C`.
         settles: The capture that separates the effect from its likenesses, as advice to the user.
-        essential: Parameters without which it is not this effect, however well the others fit; by default the first
-            fitted one.
+        essential: Parameters without which it is not this effect, however well the others fit.
         profiled: Parameter that is searched on a dense grid, for the prediction jumps in it.
         repeats: Whether it may act more than once, as several wrong labels do; `joined` makes one effect of two.
         proportional: Whether a fixed pattern grows with the light.
-        stands_for: Other entries that may together be equivalent to this one.
-        endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
         log_prior_odds: Natural logarithm of how likely the effect is before any data, against a usual one; added to
             its score.
         prior_reason: Why they are not even.
-        weight_unseen: How much more than others it is worth seeing where data are blind to it.
         acts_by_square: Whether its first parameter is a standard deviation, whose square is what shows.
         is_stepwise: Whether it does not grow from nothing with its first parameter; its limit is a form that shows.
         saturates: `sharply` or `softly` for what limits the signal: the higher the limit the milder. Below a sharp one
@@ -70,7 +65,6 @@ class CatalogueEffect(Effect):
         signal_power: Power of the signal with which a steep effect goes, where that is all: 0 for what is added, 1 for
             a factor. The result for one signal on the grid in each tile then holds for all.
         is_sudden: Whether it jumps along the signal: each pixel's noise decides on which side of the jump it is.
-        least: Least distance of a parameter from the value without effect where this is the cause, by its name.
         heated: Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the
             temperature of the session that is nearest to the usual.
     """
@@ -84,14 +78,11 @@ class CatalogueEffect(Effect):
     varies: ClassVar[str] = ""
     settles: ClassVar[str] = ""
     essential: ClassVar[tuple[str, ...]] = ()
-    stands_for: ClassVar[tuple[str, ...]] = ()
-    endless: ClassVar[tuple[str, ...]] = ()
     profiled: ClassVar[str] = ""
     repeats: ClassVar[bool] = False
     proportional: ClassVar[bool] = False
     log_prior_odds: ClassVar[float] = 0.0
     prior_reason: ClassVar[str] = ""
-    weight_unseen: ClassVar[float] = 1.0
     acts_by_square: ClassVar[bool] = False
     is_stepwise: ClassVar[bool] = False
     saturates: ClassVar[Literal["", "softly", "sharply"]] = ""
@@ -101,7 +92,6 @@ class CatalogueEffect(Effect):
     is_steep: ClassVar[bool] = False
     is_sudden: ClassVar[bool] = False
     signal_power: ClassVar[int | None] = None
-    least: ClassVar[Mapping[str, float]] = MappingProxyType({})
     heated: ClassVar[str] = ""
 
     @classmethod
@@ -151,6 +141,10 @@ class CatalogueEffect(Effect):
         """Return the value at which a parameter does nothing."""
         return 1.0 if parameter in cls.neutral_at_one else 0.0
 
+    def is_nothing(self) -> bool:
+        """Return whether an essential parameter that is fitted does nothing: what the others do is no such effect."""
+        return any(getattr(self, name) == self.neutral(name) for name in self.essential if name in self.free())
+
     def remark(self, camera: CameraDescription, u: Mapping[str, float | None]) -> str:
         """Return what a finding says against a figure that the camera's description states; nothing by default.
 
@@ -178,11 +172,6 @@ class CatalogueEffect(Effect):
     def responsivity_taken(self) -> float:
         """Return the factor on the mean signal that the fitted responsivity has taken up already."""
         return 1.0
-
-    @classmethod
-    def in_place_of_others(cls) -> Self:
-        """Return the effect that may be all that the entries of `stands_for` do, where it starts."""
-        return cls()
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return more flexible forms that start from this one, tried where structure remains.
@@ -257,10 +246,6 @@ class CatalogueEffect(Effect):
         more = scale * (points - (self.mean(signal, context) - signal))
         varying = scale**2 * left
         return after.changed(mean=after.mean + more, spatial_variance=after.spatial_variance + varying)
-
-    def unlike_itself(self, context: ExposureContext) -> bool:
-        """Tell whether, with its parameters and these settings, the effect does what other causes do just as well."""
-        return False
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:

@@ -52,7 +52,6 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
     fitted = ("sigma_e_per_s", "shape")
     heated = "sigma_e_per_s"
     settles = "dark frames at two long exposures"
-    endless = ("shape",)  # a log-normal of small shape is a normal one
     sigma_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 100000.0, source="engineering prior; refined on a real rig")
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the figure holds at")  # noqa: N815
     doubling_K: float = parameter(_USUAL_DOUBLING_K, "K", 2.0, 30.0, source="silicon: 4.5 to 8 K")  # noqa: N815

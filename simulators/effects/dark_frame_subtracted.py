@@ -17,7 +17,6 @@ from simulators.effects.rounding import rounded
 from simulators.effects.tile_moments import TileMoments
 
 _FAR_SIGMAS = 9.0  # above zero, beyond which nothing is cut
-_HIDDEN_DN = 0.25  # noise of a whole level, of which one pixel in 20 shows another code
 
 
 @dataclass(frozen=True)
@@ -67,10 +66,6 @@ class DarkFrameSubtracted(CatalogueEffect):
         camera = context.camera
         stated = camera.conversion_gain_e_per_dn is not None and camera.read_noise_e is not None
         return stated and bool(np.any(np.nan_to_num(np.asarray(_black_dn(context), dtype=np.float64)) > 0.0))
-
-    def unlike_itself(self, context: ExposureContext) -> bool:
-        """Tell whether rounding hides the darks' noise in most frames: a black level taken off does the same."""
-        return bool(np.median(self._mean_of_darks(context)[1]) < _HIDDEN_DN**2)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the part above zero, not rounded."""

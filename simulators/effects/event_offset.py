@@ -70,7 +70,3 @@ class EventOffset(Offset):
             for rests in _RESTS
             for size in (_TRIED_DN, -_TRIED_DN)
         )
-
-    def unlike_itself(self, context: ExposureContext) -> bool:
-        """Tell whether it does not relax within the captures behind it: any change of state is such a step."""
-        return self.tau_s > float(np.max(np.asarray(elapsed_s(context)))) - self.event_s

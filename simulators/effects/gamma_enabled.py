@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final, cast
 
 import numpy as np
@@ -41,7 +40,6 @@ class GammaEnabled(CatalogueEffect):
     )  # fmt: skip
     fitted = ("gamma",)
     further = tuple({"toe": toe} for toe in (0.03, 0.08, 0.2))
-    least = MappingProxyType({"gamma": 0.005})  # a setting, in steps of a hundredth where cameras tell them
     settles = "the same digital number reached at two gains"
     gamma: float = parameter(1.0, "1", 0.2, 5.0, source="engineering prior; refined on a real rig")
 

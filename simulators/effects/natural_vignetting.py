@@ -12,8 +12,6 @@ from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
 _BENT: Final = 0.01  # k₄ from which a fit begins
-_RINGS: Final = 101  # a turning point is found to 1 % of the radius
-_BACK: Final = 0.1  # of what was lost, by which k₄ may err
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,6 @@ class NaturalVignetting(Scaling):
     trials = ({"strength": 0.02, "k4": 0.0}, {"strength": 0.1, "k4": 0.0}, {"strength": 0.0, "k4": 0.03})
     fitted = ("strength", "k4")
     settles = "the screen turned or shifted against the camera"
-    stands_for = ("angle_dependence",)  # where no stop changes it
     essential = ("strength",)  # every lens has it; a fall-off towards the corners alone is cut off, not oblique
     strength: float = parameter(0.0, "1", -0.3, 3.0, source="engineering prior; refined on a real rig")
     k4: float = parameter(0.0, "1", -1.0, 1.0, source="engineering prior; refined on a real rig")
@@ -48,10 +45,6 @@ class NaturalVignetting(Scaling):
         return (1.0 + self.strength * rho2) ** -2.0 * (1.0 - self.k4 * rho2**2)
 
     @classmethod
-    def in_place_of_others(cls) -> Self:
-        return cls(0.03)
-
-    @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return the plain law about a separate axis."""
         return (cls(0.02, 0.0, 0.01, 0.01),)
@@ -62,14 +55,6 @@ class NaturalVignetting(Scaling):
             (plain,) = self.covers(context)
             return tuple(plain.with_parameters(strength=self.strength, k4=k4) for k4 in (0.0, self.k4 or _BENT))
         return () if self.k4 else (self.with_parameters(k4=_BENT),)
-
-    def unlike_itself(self, context: ExposureContext) -> bool:
-        """Tell whether the light, having fallen, comes back towards the corner: no oblique light does."""
-        x, y = context.geometry.field_xy()
-        far2 = float(np.max(np.square(x - self.axis_x) + np.square(y - self.axis_y)))
-        rho2 = np.linspace(0.0, far2, _RINGS)
-        ring = (1.0 + self.strength * rho2) ** -2.0 * (1.0 - self.k4 * rho2**2)
-        return bool(self.strength > 0.0 and ring[-1] - ring.min() > _BACK * (1.0 - ring.min()))
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: of an axis that is not the stated one its place too, and k₄ where it is not 0.

@@ -51,7 +51,7 @@ class OfTaps(CatalogueEffect):
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the table where taps are more than the quarters of the sensor tell apart."""
+        """Return the table where some taps share a quarter of the sensor."""
         taps, geometry = context.camera.taps or (), context.geometry
         quarters = {
             (2 * tap.x + tap.width < geometry.sensor_width, 2 * tap.y + tap.height < geometry.sensor_height)

@@ -32,7 +32,6 @@ class SeriesSettling(Scaling):
     prior_reason = "most sources are on all the time, and settle once in a session"
     trials = tuple({"excess_rel": a, "ratio": r} for r in (0.3, 0.7, 0.95) for a in (0.01, -0.01))
     fitted = ("excess_rel", "ratio")
-    endless = ("ratio",)
     settles = "ten frames of one setting in a row, with light and in the dark"
     excess_rel: float = parameter(0.0, "1", -0.9, 9.0, source="tenths of a percent to some percent")
     ratio: float = parameter(0.3, "1", 0.0, 0.98, source="from frame to frame; 0 for the first frame alone")

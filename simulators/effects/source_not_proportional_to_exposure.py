@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 from scipy.special import gamma, gammainc
@@ -13,7 +13,6 @@ from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
 _STRAIGHT, _SLOW = 2.0, 0.6  # stretches from which a fit begins
-_SETTLED: Final = 0.5  # of the shortest exposure: the exponential part is 13 % then, the rest a constant and a time
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,3 @@ class SourceNotProportionalToExposure(Scaling):
             for tau_s in (0.0003, 0.001, 0.01)
             for stretch in (_STRAIGHT, _SLOW)
         )
-
-    def unlike_itself(self, context: ExposureContext) -> bool:
-        """Tell whether the source settles within the shortest exposure: a wrong exposure time looks the same."""
-        return self.tau_s < _SETTLED * float(np.min(np.asarray(context.settings.exposure_s)))

@@ -45,7 +45,6 @@ class StrayLightKernel(CatalogueEffect):
     fitted = ("share", "radius", "edge_share")
     settles = "one bright patch with several sizes of surround"
     essential = ("radius",)  # a kernel of any width is any glare
-    endless = ("beyond",)  # darkness beyond the border
     share: float = parameter(0.0, "1", -0.05, _MOST, source="engineering prior; refined on a real rig")
     radius: float = parameter(0.1, "1", 0.02, 1.0, source="sigma as a fraction of the longer side")
     edge_share: float = parameter(
@@ -82,10 +81,6 @@ class StrayLightKernel(CatalogueEffect):
         if not self.wings:
             return (*self.fitted, *further)
         return (*(f"wings[{k}]" for k in range(len(self.wings))), "edge_share", *further)
-
-    def unlike_itself(self, context: ExposureContext) -> bool:
-        """Tell whether more light is scattered than comes straight: no lens does, an even scene hides any share."""
-        return self._lost > _MOST
 
     def _kernels(self) -> tuple[tuple[float, float], ...]:
         """Return share and width of each kernel."""

@@ -27,7 +27,6 @@ class VeilingGlare(CatalogueEffect):
     unit_in = unit_out = IRRADIANCE
     where = "patch_level"
     block = "mean"
-    weight_unseen = 6.0  # every lens has some
     trials = ({"share": 0.005}, {"share": 0.02})
     fitted = ("share",)
     further = ({"tilt_x": 0.01, "tilt_y": 0.01, "bowl": 0.01},)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.bench.camera_health import check_camera
+from radiometer.bench.doctor import check_camera
 from radiometer.devices import CameraSettings, Health
 
 pytestmark = pytest.mark.hardware

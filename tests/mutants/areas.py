@@ -41,7 +41,6 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/daemon/bench_instrument.py",
         "radiometer/daemon/patches.py",
         "radiometer/bench/doctor.py",
-        "radiometer/daemon/keeper.py",
         "radiometer/bench/reopening.py",
         "radiometer/bench/box_holder.py",
     ),
@@ -57,10 +56,10 @@ AREAS: dict[str, tuple[str, ...]] = {
     "adaptation": ("radiometer/adaptation/*.py",),
     "reconcile": (
         "radiometer/reconciliation/fit/*.py",
-        "radiometer/reconciliation/noise/*.py",
+        "radiometer/reconciliation/repeatability.py",
+        "radiometer/reconciliation/shared_errors.py",
         "radiometer/reconciliation/verdict.py",
         "radiometer/reconciliation/statistics.py",
-        "radiometer/reconciliation/chances.py",
         "radiometer/reconciliation/search/*.py",
     ),
     "sensor_effects": ("simulators/effects/*.py",),
@@ -74,8 +73,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
     "reconcile_rooms": (
         "radiometer/reconciliation/*.py",
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("advice", "inputs", "logs", "measure", "model")),
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("propose", "report", "drive")),
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("inputs", "logs", "measure", "propose")),
     ),
     "alarms_and_networks": (
         "radiometer/adapters/*.py",

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
-from radiometer.reconciliation.fit.full_fit import accepted
+from radiometer.reconciliation.fit.descent import accepted, converged_fit, first_state, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design, rough_share, tile_groups
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames

@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
-from radiometer.reconciliation.fit.full_fit import accepted
+from radiometer.reconciliation.fit.descent import accepted, converged_fit, first_state, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames

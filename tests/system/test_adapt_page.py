@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.live_page import LivePage
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.simulated_stage import simulated_stage
+from radiometer.data.event_journal import Event
 from testing.chromium import Browser, headless
 from testing.scripted_adaptation import SubjectCurve
 
@@ -40,7 +41,7 @@ def served() -> Iterator[tuple[LivePage, Controls]]:
         for number, (kind, time_s, facts) in enumerate(
             (("start", 0.0, {"subject": "S07"}), ("bleach", 0.1, {}), ("dark", 120.1, {}))
         ):
-            page.tell({"sequence": number, "kind": kind, "time_s": time_s, **facts})
+            page.publish({"sequence": number, "kind": kind, "time_s": time_s, **facts})
         yield page, controls
 
 
@@ -49,12 +50,12 @@ def _tell_trials(page: LivePage, first: int, count: int) -> None:
     for number in range(first, first + count):
         minutes = 0.5 * (number + 1)
         event: dict[str, Any] = {"sequence": 10 + 2 * number, "time_s": 120.1 + 60 * minutes}
-        page.tell({**event, "kind": "blink", "log10_level": -1.0, "presses_s": [0.4]})
+        page.publish({**event, "kind": "blink", "log10_level": -1.0, "presses_s": [0.4]})
         found = round(SubjectCurve().threshold(minutes) + 0.05 * (-1) ** number, 3)
         trial = {"catch": True, "false_press": True, "threshold": None}
         if number % 10 != 9:
             trial = {"catch": False, "false_press": False, "threshold": found, "minutes": minutes}
-        page.tell({**event, "sequence": 11 + 2 * number, "kind": "trial", **trial})
+        page.publish({**event, "sequence": 11 + 2 * number, "kind": "trial", **trial})
 
 
 async def _text(browser: Browser, name: str) -> str:
@@ -86,9 +87,9 @@ async def test_page_shows_points_grow_and_survives_a_reload(
     assert "5.02 V" in await _text(browser, "devices")
     assert "S07" in await _text(browser, "who")
     assert int((await browser.picture())[..., 0].astype(int).sum()) > few
-    page.tell({"sequence": 900, "kind": "prompt", "time_s": 2000.0, "say": "end"})
+    page.publish({"sequence": 900, "kind": "prompt", "time_s": 2000.0, "say": "end"})
     await browser.wait_for("played.includes('end')")
-    page.tell({"sequence": 901, "kind": "end", "time_s": 2000.0, "verdict": "complete", "explanation": "all of it"})
+    page.publish({"sequence": 901, "kind": "end", "time_s": 2000.0, "verdict": "complete", "explanation": "all of it"})
     await _wait_for_text(browser, "phase", "Over: complete")
     assert [url for url in browser.requested if not url.startswith((page.url.split("?")[0], "data:"))] == []
     assert browser.errors == []
@@ -172,7 +173,7 @@ async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path: Path, b
     with LivePage(protocol, controls) as page:
 
         def watch(event: Event) -> None:
-            page.tell(event)
+            page.publish(event)
             time.sleep(0.1 if event["kind"] == "trial" else 0.0)
 
         def run() -> Outcome:

@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
-from radiometer.adaptation.screen_levels import SpotLevels, within_reach
-from radiometer.adaptation.screen_setup import ScreenStage, open_screen_stage
+from radiometer.adaptation.screen_setup import ScreenStage, SpotLevels, open_screen_stage, within_reach
 from radiometer.bench.screen import lights, open_screen_bench
+from radiometer.data.event_journal import Event
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, UsageError
 from radiometer.screen.browser_page import BrowserStimulus
 from radiometer.screen.calibration import ScreenCalibration

@@ -17,6 +17,7 @@ import pytest
 
 import radiometer
 from drivers.cameras.aravis_camera import load_library
+from radiometer.bench.config import BenchConfig
 from radiometer.cli.tree import command_tree
 from radiometer.errors import MissingLibrary
 from radiometer.reconciliation.thresholds import TABLE
@@ -180,7 +181,7 @@ def test_the_site_shows_formulas_without_a_script(site):
 
 
 def test_the_reference_holds_every_public_name_command_effect_and_threshold(site):
-    """What can be imported, typed or switched on is in the reference, with its words."""
+    """What can be imported, typed, switched on or stated in a bench file is in the reference, with its words."""
     names = (site / "reference" / "python.html").read_text(encoding="utf-8")
     for name in radiometer.__all__:
         assert f'id="{radiometer.home_of(name)}.{name}"' in names, name
@@ -190,6 +191,12 @@ def test_the_reference_holds_every_public_name_command_effect_and_threshold(site
         assert f"<code>{' '.join(one.path)}</code>" in commands
     for name in EFFECTS:
         assert f"<code>{name}</code>" in effects
+    keys = (site / "reference" / "bench.html").read_text(encoding="utf-8")
+    form = BenchConfig.model_json_schema()
+    for section in (form, *form["$defs"].values()):
+        for key, facts in section["properties"].items():
+            assert f"<code>{key}</code>" in keys, key
+            assert facts.get("description"), key
     thresholds = (site / "reference" / "thresholds.html").read_text(encoding="utf-8")
     for row in TABLE:
         assert f"<code>{row.name}</code>" in thresholds

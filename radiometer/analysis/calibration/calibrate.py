@@ -308,10 +308,15 @@ def scale_by_source(
     reading = read_patch(frames, patch, Setup(base.camera, base.lens, own), now=made)
     for flag in (Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM):
         if flag in reading.flags:
-            raise MeasurementError(
-                f"the patch {patch.x},{patch.y},{patch.width},{patch.height} cannot carry a scale: it is {flag}; "
-                "choose an even, well exposed part of the known source"
-            )
+            way_out = "choose an even, well exposed part of the known source"
+            unstated = Flag.DARK_ASSUMED in reading.flags and "dark_current_e_per_s" in base.noise.assumed
+            if flag is Flag.BELOW_NOISE and unstated:
+                way_out = (
+                    "nothing states the dark current, which may be all of its signal: take dark frames of the same "
+                    "exposures"
+                )
+            where = f"the patch {patch.x},{patch.y},{patch.width},{patch.height}"
+            raise MeasurementError(f"{where} cannot carry a scale: it is {flag}; {way_out}")
     value = reading.radiance
     # At the calibration's own level the response's error drops out; readings at other levels meet it.
     curve = next(term.u for term in budget_terms(situation) if term.name == "response curve") / abs(situation.value)

@@ -80,6 +80,7 @@ def _draw(figure: Figure, taps: Sequence[TapFigures], *, narrow: bool) -> None:
         )
         axes.set_xticks(range(len(taps)), [one.tap.name for one in taps])
         dress(axes, "tap", name)
+        axes.ticklabel_format(axis="y", useOffset=False)
 
 
 def _figure(one: TapFigures, symbol: str) -> Quantity | None:

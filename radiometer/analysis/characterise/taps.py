@@ -15,7 +15,7 @@ from radiometer.analysis.characterise.characterise import characterise
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.subject import FrameGroup, Subject, subject_of_capture
-from radiometer.analysis.signal.borders import borders
+from radiometer.analysis.signal.borders import borders_of_grid
 from radiometer.data import CameraDescription, CaptureSet, Patch, Quantity, TapDescription
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.statistics.scale import robust_sigma
@@ -178,11 +178,10 @@ def find_taps(subject: Subject) -> tuple[TapDescription, ...]:
         MeasurementError: If there are no frames with light.
         CaptureError: If a frame is unreadable.
     """
-    pictures = _pictures(subject)
+    pictures, variance = _pictures(subject)
     height, width = pictures[0].shape
-    x_edges = [0, *borders(pictures), width]
-    y_edges = [0, *borders([picture.T for picture in pictures]), height]
-    cells = _grid(x_edges, y_edges)
+    columns, rows = borders_of_grid(pictures, variance)
+    cells = _grid([0, *columns, width], [0, *rows, height])
     level = float(np.median(pictures[0]))
     lit = [float(np.median(pictures[0][cell.patch.slices])) > _UNLIT * level for cell in cells]
     taps = list[TapDescription]()
@@ -200,8 +199,8 @@ def _is_adjacent(one: TapDescription, other: TapDescription) -> bool:
     return across or along
 
 
-def _pictures(subject: Subject) -> list[Array]:
-    """Return mean light less dark, mean dark, and dark variance of each pixel where there are two dark frames."""
+def _pictures(subject: Subject) -> tuple[list[Array], Array | None]:
+    """Return light less dark and dark, each a mean, of each pixel; and its dark variance where there are two frames."""
     top = subject.camera.saturated_dn
     bright = [group for group in subject.groups if not group.settings.is_dark]
     dark = [group for group in subject.groups if group.settings.is_dark]
@@ -215,9 +214,7 @@ def _pictures(subject: Subject) -> list[Array]:
     pictures = [light]
     if dark:
         pictures.append(black[0])
-    if black[1] is not None:
-        pictures.append(black[1])
-    return pictures
+    return pictures, black[1]
 
 
 def _moments(group: FrameGroup, top: int) -> tuple[Array, Array | None]:
@@ -252,9 +249,9 @@ def crosstalk(subject: Subject, taps: Sequence[TapDescription]) -> tuple[Crossta
             source = read[of] - float(np.median(read[of]))
             if float(np.max(np.abs(source))) < _BRIGHTER * noise_dn or float(read[of].max()) >= top:
                 continue
-            heard = read[into] - float(np.median(read[into]))
+            received = read[into] - float(np.median(read[into]))
             scale = float(np.sum(source**2))
-            share = Quantity(float(np.sum(source * heard)) / scale, robust_sigma(heard) / math.sqrt(scale), "1")
+            share = Quantity(float(np.sum(source * received)) / scale, robust_sigma(received) / math.sqrt(scale), "1")
             if (of, into) not in best or share.u < best[of, into].u:
                 best[of, into] = share
     return tuple(Crosstalk(of, into, share) for (of, into), share in best.items())

@@ -6,6 +6,7 @@ error depends on the spectrum, so it is found from lights that the matrix was no
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -123,8 +124,7 @@ def fit_matrix(training: Training) -> Fit:
         noise = known + np.mean((training.u_signal / total) ** 2 @ (matrix**2).T, axis=1)
         found = np.average(np.mean(left_out**2, axis=1) - noise, weights=weight)
         error_2 = max(float(found), _LEAST_ERROR**2)
-    few = float(student_t.ppf(0.5 + _COVERED / 2.0, count - channels)) / 2.0
-    error = _covering(left_out * np.sqrt(weight)[:, None], few)
+    error = _covering(left_out * np.sqrt(weight)[:, None], count - channels)
     return Fit(matrix, spread, error, _hull(target))
 
 
@@ -146,7 +146,7 @@ def _off(matrix: Array, responsivities: Array, powers: Array) -> Array:
     return np.asarray(_signal(powers, responsivities) @ matrix.T - _normal(tristimulus_of(powers)))
 
 
-def _covering(off: Array, least: float = 1.0) -> Array:
+def _covering(off: Array, freedom: int) -> Array:
     """Return the covariance of errors, shape (3, 3), of which k = 2 covers 95.45 % of them.
 
     It is the mean of e·eᵀ and of what no camera is better than. It is wider where a few lights are far off, such as
@@ -154,11 +154,12 @@ def _covering(off: Array, least: float = 1.0) -> Array:
 
     Args:
         off: Errors, shape (lights, 3).
-        least: Factor on u that few lights need; above 1 by Student's t.
+        freedom: Lights less fitted coefficients: few of them need a wider u, by Student's t.
     """
     mean = off.T @ off / len(off)
     far = np.quantile(np.abs(off) / np.sqrt(np.maximum(np.diag(mean), 1e-30)), _COVERED)
-    return np.asarray(max(least, float(far) / 2.0) ** 2 * mean + _LEAST_ERROR**2 * np.eye(3))
+    few = float(student_t.ppf(0.5 + _COVERED / 2.0, freedom)) / 2.0
+    return np.asarray(max(few, float(far) / 2.0) ** 2 * mean + _LEAST_ERROR**2 * np.eye(3))
 
 
 def _hull(share: Array) -> Array:
@@ -188,7 +189,7 @@ def errors_of_other_lights(
         responsivities: The camera's, up to a common factor. None takes plausible colour cameras, each with a matrix
             fitted to the same lights.
     """
-    lights = plausible_lights()
+    lights, stated = plausible_lights(), powers is not None
     if powers is None:
         pool = np.vstack([lights[kind] for kind in lights if kind in training.kinds] or list(lights.values()))
         read, there = _normal(training.xyz)[:, :2], _normal(tristimulus_of(pool))[:, :2]
@@ -196,16 +197,24 @@ def errors_of_other_lights(
             read = np.hstack([read, _normal(training.signal)])
             there = np.hstack([there, _normal(_signal(pool, responsivities))])
         powers = pool[np.argmin(np.sum((read[:, None] - there) ** 2, axis=-1), axis=1)]
+    u_scale = 0.0
     if responsivities is not None:
-        computed, read = _signal(powers, responsivities), training.signal / training.xyz.sum(axis=1, keepdims=True)
-        pairs = [(matrix, responsivities * float(np.sum(computed * read) / np.sum(computed**2)))]
+        computed, known = _signal(powers, responsivities), training.signal / training.xyz.sum(axis=1, keepdims=True)
+        if not stated:  # the readings are of other spectra: the scale is that by which the matrix is right for these
+            computed, known = computed @ matrix.T, _normal(tristimulus_of(powers))
+        scale = float(np.sum(computed * known) / np.sum(computed**2))
+        each = np.sum(computed * known, axis=1) / np.sum(computed**2, axis=1)
+        u_scale = float(np.std(each, ddof=1)) / scale / math.sqrt(len(each))
+        pairs = [(matrix, scale * responsivities)]
     else:
         target = _normal(tristimulus_of(powers))
         pairs = [(solve(_signal(powers, camera), target).T, camera) for camera in plausible_cameras()]
-    return {
-        kind: _covering(np.vstack([_off(fitted, camera, one) for fitted, camera in pairs]))
-        for kind, one in lights.items()
-    }
+    found = {}
+    for kind, one in lights.items():
+        shares = _normal(tristimulus_of(one))
+        off = np.vstack([_off(fitted, camera, one) for fitted, camera in pairs])
+        found[kind] = _covering(off, len(one)) + u_scale**2 * shares.T @ shares / len(shares)
+    return found
 
 
 def _spans(share: Array) -> bool:

@@ -11,14 +11,25 @@ from typing import Final
 import numpy as np
 
 from radiometer.analysis.colour.chromaticity import matching_functions
-from radiometer.analysis.photometry.photometry import BAND_NM, CRT, KINDS, KM_LM_PER_W, LINES, Spectrum, spectrum
+from radiometer.analysis.photometry.photometry import (
+    BAND_NM,
+    CRT,
+    FLUORESCENT,
+    KINDS,
+    KM_LM_PER_W,
+    LINES,
+    Spectrum,
+    spectrum,
+)
 from radiometer.typing import Array
 
 GRID_NM: Final = np.arange(BAND_NM[0], BAND_NM[1] + 1.0)
 COLOURS: Final = ("red", "green", "blue")
 SURFACES: Final = "surfaces"
-# Lights that surfaces are seen under: one of each kind of lamp, and daylight.
-_LIGHTS: Final = ("cie_d65", "cie_a", "led_b1", "led_b5", "cie_fl2", "cie_fl11")
+# Lights that surfaces are seen under: lamps of each kind, and daylight.
+_LIGHTS: Final = (
+    "cie_d65", "cie_a", "led_b1", "led_b5", "led_rgb1", "led_v1", "cie_fl2", "cie_fl7", "cie_fl11", "cie_fl12",
+)  # fmt: skip
 _EDGES_NM: Final = (480.0, 520.0, 560.0, 600.0, 640.0)  # where pigments begin or cease to reflect
 _EDGE_WIDTHS_NM: Final = (8.0, 25.0)  # of the logistic: from sharp (cadmium red) to soft (skin, foliage)
 _BUMPS_NM: Final = (450.0, 500.0, 550.0, 600.0)
@@ -68,6 +79,7 @@ def plausible_lights() -> dict[str, Array]:
     planck = {"incandescent_lamps": range(2000, 3501, 250), "daylight": range(5000, 10001, 1000)}
     for kind, temperatures in planck.items():
         found[kind] = np.vstack([found[kind], *(on_grid(spectrum(f"planck:{one}")) for one in temperatures)])
+    found["fluorescent_lamps"] = np.stack([on_grid(spectrum(name)) for name in FLUORESCENT])
     found["white_leds"] = np.vstack([found["white_leds"], _mixed_white()])
     found["coloured_leds"] = np.stack(
         [on_grid(spectrum(f"band:{peak},{width}")) for peak in range(430, 661, 10) for width in (18, 32)]

@@ -5,6 +5,7 @@ Source: Physikalisch-Technische Bundesanstalt, Digital Calibration Certificate, 
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, InputError
+from radiometer.plausible import PLAUSIBLE, Range
 
 SCHEMA_VERSION: Final = "3.1.2"
 COVERAGE_PROBABILITY: Final = 0.9545  # of the coverage factors of readings
@@ -33,6 +35,11 @@ _UNITS: Final[Mapping[str, str]] = {
     "°C": r"\degreecelsius",
 }
 _OF_SI: Final = {si: unit for unit, si in _UNITS.items()}
+_PLAUSIBLE: Final[Mapping[str, Range]] = {"W sr-1 m-2": PLAUSIBLE["radiance"], "cd m-2": PLAUSIBLE["luminance"]}
+# D-SI asks for 1 at least; one degree of freedom has 13.97 at 95.45 % (Student's t).
+COVERAGE_FACTORS: Final = Range(1.0, 20.0)
+_NUMBER: Final = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")  # xs:double without its words
+_NO_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, production 2
 
 
 class Party(ConfigSection):
@@ -106,7 +113,7 @@ def certificate_xml(content: Certified, laboratory: Laboratory) -> str:
         laboratory: Who measured it, for whom.
 
     Raises:
-        InputError: If a result's unit has no form in D-SI.
+        InputError: If a result's unit has no form in D-SI, or a text holds what XML cannot.
     """
     for prefix, space in (("dcc", _DCC), ("si", _SI), ("xsi", _XSI)):
         ET.register_namespace(prefix, space)
@@ -177,6 +184,10 @@ def _administrative(root: ET.Element, content: Certified, laboratory: Laboratory
 
 def _dcc(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
     element = ET.SubElement(parent, f"{{{_DCC}}}{tag}")
+    if text is not None and (wrong := _NO_XML.search(text)) is not None:
+        raise InputError(
+            f"{tag} {text[:40]!r}: character U+{ord(wrong[0]):04X} cannot stand in a certificate; remove it"
+        )
     element.text = text
     return element
 
@@ -251,19 +262,30 @@ def read_certificate(path: Path, unit: str) -> Quantity:
         raise InputError(f"{path}: is not XML: {error}") from error
     if root.tag != f"{{{_DCC}}}digitalCalibrationCertificate":
         raise InputError(f"{path}: is no digital calibration certificate; its first element is {root.tag!r}")
-    found = [one for one in root.iter(f"{{{_SI}}}real") if _OF_SI.get(_text(one, "unit").replace(" ", "")) == unit]
+    values = [one for results in root.iter(f"{{{_DCC}}}results") for one in results.iter(f"{{{_SI}}}real")]
+    found = [one for one in values if _OF_SI.get(_text(one, "unit").replace(" ", "")) == unit]
     if len(found) != 1:
-        stated = ", ".join(sorted({_text(one, "unit") for one in root.iter(f"{{{_SI}}}real")})) or "none"
+        stated = ", ".join(sorted({_text(one, "unit") for one in values})) or "none"
         raise InputError(
             f"{path}: states {len(found)} values in {unit}; just one is needed (units of its values: {stated})"
         )
     for uncertainty, factor in _UNCERTAINTIES:
-        try:
-            value, expanded = float(_text(found[0], "value")), float(_text(found[0], uncertainty))
-            return Quantity(value, expanded / float(_text(found[0], factor)), unit)
-        except (ValueError, ZeroDivisionError):
-            continue
+        if _text(found[0], uncertainty) and _text(found[0], factor):
+            value, expanded, k = (_stated(path, found[0], tag) for tag in ("value", uncertainty, factor))
+            _PLAUSIBLE[unit].check(f"{path}: value", value)
+            COVERAGE_FACTORS.check(f"{path}: coverage factor", k)
+            if not 0.0 < expanded < float("inf"):
+                raise InputError(f"{path}: the expanded uncertainty is {expanded:g}; it must be above 0")
+            return Quantity(value, expanded / k, unit)
     raise InputError(f"{path}: the value in {unit} has no expanded uncertainty with its coverage factor")
+
+
+def _stated(path: Path, parent: ET.Element, tag: str) -> float:
+    """Return the number of the one element of a name. Raises InputError."""
+    texts = [(one.text or "").strip() for one in parent.iter(f"{{{_SI}}}{tag}")]
+    if len(texts) != 1 or not _NUMBER.fullmatch(texts[0]):
+        raise InputError(f"{path}: {tag} is {', '.join(map(repr, texts))}; just one number is needed")
+    return float(texts[0])
 
 
 def _text(parent: ET.Element, tag: str) -> str:

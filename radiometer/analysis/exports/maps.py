@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 import radiometer
 from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w
-from radiometer.data import PixelMask, RadianceMap
+from radiometer.data import PixelMask, Provenance, RadianceMap
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import InputError, MeasurementError, MissingLibrary, OutputError, UsageError
+from radiometer.reporting.origin import moment
 
 _LABELS: Final = {RADIANCE_UNIT: "radiance in W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance in cd·m⁻²"}
 _LETTERS: Final = {"red": "R", "green": "G", "blue": "B"}  # channels of colour pictures, as programs know them
@@ -123,7 +124,7 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
     """Write a picture as TIFF of three pages: values and standard uncertainty as float32, mask bits as uint8.
 
     Each page's description is JSON with the quantity and the unit; with the names and units of the channels where they
-    are no colours.
+    are no colours. The first holds `origin` as well: when and with what the frames were taken and merged.
 
     Raises:
         OutputError: If the file cannot be written.
@@ -142,6 +143,9 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
             facts = {"quantity": quantity, "unit": unit, "u_rel_common": picture.first.u_rel_common}
             if len(names) > 1 and not picture.is_colour:
                 facts |= {"channels": names, "units": [one.unit for one in found]}
+            if quantity == "value":
+                provenance = picture.first.provenance
+                facts["origin"] = {**provenance.parameters.get("origin", {}), "merged": moment(provenance.created)}
             tiff.write(
                 values if len(names) > 1 else values[..., 0],
                 photometric="rgb" if picture.is_colour else "minisblack",
@@ -176,9 +180,11 @@ def read_tiff(path: Path) -> MapPicture:
     names = facts.get("channels") or (tuple(_LETTERS) if values.ndim == 3 else ("mono",))
     value, own, bits = (one.reshape(*one.shape[:2], -1) for one in (values, u, mask))
     common, units = float(facts["u_rel_common"]), facts.get("units") or [facts["unit"]] * len(names)
+    stated = facts.get("origin")
+    provenance = Provenance("read", (str(path),), parameters={"origin": stated if isinstance(stated, dict) else {}})
     return MapPicture(
         {
-            name: RadianceMap(value[..., n], own[..., n], bits[..., n], str(units[n]), common)
+            name: RadianceMap(value[..., n], own[..., n], bits[..., n], str(units[n]), common, provenance=provenance)
             for n, name in enumerate(names)
         }
     )

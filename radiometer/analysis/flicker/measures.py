@@ -42,6 +42,13 @@ _PST_PERCENTILES: Final = (
 _PST_TRANSIENT_S: Final = 20.0  # that the filters need to settle; left out (IEC TR 61547-1)
 _PST_RATE_HZ: Final = 2000.0  # the least that the filters are specified for
 _MOST_BLOCKS: Final = 16  # of whole periods, of which the scatter is taken
+# Rounding to steps is alike in every period, so no scatter shows it: it is drawn, if values occur four times or more.
+_OCCURRENCES: Final = 4
+_FEWEST_CODES: Final = 3  # light of two levels need not be rounded
+_DRAWS: Final = 6
+_LATTICE: Final = 1e-4  # of a step, to which differences of rounded values are multiples of it
+_NO_STEP: Final = 1e-4  # of the range: what finer steps move is nothing
+_SAME_REL: Final = 1e-9  # of the range: values that are written alike
 _COVERAGE: Final = 0.9545  # of the expanded uncertainty
 
 
@@ -64,7 +71,8 @@ class Flicker:
 def measure_flicker(waveform: Waveform) -> Flicker:
     """Return the measures of a waveform with their standard uncertainty.
 
-    The scatter between blocks of whole periods gives the statistical part, by leaving out one block at a time. The
+    The scatter between blocks of whole periods gives the statistical part, by leaving out one block at a time. Where
+    the light is rounded to steps, each step may stand for any light within half of it (rectangular, GUM 4.3.7). The
     value of darkness adds u_dark over the mean light, for it scales every modulation.
 
     Args:
@@ -90,12 +98,26 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         return Quantity(one.value, math.hypot(one.u, abs(one.value) * u_dark_rel), "1")
 
     def with_u(of: Callable[[Waveform, Period | None], float]) -> Quantity:
-        return with_dark(Quantity(of(part, period), _jackknife(of, part, period, blocks, periods), "1"))
+        u = math.hypot(_jackknife(of, part, period, blocks, periods), _spread([of(one, period) for one in rounded]))
+        return with_dark(Quantity(of(part, period), u, "1"))
 
-    depth, index = with_dark(shape.modulation_depth), with_dark(shape.flicker_index)
+    rounded = _rounded(part)
+    shapes = [_shape(one, period if periods else None)[0] for one in rounded]
+    depth, index = (
+        with_dark(Quantity(one.value, math.hypot(one.u, _spread([other.value for other in others])), "1"))
+        for one, others in (
+            (shape.modulation_depth, [one.modulation_depth for one in shapes]),
+            (shape.flicker_index, [one.flicker_index for one in shapes]),
+        )
+    )
     if depth.value - 2.0 * depth.u > 1.0:
         warnings.append("the light falls below the value of darkness: state that value by --dark")
     svm = pst = None
+    if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
+        warnings.append(
+            f"modulation above {waveform.rate_hz / 2.0:.4g} Hz shows at a wrong, lower frequency: the record has "
+            f"{waveform.rate_hz:.4g} samples per s"
+        )
     if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
         warnings.append(
             f"SVM is not determined: it needs {2.0 * _SVM_BAND_HZ[1]:g} samples per s, the record has "
@@ -243,6 +265,26 @@ def _jackknife(
         left = np.concatenate([part.light[:first], part.light[last:]])
         values.append(of(Waveform(left, part.rate_hz, part.origin, averaged_s=part.averaged_s), period))
     return float(np.sqrt((blocks - 1) * np.var(values)))
+
+
+def _rounded(waveform: Waveform) -> list[Waveform]:
+    """Return waveforms that round to a record of few values; none where the values hardly repeat."""
+    light = waveform.light
+    codes, which = np.unique(np.round((light - light.min()) / (np.ptp(light) * _SAME_REL or 1.0)), return_inverse=True)
+    if codes.size < _FEWEST_CODES or codes.size * _OCCURRENCES > light.size:
+        return []
+    gaps = np.diff(codes)
+    steps = gaps / gaps.min()
+    step_rel = float(gaps.min()) * _SAME_REL
+    if step_rel < _NO_STEP or np.abs(steps - np.round(steps)).max() > _LATTICE:
+        return []
+    step = step_rel * float(np.ptp(light))
+    rng = np.random.default_rng(0)  # the same draws for the same record
+    return [replace(waveform, light=light + rng.uniform(-0.5, 0.5, codes.size)[which] * step) for _ in range(_DRAWS)]
+
+
+def _spread(values: list[float]) -> float:
+    return float(np.std(values, ddof=1)) if values else 0.0
 
 
 def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeMeasures) -> list[str]:

@@ -251,7 +251,8 @@ class Alignment:
             moved: Whether the frames are moved even where they hardly need it.
         """
         lost = [name for name, one in zip(names, self.movements, strict=True) if not one.known]
-        doubt = f"; unknown for {', '.join(lost)}: too little in common" if lost else ""
+        named = " and ".join(lost if len(lost) < 3 else (f"frame {lost[0]}", f"{len(lost) - 1} others"))
+        doubt = f"; unknown for {named}: too little in common" if lost else ""
         if not (self.needed or moved):
             return f"aligned already: no frame fits better moved by {LEAST_MOVE_PX:g} pixels or more{doubt}"
         turned = max(abs(one.rotation_deg) for one in self.movements)

@@ -54,13 +54,14 @@ from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 from radiometer.numbers import unit_text
+from radiometer.reporting.origin import moment, span_of
 
 BLOCK_PIXELS: Final = 1 << 15  # a block's sums stay in a core's second-level cache
 _PARTS_PER_CORE: Final = (
     4  # few, because each costs the interpreter's lock; several, because cores are not equally fast
 )
 MOST_FRAMES = 64  # the bits of the largest integer that marks the frames of a pixel
-_TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
+_REPORTED_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
 
 
 def on_all_cores(shape: tuple[int, int], work: Callable[[int, int], None]) -> None:
@@ -572,7 +573,7 @@ class StreamingMerge:
     def _exposure_offset(self) -> tuple[str, ...]:
         """Return what the clock's offset may do to the brightest pixels, those of the shortest exposure."""
         off = self._brightest_off()
-        if off < _TOLD_REL:
+        if off < _REPORTED_REL:
             return ()
         shortest = min(terms.settings.exposure_s for terms in self._terms)
         text = f"the exposure of {1e6 * shortest:.3g} µs may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
@@ -593,7 +594,7 @@ class StreamingMerge:
         δ·n/Σt, less what the calibration's own exposures share. Bright pixels rest on short exposures alone.
         """
         calibration, off = self._calibration, self._brightest_off()
-        if calibration is None or not self._exposures_in_u or off < _TOLD_REL:
+        if calibration is None or not self._exposures_in_u or off < _REPORTED_REL:
             return
         u_s, there = calibration.uncertainties.exposure_u_s, calibration.scale.conditions.inverse_exposure_per_s
         # From the brightest rate that a frame takes on, it no longer counts: ends ascend with shorter exposures.
@@ -613,7 +614,7 @@ class StreamingMerge:
         found = self._calibration.found if self._calibration else FoundEffects()
         full = self._situation.model.full_scale_dn * self._situation.model.electrons_per_unit / found.well_e
         share = abs(found.well_a2 * full + found.well_a3 * full**2)
-        if share < _TOLD_REL:
+        if share < _REPORTED_REL:
             return ()
         return (
             f"the response bends by {100 * share:.2g} % at full scale, as found: the map keeps it, u does not hold it",
@@ -626,7 +627,7 @@ class StreamingMerge:
             return ()
         off = unstated_u_rel(calibration, calibration.uncertainties)
         note = f"light of another spectrum than {calibration.spectrum} may be off: {100 * off:.2g} % (k = 1)"
-        return (f"{note} over {', '.join(KINDS)}, which u does not hold",) if off >= _TOLD_REL else ()
+        return (f"{note} over {', '.join(KINDS)}, which u does not hold",) if off >= _REPORTED_REL else ()
 
     def _map(self, flat: Images) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration
@@ -654,10 +655,24 @@ class StreamingMerge:
                     "frames": len(self._terms),
                     "dark_frames": len(self._dark),
                     "saturated_dn": sorted({terms.high_dn for terms in self._terms}),
+                    "origin": self._origin(),
                 },
             ),
             not_in_u=not_in_u,
         )
+
+    def _origin(self) -> dict[str, str]:
+        """Return in words when and with what the frames were taken; "" where that is not stated."""
+        setup, calibration = self._situation.setup, self._calibration
+        settings = [terms.settings for terms in self._terms]
+        return {
+            "taken": span_of(one.timestamp_s for one in settings) or setup.taken,
+            "camera": setup.camera.name,
+            "lens": setup.lens.in_words(one.f_number for one in settings),
+            "calibration": ""
+            if calibration is None
+            else f"{calibration.scale.reference or 'as stated'}, {moment(calibration.created)}",
+        }
 
 
 def _with_displacement(found: RadianceMap, displacement_px: float) -> Provenance:

@@ -120,8 +120,8 @@ def _contradicting(
     agree, _ = _agreement(tables, rate, x, used, high, shift, of=None)
     expected = rate * exposure
     shows = expected > _AGREE_SIGMA * np.sqrt(tables.variance(expected)[0])
-    speaks = (used | high) & ~gone
-    out = speaks & ~agree & (best >= 0)
+    informative = (used | high) & ~gone
+    out = informative & ~agree & (best >= 0)
     # Never all: a pixel keeps the frames that it was judged by.
     nothing = ~(used & ~out).any(axis=0)
     out[:, nothing] = False

@@ -369,7 +369,7 @@ def hazard(z: float) -> float:  # pragma: no cover (compiled)
 
 
 @compiled_within
-def heard(
+def censored_score(
     estimate: float, rate: float, variance: float, t: float, c: float, clips_at: float, kappa: float
 ) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
     """Return what a frame that clipped adds to the score and to the information, and whether it contradicts the others.
@@ -402,7 +402,7 @@ def heard(
 def with_censored(
     rate: float, variance: float, pattern: Any, frames: Any, begin: int, end: int, kappa: float
 ) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
-    """Return (rate, variance, contradiction) after frames that clipped are heard.
+    """Return (rate, variance, contradiction) after frames that clipped are included.
 
     Args:
         rate: Estimate from the frames that did not clip.
@@ -421,7 +421,7 @@ def with_censored(
             if (pattern >> np.uint64(i)) & np.uint64(1):
                 continue
             t, c, clips_at = frames[i, 0], frames[i, 5], frames[i, 2]
-            rise, sharper, contradicts = heard(estimate, rate, variance, t, c, clips_at, kappa)
+            rise, sharper, contradicts = censored_score(estimate, rate, variance, t, c, clips_at, kappa)
             score, total, contradiction = score + rise, total + sharper, contradiction | contradicts
         estimate += score / total
         information = total
@@ -448,9 +448,9 @@ def include_nearest_censored(
         t, c, clips_at = frames[frame, 0], frames[frame, 5], frames[frame, 2]
         rate, variance = rates[j], variances[j]
         from_others = 1.0 / variance
-        rise, sharper, before = heard(rate, rate, variance, t, c, clips_at, kappa)
+        rise, sharper, before = censored_score(rate, rate, variance, t, c, clips_at, kappa)
         estimate = rate + rise / (from_others + sharper)
-        rise, sharper, after = heard(estimate, rate, variance, t, c, clips_at, kappa)
+        rise, sharper, after = censored_score(estimate, rate, variance, t, c, clips_at, kappa)
         information = from_others + sharper
         rates[j] = estimate + ((rate - estimate) * from_others + rise) / information
         variances[j] = 1.0 / information
@@ -461,7 +461,7 @@ def include_nearest_censored(
 def near_clipping(
     rate: float, variance: float, pattern: Any, slot: int, records: Any, frames: Any, kappa: float
 ) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
-    """Return (rate, variance, contradiction) after those frames were heard that need not have clipped at a rate.
+    """Return (rate, variance, contradiction) after those frames were included that need not have clipped at a rate.
 
     Args:
         rate: Estimate from the frames that did not clip.
@@ -515,7 +515,7 @@ def straight(
         mask: PixelMask bits, written where there is no more to say.
         doubtful: Whether there is (`ONLY_NEAR_CLIPPING` where that is all), written.
     """
-    # Frames that clip are heard before what is common to all.
+    # Frames that clip are included before what is common to all.
     near = np.uint8(ONLY_NEAR_CLIPPING | 1) if dark else ONLY_NEAR_CLIPPING
     for i in range(bits.size):
         k = slots[i]
@@ -687,12 +687,14 @@ def _include_nearest_censored(
             places[count], places_of_records[count] = i, slots[i]
             estimates[0, count], estimates[1, count] = rates[i], variances[i]
             count += 1
-    heard, their_variances = estimates[0, :count], estimates[1, :count]
-    include_nearest_censored(heard, their_variances, places_of_records[:count], records, frames, kappa, contradictions)
+    near_rates, their_variances = estimates[0, :count], estimates[1, :count]
+    include_nearest_censored(
+        near_rates, their_variances, places_of_records[:count], records, frames, kappa, contradictions
+    )
     for j in range(count):
         i = places[j]
-        rates[i], variances[i], doubtful[i] = heard[j], their_variances[j], 0
-        mask[i] = marks(heard[j], their_variances[j]) | (INCONSISTENT if contradictions[j] else np.uint8(0))
+        rates[i], variances[i], doubtful[i] = near_rates[j], their_variances[j], 0
+        mask[i] = marks(near_rates[j], their_variances[j]) | (INCONSISTENT if contradictions[j] else np.uint8(0))
 
 
 @compiled

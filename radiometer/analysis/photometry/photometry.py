@@ -30,7 +30,8 @@ from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
 BAND_NM: Final = (380.0, 780.0)  # visible light: CIE 018:2019
 TABLES: Final = Path(__file__).with_name("tables")
 _LEDS: Final = ("led_b1", "led_b2", "led_b4", "led_b5", "led_bh1", "led_rgb1", "led_v1", "led_v2")
-_CIE: Final = (*_LEDS, "cie_a", "cie_fl2", "cie_fl11", "crt_red", "crt_green", "crt_blue")
+FLUORESCENT: Final = ("cie_fl2", "cie_fl4", "cie_fl7", "cie_fl8", "cie_fl10", "cie_fl11", "cie_fl12")
+_CIE: Final = (*_LEDS, "cie_a", *FLUORESCENT, "crt_red", "crt_green", "crt_blue")
 _TABULATED: Final = {
     **dict.fromkeys(("cie_d65", "white_led", "display_red", "display_green", "display_blue"), "spectra.csv"),
     **dict.fromkeys(_CIE, "spectra_cie.csv"),
@@ -127,9 +128,9 @@ def spectrum(name: str) -> Spectrum:
 
     Args:
         name: "equal_energy", "planck:T" (T in K), "cie_d65", "white_led", "display_red", "display_green",
-            "display_blue" (a display of 1998). Also "led_b1" … "led_v2" (CIE 015:2018), "cie_a", "cie_fl2", "cie_fl11",
-            "crt_red", "crt_green", "crt_blue". Also "line:NM" (a monochromatic line), "band:NM,FWHM" (a Gaussian),
-            "display:TYPE:PRIMARY" (of a display type), or the path of a CSV with the columns
+            "display_blue" (a display of 1998). Also "led_b1" … "led_v2", "cie_fl2" … "cie_fl12" and "cie_a" (CIE
+            015:2018), "crt_red", "crt_green", "crt_blue". Also "line:NM" (a monochromatic line), "band:NM,FWHM" (a
+            Gaussian), "display:TYPE:PRIMARY" (of a display type), or the path of a CSV with the columns
             wavelength in nm and relative power. All but line, band and CSV extend over 380–780 nm.
 
     Raises:

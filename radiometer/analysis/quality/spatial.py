@@ -85,7 +85,7 @@ def edge_width(radiance: RadianceMap, patch: Patch) -> Figure:
     cut = radiance.radiance[patch.slices].astype(np.float64)
     if np.any(radiance.mask[patch.slices] & PixelMask.SATURATED):
         raise MeasurementError("the bright side of the edge clips; take shorter exposures")
-    across = cut if _is_upright(cut) else cut.T
+    across = cut if bool(np.ptp(cut.mean(axis=0)) >= np.ptp(cut.mean(axis=1))) else cut.T
     distance, along = _from_edge(across)
     whole = _rise(distance, across)
     blocks = np.array_split(np.arange(across.shape[0]), _BLOCKS)
@@ -102,10 +102,6 @@ def edge_width(radiance: RadianceMap, patch: Patch) -> Figure:
         (rest,),
         (f"edge slanted by {math.degrees(math.atan(along)):.1f}° to the pixels",),
     )
-
-
-def _is_upright(cut: NDArray[np.float64]) -> bool:
-    return bool(np.ptp(cut.mean(axis=0)) >= np.ptp(cut.mean(axis=1)))
 
 
 def _from_edge(across: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

@@ -61,7 +61,7 @@ _NONUNIFORM_REL = 0.05  # a patch on an even surface varies by less, its fall-of
 _DOMINATES = 0.5
 _TRIFLE_REL = 0.01
 # From this on an undeclared natural fall-off is reported.
-_FALLOFF_TOLD_REL = 0.002
+_FALLOFF_REPORTED_REL = 0.002
 # Frames that show whether the light flickers: these many; more where each is short against a period of mains light.
 FEWEST_FRAMES = 3
 FEWEST_SHORT_FRAMES = 5
@@ -692,7 +692,7 @@ def _dominant(value: float, terms: Sequence[Term]) -> set[Flag]:
         for term in terms
         if term.flag is not None and term.u > _TRIFLE_REL * size and term.u**2 >= _DOMINATES * whole**2
     }
-    assumed = (term for term in terms if term.flag is Flag.FALLOFF_ASSUMED and term.u > _FALLOFF_TOLD_REL * size)
+    assumed = (term for term in terms if term.flag is Flag.FALLOFF_ASSUMED and term.u > _FALLOFF_REPORTED_REL * size)
     return found | {Flag.FALLOFF_ASSUMED for _ in assumed}
 
 

@@ -96,8 +96,8 @@ def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> 
         drawn = mean + noise * rng.standard_normal(trials)
         drawn += _student(fluctuation, max(estimate.degrees_of_freedom, 1), rng, trials)
         bent = (drawn - dark.signal) * situation.model.curve_u_rel(expected, frame.settings) * curve * curve_counts
-        lying = dark.u_common * common_dark + dark.u_independent * rng.standard_normal(trials)
-        rates += c * (drawn + bent - dark.signal - lying)
+        dark_error = dark.u_common * common_dark + dark.u_independent * rng.standard_normal(trials)
+        rates += c * (drawn + bent - dark.signal - dark_error)
     pattern = next(term for term in budget_terms(situation) if term.name == "pixel pattern")
     return rates + _student(pattern.u / situation.scale, pattern.degrees_of_freedom, rng, trials)
 

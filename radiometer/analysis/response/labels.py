@@ -31,13 +31,13 @@ def reject_inconsistent_exposures(bracket: Bracket) -> None:
         return  # one exposure says nothing of its label
     _refuse_equal_frames(bracket)
     rise = _pairwise_rise(bracket)
-    honest = _longest_rise(rise)
-    liars = [index for index in range(len(bracket.light)) if index not in honest]
-    if not liars:
+    consistent = _longest_rise(rise)
+    inconsistent = [index for index in range(len(bracket.light)) if index not in consistent]
+    if not inconsistent:
         return
     where = bracket.origin or "bracket"
-    _refuse_falling(where, len(honest), len(bracket.light))
-    named = "; ".join(_accusation(bracket, index, rise, honest) for index in liars[:3])
+    _refuse_falling(where, len(consistent), len(bracket.light))
+    named = "; ".join(_contradiction(bracket, index, rise, consistent) for index in inconsistent[:3])
     raise CaptureError(
         f"{where}: brightness does not rise with the stated exposure: {named}; "
         "correct that exposure time or leave the frame out"
@@ -167,8 +167,8 @@ def _longest_rise(rise: NDArray[np.float64]) -> frozenset[int]:
     return frozenset(chain)
 
 
-def _accusation(bracket: Bracket, index: int, rise: NDArray[np.float64], honest: frozenset[int]) -> str:
-    darker = any(rise[i, index] < -_TOLERATED_DROP for i in honest if i < index)
+def _contradiction(bracket: Bracket, index: int, rise: NDArray[np.float64], consistent: frozenset[int]) -> str:
+    darker = any(rise[i, index] < -_TOLERATED_DROP for i in consistent if i < index)
     shorter_or_longer = "a shorter" if darker else "a longer"
     return (
         f"{frame_name(bracket, index)} says {bracket.light[index].settings.effective_exposure_s:.4g} s "

@@ -20,7 +20,7 @@ from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.analysis.response.settle import FittedResponse, fit_with, refit, settle
 from radiometer.analysis.response.wrong_labels import (
     LEAST_GAIN,
-    UNTOLD_OFFSET_S,
+    UNSTATED_OFFSET_S,
     WrongLabel,
     find_wrong_labels,
     most_wrong_labels,
@@ -85,7 +85,7 @@ class Exposures:
     @property
     def allowed_s(self) -> float:
         """Return by what time in s all exposures may still differ from label and offset."""
-        return UNTOLD_OFFSET_S if self.offset is None else min(UNTOLD_OFFSET_S, _SIGMA * self.offset.u_seconds)
+        return UNSTATED_OFFSET_S if self.offset is None else min(UNSTATED_OFFSET_S, _SIGMA * self.offset.u_seconds)
 
     def timed(self, samples: ResponseSamples) -> ResponseSamples:
         """Return samples whose exposures hold the offset."""

@@ -28,7 +28,7 @@ _LEAST_FALL_DN: Final = 0.5
 SMALLEST_LABEL_ERROR: Final = 0.08
 # Shutters are off by a time besides, the same in all exposures. Where the frames do not show it, so much is allowed:
 # at 1/8000 s a third of a stop is then no wrong label.
-UNTOLD_OFFSET_S: Final = 30e-6
+UNSTATED_OFFSET_S: Final = 30e-6
 # It must stand out of its uncertainty by this factor. This is 95 % where four shares show it (Student's t, three
 # degrees of freedom). Where the fit shows it, one frame in some 400 does so by chance.
 _SIGMA: Final = 3.0
@@ -65,7 +65,7 @@ class WrongLabel:
         return math.log(self.ratio), self.u_ratio / self.ratio
 
 
-def find_wrong_labels(planes: Sequence[Plane], shutter_s: float = UNTOLD_OFFSET_S) -> tuple[WrongLabel, ...]:
+def find_wrong_labels(planes: Sequence[Plane], shutter_s: float = UNSTATED_OFFSET_S) -> tuple[WrongLabel, ...]:
     """Return the frames whose label is wrong, in the order in which they were found.
 
     One label after the other is freed, the same for all planes. Shares of the picture are left out of the fit in
@@ -128,7 +128,7 @@ def freed_one_by_one(planes: Sequence[Plane], wrong: tuple[int, ...] = ()) -> li
     return [by_others(frame) for frame in range(frames)]
 
 
-def smallest_label_error(seconds: float, shutter_s: float = UNTOLD_OFFSET_S) -> float:
+def smallest_label_error(seconds: float, shutter_s: float = UNSTATED_OFFSET_S) -> float:
     """Return ln of real over stated exposure from which the label of so long an exposure counts as wrong.
 
     Args:
@@ -225,7 +225,7 @@ def _freed(planes: Sequence[Plane], free: tuple[int, ...], now: _Tried) -> list[
     return [(WrongLabel(free[-1], float(np.exp(value)), float(np.exp(value) * u), gain), tried)]
 
 
-def _convincing(label: WrongLabel, tried: _Tried, now: _Tried, shutter_s: float = UNTOLD_OFFSET_S) -> bool:
+def _convincing(label: WrongLabel, tried: _Tried, now: _Tried, shutter_s: float = UNSTATED_OFFSET_S) -> bool:
     """Return whether a label is wrong: large enough, and the left-out shares are predicted better without it."""
     size, u = np.abs(label.log_ratio)
     if size < max(_smallest(tried, label.frame, shutter_s), _SIGMA * u) or label.gain > 1.0:
@@ -242,7 +242,7 @@ def _smallest(tried: _Tried, frame: int, shutter_s: float) -> float:
 
 
 def _as_well(
-    label: WrongLabel, tried: _Tried, best: WrongLabel, tried_best: _Tried, shutter_s: float = UNTOLD_OFFSET_S
+    label: WrongLabel, tried: _Tried, best: WrongLabel, tried_best: _Tried, shutter_s: float = UNSTATED_OFFSET_S
 ) -> bool:
     """Return whether another label, wrong in place of the best, predicts both frames nearly as well."""
     if abs(label.log_ratio[0]) < _smallest(tried, label.frame, shutter_s):

@@ -99,10 +99,10 @@ def _show(found: MapAnalysis) -> None:
 
     unit = "relative units" if found.map.unit in ("1", "relative") else unit_text(found.map.unit)
     title = f"{found.origin}: regions in {unit}; k = 2"
-    table = Table(title=title, title_justify="left")
-    table.add_column("region", no_wrap=True)
+    table = Table(title=title, title_justify="left", box=None)
+    table.add_column("region")
     for name in ("mean", "lowest", "highest", "uniformity"):
-        table.add_column(name, justify="right", no_wrap=True)
+        table.add_column(name, justify="right")
     for one in found.regions:
         values = (one.mean, one.lowest, one.highest, one.uniformity)
         table.add_row(one.name, *(with_u(each.value, 2 * each.u) for each in values))

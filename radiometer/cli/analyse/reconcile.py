@@ -12,7 +12,7 @@ import typer
 import radiometer as rm
 from radiometer.cli.console import console, note, progress
 from radiometer.cli.outputs import writes
-from radiometer.numbers import unit_text, with_u
+from radiometer.numbers import rounded, unit_text, with_u
 
 if TYPE_CHECKING:
     from radiometer.api.results import FoundEffect, Proposal, ReconcileResult
@@ -193,6 +193,8 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
         f"gap {effect.gap_before:.3f} → {effect.gap_after:.3f} ({effect.evidence}{weak})"
     )
     for name, entry in effect.parameters.items():
+        if entry.u is None and entry.value == 0:  # it was not needed: the effect acts without it
+            continue
         out.print(f"   {name} = {with_u(entry.value, 2 * (entry.u or 0.0), entry.unit, k=2)}", highlight=False)
     if effect.curve is not None:
         low, high = min(effect.curve.factor), max(effect.curve.factor)
@@ -240,7 +242,7 @@ def _show_limits(result: ReconcileResult) -> None:
         if limit.amplitude is not None:
             unit = unit_text(limit.unit)
             at = "" if limit.temperature_c is None else f" at {limit.temperature_c:g} °C"
-            table.add_row(name, f"{limit.amplitude:.2g}", f"{unit} ({limit.parameter}{at})")
+            table.add_row(name, rounded(limit.amplitude, limit.amplitude)[0], f"{unit} ({limit.parameter}{at})")
     console().print()
     if table.row_count:
         console().print(table)

@@ -47,7 +47,10 @@ def calibrate(
     ] = None,
     chromaticities: Annotated[
         Path | None,
-        typer.Option(help="Colorimeter's chromaticities of this screen: a .ti3, or an earlier calibration."),
+        typer.Option(
+            help="Colorimeter's chromaticities of this screen: a .ti3, or an earlier calibration; by default those of "
+            "the calibration that is replaced."
+        ),
     ] = None,
     warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
     white: WhiteOption = "white_led",

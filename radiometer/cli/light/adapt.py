@@ -92,8 +92,8 @@ def run(
     @contextmanager
     def view(session: Session) -> Iterator[Watcher]:
         shown = _json_lines(session) if json else _live_curve(session)
-        with shown as tell, listening({"p": session.controls.toggle, "q": session.controls.stop}):
-            yield tell
+        with shown as notify, listening({"p": session.controls.toggle, "q": session.controls.stop}):
+            yield notify
 
     done = rm.adapt_run(
         protocol, subject, out, csv=csv, box=box, calibration=calibration, accept_stale=accept_stale, camera=camera,
@@ -128,12 +128,12 @@ def _live_curve(session: Session) -> Iterator[Watcher]:
     """Show the test while the block runs: a growing curve, dim and red; plain lines where there is no terminal."""
     if not sys.stdout.isatty():
 
-        def tell(event: dict[str, Any]) -> None:
+        def notify(event: dict[str, Any]) -> None:
             line = session.event_line(event)
             if line is not None:
                 console().print(line)
 
-        yield tell
+        yield notify
         return
     from rich.live import Live
     from rich.text import Text
@@ -235,6 +235,7 @@ def fit(
     for line in found.lines():
         console().print(line)
     chosen = found.fit.chosen
+    note(f"levels in log₁₀ of: {found.series.level_name}")
     note(f"model {chosen.model.name}; scatter of a threshold {chosen.sigma:.3f} log₁₀ units")
     for line in found.series.taken:
         note(f"taken: {line}")

@@ -173,8 +173,7 @@ def calibrate(
             channel, box=box, camera=camera, bench=bench, patch=parse_patch(patch),
             camera_calibration=camera_calibration, points_per_decade=points_per_decade, responsivity=responsivity,
             spectral_u_rel=parse_relative(spectral_u_rel, "--spectral-u-rel"), seed=seed, preset=preset, out=out,
-            force=force,
-            progress=shown,
+            force=force, notice=note, progress=shown,
         )  # fmt: skip
     if json:
         print(found.to_json())

@@ -11,13 +11,14 @@ from radiometer.daemon.acquisition import EVERY_LIMITS_S
 from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError, scpi_error
-from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits
+from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, always
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.station import Station
 from radiometer.data import Patch, Reading
 
 GROUP: Final = "Measuring"
 _DEFAULT_PERIOD_S: Final = 1.0  # as of `radiometer serve`
+_PERIOD: Final = always(*EVERY_LIMITS_S, _DEFAULT_PERIOD_S)
 ELEMENTS: Final = ("READing", "UNCertainty", "EXPanded", "COVerage", "TIME", "SEQuence", "FLAGs")
 
 
@@ -27,10 +28,6 @@ def _width(station: Station) -> ParameterLimits:
 
 def _height(station: Station) -> ParameterLimits:
     return ParameterLimits(0, station.instrument.limits.height, 0)
-
-
-def _period(station: Station) -> ParameterLimits:
-    return ParameterLimits(*EVERY_LIMITS_S, _DEFAULT_PERIOD_S)
 
 
 PATCH_PARAMETERS: Final = (
@@ -189,7 +186,7 @@ COMMANDS: Final = (
     Command("TRIGger:TIMer", "Sets the period of continuous measurement and switches it on; 0 measures as fast as "
     "possible.",
             do=lambda call: call.session.station.set_every(call.values[0]), ask=_ask_period,
-            parameters=(Number("period", "S", _period),), reply="seconds", example="TRIG:TIM 500 MS;TIM?", group=GROUP),
+            parameters=(Number("period", "S", _PERIOD),), reply="seconds", example="TRIG:TIM 500 MS;TIM?", group=GROUP),
     Command("ABORt", "Aborts a measurement that this session began.", do=_abort, example="ABOR", group=GROUP),
     Command("FORMat:ELEMents",
             "Chooses what MEASure?, READ? and FETCh? reply, in the order given. READing is the value, UNCertainty its"

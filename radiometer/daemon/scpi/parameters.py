@@ -49,6 +49,12 @@ class ParameterLimits:
     default: float
 
 
+def always(low: float, high: float, default: float) -> Callable[[Station], ParameterLimits]:
+    """Return limits that are the same for every instrument."""
+    limits = ParameterLimits(low, high, default)
+    return lambda station: limits
+
+
 @dataclass(frozen=True, slots=True)
 class Number:
     """A number with a unit; MINimum, MAXimum and DEFault mean the limits."""

@@ -12,7 +12,7 @@ from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.measure_commands import GROUP as MEASURING
 from radiometer.daemon.scpi.measure_commands import PATCH_PARAMETERS, patch_from
-from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, Text
+from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, Text, always
 from radiometer.daemon.station import Station
 from radiometer.data import Patch
 
@@ -20,6 +20,10 @@ SENSE: Final = "Settings of the camera (shared by all clients)"
 CALIBRATION: Final = "Calibration"
 SOURCE: Final = "Light source"
 _ANY_LIMIT: Final = Choice("limit", ("MINimum", "MAXimum", "DEFault"))
+_WAVELENGTH: Final = always(*WAVELENGTH_LIMITS_NM, 550.0)
+_LEVEL: Final = always(0.0, 1.0, 0.0)
+_BOUND: Final = always(-1e30, 1e30, 0.0)
+_HYSTERESIS: Final = always(0.0, 0.5, DEFAULT_HYSTERESIS_REL)
 
 
 def _exposure(station: Station) -> ParameterLimits:
@@ -30,22 +34,6 @@ def _exposure(station: Station) -> ParameterLimits:
 def _gain(station: Station) -> ParameterLimits:
     low, high = station.instrument.limits.gain_db
     return ParameterLimits(low, high, min(max(0.0, low), high))
-
-
-def _wavelength(station: Station) -> ParameterLimits:
-    return ParameterLimits(*WAVELENGTH_LIMITS_NM, 550.0)
-
-
-def _level(station: Station) -> ParameterLimits:
-    return ParameterLimits(0.0, 1.0, 0.0)
-
-
-def _bound(station: Station) -> ParameterLimits:
-    return ParameterLimits(-1e30, 1e30, 0.0)
-
-
-def _hysteresis(station: Station) -> ParameterLimits:
-    return ParameterLimits(0.0, 0.5, DEFAULT_HYSTERESIS_REL)
 
 
 def _asked(limits: Callable[[Station], ParameterLimits], now: Callable[[Station], str]) -> Handler:
@@ -214,8 +202,8 @@ COMMANDS: Final = (
     Command("SENSe:PATCh:LIMits", "Sets the lowest and highest allowed radiance of a patch; NONE is no bound. Two"
             " readings in a row beyond a limit raise the alarm `limit NAME`. Two in a row inside by the hysteresis end"
             " it. The hysteresis is a fraction of the limit, 0.01 by default.", do=_set_limits, ask=_ask_limits,
-            parameters=(Text("name"), Number("low", "", _bound, also=("NONE",)),
-                        Number("high", "", _bound, also=("NONE",)), Number("hysteresis", "PCT", _hysteresis)),
+            parameters=(Text("name"), Number("low", "", _BOUND, also=("NONE",)),
+                        Number("high", "", _BOUND, also=("NONE",)), Number("hysteresis", "PCT", _HYSTERESIS)),
             required=3, ask_parameters=(Text("name"),), ask_required=1, reply="low,high,hysteresis",
             example='SENS:PATC:LIM "main",NONE,1e6;LIM? "main"', group=SENSE),
     Command("FETCh:PATCh", "Replies the newest reading of a patch with a name; −230 where there is none yet.",
@@ -224,8 +212,8 @@ COMMANDS: Final = (
     Command("SENSe:CORRection:WAVelength", "Treats the source as a line of this wavelength, in nm unless a suffix "
     "states UM"
             " or M. NONE returns to the configured spectrum.", do=_set_wavelength,
-            ask=_asked(_wavelength, _ask_wavelength),
-            parameters=(Number("wavelength", "NM", _wavelength, also=("NONE",)),), ask_parameters=(_ANY_LIMIT,),
+            ask=_asked(_WAVELENGTH, _ask_wavelength),
+            parameters=(Number("wavelength", "NM", _WAVELENGTH, also=("NONE",)),), ask_parameters=(_ANY_LIMIT,),
             reply="nm or NONE", example="SENS:CORR:WAV 550;WAV?;WAV NONE", group=SENSE),
     Command("CALibration:SOURce", "Names the calibration in use; empty where there is none.", ask=_summary("source"),
             reply='"name"', example="CAL:SOUR?", group=CALIBRATION),
@@ -242,7 +230,7 @@ COMMANDS: Final = (
             " level that the box allows now. The query replies the level that the box last reported; it reports twice a"
             " second. −230 means that the box does not answer. If the box ended the light itself (energy budget, its"
             " button), the level is 0 and an alarm is raised.",
-            do=_set_level, ask=_ask_level, parameters=(Number("level", "PCT", _level, also=("MAXimum",)),),
+            do=_set_level, ask=_ask_level, parameters=(Number("level", "PCT", _LEVEL, also=("MAXimum",)),),
             ask_parameters=(_ANY_LIMIT,), reply="level", example="SOUR:LED1:LEV 0.25;LEV?", group=SOURCE),
     Command("SOURce:LED:CATalog", "Names the channels, from 1 on.", ask=_catalogue, reply='"name",…',
             example="SOUR:LED:CAT?", group=SOURCE),

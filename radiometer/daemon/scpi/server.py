@@ -57,7 +57,7 @@ _STRANGE: Final = re.compile(
 )
 
 
-def is_strange(received: bytes | bytearray) -> bool:
+def is_other_protocol(received: bytes | bytearray) -> bool:
     """Return whether bytes that begin with a line hold the beginning of a line of HTTP or TLS.
 
     Args:
@@ -83,7 +83,7 @@ class ScpiConnection(asyncio.Protocol):
         self._outgoing, self._sent, self._budgeted = "", 0, 0  # a reply, how much of it went out, and what it reserved
         self._vetted_at: float | None = None
         self._idle_timer: asyncio.TimerHandle | None = None
-        self._heard_at = 0.0
+        self._received_at = 0.0
         self._guest_for = ""  # why it has no place
         self._guest_until: asyncio.TimerHandle | None = None  # None but where every connection was in use
         self.session: Session | None = None
@@ -140,8 +140,8 @@ class ScpiConnection(asyncio.Protocol):
         if self.session is None or self._is_ending():
             return
         self._buffer += data
-        self._heard_at = asyncio.get_running_loop().time()
-        if not self._discarding and is_strange(self._buffer):
+        self._received_at = asyncio.get_running_loop().time()
+        if not self._discarding and is_other_protocol(self._buffer):
             self._hang_up()
             return
         if self._vetted_at is None:
@@ -322,19 +322,19 @@ class ScpiConnection(asyncio.Protocol):
     def _start_idle_timer(self) -> None:
         """Look again when the session may have been idle for long: warn at nine tenths of the time, end it then."""
         loop, limit_s = asyncio.get_running_loop(), self._limits.idle_s
-        self._heard_at = loop.time()
+        self._received_at = loop.time()
 
         def look(warned_for: float) -> None:
-            idle_s = loop.time() - self._heard_at
+            idle_s = loop.time() - self._received_at
             busy = self._task is not None
             if idle_s >= limit_s and not busy:
                 self.drop(f"idle for {idle_s:.0f} s")
                 return
-            if idle_s >= 0.9 * limit_s and warned_for != self._heard_at and self.session is not None:
+            if idle_s >= 0.9 * limit_s and warned_for != self._received_at and self.session is not None:
                 text = f"this session has sent nothing for {idle_s:.0f} s and is ended after {limit_s:.0f} s"
                 self.session.status.push(ScpiError(-200, text))
-                warned_for = self._heard_at
-            next_s = limit_s - idle_s if warned_for == self._heard_at else 0.9 * limit_s - idle_s
+                warned_for = self._received_at
+            next_s = limit_s - idle_s if warned_for == self._received_at else 0.9 * limit_s - idle_s
             self._idle_timer = loop.call_later(max(next_s, 0.01 * limit_s), look, warned_for)
 
         self._idle_timer = loop.call_later(0.9 * limit_s, look, -1.0)

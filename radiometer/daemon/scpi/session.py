@@ -55,7 +55,7 @@ class Session:
         self.responses: list[str] = []
         self._known_alarms: tuple[Alarm, ...] = ()
         self.update_status()
-        self._tell_alarms()
+        self._report_alarms()
 
     def execute(self, message: str) -> str | Coroutine[Any, Any, str | None] | None:
         """Run a message and return its reply without terminator; None where there is none.
@@ -88,7 +88,7 @@ class Session:
     def state_changed(self) -> None:
         """Take note of alarms that went up: each is an entry of the error queue."""
         self.update_status()
-        self._tell_alarms()
+        self._report_alarms()
 
     def start(self) -> asyncio.Task[Reading]:
         """Begin a measurement and return its task. Raises ScpiError -213 if one is pending."""
@@ -233,7 +233,7 @@ class Session:
             self._own, self._own_settings = task.result(), settings
         self.update_status()
 
-    def _tell_alarms(self) -> None:
+    def _report_alarms(self) -> None:
         alarms = self.station.alarms.active
         known = {(alarm.name, alarm.since, alarm.announced) for alarm in self._known_alarms}
         for alarm in alarms:

@@ -11,8 +11,7 @@ from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.parameters import Choice, Number, ParameterLimits
-from radiometer.daemon.station import Station
+from radiometer.daemon.scpi.parameters import Choice, Number, always
 from radiometer.data import Frame
 from radiometer.data.json_text import json_text, parsed_json
 
@@ -22,32 +21,14 @@ if TYPE_CHECKING:
 STATUS: Final = "Status"
 SYSTEM: Final = "System"
 TRACE: Final = "Pictures, curves and history"
-_HISTORY_LIMITS: Final = ParameterLimits(1, 10_000, 100)
-
-
-def _word16(station: Station) -> ParameterLimits:
-    return ParameterLimits(0, 65535, 0)
-
-
-def _history(station: Station) -> ParameterLimits:
-    return _HISTORY_LIMITS
+_NEWEST: Final = 100  # readings where no number is given
+_HISTORY: Final = always(1, 10_000, _NEWEST)
+_WORD16: Final = always(0, 65535, 0)
 
 
 def _register(call: Call, name: str) -> Register:
     call.session.update_status()
     return call.session.status.operation if name == "OPERation" else call.session.status.questionable
-
-
-def _event(name: str) -> Handler:
-    return lambda call: str(_register(call, name).take_event())
-
-
-def _condition(name: str) -> Handler:
-    return lambda call: str(_register(call, name).condition)
-
-
-def _enable(name: str) -> Handler:
-    return lambda call: str(_register(call, name).enable)
 
 
 def _set_enable(name: str) -> Handler:
@@ -99,7 +80,7 @@ def _trace(call: Call) -> Outcome:
                 raise ScpiError(-230, "no response curve is in use; digital numbers are taken as linear")
             return formats.block(_floats(call, np.stack([curve.log_exposure, curve.u_log_exposure], axis=1)))
         case _:
-            count = call.values[1] if len(call.values) > 1 else _HISTORY_LIMITS.default
+            count = call.values[1] if len(call.values) > 1 else _NEWEST
             return _trace_history(call, int(count))
 
 
@@ -129,12 +110,14 @@ def _registers(name: str) -> tuple[Command, ...]:
     short = name[:4].upper()
     return (
         Command(f"STATus:{name}[:EVENt]", f"Reads the {name.lower()} event register and clears it; {bit_list}.",
-                ask=_event(name), reply="0 to 32767", example=f"STAT:{short}?", group=STATUS),
-        Command(f"STATus:{name}:CONDition", f"Reads the {name.lower()} condition register.", ask=_condition(name),
-                reply="0 to 32767", example=f"STAT:{short}:COND?", group=STATUS),
+                ask=lambda call: str(_register(call, name).take_event()), reply="0 to 32767", example=f"STAT:{short}?",
+                group=STATUS),
+        Command(f"STATus:{name}:CONDition", f"Reads the {name.lower()} condition register.",
+                ask=lambda call: str(_register(call, name).condition), reply="0 to 32767",
+                example=f"STAT:{short}:COND?", group=STATUS),
         Command(f"STATus:{name}:ENABle", "Sets which of its events reach the status byte.", do=_set_enable(name),
-                ask=_enable(name), parameters=(Number("mask", "", _word16, True),), reply="0 to 65535",
-                example=f"STAT:{short}:ENAB 65535;ENAB?", group=STATUS),
+                ask=lambda call: str(_register(call, name).enable), parameters=(Number("mask", "", _WORD16, True),),
+                reply="0 to 65535", example=f"STAT:{short}:ENAB 65535;ENAB?", group=STATUS),
     )  # fmt: skip
 
 
@@ -167,7 +150,7 @@ COMMANDS: Final = (
             " by row. RESPonse is the response curve: pairs ln H, u of 64-bit floats, one per digital number."
             " HISTory[,count] holds the newest readings of the shared patch, oldest first: triples sequence, radiance,"
             " u of 64-bit floats.", ask=_trace,
-            ask_parameters=(Choice("trace", ("IMAGe", "RESPonse", "HISTory")), Number("count", "", _history, True)),
+            ask_parameters=(Choice("trace", ("IMAGe", "RESPonse", "HISTory")), Number("count", "", _HISTORY, True)),
             ask_required=1, reply="block", example="READ?;:TRAC:DATA? HIST,10", group=TRACE),
     Command("TRACe:SIZE", "Replies width, height and bit depth of IMAGe.", ask=_size, reply="width,height,bits",
             example="READ?;:TRAC:SIZE?", group=TRACE),

@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconciliation.fit.comparison import FAMILY
-from radiometer.reconciliation.fit.held_out import leave_one_group_out
-from radiometer.reconciliation.fit.linear import descended
+from radiometer.reconciliation.fit.linear import descended, leave_one_group_out
 from radiometer.reconciliation.fit.state import FitState, ModelFit
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
@@ -46,7 +45,6 @@ class FittedCandidate:
     residual: Array  # whitened residual with the effect, nuisances where they were; prior rows included
     columns: Array  # −d(residual)/d(scaled parameter of the effect), prior rows included
     tries: int = 1  # number of starts that the entry had
-    stated: float = 0.0  # χ² that it explains in the stated radiances alone
     overrated: float = 0.0  # nats that the scores of few frames' variances promise beyond their exact likelihood
     forms: tuple[CatalogueEffect, ...] = ()  # the best of each variant: where to begin with another model
 
@@ -175,7 +173,6 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
         best.residual,
         columns,
         candidate.tries,
-        stated,
         overrated,
     )
 

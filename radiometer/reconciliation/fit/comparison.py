@@ -15,14 +15,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.chances import deviances, followed_scores, log_bias, sine_freedom
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.row_bands import RowBins, wave_power
-from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
-from radiometer.reconciliation.noise.darkness import Darkness
-from radiometer.reconciliation.noise.fixed_patterns import renewed_patterns
-from radiometer.reconciliation.noise.repeatability import steady_wander2
-from radiometer.reconciliation.noise.shared_errors import (
+from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics, Design
+from radiometer.reconciliation.measure.lines import RowBins, wave_power
+from radiometer.reconciliation.repeatability import Darkness, steady_wander2
+from radiometer.reconciliation.shared_errors import (
     Part,
     Repeatability,
     band_excess,
@@ -34,6 +30,7 @@ from radiometer.reconciliation.noise.shared_errors import (
     phases_of_wave,
     relative_bands,
     relative_flicker,
+    renewed_patterns,
     shared_errors,
     unsteady_phases,
     whiteners,
@@ -49,6 +46,7 @@ from radiometer.reconciliation.statistics import (
     named,
     usable_entries,
 )
+from radiometer.statistics.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.typing import Array, Mask
 
 TILE_BLOCKS: Final = named(given=Given.TILE)

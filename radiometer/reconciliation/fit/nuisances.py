@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.linear import RowBlock
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.model.tile_model import Nuisance
 from radiometer.reconciliation.statistics import STATISTICS, Prediction
+from radiometer.reconciliation.tile_model import Nuisance
 from radiometer.typing import Array
 
 _FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is unknown: e^±5

@@ -3,24 +3,612 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
-from typing import Final
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.compiled import compiled
 from radiometer.data import Frame
 from radiometer.errors import CaptureError
-from radiometer.reconciliation.measure.design import Design, patch_sides, tile_groups
-from radiometer.reconciliation.measure.edges import edge_shares
-from radiometer.reconciliation.measure.row_bands import RowBins
-from radiometer.reconciliation.measure.seen import CaptureStatistics
-from radiometer.reconciliation.measure.sums import CaptureSums, coarse_cells
-from radiometer.typing import Array
+from radiometer.reconciliation.measure.design import (
+    COMB_PERIODS,
+    CaptureStatistics,
+    Design,
+    PatchSides,
+    TileGroup,
+    patch_sides,
+    tile_groups,
+)
+from radiometer.reconciliation.measure.lines import RowBins, edge_shares, row_light
+from radiometer.statistics.scale import MAD_TO_SIGMA, TWENTIETH_TO_SIGMA
+from radiometer.typing import Array, Mask
 from radiometer.units import gain_factor
+
+Corners = NDArray[np.intp]
+
+
+# The inner loops hold no lock, so that other threads read the next frames meanwhile.
+
+
+@compiled
+def add_tiles(
+    dn: NDArray[Any],
+    good: NDArray[np.bool_],
+    top: Corners,
+    left: Corners,
+    nearly_full: float,
+    comb_mad_dn: float,
+    total: Array,
+    square: Array,
+    pair_x: Array,
+    pair_y: Array,
+    histogram: Array,
+    occurring: NDArray[np.bool_],
+) -> tuple[Array, Array, Array, Array]:
+    """Add one frame to the sums of all tiles of one size.
+
+    Args:
+        dn: The frame in DN, (rows, columns).
+        good: Pixels that count for a tile's mean, same shape.
+        top: (tiles,) first row of each tile.
+        left: (tiles,) first column of each tile.
+        nearly_full: Digital number from which a sample counts as clipped.
+        comb_mad_dn: Median absolute deviation above which a tile's histogram must be smooth, in DN.
+        total: (tiles, height, width) sum of deviations from the tile's mean in DN; this frame is added.
+        square: Same shape, sum of their squares; this frame is added.
+        pair_x: Same shape, sum of products with the left neighbour in DN²; this frame is added.
+        pair_y: The same with the upper neighbour.
+        histogram: Counts of digital numbers over smooth tiles, longer than the largest one; this frame is added.
+        occurring: Digital numbers that occur in any tile, as long; this frame is added.
+
+    Returns:
+        (tiles,) mean in DN, share at 0, share clipped, and (tiles, height) sum of deviations along each row of the
+        pixels that count.
+    """
+    tiles, height, width = total.shape
+    mean, low, high = np.zeros(tiles), np.zeros(tiles), np.zeros(tiles)
+    rows = np.zeros((tiles, height))
+    counts = np.zeros(histogram.size, np.int64)
+    for k in range(tiles):
+        y0, x0 = top[k], left[k]
+        light, number, dark, full = 0.0, 0, 0, 0
+        smallest, largest = histogram.size, 0
+        for i in range(height):
+            for j in range(width):
+                value = int(dn[y0 + i, x0 + j])
+                counts[value] += 1
+                smallest = min(smallest, value)
+                largest = max(largest, value)
+                dark += int(value <= 0)
+                full += int(value >= nearly_full)
+                if good[y0 + i, x0 + j]:
+                    light += value
+                    number += 1
+        middle = light / number if number else np.nan
+        mean[k], low[k], high[k] = middle, dark / (height * width), full / (height * width)
+        for i in range(height):
+            along = 0.0
+            before = 0.0
+            for j in range(width):
+                deviation = dn[y0 + i, x0 + j] - middle
+                total[k, i, j] += deviation
+                square[k, i, j] += deviation * deviation
+                along += deviation * good[y0 + i, x0 + j]
+                pair_x[k, i, j] += deviation * before
+                before = deviation
+            rows[k, i] = along
+        for i in range(1, height):
+            for j in range(width):
+                pair_y[k, i, j] += (dn[y0 + i, x0 + j] - middle) * (dn[y0 + i - 1, x0 + j] - middle)
+        smooth = dark == 0 and full == 0 and _within(counts, middle, comb_mad_dn) * 2 < height * width
+        for code in range(smallest, largest + 1):
+            if smooth:
+                histogram[code] += counts[code]
+            occurring[code] |= counts[code] > 0
+            counts[code] = 0
+    return mean, low, high, rows
+
+
+@compiled
+def _within(counts: NDArray[np.int64], middle: float, distance: float) -> int:
+    """Return how many samples are within a distance of the middle."""
+    first = max(int(np.ceil(middle - distance)), 0)
+    last = min(int(np.floor(middle + distance)), counts.size - 1)
+    return int(counts[first : last + 1].sum())
+
+
+@compiled
+def coarse_cells(dn: NDArray[Any], cell: int, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return the mean of each cell of `cell` × `cell` pixels in DN, and its largest value.
+
+    Args:
+        dn: The frame in DN.
+        cell: Edge of a cell in pixels.
+    """
+    mean, largest = np.zeros((rows, columns)), np.zeros((rows, columns))
+    for i in range(rows * cell):
+        for j in range(columns * cell):
+            value = int(dn[i, j])
+            mean[i // cell, j // cell] += value
+            if value > largest[i // cell, j // cell]:
+                largest[i // cell, j // cell] = value
+    return mean / (cell * cell), largest
+
+
+_TREND_TERMS_PER_AXIS = 3  # constant, slope and curvature of each tile are taken out of its profile
+
+
+def row_temporal_profile(
+    groups: Sequence[TileGroup], row_sums: Sequence[Sequence[Array]], variance: Array, counting: Sequence[Mask]
+) -> dict[str, float]:
+    """Return how much row means scatter from frame to frame, over what the pixels' own noise gives.
+
+    Each tile's frame mean is taken out beforehand, so that flicker does not enter; that takes one degree of freedom
+    per tile and frame.
+
+    Args:
+        groups: Groups of tiles.
+        row_sums: Per group and frame, the sums of deviations along each tile row, shape (tiles, height).
+        variance: (tiles,) temporal variance of a pixel in DN².
+        counting: Per group, the pixels that the sums hold, shape (tiles, height, width).
+    """
+    frames = len(row_sums[0])
+    if frames < 2:
+        return {"row_temporal": np.nan, "row_temporal_weight": 0.0, "row_temporal_dof": 0.0}
+    pieces = []
+    for group, sums, good in zip(groups, row_sums, counting, strict=True):
+        stack = np.array(sums)
+        stack = (stack - stack.mean(axis=0)).transpose(1, 2, 0)
+        pieces.append((group.rows, stack, good.sum(axis=2), variance[group.index], 1))
+    ratio, weight, dof = _profile(pieces)
+    return _named("row_temporal", (ratio * frames / (frames - 1), weight, dof), frames - 1)
+
+
+def fixed_profile(
+    groups: Sequence[TileGroup], residuals: Sequence[Array], spatial: Array, counting: Sequence[Mask]
+) -> dict[str, float]:
+    """Return how much the time mean's columns and rows scatter, over what a white pixel pattern gives.
+
+    Args:
+        groups: Groups of tiles.
+        residuals: Per group, the time mean minus its quadratic surface, shape (tiles, height, width).
+        spatial: (tiles,) variance of the time mean from pixel to pixel in DN².
+        counting: Per group, the pixels that count, same shape; residuals are 0 elsewhere.
+    """
+    columns: list[_Piece] = []
+    rows: list[_Piece] = []
+    for group, residual, good in zip(groups, residuals, counting, strict=True):
+        for found, lines, across in ((columns, group.columns, 1), (rows, group.rows, 2)):
+            sums, pixels = residual.sum(axis=across)[..., None], good.sum(axis=across)
+            found.append((lines, sums, pixels, spatial[group.index], _TREND_TERMS_PER_AXIS))
+    return _named("columns", _profile(columns), 1) | _named("rows", _profile(rows), 1)
+
+
+_Piece = tuple[NDArray[np.intp], Array, NDArray[np.intp], Array, int]
+
+
+def _profile(pieces: Sequence[_Piece]) -> tuple[float, float, float]:
+    """Return (excess ratio, mean weight in DN⁻², degrees of freedom per repeat) of line means.
+
+    Each piece: sensor line of every tile line (tiles, lines), line sums (tiles, lines, repeats), pixels in each line
+    (tiles, lines), variance of a pixel (tiles,), degrees of freedom that the tile's trend took.
+    """
+    length = 1 + max(int(lines.max()) for lines, *_ in pieces)
+    repeats = pieces[0][1].shape[2]
+    weighted, weight, freedom = np.zeros((length, repeats)), np.zeros(length), np.zeros(length)
+    for lines, sums, pixels, variance, taken in pieces:
+        usable = np.isfinite(variance) & (variance > 0)
+        inverse = np.where(usable, 1.0 / np.where(usable, variance, 1.0), 0.0)
+        share = pixels * inverse[:, None]
+        np.add.at(weighted, lines.ravel(), (sums * inverse[:, None, None]).reshape(-1, repeats))
+        np.add.at(weight, lines.ravel(), share.ravel())
+        np.add.at(freedom, lines.ravel(), (share * (1.0 - taken / lines.shape[1])).ravel())
+    seen = weight > 0
+    if not seen.any():
+        return np.nan, 0.0, 0.0
+    dof = float(np.sum(freedom[seen] / weight[seen]))
+    excess = float(np.sum(weighted[seen] ** 2 / weight[seen][:, None]) / repeats)
+    return excess / dof if dof > 0 else np.nan, float(np.mean(weight[seen])), dof
+
+
+def _named(name: str, profile: tuple[float, float, float], repeats: int) -> dict[str, float]:
+    ratio, weight, dof = profile
+    return {name: ratio, f"{name}_weight": weight, f"{name}_dof": dof * repeats}
+
+
+OUTLIER_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ pixels of Gaussian pattern
+_NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may be a little below full scale
+_LOPSIDED: Final = 2.0  # a twentieth of the pixels as many times farther below: light cut off, no defects
+# Above this scatter (variance 15 DN²) an honest histogram shows no comb of period 5: exp(−2π²·15/25) = 7e-6. The
+# median deviation gives it, for one hot pixel does not move that.
+_SMOOTH_MAD_DN: Final = 15.0**0.5 / MAD_TO_SIGMA
+_MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more would cost time and change nothing
+_TREND_TERMS: Final = 6
+_HALF_WAVES: Final = 3  # down a frame, of a black level that moves while the rows are read
+_CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cut off: six sigmas of 36 pixels in pairs
+
+
+@dataclass(slots=True, eq=False)
+class CaptureSums:
+    """Running sums over the frames of one capture."""
+
+    groups: Sequence[TileGroup]  # tiles by size
+    sides: PatchSides  # sides of the patches
+    defects: Mask  # pixels that are left out
+    frame_means: list[Array]  # per frame, (tiles,) mean of each tile's good pixels in DN
+    total: list[Array]  # per group, sum of pixels minus their tile's mean, (tiles, height, width)
+    square: list[Array]  # the same of squares
+    # Per group, sum of products of each pixel's deviation with its left neighbour's in DN², as `total`
+    pair_x: list[Array]
+    pair_y: list[Array]  # the same with its upper neighbour's
+    row_sums: list[list[Array]]  # per group and frame, sums of deviations along each tile row
+    low: Array  # (tiles,) sum of the shares of samples at 0 DN
+    high: Array  # (tiles,) the same at full scale
+    side_pixels: Array  # (sides, lines, pixels) sum of the pixels of the lines across each patch's side
+    histogram: Array  # counts of digital numbers over the tiles whose histogram must be smooth
+    occurring: Mask  # digital numbers that occur in any tile
+
+    @classmethod
+    def start(cls, groups: Sequence[TileGroup], sides: PatchSides, tiles: int, defects: Mask) -> CaptureSums:
+        """Return sums without any frame."""
+        zeros = [np.zeros((len(g.tiles), g.height, g.width)) for g in groups]
+        return cls(
+            groups,
+            sides,
+            defects,
+            [],
+            zeros,
+            [np.zeros_like(z) for z in zeros],
+            [np.zeros(z.shape, np.float32) for z in zeros],
+            [np.zeros(z.shape, np.float32) for z in zeros],
+            [[] for _ in groups],
+            np.zeros(tiles),
+            np.zeros(tiles),
+            np.zeros(sides.rows.shape),
+            np.zeros(0),
+            np.zeros(0, dtype=np.bool_),
+        )
+
+    def add(self, frame: Frame) -> None:
+        """Add a frame."""
+        self._make_room(max(frame.full_scale_dn, int(frame.dn.max(initial=0))) + 1)
+        good, nearly_full = ~self.defects, _NEARLY_FULL * frame.saturated_dn
+        mean = np.empty(self.low.size)
+        for number, group in enumerate(self.groups):
+            index = group.index
+            mean[index], low, high, rows = add_tiles(
+                frame.dn,
+                good,
+                group.rows[:, 0],
+                group.columns[:, 0],
+                nearly_full,
+                _SMOOTH_MAD_DN,
+                self.total[number],
+                self.square[number],
+                self.pair_x[number],
+                self.pair_y[number],
+                self.histogram,
+                self.occurring,
+            )
+            self.low[index] += low
+            self.high[index] += high
+            self.row_sums[number].append(rows)
+        self.frame_means.append(mean)
+        self.side_pixels += self.sides.pixels(frame.dn)
+
+    def _make_room(self, codes: int) -> None:
+        more = codes - self.histogram.size
+        if more > 0:
+            self.histogram = np.pad(self.histogram, (0, more))
+            self.occurring = np.pad(self.occurring, (0, more))
+
+    def without(self, first: CaptureSums) -> CaptureSums:
+        """Return the sums over the frames but the first; the histogram stays that of all."""
+        return replace(
+            self,
+            frame_means=self.frame_means[1:],
+            total=[both - one for both, one in zip(self.total, first.total, strict=True)],
+            square=[both - one for both, one in zip(self.square, first.square, strict=True)],
+            pair_x=[both - one for both, one in zip(self.pair_x, first.pair_x, strict=True)],
+            pair_y=[both - one for both, one in zip(self.pair_y, first.pair_y, strict=True)],
+            row_sums=[sums[1:] for sums in self.row_sums],
+            low=self.low - first.low,
+            high=self.high - first.high,
+            side_pixels=self.side_pixels - first.side_pixels,
+        )
+
+    def finish(
+        self, black_dn: float, bins: RowBins, *, structured: bool = False
+    ) -> tuple[dict[str, Array | float], Mask]:
+        """Return the statistics of the capture by name, and the map of its outlying pixels.
+
+        Args:
+            black_dn: Stated black level in DN; NaN where unknown.
+            bins: Bins of rows for bands.
+            structured: Whether the tiles show a scene rather than even light: nothing in them is outlying.
+        """
+        n, tiles = len(self.frame_means), self.low.size
+        out = {name: np.full(tiles, np.nan) for name in _PER_TILE}
+        outlying = np.zeros(self.defects.shape, dtype=np.bool_)
+        means = np.array(self.frame_means)
+        spacing_dn = _code_spacing(self.occurring)
+        residuals, counting = [], []
+        for number, group in enumerate(self.groups):
+            residual, good = self._finish_group(
+                number, group, means, np.inf if structured else spacing_dn, out, outlying
+            )
+            residuals.append(residual)
+            counting.append(good)
+        out["low"], out["high"] = self.low / n, self.high / n
+        row_sums = self._without_flicker(means, counting, out, black_dn) if structured and n > 1 else self.row_sums
+        result: dict[str, Array | float] = dict(out)
+        result["outliers"] = float(outlying.sum())
+        free = _free(out)  # a clipped tile has hardly any noise and would outweigh all
+        variance, spatial = (np.where(free, out[name], np.nan) for name in ("variance", "spatial"))
+        known = [group.cut(~self.defects).astype(np.bool_) for group in self.groups]
+        result |= row_temporal_profile(self.groups, row_sums, variance, known)
+        result |= fixed_profile(self.groups, residuals, spatial, counting)
+        result |= row_light(bins, self.groups, self.row_sums, known, means, variance, black_dn, structured=structured)
+        result |= light_of_frames(means, out, black_dn)
+        result |= _additive_fluctuation(means, out, self._half_waves())
+        result["side_lines"], result["side_unevenness"] = self.sides.lines(self.side_pixels / n)
+        result |= _comb(self.histogram)
+        return result, outlying
+
+    def _half_waves(self) -> Array:
+        """Return the mean over each tile of half waves down the frame, (tiles, waves): as many as tiles can resolve."""
+        rows = np.zeros(self.low.size)
+        for group in self.groups:
+            rows[group.index] = group.rows[:, 0]
+        waves = np.arange(1, min(_HALF_WAVES, np.unique(rows).size - 1) + 1)
+        found = np.zeros((self.low.size, waves.size))
+        for group in self.groups:
+            down = np.pi * (group.rows[:, :, None] + 0.5) / self.defects.shape[0]
+            found[group.index] = np.cos(down * waves).mean(axis=1)
+        return found
+
+    def _finish_group(
+        self, number: int, group: TileGroup, means: Array, spacing_dn: float, out: dict[str, Array], outlying: Mask
+    ) -> tuple[Array, Mask]:
+        n = means.shape[0]
+        good = group.cut(~self.defects)
+        picture = self.total[number] / n
+        outside = _outlying(picture, group, spacing_dn)
+        for tile, spots in zip(group.tiles, outside, strict=True):
+            outlying[tile.slices] |= spots
+        good = good * ~outside  # known defects and what stands out here
+        pixels = good.sum(axis=(1, 2))
+        shift = (picture * good).sum(axis=(1, 2)) / pixels
+        flat = (picture - shift[:, None, None]) * good
+        coefficients = flat.reshape(len(group.tiles), -1) @ group.trend
+        residual = (flat.reshape(len(group.tiles), -1) - coefficients @ group.trend.T).reshape(flat.shape) * good
+        index = group.index
+        out["mean"][index] = means[:, index].mean(axis=0) + shift
+        out["peak"][index] = means[:, index].mean(axis=0) + np.where(good > 0, picture, -np.inf).max(axis=(1, 2))
+        out["pixels"][index] = pixels
+        out["spatial_dof"][index] = pixels - _TREND_TERMS
+        out["spatial"][index] = np.sum(residual**2, axis=(1, 2)) / (pixels - _TREND_TERMS)
+        out["slope_x"][index] = coefficients[:, 1] / group.slope_norm[0]
+        out["slope_y"][index] = coefficients[:, 2] / group.slope_norm[1]
+        out["variance_dof"][index] = (n - 1) * (pixels - 1)
+        if n > 1:
+            self._temporal(number, group, good, out, n)
+        return np.asarray(residual), np.asarray(good)
+
+    def _without_flicker(
+        self, means: Array, counting: Sequence[Mask], out: dict[str, Array], black_dn: float
+    ) -> list[list[Array]]:
+        """Free the temporal statistics of what light that all of a frame shares does to a tile's structure.
+
+        A bright spot in a tile gains more by it than the tile's mean, which has been taken out. Returns the row sums.
+        """
+        n = means.shape[0]
+        amplitude, information = _common_amplitude(means, out, black_dn)
+        if information <= 0:
+            return self.row_sums
+        shaken = float(np.sum(amplitude**2)) - (n - 1) / information
+        follows = (out["high"] == 0) & (out["low"] == 0)  # what is clipped does not
+        freed = []
+        for number, (group, good, sums) in enumerate(zip(self.groups, counting, self.row_sums, strict=True)):
+            self._temporal(number, group, good, out, n, np.where(follows, shaken, 0.0)[group.index])
+            structure = (self.total[number] / n * group.cut(~self.defects)).sum(axis=2)
+            freed.append([rows - a * structure for rows, a in zip(sums, amplitude.tolist(), strict=True)])
+        return freed
+
+    def _temporal(
+        self,
+        number: int,
+        group: TileGroup,
+        good: Array | Mask,
+        out: dict[str, Array],
+        n: int,
+        shaken: Array | None = None,
+    ) -> None:
+        """Work out the tiles' noise.
+
+        Args:
+            number: Number of the group.
+            group: Tiles of one size.
+            good: Their pixels that count.
+            out: Statistics by name; those of noise are filled in.
+            n: Number of frames.
+            shaken: (tiles,) sum of squares of what the light of the frames differs by, relatively; 0 where missing.
+        """
+        total, index = self.total[number], group.index
+        steady = 1.0 if shaken is None else 1.0 + shaken / n
+        scatter = (self.square[number] - total**2 / n * np.reshape(steady, (-1, 1, 1))) * good
+        variance = np.maximum(scatter.sum(axis=(1, 2)), 0.0) / out["variance_dof"][index]
+        out["variance"][index] = variance
+        safe = np.where(variance > 0, variance, np.nan)
+        known = np.asarray(good, dtype=np.bool_)
+        for axis, pairs in (("neighbour_x", self.pair_x), ("neighbour_y", self.pair_y)):
+            later, earlier = _NEIGHBOURS[axis]
+            both = (known[later] & known[earlier]).astype(np.float64)
+            products = np.einsum("kij,kij->k", pairs[number][later], both)
+            covariance = products - np.einsum("kij,kij,kij->k", total[later], total[earlier], both) / n * steady
+            count = np.maximum(both.sum(axis=(1, 2)), 1.0)
+            out[axis][index] = covariance / ((n - 1) * count * safe) + 1.0 / out["pixels"][index]
+
+
+_NEIGHBOURS: Final = {
+    "neighbour_x": ((slice(None), slice(None), slice(1, None)), (slice(None), slice(None), slice(None, -1))),
+    "neighbour_y": ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
+}
+_PER_TILE: Final = (
+    "mean",
+    "variance",
+    "variance_dof",
+    "spatial",
+    "spatial_dof",
+    "slope_x",
+    "slope_y",
+    "neighbour_x",
+    "neighbour_y",
+    "first",
+    "pixels",
+    "peak",
+    "low",
+    "high",
+)
+
+
+def _code_spacing(occurring: Mask) -> float:
+    """Return the distance of the codes that occur, in DN; 1 where there is but one."""
+    codes = np.flatnonzero(occurring)
+    return float(np.gcd.reduce(np.diff(codes))) if codes.size > 1 else 1.0
+
+
+def _outlying(picture: Array, group: TileGroup, spacing_dn: float) -> Mask:
+    """Return which pixels are far off the quadratic surface through their tile, by a robust sigma.
+
+    A hot pixel bends the surface: after a first look those that stand out are put at the middle and the surface is
+    laid anew. Where the noise hides below the spacing of the codes, most pixels show one code and the median
+    deviation gives no sigma: the neighbouring code is no outlier.
+    """
+    flat = picture.reshape(len(group.tiles), -1)
+    step = _stride(flat.shape[1], group.width)
+    flat = flat - np.median(flat[:, ::step], axis=1, keepdims=True)
+    far = _far(flat, step, spacing_dn)
+    for _ in range(2):
+        calm = np.where(far, 0.0, flat)
+        far = _far(flat - (calm @ group.trend) @ group.trend.T, step, spacing_dn)
+    return far.reshape(picture.shape)
+
+
+def _far(residual: Array, step: int, spacing_dn: float) -> Mask:
+    some = residual[:, ::step]
+    low, centre = np.percentile(some, (5.0, 50.0), axis=1)[..., None]
+    sigma = MAD_TO_SIGMA * np.median(np.abs(some - centre), axis=1, keepdims=True)
+    tail = (centre - low) / TWENTIETH_TO_SIGMA
+    sigma = np.where(tail > _LOPSIDED * sigma, tail, sigma)
+    limit = np.maximum(OUTLIER_SIGMAS * np.where(sigma > 0, sigma, np.inf), spacing_dn)
+    return np.asarray(np.abs(residual - centre) > limit)
+
+
+def _stride(pixels: int, width: int) -> int:
+    """Return the step by which the samples of a median are taken, through all columns alike."""
+    step = max(1, pixels // _MOST_FOR_MEDIAN)
+    while math.gcd(step, width) > 1:
+        step += 1
+    return step
+
+
+def light_of_frames(means: Array, out: Mapping[str, Array], black_dn: float) -> dict[str, Array | float]:
+    """Return the statistics of the frames of a capture: how the first differs, and what all tiles share, by name.
+
+    Args:
+        means: (frames, tiles) means in DN.
+        out: Statistics of the tiles by name.
+        black_dn: Black level in DN; NaN where unknown.
+    """
+    apart = means[0] - means[1:].mean(axis=0) if means.shape[0] > 1 else np.full(means.shape[1], np.nan)
+    return {"first": apart, **_common_fluctuation(means, out, black_dn)}
+
+
+def _common_fluctuation(means: Array, out: Mapping[str, Array], black_dn: float) -> dict[str, float]:
+    """Return the variance of the relative fluctuation that all tiles share, over what pixel noise alone gives."""
+    # The first frame may differ for a separate reason (lag, dead time) and has a separate statistic.
+    means = means[1:] if means.shape[0] > 2 else means
+    amplitude, information = _common_amplitude(means, out, black_dn)
+    n = means.shape[0]
+    if n < 2 or information <= 0:
+        return {"common": np.nan, "common_unit": np.nan}
+    return {"common": float(np.sum(amplitude**2) / (n - 1) * information), "common_unit": 1.0 / information}
+
+
+def _additive_fluctuation(means: Array, out: dict[str, Array], waves: Array) -> dict[str, float]:
+    """Return the variance in DN² of an offset that all tiles of a frame share, and what pixel noise alone gives it.
+
+    With it that of half waves down the frame: of a random walk the k-th has 1/k of the first, so k times their sizes
+    estimate the first one's. What goes on steadily through the frames is a drift, not a wander: a straight line over
+    them is taken out.
+
+    Args:
+        means: (frames, tiles) means in DN.
+        out: Statistics of the tiles by name.
+        waves: (tiles, waves) mean of each half wave over each tile.
+    """
+    means = means[1:] if means.shape[0] > 2 else means  # the first frame may differ for a separate reason
+    n = means.shape[0]
+    taken = 1 if n < 3 else 2
+    usable = _free(out) & (out["variance"] > 0)
+    weight = np.where(usable, out["pixels"] / np.where(usable, out["variance"], 1.0), 0.0)
+    found: dict[str, float] = {}
+    for name, forms in (("black", np.ones((usable.size, 1))), ("drift", waves)):
+        shapes = forms if name == "black" else np.column_stack([forms, np.ones(usable.size)])
+        inverse = np.linalg.pinv(shapes.T @ (weight[:, None] * shapes), hermitian=True)
+        rank = forms.shape[1]
+        size = np.arange(1, rank + 1)
+        unit = np.square(size) * np.diag(inverse)[:rank]
+        if n <= taken or not weight.sum() > 0 or not rank:
+            found |= {name: np.nan, f"{name}_unit": np.nan, f"{name}_dof": 0.0}
+            continue
+        offset = size * ((means - means.mean(axis=0)) @ (weight[:, None] * shapes) @ inverse)[:, :rank]
+        if taken == 2:
+            steady = np.arange(n) - (n - 1) / 2.0
+            offset = offset - np.outer(steady, steady @ offset) / float(steady @ steady)
+        found |= {
+            name: float(np.sum(offset**2)) / (n - taken) / rank,
+            f"{name}_unit": float(np.mean(unit)),
+            f"{name}_dof": (n - taken) * float(unit.sum() ** 2 / np.sum(unit**2)),
+        }
+    return found
+
+
+def _common_amplitude(means: Array, out: Mapping[str, Array], black_dn: float) -> tuple[Array, float]:
+    """Return by what share the light of each frame differs from all, and 1/variance of that; 0 without light."""
+    signal = out["mean"] - (black_dn if np.isfinite(black_dn) else float(np.min(out["mean"])))
+    usable = _free(out) & (out["variance"] > 0) & (signal > 0)
+    weight = np.where(usable, signal * out["pixels"] / np.where(usable, out["variance"], 1.0), 0.0)
+    information = float(np.sum(weight * signal))
+    if information <= 0:
+        return np.zeros(means.shape[0]), 0.0
+    return np.asarray((means - means.mean(axis=0)) @ weight / information), information
+
+
+def _free(out: Mapping[str, Array]) -> Mask:
+    """Return which tiles are not clipped, be it below full scale: there noise falls away that darker tiles have."""
+    order = np.argsort(out["mean"], kind="stable")
+    variance = np.nan_to_num(out["variance"][order])
+    cut_off = np.zeros(order.size, dtype=np.bool_)
+    cut_off[order] = variance < _CUT_OFF * np.maximum.accumulate(variance)
+    return np.asarray((out["low"] == 0) & (out["high"] == 0) & ~cut_off)
+
+
+def _comb(histogram: Array) -> dict[str, Array | float]:
+    total = float(histogram.sum())
+    if total <= 0:
+        return {"comb": np.zeros(len(COMB_PERIODS)), "comb_count": 0.0}
+    numbers = np.arange(histogram.size)
+    terms = [float(np.sum(histogram * np.cos(2 * np.pi * numbers / period))) / total for period in COMB_PERIODS]
+    return {"comb": np.array(terms), "comb_count": total}
+
 
 _COARSE_CELLS: Final = 192  # longer side of the coarse picture; stray light is smooth on that scale
 

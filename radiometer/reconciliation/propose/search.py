@@ -10,6 +10,7 @@ them in place would seem to disagree with them as soon as a radiance adapts to i
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,23 +23,21 @@ from scipy.special import ndtr
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.covariance import fitted_parameters, is_far, scatter_of
-from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
+from radiometer.reconciliation.fit.descent import FullFits, UnfitError, fitted_parameters, included, is_far, scatter_of
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.model.tile_context import from_grid, rise_of
 from radiometer.reconciliation.posterior import posterior_of
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
-from radiometer.reconciliation.search.localise import localise, significant
-from radiometer.reconciliation.search.moves import free_forms, in_a_looser_form, nowhere_near
-from radiometer.reconciliation.search.outcome import Search, Step
-from radiometer.reconciliation.search.score import worth
+from radiometer.reconciliation.search.localise import significant
+from radiometer.reconciliation.search.outcome import Search, Step, contenders_of, worth
 from radiometer.reconciliation.search.screening import best_start
+from radiometer.reconciliation.search.search import nowhere_near
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
-from radiometer.reconciliation.verdict import acting_as_others, doubts_of, leaves_structure
+from radiometer.reconciliation.tile_model import from_grid, rise_of
+from radiometer.reconciliation.verdict import doubts_of, leaves_structure
 from radiometer.typing import Array
 from simulators.chain.law_stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
@@ -286,6 +285,7 @@ _OF_NOISE: Final = ("power", "step")  # forms that are nowhere below 0
 _FITTED: Final = 16  # laws that are fitted to all statistics
 _JUDGED: Final = 9
 _MULTIPLIED: Final = 5  # laws of one term that are multiplied by another
+_CONSTANT: Final = ("analog", "digital")  # a constant there is a black level that is off
 _ALONE: Final = ("well", "range")  # what goes with the signal goes with nothing else, nor what comes back in turns
 _PLAIN: Final = ("digital", "optics")  # of two that no setting separates: what no gain amplifies, what scales light
 _OF_A_PLACE: Final = {*PLACES, "column_light"}
@@ -320,7 +320,7 @@ def propose_law(state: FitState, along: Collection[str] = (), most: float = np.i
     judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]))
     if not judged:
         return None
-    best = _without_its_second(fits, _plainest(judged), judged)
+    best = _plainest(judged)
     if _score(best) < NAMED_NATS:
         return None
     law, fitted, nats = best
@@ -348,6 +348,8 @@ def _singles(state: FitState) -> Iterator[Law]:
     for link in (link for link in LINKS.values() if not link.is_noise):
         if "f_number" in link.goes_with and "f_number" not in known:
             continue  # it is light past the lens then
+        if link.key in _CONSTANT:
+            yield Law(link.key)
         for name in link.covariates:
             for term in terms.get(name, ()):
                 from_zero = (
@@ -404,7 +406,7 @@ def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
 
 
 def _goes_alone(law: Law) -> bool:
-    return law.link in _ALONE or "frame" in law.covariates
+    return not law.terms or law.link in _ALONE or "frame" in law.covariates
 
 
 def _links_of_product(link: str, first: str, second: str) -> tuple[str, ...]:
@@ -495,27 +497,6 @@ def _plainest(judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
     return min(near, key=lambda entry: (entry[0].link not in _PLAIN, -_score(entry)))
 
 
-def _without_its_second(fits: FullFits, best: _JudgedLaw, judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
-    """Return a law without its second factor where a free curve along the first one's covariate does as well.
-
-    Where the disagreement is huge, a form that is a little off leaves more than chance. Any law that mostly depends
-    on its covariate would absorb that.
-    """
-    law, fitted, _ = best
-    if len(law.terms) < 2:
-        return best
-    try:
-        most = worth(fits.included(fitted.effect, far=True)) - NAMED_NATS
-        parts = [e for e in judged if e[0].link == law.link and set(_formula(e[0])) < set(_formula(law))]
-        for own in sorted(parts, key=_score, reverse=True):
-            forms = free_forms(fits.included(own[1].effect, far=True), own[1].effect)
-            if any(worth(included(fits.state, form, far=True)) > most for form in forms):
-                return own
-    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does not stand in for it
-        return best
-    return best
-
-
 def _holds(law: Law, other: Law) -> bool:
     """Return whether a law is another one times something more."""
     return law.link == other.link and set(_formula(other)) < set(_formula(law))
@@ -528,10 +509,10 @@ def _score(entry: _JudgedLaw) -> float:
 
 
 # ---- names against laws ---------------------------------------------------------------------------------------------
-# A search can only say names that it knows. Where its names leave something, are several, or are doubted, another
-# cause is a hypothesis too: names that one law outdoes by far are none. A single name that leaves
-# nothing is compared with the laws along its own covariate: where one of them predicts better, the name is provisional,
-# or none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well.
+# A search can only report names that it knows. Where its names leave something, are several, or are doubted, another
+# cause is a hypothesis too: names that one law outdoes by far are none. A single name that leaves nothing is compared
+# with constants and with the laws along its covariate. Where one of them predicts better, the name is provisional, or
+# none where it brings far less.
 # What is known of a name beforehand is its own equation: a table or a curve would follow any law. What names
 # bring is therefore what their own equations bring, without the curves that represent no cause. A name by another
 # equation than the catalogue's is not meant by this: its own brings most of what any law along its covariate brings.
@@ -545,7 +526,7 @@ def held_to_laws(
     """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none.
 
     Args:
-        catalogue: The entries, one of which may hold the law in a looser form.
+        catalogue: The entries that may be named.
         say: Told what happens.
     """
     effects = outcome.state.effects
@@ -560,40 +541,16 @@ def held_to_laws(
     law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
     if law is None:
         return outcome
-    if lead_nats(outcome, law) <= NAMED_NATS:
-        bent = [effect.name for effect in effects if is_bent(effect, outcome)]
-        if not bent or lead_nats(outcome, law) <= -RIVAL_NATS:
-            return outcome
-        remark = (
-            f"{' and '.join(bent)} does not follow its catalogue equation, "
-            f"and {law.name}, a law outside the catalogue, predicts as well"
-        )
-        say(remark)
-        return replace(outcome, remarks=(*outcome.remarks, remark))
+    is_plainer = law.law.size < outcome.state.parameters.size
+    lead = lead_nats(outcome, law)
+    if lead <= (0.0 if is_plainer else NAMED_NATS):
+        return outcome
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
     remark = f"{law.name}, a law outside the catalogue, predicts better than {named}"
-    if brings_most(outcome, law):
-        say(remark)
-        return replace(outcome, remarks=(*outcome.remarks, remark))
-    near = nowhere_near(outcome.start, law.after)
-    form = in_a_looser_form(outcome.start, worth(law.after) - RIVAL_NATS, catalogue, near)
-    if form is not None:
-        say(f"{form.effects[0].name} in a more flexible form explains what {law.name} explains, in place of {named}")
-        return by_one_form(outcome, form, law)
     say(remark)
+    if lead <= NAMED_NATS or brings_most(outcome, law):
+        return replace(outcome, remarks=(*outcome.remarks, remark))
     return without_names(outcome, law, f"{remark} (gap {law.after.gap:.3g}), which is therefore not named")
-
-
-def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
-    """Return the outcome in which one entry in a looser form replaces all names; it is provisional."""
-    (effect,) = state.effects
-    nats, tests = state.evidence - outcome.start.evidence, localise(state)
-    step = Step(effect.name, effect.where, nats, outcome.start.gap, state.gap)
-    remark = (
-        f"{effect.name} follows a more flexible form of its equation, and {law.name}, a law of the grammar, "
-        "predicts as well"
-    )
-    return replace(outcome, state=state, steps=(step,), left=significant(tests), tests=tests, remarks=(remark,))
 
 
 def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
@@ -608,8 +565,8 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
 def lead_nats(outcome: Search, law: Proposal) -> float:
     """Return by how many nats a law predicts better than what was found, each parameter paid for.
 
-    An entry by its own equation is known beforehand, a law is not: it must lead by the odds of a name. An entry that
-    had to be bent has that no more; a rival is as good.
+    An entry is known beforehand, a law is not: it must lead by the odds of a name. A lead that it owes to fewer
+    parameters makes a name doubtful, and takes none away: the law may be a special case of the entry.
     """
     return (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
 
@@ -618,21 +575,14 @@ def brings_most(outcome: Search, law: Proposal) -> bool:
     """Return whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
 
     Their own equations need to bring most of what the law brings and to leave nothing, unless the law depends on the
-    covariate of the only name. One that acts as other causes would has brought nothing new.
+    covariate of the only name.
     """
-    if acting_as_others(outcome.state):
-        return False
     base = worth(outcome.start)
     if worth(by_own_equations(outcome)) - base < SMOOTH_SHARE * (worth(law.after) - base):
         return False
     effects = outcome.state.effects
     own = len(effects) == 1 and set(law.law.covariates) <= set(own_covariates(effects[0]))
     return own or not leaves_structure(outcome)
-
-
-def is_bent(effect: CatalogueEffect, outcome: Search) -> bool:
-    """Return whether an effect took a form with parameters that its own equation has not, or a free law."""
-    return own_equation(effect, outcome) is not effect
 
 
 def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
@@ -648,12 +598,13 @@ def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
 def by_own_equations(outcome: Search) -> FitState:
     """Return the model with the names by their own equations, fitted anew, without any unnamed curve."""
     state = outcome.state
-    if not any(is_bent(effect, outcome) for effect in state.effects) and not any(t.is_smooth for t in state.terms):
+    own = [own_equation(effect, outcome) for effect in state.effects]
+    if all(map(operator.is_, own, state.effects)) and not any(term.is_smooth for term in state.terms):
         return state
     plain = outcome.start
     try:
-        for effect in state.effects:
-            plain = included(plain, own_equation(effect, outcome), far=True)
+        for effect in own:
+            plain = included(plain, effect, far=True)
     except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # they bring what those bring that can be fitted
         pass
     return plain

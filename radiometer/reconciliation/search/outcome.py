@@ -1,13 +1,30 @@
-"""Holds the outcome of a search: its steps, the final model, and the result drawn from it."""
+"""Holds the outcome of a search, and the one score by which its models are compared.
+
+The score is the held-out log density plus the log prior odds of the names, each parameter paid for.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
+from radiometer.reconciliation.fit.descent import FullFits, is_far
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.search.localise import Disagreement
+from radiometer.reconciliation.thresholds import (
+    FEW_TRIES,
+    FLEXIBLE_NATS,
+    HUGE_NATS,
+    NAMED_NATS,
+    NEAR_SHARE,
+    PARAMETER_NATS,
+    RIVAL_NATS,
+    SHOWN_CHI2,
+)
 from simulators.effects.catalogue import CatalogueEffect
 
 
@@ -24,9 +41,6 @@ class Step:
     # For an unnamed term, the closest entry and the share of it that it explains
     closest: tuple[str, float] | None = None
     block: str = ""  # for an unnamed term, the statistic that shows it
-    # Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better than the
-    # effect
-    outperformed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,3 +70,83 @@ class Reconciled:
     def start(self) -> FitState:
         """Return the starting camera fitted to the frames as they were taken."""
         return self.outcome.start if self.taken is None else self.taken()
+
+
+# ---- scores ---------------------------------------------------------------------------------------------------------
+
+
+Judged = tuple[FittedCandidate, float]
+
+
+def worth(state: FitState) -> float:
+    """Return the score of a model: its held-out log density, each parameter and each column of a curve paid for."""
+    return state.evidence - PARAMETER_NATS * (state.parameters.size + state.curves)
+
+
+def rated(state: FitState) -> float:
+    """Return the score of a model with the prior odds of its names."""
+    return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
+
+
+def penalised_chi2(fitted: FittedCandidate) -> float:
+    """Return the χ² that a candidate explains, less what it pays for its parameters and for being unlikely."""
+    return fitted.gain - 2.0 * _penalty(fitted)
+
+
+def _penalty(fitted: FittedCandidate) -> float:
+    return PARAMETER_NATS * fitted.parameters - fitted.effect.log_prior_odds
+
+
+def score(entry: tuple[FittedCandidate, float]) -> float:
+    """Return the nats of a judged candidate less what it pays."""
+    fitted, nats = entry
+    return nats - _penalty(fitted) - (FLEXIBLE_NATS if fitted.flexible else 0.0)
+
+
+def is_shown(fitted: FittedCandidate, nats: float) -> bool:
+    """Return whether settings held out are predicted better, and in the statistic that must show it too.
+
+    Of many starts one fits by chance.
+    """
+    needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / FEW_TRIES, 1.0)))
+    needed += FLEXIBLE_NATS if fitted.flexible else 0.0
+    return nats >= needed and fitted.evidence >= SHOWN_CHI2
+
+
+def contenders_of(fits: FullFits, judged: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
+    """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
+
+    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges; where entries
+    are off by ten of their uncertainties and more, of all candidates.
+    """
+    best = max((nats for _, nats in judged), default=0.0)
+    share = 1.0 if is_far(fits.state) else NEAR_SHARE
+    near = [entry for entry in judged if entry[1] > best - share * best]
+    if best < HUGE_NATS or len(near) < 2:
+        return judged
+    base = fits.state.evidence
+    return [(f, fits.included(f.effect, far=True).evidence - base) for f, _ in near]
+
+
+def rivals_of(chosen: Judged, judged: Sequence[Judged]) -> tuple[CatalogueEffect, ...]:
+    """Return the effects, at their best parameters, that the data cannot separate from the chosen one.
+
+    What the plan cannot separate, because a setting does not vary, is asked of the reported model (`inseparable`).
+
+    Args:
+        chosen: The chosen one with its gain in nats.
+        judged: Others that were fitted and judged in the same way, with theirs.
+    """
+    return tuple({f.name: f.effect for f, nats in judged if _is_rival(f, nats, chosen)}.values())
+
+
+def _is_rival(other: FittedCandidate, nats: float, chosen: Judged) -> bool:
+    """Return whether another entry predicts about as well; each further parameter must be paid for.
+
+    One with more parameters, one of them on its bound, imitates the chosen one in a limit: a kernel as wide as the
+    picture is a veil.
+    """
+    further = max(other.parameters - chosen[0].parameters, 0)
+    if other.name == chosen[0].name or (further and other.columns.shape[1] < other.parameters):
+        return False
+    return nats - PARAMETER_NATS * further > chosen[1] - RIVAL_NATS

@@ -13,9 +13,9 @@ import numpy as np
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconciliation.fit.candidate_fit import Candidate
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.row_bands import RowBins, wave_power
-from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
-from radiometer.reconciliation.noise.shared_errors import mixing_of_bands, relative_bands
+from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics
+from radiometer.reconciliation.measure.lines import RowBins, wave_power
+from radiometer.reconciliation.shared_errors import mixing_of_bands, relative_bands
 from radiometer.reconciliation.statistics import seen_step
 from radiometer.typing import Array
 from simulators.effects.base import DIGITAL_NUMBER

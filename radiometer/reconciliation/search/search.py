@@ -1,13 +1,25 @@
-"""Names missing effects one after the other until nothing structured is left."""
+"""Names missing effects one after the other until nothing structured is left.
+
+What was named first knew nothing of what came later. Names are dropped, laws loosened, or one name given a free law.
+Each move is judged by the score that also adds names: the held-out log density, every parameter paid for.
+
+Where structure stays in the end, the names that were found may be one cause by another law than the catalogue's. Each
+entry's change is then multiplied by a free curve along its own covariates (`simulators/effects/free_law.py`). It is
+tried alone from the start on or in the place of a name, by the score of all models. It is kept where it leaves
+nothing unexplained.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 
+from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconciliation.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
@@ -15,133 +27,55 @@ from radiometer.reconciliation.fit.candidate_fit import (
     fit_candidate,
     judged_gain,
 )
-from radiometer.reconciliation.fit.covariance import is_far, is_misfit, scatter_of
-from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of
-from radiometer.reconciliation.fit.state import FitState, reweighted, with_terms
-from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
-from radiometer.reconciliation.search.moves import (
-    Loosened,
-    LooserForms,
-    better,
-    by_a_free_law,
-    fit_swapped,
-    in_place_of_all,
-    pruned,
-    simpler,
+from radiometer.reconciliation.fit.descent import (
+    FullFits,
+    UnfitError,
+    coarse_fit,
+    converged_fit,
+    included,
+    is_misfit,
+    refit,
+    scatter_of,
 )
-from radiometer.reconciliation.search.outcome import Search, Step
-from radiometer.reconciliation.search.score import (
-    by_itself,
+from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
+from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
+from radiometer.reconciliation.search.outcome import (
+    Search,
+    Step,
+    contenders_of,
     is_shown,
-    likeliest,
-    log_chance,
     penalised_chi2,
     rated,
     rivals_of,
     score,
     worth,
 )
-from radiometer.reconciliation.search.screening import Before, StartPool, screen
+from radiometer.reconciliation.search.screening import Before, StartPool, directions_of, screen
 from radiometer.reconciliation.thresholds import (
     FLEXIBLE_NATS,
     HUGE_NATS,
     KEPT_NATS,
+    LAW_SHARE,
     MOST_STEPS,
     NAMED_NATS,
-    NEAR_SHARE,
+    OWN_LAW_NATS,
     PARAMETER_NATS,
     SIGNIFICANCE,
     SMOOTH_SHARE,
 )
-from simulators.effects.base import DIGITAL_NUMBER, EXPOSURE, IRRADIANCE, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, Offset, Scaling
-from simulators.effects.context import ExposureContext
-
-# ---- plain trends -------------------------------------------------------------------------------------------------
-# What no more freedom than an entry's explains better is not that entry. Trends are fitted like effects, in all
-# statistics at once, but belong to no catalogue: where one of them wins, the disagreement stays unnamed. A trend whose
-# `where` is empty answers for every covariate.
-
-
-@dataclass(frozen=True)
-class ConstantTrend(Offset):
-    """Adds the same to every digital number: y' = y + b.
-
-    Source: the constant term of any trend.
-    """
-
-    name = "constant_trend"
-    stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
-    where = ""
-    block = "mean"
-    trials = ({"offset_dn": 1.0}, {"offset_dn": -1.0})
-    fitted = ("offset_dn",)
-    offset_dn: float = parameter(0.0, "DN", -1.0, 1.0, source="free", of_full_scale=True)
-
-    def offset(self, context: ExposureContext) -> float:
-        """Return b in DN."""
-        return self.offset_dn
-
-
-@dataclass(frozen=True)
-class RadialTrend(Scaling):
-    """Scales light by a polynomial of the field radius: E' = E·(1 + a₂·ρ² + a₄·ρ⁴).
-
-    Source: the first even terms of any curve about the lens's axis.
-    """
-
-    name = "radial_trend"
-    stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
-    where = ""
-    block = "slope"
-    trials = ({"a2": -0.03}, {"a2": 0.03})
-    fitted = ("a2", "a4")
-    a2: float = parameter(0.0, "1", -1.0, 1.0, source="free")
-    a4: float = parameter(0.0, "1", -1.0, 1.0, source="free")
-
-    def factor(self, context: ExposureContext) -> Any:
-        """Return the polynomial."""
-        rho2 = np.square(context.geometry.field_radius())
-        return np.maximum(1.0 + self.a2 * rho2 + self.a4 * rho2**2, 0.01)
-
-
-@dataclass(frozen=True)
-class ExposureTrend(Scaling):
-    """Scales light by a straight line along the logarithm of the exposure time: H' = H·(1 + b·ln(t/1 ms)).
-
-    Source: the first term of any slow curve along the exposures.
-    """
-
-    name = "exposure_trend"
-    stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
-    where = "exposure_s"
-    block = "mean"
-    trials = ({"b": 0.005}, {"b": -0.005})
-    fitted = ("b",)
-    b: float = parameter(0.0, "1", -0.05, 0.05, source="free")
-
-    def factor(self, context: ExposureContext) -> Any:
-        """Return the line."""
-        return np.maximum(1.0 + self.b * np.log(np.asarray(context.settings.exposure_s) / 1e-3), 0.01)
-
-
-TRENDS: Final[tuple[type[CatalogueEffect], ...]] = (ConstantTrend, RadialTrend, ExposureTrend)
-
+from radiometer.statistics.chances import chi2_beyond
+from radiometer.typing import Mask
+from simulators.chain.stages import place_for
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.free_law import FreeLaw, axis_scale, axis_values, freed, unscaled
+from simulators.effects.tile_moments import TileMoments
 
 _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
 _LITTLE_PROMISE: Final = 0.05  # of what a further effect brings: forms came to eleven times their promise at most
-_AFTER_A_LAW: Final = 3  # further steps next to one form or law in place of all
-_OTHER_WAYS: Final = 2  # that are gone where the first leaves doubts
+_AFTER_A_LAW: Final = 3  # further steps next to a free law
 
 
 @dataclass(slots=True)
@@ -152,30 +86,13 @@ class _Run:
     refused: set[str] = field(default_factory=set)
     pool: StartPool = field(default_factory=StartPool)
     first: list[CatalogueEffect] = field(default_factory=list)  # what fitted best before anything was named
-    turns: list[_Turn] = field(default_factory=list)
     screened: list[Candidate] = field(default_factory=list)  # next to the model before
     forms: dict[tuple[str, bool], tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # as they were fitted then
-    barred: str = ""  # a name that this step may not give
     fitted_with: dict[str, tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # what was fitted with each name
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Turn:
-    """A step at which another entry was nearly chosen."""
-
-    state: FitState  # the model before it
-    tests: tuple[Disagreement, ...]  # its tests
-    chosen: str  # the name that was given
-    lead: float  # by what share of its score it was ahead of the next in the same statistic
-    steps: tuple[Step, ...]  # the steps before
-    refused: frozenset[str]  # what had been refused before
-
-
 def search(
-    start: FitState,
-    catalogue: Mapping[str, type[CatalogueEffect]],
-    say: Callable[[str], None] = lambda line: None,
-    is_doubted: Callable[[Search], bool] = lambda found: False,
+    start: FitState, catalogue: Mapping[str, type[CatalogueEffect]], say: Callable[[str], None] = lambda line: None
 ) -> Search:
     """Return the model with every missing effect that the data can name.
 
@@ -183,75 +100,54 @@ def search(
         start: The ideal camera fitted.
         catalogue: Entries to try, by name.
         say: Told what happens, line by line.
-        is_doubted: Tells whether what was found is provisional though nothing is left, so that the search is taken up
-            again from where another entry was nearly chosen.
     """
     run, first = _Run(catalogue, say), localise(start)
-    found = _to_its_end(start, start, first, run)
-    for turn in sorted(run.turns, key=lambda turn: turn.lead)[:_OTHER_WAYS]:
-        if not is_doubted(found):
-            break
-        say(f"another way: not {turn.chosen} after {', '.join(step.name for step in turn.steps) or 'nothing'}")
-        again = _Run(catalogue, say, [*turn.steps], {*turn.refused}, run.pool, run.first)
-        other = _to_its_end(start, turn.state, turn.tests, again, barred=turn.chosen)
-        run.fitted_with |= again.fitted_with
-        if rated(other.state) > rated(found.state) + NAMED_NATS:
-            say(f"better by {rated(other.state) - rated(found.state):.1f} nats: gap {other.state.gap:.3f}")
-            found = other
-    fit_swapped(found.state, run.fitted_with)
-    return replace(found, first_tests=first)
-
-
-def _to_its_end(
-    start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run, barred: str = ""
-) -> Search:
-    """Return the outcome of a search from a model on, where one name may not be given at once."""
-    state, tests = _stepped(state, tests, run, MOST_STEPS, barred)
-    for change in (_as_one, _refined):
-        changed = change(start, state, tests, run)
-        if changed is None:
-            continue
+    state, tests = _stepped(start, first, run, MOST_STEPS)
+    changed = _refined(start, state, tests, run)
+    if changed is not None:
         state, tests, steps = changed, localise(changed), list(run.steps)
         further, later = _stepped(state, tests, run, _AFTER_A_LAW)
         if worth(further) > worth(state):
             state, tests = further, later
         else:
             run.steps = steps
-    return Search(state, start, tuple(run.steps), significant(tests), tests, ())
+    likeliest, taken = swapped(state, run.fitted_with)
+    if taken:
+        say("; ".join(f"{effect.name} in place of {name}" for name, effect in taken.items()))
+        run.steps = [_renamed(step, taken.get(step.name), likeliest) for step in run.steps]
+        state, dropped = pruned(likeliest, say)  # what stood next to another name may be superfluous next to this one
+        for name in dropped:
+            _forget(run, name)
+        tests = localise(state)
+    return Search(state, start, tuple(run.steps), significant(tests), tests, first)
+
+
+def _renamed(step: Step, effect: CatalogueEffect | None, state: FitState) -> Step:
+    """Return the step of a name with the entry that took its place, if any."""
+    if effect is None:
+        return step
+    return replace(step, name=effect.name, where=effect.where, gap_after=state.gap, rivals=())
 
 
 def _stepped(
-    state: FitState, tests: tuple[Disagreement, ...], run: _Run, most: int, barred: str = ""
+    state: FitState, tests: tuple[Disagreement, ...], run: _Run, most: int
 ) -> tuple[FitState, tuple[Disagreement, ...]]:
-    """Return the model after up to so many steps, of which the first may not give one name, and its tests."""
-    for step in range(most):
-        run.barred = barred if step == 0 else ""
+    """Return the model after up to so many steps, and its tests."""
+    for _ in range(most):
         try:
             following = _one_step(state, tests, run)
         except UnfitError as unfit:
             run.refused.add(str(unfit))
             continue
-        if following is None and (following := _exchanged(state, tests, run)) is None:
+        if following is None:
             break
         state, dropped = pruned(following, run.say)
         for name in dropped:
             _forget(run, name)
         if dropped:  # rivals were judged next to what is gone; what the plan cannot separate is determined again
             run.steps = [replace(step, rivals=()) for step in run.steps]
-        state = _joined(state, run)
         tests = localise(state)
     return state, tests
-
-
-def _as_one(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
-    """Return the model with one entry in a looser form in place of several names, where it predicts better."""
-    found = in_place_of_all(start, state, run.catalogue)
-    if found is None:
-        return None
-    (effect,) = found.effects
-    run.say(f"{effect.name} in a looser form in place of all: gap {state.gap:.3f} → {found.gap:.3f}")
-    run.steps = [Step(effect.name, effect.where, found.evidence - start.evidence, start.gap, found.gap)]
-    return found
 
 
 def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
@@ -277,37 +173,28 @@ def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     standing = significant(tests)
     screened = run.screened = screen(state, run.catalogue, run.pool, Before(run.screened, _FITTED + len(run.refused)))
-    limit = float(np.log(SIGNIFICANCE / max(len(screened), 1)))
+    limit = SIGNIFICANCE / max(len(screened), 1)
     promising = _promising(screened, limit, standing)
-    promising = [candidate for candidate in promising if candidate.effect.name not in {*run.refused, run.barred}]
+    promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
     departed = [] if standing else departing(tests, state.effects)
     if not standing and not promising and not departed:
         return None
-    fitted = sorted((_fitted(state, c, run) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
+    all_fitted = (_fitted(state, candidate, run) for candidate in promising[:_FITTED])
+    fitted = sorted((f for f in all_fitted if not f.effect.is_nothing()), key=lambda f: -penalised_chi2(f))
     run.first = run.first or [candidate.effect for candidate in fitted]
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
-    far = is_far(state)
-    shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects), far=far)]
+    shown = [entry for entry in judged if is_shown(*entry)]
     looser = LooserForms.of(state, None if standing else departed)
-    fits, steps, refused = FullFits(state), tuple(run.steps), frozenset(run.refused)
+    fits = FullFits(state)
     while shown:
         contenders = contenders_of(fits, shown)
-        chosen = likeliest(contenders)
-        if chosen is None:
-            break
-        if contenders is not shown:
-            chosen = by_itself(contenders, shown, scatter_of(fits.included(chosen[0].effect, far=True)))
-        plain = _plain_leads(fits, chosen)
-        if not _convinces(state, chosen, standing, plain) or _is_likelier(fits, looser, chosen):
+        chosen = max(contenders, key=score)
+        if not _convinces(state, chosen, standing) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
-        outperformed = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
-        outperformed |= any(_outperforms(other, chosen) for other in others)
-        following = _named(fits, chosen, others, run, outperformed=outperformed)
+        following = _named(fits, chosen, others, run)
         if following is not None:
             run.fitted_with[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
-            if (lead := _lead(chosen, others)) < NEAR_SHARE:
-                run.turns.append(_Turn(state, tests, chosen[0].name, lead, steps, refused))
             return following
         shown = [entry for entry in shown if entry[0].name != chosen[0].name]
     if looser.best is not None:
@@ -349,66 +236,16 @@ def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
 def _promising(candidates: list[Candidate], limit: float, standing: tuple[Disagreement, ...]) -> list[Candidate]:
     """Return candidates whose gain is significant among all that were tried, or may yet become so."""
     slack = 0.5 if standing else 1.0  # a start far from the best parameters shows only part of its gain
-    return [c for c in candidates if log_chance(c.gain, c.parameters) < slack * limit]
+    return [c for c in candidates if chi2_beyond(max(c.gain, 1e-9), c.parameters) < limit**slack]
 
 
-def _convinces(
-    state: FitState,
-    chosen: tuple[FittedCandidate, float],
-    standing: tuple[Disagreement, ...],
-    plain: Mapping[type[CatalogueEffect], float],
-) -> bool:
+def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], standing: tuple[Disagreement, ...]) -> bool:
     fitted, nats = chosen
-    if any(lead > (0.0 if _is_constant(kind, fitted) else NAMED_NATS) for kind, lead in plain.items()):
-        return False
     same = [test for test in standing if test.family == fitted.effect.block]
     if not same:
         return True
     smooth = _smooth_gain(state, same[0])
     return nats >= SMOOTH_SHARE * smooth or nats >= smooth - NAMED_NATS
-
-
-def _plain_leads(fits: FullFits, chosen: tuple[FittedCandidate, float]) -> dict[type[CatalogueEffect], float]:
-    """Return by how many nats each plain trend of no more freedom predicts better than the chosen effect."""
-    effect = chosen[0].effect
-    return {
-        kind: _plain_lead(fits, kind, chosen)
-        for kind in TRENDS
-        if kind.block == effect.block and kind.where in ("", effect.where) and len(kind.fitted) <= chosen[0].parameters
-    }
-
-
-def _plain_lead(fits: FullFits, kind: type[CatalogueEffect], chosen: tuple[FittedCandidate, float]) -> float:
-    state = fits.state
-    starts = kind.starts(state.model.context)
-    plain = fit_candidate(state, Candidate(starts[0], 0.0, len(kind.fitted), others=starts[1:]))
-    (_, named), (_, trend) = contenders_of(fits, [chosen, (plain, judged_gain(state, plain))], fewest=2)
-    return trend + PARAMETER_NATS * (chosen[0].parameters - plain.parameters) - named
-
-
-def _is_constant(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Return whether a trend is a mere constant, of fewer parameters than an effect that depends on some setting."""
-    return not kind.where and len(kind.fitted) == 1 < fitted.parameters
-
-
-def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Return whether a trend follows an effect's very covariate with fewer parameters than it."""
-    return kind.where == fitted.effect.where and len(kind.fitted) < fitted.parameters
-
-
-def _outperforms(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
-    """Return whether another entry predicts better, each parameter paid for, its prior probability left out."""
-    mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
-    return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
-
-
-def _lead(chosen: tuple[FittedCandidate, float], others: Sequence[tuple[FittedCandidate, float]]) -> float:
-    """Return by what share of its score a name is ahead of the next entry that shows in the same statistic."""
-    best, (mine, _) = score(chosen), chosen
-    same = (
-        score(other) for other in others if other[0].name != mine.name and other[0].effect.block == mine.effect.block
-    )
-    return 1.0 - max(same, default=-np.inf) / best if best > 0.0 else np.inf
 
 
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
@@ -422,8 +259,6 @@ def _named(
     chosen: tuple[FittedCandidate, float],
     contenders: list[tuple[FittedCandidate, float]],
     run: _Run,
-    *,
-    outperformed: bool,
 ) -> FitState | None:
     """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
 
@@ -432,7 +267,7 @@ def _named(
     (fitted, nats), state = chosen, fits.state
     following = fits.included(fitted.effect, far=nats > HUGE_NATS)
     brought = following.evidence - state.evidence
-    if brought < KEPT_NATS or brought < NAMED_NATS * scatter_of(following):
+    if brought < NAMED_NATS * scatter_of(following):
         run.refused.add(fitted.name)
         return None
     rivals = rivals_of(chosen, contenders)
@@ -442,38 +277,12 @@ def _named(
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:
         where = fitted.effect.where
-        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outperformed=outperformed))
+        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals))
     else:
         old = run.steps[again]
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
     run.say(f"{fitted.name}: {nats:.1f} nats, gap {gap_before:.3f} → {following.gap:.3f}")
     return following
-
-
-def _joined(state: FitState, run: _Run) -> FitState:
-    """Return the model with one entry in place of names that it may explain."""
-    found = simpler(state, run.catalogue)
-    return state if found is None else _in_place(state, found, found[1].stands_for, run)
-
-
-def _exchanged(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
-    """Return the model with another name in place of one that leaves structure after later ones, if any."""
-    for name in departing(tests, state.effects) if len(state.effects) > 1 else ():
-        found = better(state, name, run.catalogue, run.pool)
-        if found is not None:
-            run.refused.add(name)
-            return _in_place(state, found, (name,), run)
-    return None
-
-
-def _in_place(state: FitState, found: tuple[FitState, CatalogueEffect], names: Sequence[str], run: _Run) -> FitState:
-    changed, effect = found
-    old = [step for step in run.steps if step.name in names]
-    nats = sum(step.gain_nats for step in old) + changed.evidence - state.evidence
-    run.steps[run.steps.index(old[0])] = Step(effect.name, effect.where, nats, old[0].gap_before, changed.gap)
-    run.steps = [step for step in run.steps if step not in old]
-    run.say(f"{effect.name} in place of {' and '.join(names)}: gap {state.gap:.3f} → {changed.gap:.3f}")
-    return changed
 
 
 def _unnamed(
@@ -512,3 +321,352 @@ def _forget(run: _Run, name: str) -> None:
         if step.name == name or (step.name == "unnamed" and len(where) > 1 and step.where == where[1]):
             run.steps.remove(step)
             break
+
+
+# ---- changes of a model with names ----------------------------------------------------------------------------------
+
+
+_SWAPPED: Final = 4  # entries that are fitted in another's place
+_FAR_OFF: Final = 400.0  # χ² that a smaller model leaves by its own derivatives still, and is asked no further
+_REFITTED: Final = 2  # forms that are fitted in full, the most promising first
+
+
+def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
+    """Drop earlier effects and unnamed terms that the newest made superfluous.
+
+    Returns:
+        The model that is left, and the names of what was dropped.
+    """
+    changed, dropped = True, list[str]()
+    while changed:
+        changed = False
+        for name, promised, smaller in _without_one(state):
+            if promised - state.cost > 2.0 * HUGE_NATS:  # the others, free to move, come nowhere near
+                continue
+            lost = _lost(state, smaller)
+            if lost < KEPT_NATS:
+                say(f"{name} dropped again: it brings {lost:.1f} nats")
+                state, changed = refit(reweighted(refit(smaller))).recorded(), True
+                dropped.append(name)
+                break
+    return state, dropped
+
+
+def _lost(state: FitState, smaller: FitState) -> float:
+    """Return by how many nats a smaller model predicts held-out settings worse; infinity where it is far off."""
+    nearer = refit(smaller, iterations=1).with_frozen(frozenset())
+    if nearer.promised - state.cost > _FAR_OFF:  # by its derivatives
+        return np.inf
+    return _log_density(state) - _log_density(refit(nearer, iterations=5).recorded())
+
+
+def _without_one(state: FitState) -> Iterator[tuple[str, float, FitState]]:
+    """Yield the models with one earlier addition less (the newest effect is not questioned), and the χ² they promise.
+
+    What is left of an effect that is gone the others may take up as they do where it stands.
+    """
+    smooth = tuple(term for term in state.terms if term.is_smooth)
+    older = state.effects[:-1] if not smooth else state.effects
+    rests = [[other for other in state.effects if other is not effect] for effect in older]
+    for index, (effect, change) in enumerate(zip(older, state.moved_by(rests).T, strict=True)):
+        others = state.whole_fit.without(state.parameters.of_effect(index))
+        residual = state.residual - state.pad(change[:, None])[:, 0]
+        yield effect.name, others.left_from(residual), with_effects(state, rests[index])
+    for term in smooth if state.effects else ():
+        smaller = with_terms(state, [other for other in smooth if other is not term])
+        yield term.name, smaller.promised, smaller
+
+
+def _log_density(state: FitState) -> float:
+    return float(np.sum(state.held_out.log_density))
+
+
+def swapped(
+    state: FitState, others: Mapping[str, Sequence[CatalogueEffect]]
+) -> tuple[FitState, dict[str, CatalogueEffect]]:
+    """Return the model with other entries in the place of names, where that is likelier, and these by the names.
+
+    What was fitted at the step of a name did not know the later ones. The only name was compared at its step.
+
+    Args:
+        state: The model with all names.
+        others: What was fitted with each name, the best first.
+    """
+    taken = dict[str, CatalogueEffect]()
+    for effect in state.effects if len(state.effects) > 1 else ():
+        present = {other.name for other in state.effects}
+        starts = [other for other in others.get(effect.name, ()) if other.name not in present]
+        if not starts:
+            continue
+        try:
+            rest = with_effects(state, [other for other in state.effects if other.name != effect.name])
+            fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts[:_SWAPPED]]
+            best = max(fitted, key=penalised_chi2)
+            judged_gain(rest, best)
+            changed = included(rest, best.effect, far=False)
+        except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
+            continue
+        if rated(changed) > rated(state) and not is_misfit(changed):  # else it takes up the residual of others
+            state, taken[effect.name] = changed, changed.effects[-1]
+    return state, taken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loosened:
+    """A model in which one effect took a more flexible form."""
+
+    name: str  # name of the effect
+    state: FitState  # the fitted model
+    nats: float  # improvement of the held-out log density
+    further: int  # number of parameters that the form has beyond the former one
+
+
+@dataclass(eq=False)
+class LooserForms:
+    """The forms that may do more than those of the effects in a model; they are fitted where they are asked for.
+
+    Each further parameter must be paid for, and the whole be as far beyond chance as a further name.
+    """
+
+    state: FitState  # the model
+    needed: float  # nats that a form must bring
+    # Nats that the likeliest would bring if they acted linearly, the places of their effects, the forms
+    promising: list[tuple[float, int, CatalogueEffect]]
+
+    @classmethod
+    def of(cls, state: FitState, only: Sequence[str] | None = None) -> LooserForms:
+        """Return the forms of the effects of a model.
+
+        Args:
+            only: Names of the effects that leave structure in their own place, where these alone are asked and the
+                tests of that place are what is beyond chance; by default all effects.
+        """
+        needed = NAMED_NATS if only is None else OWN_LAW_NATS
+        forms = (form for form in _forms_of_promise(state, only) if form[0] >= needed)
+        return cls(state, needed, sorted(forms, key=lambda entry: -entry[0])[:_REFITTED])
+
+    @property
+    def promise(self) -> float:
+        """Return the nats that the likeliest form would bring if it acted linearly."""
+        return max((nats for nats, _, _ in self.promising), default=0.0)
+
+    @cached_property
+    def best(self) -> Loosened | None:
+        """Return the model with the form that predicts held-out settings best; None where none is worth it."""
+        fitted = [_loosened(self.state, index, form) for _, index, form in self.promising]
+        worth = [e for e in fitted if e is not None and e.nats - PARAMETER_NATS * e.further >= self.needed]
+        return max(worth, key=lambda entry: entry.nats - PARAMETER_NATS * entry.further, default=None)
+
+
+def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[tuple[float, int, CatalogueEffect]]:
+    """Yield nats that each form would bring if it acted linearly, the place of its effect, and the form."""
+    for index, effect in enumerate(state.effects):
+        if only is not None and effect.name not in only:
+            continue
+        for form in effect.loosened(state.model.context):
+            yield _linear_gain(state, index, form) / 2.0 - PARAMETER_NATS * _further(effect, form), index, form
+
+
+def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:
+    return max(len(form.free()) - len(effect.free()), 1)
+
+
+def _linear_gain(state: FitState, index: int, form: CatalogueEffect) -> float:
+    """Return the χ² that a form in an effect's place explains by itself and by its parameters' directions."""
+    effects = [form if place == index else effect for place, effect in enumerate(state.effects)]
+    followed = state.fit.followed(directions_of(state, effects, index))
+    return state.fit.score(slice(0, state.comparison.size), followed)[0]
+
+
+def _loosened(state: FitState, index: int, form: CatalogueEffect) -> Loosened | None:
+    """Return the model with a form in an effect's place, fitted; it stands last, as the newest of all.
+
+    None where the form cannot be fitted: with it the model predicts what no camera does.
+    """
+    others = [effect for place, effect in enumerate(state.effects) if place != index]
+    try:
+        following = converged_fit(coarse_fit(with_effects(state, [*others, form])))
+    except (np.linalg.LinAlgError, ConfigurationError):  # no covariance, or parameters that are no numbers
+        return None
+    further = _further(state.effects[index], form)
+    return Loosened(form.name, following, following.evidence - state.evidence, further)
+
+
+# ---- looser forms and free laws -------------------------------------------------------------------------------------
+
+
+_KNOTS: Final = (5, 9)
+_OF_TWO: Final = 6  # of the first of two covariates
+_LEVELS: Final = 6  # of a covariate, each of which is a knot
+
+
+def free_forms(state: FitState, effect: CatalogueEffect) -> tuple[FreeLaw, ...]:
+    """Return an effect with a free law: along each of its covariates, and along two together.
+
+    Args:
+        state: The model, which gives the signals in front of the effect.
+        effect: The effect by its own law.
+    """
+    if isinstance(effect, FreeLaw) or not effect.free() or any("[" in name for name in effect.free()):
+        return ()
+    along = effect.law_along or (effect.where,)
+    knots = {axis: [_knots(state, effect, axis, count) for count in _KNOTS] for axis in along}
+    single = [{axis: at} for axis, several in knots.items() for at in dict.fromkeys(several) if at]
+    both = [
+        {first: _knots(state, effect, first, _OF_TWO), second: knots[second][0]}
+        for first, second in itertools.combinations(along, 2)
+        if knots[first][0] and knots[second][0]
+    ]
+    return tuple(_freed(effect, at) for at in (*single, *both))
+
+
+def _freed(effect: CatalogueEffect, at: Mapping[str, tuple[float, ...]]) -> FreeLaw:
+    size = int(np.prod([len(values) for values in at.values()]))
+    own = effect.values() | {"law": (1.0,) * size} | {f"at_{axis}": values for axis, values in at.items()}
+    return freed(type(effect), tuple(at))(**own)
+
+
+def _knots(state: FitState, effect: CatalogueEffect, axis: str, count: int) -> tuple[float, ...]:
+    """Return the places of so many knots along a covariate; each of few levels is one, none where it does not vary."""
+    before = state.trace.in_front(place_for(effect, state.trace.links))
+    values = axis_values(effect, axis, before.mean, state.model.context)
+    if values is None:
+        return ()
+    mask = state.comparison.usable["mean"][:, :, None] & _acts(state, effect, before)
+    spread = np.broadcast_to(axis_scale(axis, values), np.broadcast_shapes(np.shape(values), mask.shape))
+    held = spread[np.broadcast_to(mask, spread.shape)]
+    levels = np.unique(np.round(held[np.isfinite(held)], 6))
+    if levels.size < 2:
+        return ()
+    if levels.size > _LEVELS:
+        share = np.linspace(0.0, 1.0, count)
+        levels = 0.5 * (np.quantile(levels, share) + levels[0] + share * (levels[-1] - levels[0]))
+    return tuple(unscaled(axis, levels).tolist())
+
+
+def _acts(state: FitState, effect: CatalogueEffect, before: TileMoments) -> Mask:
+    """Return where an effect does anything at all: elsewhere no law of it can be seen."""
+    after = effect.moments(before, state.model.context)
+    names = ("mean", *before.squared, *before.linear)
+    moved = [np.not_equal(getattr(after, name), getattr(before, name)) for name in names]
+    return np.asarray(np.broadcast_to(np.any(np.broadcast_arrays(*moved), axis=0), before.mean.shape))
+
+
+_FORMS_FITTED: Final = 3  # forms that are fitted in full, the most promising first
+_NEAR: Final = 2.0  # times the residual beyond chance, under the same weights: a law that leaves more is far off
+_FEW: Final = 6  # iterations that show how the others do alone
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A model in which one name took a free law."""
+
+    state: FitState  # the fitted model
+    name: str  # the name
+    without: FitState  # the model without that name
+    rivals: tuple[CatalogueEffect, ...] = ()  # other entries that leave nothing by a law of theirs either
+
+    @property
+    def nats(self) -> float:
+        """Return by how much the name by its free law raises the held-out log density."""
+        return self.state.evidence - self.without.evidence
+
+    @property
+    def form(self) -> CatalogueEffect:
+        """Return the effect with its free law."""
+        return next(effect for effect in self.state.effects if effect.name == self.name)
+
+
+def nowhere_near(base: FitState, found: FitState) -> float:
+    """Return the χ² beyond which a single law that is fitted comes nowhere near what was found.
+
+    Args:
+        base: The model that the law is put into; its weights are those of the χ².
+        found: What was found; curves without a name are left out.
+    """
+    left, count = base.comparison.residual(found.prediction), float(base.comparison.counts().sum())
+    return count + _NEAR * max(float(left @ left) - count, 0.0) + 2.0 * HUGE_NATS
+
+
+def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Refined | None:
+    """Return the model with one name by a free law that does better than all that was found; None for none.
+
+    Args:
+        start: The model without any name.
+        state: What was found; structure stays in it.
+        alone: Entries as they fit the start, each alone.
+    """
+    found = list[Refined]()
+    for promises in (_of_one(start, alone), _in_place(start, state)):
+        found += _tried(promises, state)
+        if any(not is_misfit(refined.state) for refined in found):
+            break
+    if not found:
+        return None
+    best = max(found, key=lambda refined: worth(refined.state))
+    closing = [refined for refined in found if not is_misfit(refined.state)]
+    return replace(best, rivals=tuple({m.name: m.form for m in closing if m.name != best.name}.values()))
+
+
+_Promise = tuple[float, FitState, FreeLaw]
+
+
+def _tried(promises: Iterator[_Promise], state: FitState) -> Iterator[Refined]:
+    """Yield the models of the most promising forms, one for each name, that are worth more than what was found."""
+    least = worth(state)
+    tried = set[str]()
+    for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
+        if form.name not in tried and len(tried) < _FORMS_FITTED:
+            tried.add(form.name)
+            refined = _with_form(base, form, least, nowhere_near(base, state))
+            if refined is not None:
+                yield refined
+
+
+def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Promise]:
+    """Yield what free forms promise alone, the model that each is put into, and the form."""
+    for effect in alone:
+        for form in free_forms(start, effect):
+            yield promise(start, form), start, form
+
+
+def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
+    """Yield the same of forms in the place of a name, the other names kept."""
+    for effect in state.effects if len(state.effects) > 1 else ():
+        without = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
+        base = refit(without, iterations=_FEW)
+        for form in free_forms(base, effect):
+            yield base.evidence - start.evidence + promise(base, form), base, form
+
+
+def promise(base: FitState, form: CatalogueEffect) -> float:
+    """Return the nats that a form would bring if it acted linearly, its parameters paid for.
+
+    Args:
+        base: The model without it.
+        form: A form with a free law, or a looser one.
+    """
+    try:
+        followed = base.fit.followed(directions_of(base, (*base.effects, form), len(base.effects)))
+    except (MeasurementError, ConfigurationError):  # what no camera does
+        return -np.inf
+    return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
+
+
+def _with_form(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:
+    """Return the model with a form, fitted in full; None where its plain law is far from the result.
+
+    None too where it is not worth more than `least`, or leaves more than `most` under the weights of the model without
+    it; how far its plain law comes is not asked then.
+    """
+    try:
+        state = included(base, form, far=True, most=most)
+        if worth(state) <= least:
+            return None
+        plain = included(base, form.own, far=True)
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):
+        return None
+    brought, whole = plain.evidence - base.evidence, state.evidence - base.evidence
+    if brought < LAW_SHARE * whole:
+        return None
+    return Refined(state, form.name, base)

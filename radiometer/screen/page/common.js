@@ -45,7 +45,7 @@ function connect() {
     if (order.kind === "outcome") { state.textContent = order.text; return; }
     if (order.kind === "end") {
       document.body.classList.remove("running");
-      state.textContent = "done; the page can be closed";
+      state.textContent = "the program has ended; the page can be closed";
       last = null; pen.fillStyle = "#000"; pen.fillRect(0, 0, stage.width, stage.height);
       mine.over = true;
       return;

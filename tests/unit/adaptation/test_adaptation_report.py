@@ -52,6 +52,16 @@ def test_the_break_is_reported_with_its_interval(broken):
     assert abs(slope + TRUE_S2) < 1.5 * half_slope
 
 
+@pytest.mark.usefixtures("unrendered")
+def test_published_values_are_shown_with_their_source_and_what_has_none_is_named(broken):
+    """Final threshold: 0.08 log₁₀ units a decade (Jackson and Owsley 2000); no intercept was fitted: none is shown."""
+    page = report_html(broken, "eye")
+    assert "0.08 log₁₀ units higher for each decade" in page
+    assert "Jackson and Owsley 2000" in page
+    assert "Rod–cone break and S2 slope: no norm by age is known." in page
+    assert "Owsley et al. 2014" not in page
+
+
 def test_the_picture_shows_what_the_sentence_claims(broken, monkeypatch):
     """A line at the break, a band over its interval, the plateau, the fitted curve, and after the break cones alone."""
     figures = []

@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.live import LiveState, running_fit
 from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.live_text import LiveText, event_line, live_lines
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.session import Prompter, prompts_after
+from radiometer.data.event_journal import Event
 from radiometer.errors import DeviceInUse, DeviceTimeout
 from radiometer.reporting.terminal_chart import TerminalChart
 from testing.patience import within
@@ -266,13 +267,13 @@ async def test_every_browser_gets_the_whole_state_and_what_follows(page: LivePag
     async with aiohttp.ClientSession() as session, session.ws_connect(address) as first:
         await _until(first, "phase", "fixation")
         for number in range(10, 13):
-            page.tell(_page_trial(number))
+            page.publish(_page_trial(number))
         async with session.ws_connect(address) as late:
             await _until(late, "points", [[2.0, 0.0], [2.2, -0.1], [2.4, -0.2]])
-        page.tell({"sequence": 20, "kind": "pause", "time_s": 300.0, "by": "page", "voids": None})
+        page.publish({"sequence": 20, "kind": "pause", "time_s": 300.0, "by": "page", "voids": None})
         assert (await _until(first, "phase", "paused"))["subject"] == "S1"
         for number in range(21, 40):
-            page.tell(_page_trial(number))
+            page.publish(_page_trial(number))
         fitted = await _until(first, "phase", "fixation")
         while len(fitted["points"]) != fitted["fit"]["count"]:  # type: ignore[arg-type, index]
             fitted = await _until(first, "kind", "state")
@@ -283,7 +284,7 @@ async def test_prompts_are_reported_as_they_come_and_not_again(page: LivePage) -
     """A browser that comes later does not get the old ones."""
     async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
         await _until(socket, "phase", "fixation")
-        page.tell({"sequence": 9, "kind": "prompt", "time_s": 121.0, "say": "threshold"})
+        page.publish({"sequence": 9, "kind": "prompt", "time_s": 121.0, "say": "threshold"})
         assert (await _until(socket, "kind", "prompt"))["say"] == "threshold"
 
 

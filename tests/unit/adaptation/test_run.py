@@ -14,12 +14,13 @@ import pytest
 
 from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event, RunJournal, read_events
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.session import prompts_after
+from radiometer.data.event_journal import Event, read_events
 from radiometer.errors import ConfigurationError, DeviceLost, InputError, MeasurementError, OutputError, UsageError
 from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
 

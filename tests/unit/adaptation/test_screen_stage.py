@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
-from radiometer.adaptation.screen_levels import SpotLevels, field_code, mark_code, within_reach
-from radiometer.adaptation.screen_setup import ScreenStage
+from radiometer.adaptation.screen_setup import ScreenStage, SpotLevels, field_code, mark_code, within_reach
 from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.stimulus import Blink, Hold, Rest, ScreenPicture, Viewing

@@ -20,6 +20,7 @@ from radiometer.data import (
     SensorNoise,
     SourceDescription,
 )
+from radiometer.errors import MeasurementError
 
 BLACK_DN, DARK_E_PER_S, LIGHT_E_PER_S, TIMES_S = 500.0, 9.0, 3000.0, (0.125, 0.25, 0.5)
 GAIN_E_PER_DN, PITCH_UM, EFFICIENCY, WAVELENGTH_NM = 1.0, 5.0, 0.5, 550.0
@@ -119,10 +120,20 @@ def test_an_unstated_black_level_is_that_of_the_dark_frames(tmp_path):
             for time_s in times:
                 dn = np.rint(rng.normal(BLACK_DN + 40.0 * time_s, 2.0, (24, 32))).astype(np.uint16)
                 writer.add(Frame(dn, 12, FrameSettings(time_s, shutter="closed")))
-            for time_s in (0.1, 0.5):
-                dn = np.rint(rng.normal(BLACK_DN + 3000.0 * time_s, 2.0, (24, 32))).astype(np.uint16)
+            for time_s in (0.001, 0.005):
+                dn = np.rint(rng.normal(BLACK_DN + 3e5 * time_s, 2.0, (24, 32))).astype(np.uint16)
                 writer.add(Frame(dn, 12, FrameSettings(time_s)))
         scales[name] = rm.calibrate(folder, patch=(4, 4, 16, 16), radiance=1.0, u_rel=0.01).calibration
     assert scales["with"].black_level.dn == pytest.approx(BLACK_DN, abs=0.2)
     assert "black level by 3 dark frames" in scales["with"].provenance.assumptions
     assert "black level 0 DN, which nothing states" in scales["without"].provenance.assumptions
+
+
+def test_light_that_may_all_be_dark_current_carries_no_scale(tmp_path):
+    """Nothing states the dark current: after half a second 36,000 e⁻/s may be all of an even picture."""
+    with CaptureSetWriter(tmp_path / "set", CameraDescription(bit_depth=12, black_level_dn=BLACK_DN), LENS) as writer:
+        dn = np.rint(np.random.default_rng(4).normal(BLACK_DN + 1500.0, 2.0, (24, 32))).astype(np.uint16)
+        for _ in range(3):
+            writer.add(Frame(dn, 12, FrameSettings(0.5)))
+    with pytest.raises(MeasurementError, match="dark frames of the same exposures"):
+        rm.calibrate(tmp_path / "set", patch=(4, 4, 16, 16), radiance=1.0, u_rel=0.01)

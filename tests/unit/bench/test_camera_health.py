@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.bench.camera_health import check_camera, check_dark_level, check_linearity, check_temperature
+from radiometer.bench.doctor import check_camera, check_dark_level, check_linearity, check_temperature
 from radiometer.bench.instrument import Instrument
 from radiometer.data import BlackLevel, Calibration, Flag, LensDescription, Patch, Scale, SensorNoise
 from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings, Health

@@ -78,3 +78,31 @@ def test_fit_reports_false_alarms_lapses_and_looks_away(tmp_path: Path, capsys: 
     assert printed["fixation_losses"]["share"] == pytest.approx((0.2 - 0.02) / (0.98 * 0.95))
     assert (printed["lapses"]["hits"], printed["lapses"]["of"]) == (1, 20)
     assert "<h2>The subject</h2>" in page.read_text(encoding="utf-8")
+
+
+THRESHOLDS = [(0, -1), (1, -1.5), (2, -2), (4, -2.2), (8, -2.6), (12, -3.5), (20, -4.5), (30, -4.8)]
+
+
+@pytest.mark.parametrize(
+    ("words", "row", "code", "shown"),
+    [
+        (["adapt", "bleach", "1e308", "1e308"], None, 2, "luminance: 1e+308"),
+        (["adapt", "bleach", "1000", "1e308"], None, 2, "duration: 1e+308 s"),
+        (["adapt", "fit"], (20_000, -4.9), 1, "time: 20000 min is outside 0 to 1440 min"),
+        (["adapt", "fit"], (-5, -1), 1, "time: -5 min is outside"),
+        (["adapt", "fit"], (40, -22), 1, "log10 threshold after 40 min: -22 is outside"),
+        (["log", "--after", "99999999999999999999"], None, 2, "after: 1e+20 is outside"),
+        (["log", "--budget", "99999999999999999999"], None, 1, "reading 99999999999999999999"),
+    ],
+)
+def test_numbers_beyond_all_are_refused_in_one_line(words, row, code, shown, tmp_path, capsys):
+    """A mistake of unit or power of ten is named with the range, and nothing is calculated with it."""
+    if row is not None:
+        rows = sorted([*THRESHOLDS, row])
+        (tmp_path / "t.csv").write_text("time_min,log10_threshold\n" + "".join(f"{t},{v}\n" for t, v in rows))
+        words = [*words, str(tmp_path / "t.csv")]
+    assert run(words) == code
+    printed = capsys.readouterr()
+    assert shown in printed.err
+    assert len(printed.err.strip().splitlines()) == 1
+    assert printed.out == ""

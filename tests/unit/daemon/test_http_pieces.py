@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +23,9 @@ from radiometer.daemon.http.picture import (
     render,
 )
 from radiometer.daemon.http.requests import MeasureBody, SettingsBody
+from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.instrument import Measurement
+from radiometer.daemon.station import Station
 from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading, ResponseCurve
 
 
@@ -171,3 +176,128 @@ def test_what_lies_at_black_is_dim_and_not_a_thousand() -> None:
     assert composite(measured((0, 0.01, 0.0), dn=dn), None, 3).radiance[6, 6] == pytest.approx(2e-6)
     dark = replace(measured((64, 0.01, 0.0)), reading=Reading(Quantity(0.0, 0.1, "1"), Patch(0, 0, 4, 4), "1"))
     assert composite(dark, None, 3).radiance[0, 0] == pytest.approx(1e-3 / 0.01)
+
+
+_CSS = (Path(__file__).parents[3] / "radiometer/daemon/http/page/page.css").read_text(encoding="utf-8")
+_THEMES = {"light": r":root \{", "dark": r':root\[data-theme="dark"\] \{', "red": r':root\[data-theme="red"\] \{'}
+# 4.5 for text (WCAG 2.1, 1.4.3); 3 for what marks a control or is a graph (1.4.11).
+_NEEDED = {"ink": 4.5, "quiet": 4.5, "accent": 4.5, "good": 4.5, "bad": 4.5, "edge": 3.0}
+
+
+def _palette(theme: str) -> dict[str, tuple[int, int, int]]:
+    block = re.split(_THEMES[theme], _CSS)[1].partition("}")[0]
+    found = {}
+    for name, digits in re.findall(r"--([\w-]+): #([0-9a-f]{3,6})\b", block):
+        wide = digits if len(digits) == 6 else "".join(2 * digit for digit in digits)
+        found[name] = tuple(int(wide[i : i + 2], 16) for i in (0, 2, 4))
+    return found
+
+
+def _luminance(colour: tuple[int, int, int]) -> float:
+    linear = [c / 255 / 12.92 if c / 255 <= 0.04045 else ((c / 255 + 0.055) / 1.055) ** 2.4 for c in colour]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def _contrast(one: tuple[int, int, int], other: tuple[int, int, int]) -> float:
+    bright, dark = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (bright + 0.05) / (dark + 0.05)
+
+
+def test_the_contrast_is_that_of_the_guideline():
+    """Black on white is 21, and #767676 the palest grey that is legible on white: 4.54."""
+    assert _contrast((0, 0, 0), (255, 255, 255)) == pytest.approx(21.0)
+    assert _contrast((0x76, 0x76, 0x76), (255, 255, 255)) == pytest.approx(4.54, abs=0.005)
+
+
+@pytest.mark.parametrize("theme", _THEMES)
+def test_every_colour_of_a_theme_can_be_distinguished_from_what_it_lies_on(theme: str):
+    """Text and lines of plots on cards and on the page; the rims of fields and sliders on cards."""
+    palette = _palette(theme)
+    for name, needed in _NEEDED.items():
+        assert _contrast(palette[name], palette["card"]) >= needed, (theme, name)
+    for name in ("ink", "quiet"):
+        assert _contrast(palette[name], palette["ground"]) >= 4.5, (theme, name)
+    assert _contrast(palette["on-accent"], palette["accent"]) >= 4.5
+    assert _contrast(palette["bad"], palette["alarm"]) >= 4.5
+
+
+def test_the_red_theme_lights_nothing_but_red():
+    """Rods stay adapted: neither green nor blue in any of its colours."""
+    assert all(colour[1:] == (0, 0) for colour in _palette("red").values())
+
+
+@pytest.mark.parametrize(("spread", "message"), [(19.0, "linear"), (20.0, "linear"), (21.0, "log")])
+def test_a_scene_of_more_than_twenty_to_one_is_drawn_in_logarithms(spread: float, message: str) -> None:
+    """A factor between the half-per-cent dimmest and the 0.2 % brightest; 0 in it is a ten-thousandth at least."""
+    radiance = np.repeat(np.array([1.0, spread], np.float32), 2048).reshape(64, 64)
+    shown = ServedPicture(radiance, np.zeros((64, 64), bool), "W", 5)
+    assert render(shown, width=64, scale="auto", colours="grey", bar=False)[1]["Radiometer-Scale"].startswith(message)
+    dark = ServedPicture(np.where(radiance > 1.0, radiance, 0.0), shown.clipped, "W", 5)
+    kind, low, high = render(dark, width=64, scale="auto", colours="grey", bar=False)[1]["Radiometer-Scale"].split(",")
+    assert (kind, float(low) / float(high)) == ("log", pytest.approx(1e-4, rel=1e-4))
+
+
+def test_an_even_picture_and_a_black_one_have_a_scale() -> None:
+    """A thousandth of what is shown, or 1e-12 where nothing is: no division by nothing, and both ends in order."""
+    for level, ends in ((5.0, (5.0, 5.005)), (0.0, (0.0, 1e-12))):
+        even = ServedPicture(np.full((64, 64), level, np.float32), np.zeros((64, 64), bool), "W", 5)
+        _, headers = render(even, width=64, scale="linear", colours="grey", bar=False)
+        assert [float(end) for end in headers["Radiometer-Scale"].split(",")[1:]] == pytest.approx(list(ends))
+
+
+def test_the_hatching_of_a_dark_room_has_stripes_of_four_pixels() -> None:
+    """Diagonals, black first in the upper left corner: along a row and along a column four by four."""
+    white = ServedPicture(np.full((64, 64), 5.0, np.float32), np.ones((64, 64), bool), "W", 5)
+    page, _ = render(white, width=64, scale="linear", colours="red", bar=False)
+    red = np.asarray(Image.open(io.BytesIO(page)))[..., 0]
+    stripes = np.tile(np.repeat([0, 255], 4), 8)
+    assert red[0].tolist() == stripes.tolist() == red[:, 0].tolist()
+    assert red[1, :63].tolist() == stripes[1:].tolist()
+
+
+@pytest.mark.parametrize(("part", "marked"), [(2, False), (3, True)])
+def test_a_shown_pixel_is_clipped_where_more_than_half_of_its_own_are(part: int, marked: bool) -> None:
+    """Of blocks of 2 × 2 pixels two do not count, three do; the colour is one that no map has."""
+    clipped = np.zeros((128, 128), bool)
+    clipped[::2, ::2] = clipped[1::2, ::2] = True
+    clipped[::2, 1::2] = part > 2
+    partly = ServedPicture(np.full((128, 128), 5.0, np.float32), clipped, "W", 5)
+    page, headers = render(partly, width=64, scale="linear", colours="grey", bar=False)
+    pixels = np.asarray(Image.open(io.BytesIO(page)))
+    assert bool((pixels == (64, 224, 255)).all()) is marked
+    assert headers["Radiometer-Frame"] == "128,128"
+
+
+async def test_connections_are_counted_while_there_is_a_server(station: Station) -> None:
+    """None before it listens, each that is open, none once it is closed."""
+
+    def shown() -> str:
+        return next(line for line in station.metrics.render().decode().splitlines() if 'interface="http"' in line)
+
+    server = HttpServer(station)
+    assert shown() == 'radiometer_connections{interface="http"} 0.0'
+    port = await server.listen("127.0.0.1", 0)
+    lines = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+    for reader, writer in lines:
+        writer.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        await reader.readuntil(b"\r\n")
+    assert shown() == 'radiometer_connections{interface="http"} 2.0'
+    await server.close()
+    for _, writer in lines:
+        writer.close()
+    assert shown() == 'radiometer_connections{interface="http"} 0.0'
+
+
+@pytest.mark.parametrize("height", [64, 200])
+def test_the_bar_leaves_the_picture_as_it_is(height: int) -> None:
+    """With the bar the picture stands left of it, pixel by pixel as without."""
+    rng = np.random.default_rng(2)
+    shown = ServedPicture(
+        rng.uniform(1.0, 9.0, (height, 100)).astype(np.float32), np.zeros((height, 100), bool), "W", 5
+    )
+    alone, neighbour = (
+        np.asarray(Image.open(io.BytesIO(render(shown, width=100, scale="linear", colours="inferno", bar=bar)[0])))
+        for bar in (False, True)
+    )
+    assert neighbour.shape[1] > alone.shape[1] == 100
+    assert (neighbour[:, :100, :3] == alone[..., :3]).all()

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import io
 import json
 import os
 import shutil
 import sqlite3
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
+from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.clock_watch import Jump
 from radiometer.daemon.journal import SCHEMA_VERSION, Journal, JournalError, default_journal_path
-from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, TrendPoint, to_csv
+from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time, parse_moment
-from radiometer.data import Flag, Patch, Quantity, Reading
+from radiometer.data import Contribution, Flag, Patch, Quantity, Reading
 from radiometer.errors import InputError, OutputError, UsageError
+from testing.watched_sqlite import Watched, refusing
 
 Make = Callable[..., Reading]
 
@@ -322,3 +331,538 @@ def test_two_daemons_on_one_journal_are_refused_whatever_its_name(
         assert journal.append([make_reading()])[0].sequence == 2
     with Journal(alias) as journal:
         assert journal.append([make_reading()])[0].sequence == 3
+
+
+START_US = 1_790_000_000_000_000
+HOUR_US = 3_600_000_000
+values = st.floats(0.1, 100.0).map(lambda value: round(value, 3))
+flags = st.sampled_from([(), (), (Flag.SATURATED,), (Flag.BELOW_NOISE, Flag.UNCALIBRATED)])
+streams = st.sampled_from(["", "", "lamp", "own"])
+hours = st.sampled_from([0, 0, 1, 1, 2, 5, 30, 60])  # few, so that minutes are shared
+
+
+class JournalMachine(RuleBasedStateMachine):
+    """Does to a journal and to a list the same."""
+
+    make_reading = None
+
+    def __init__(self):
+        super().__init__()
+        self.folder = Path(tempfile.mkdtemp())
+        self.path = self.folder / "j.sqlite"
+        self.journal = Journal(self.path)
+        self.journal.open()
+        self.kept, self.last, self.patches, self.notes, self.dropped_us = [], 0, {}, 0, None
+
+    def teardown(self):
+        self.journal.close()
+        shutil.rmtree(self.folder)
+
+    @rule(entries=st.lists(st.tuples(hours, values, flags, streams), max_size=4))
+    def append(self, entries):
+        """Readings are numbered on, and come back with their numbers."""
+        readings = [
+            type(self).make_reading(
+                time=iso_time(START_US + hour * HOUR_US),
+                radiance=Quantity(value, 0.01 * value, "W·sr⁻¹·m⁻²"),
+                flags=which,
+                name="lamp" if stream == "lamp" else "",
+                session="visitor" if stream == "own" else "",
+            )
+            for hour, value, which, stream in entries
+        ]
+        numbers = [reading.sequence for reading in self.journal.append(readings)]
+        assert numbers == list(range(self.last + 1, self.last + 1 + len(entries)))
+        self.last += len(entries)
+        for number, (hour, value, which, stream) in zip(numbers, entries, strict=True):
+            self.kept.append(
+                (number, START_US + hour * HOUR_US, value, which, f"patch {stream}" if stream == "lamp" else stream)
+            )
+
+    @rule(hour=hours)
+    def drop(self, hour):
+        """What was made before the first young reading goes, the newest never."""
+        before_us = START_US + hour * HOUR_US
+        young = [entry[0] for entry in self.kept if entry[1] >= before_us]
+        first = min(young) if young else self.last
+        gone = [entry for entry in self.kept if entry[0] < first]
+        assert self.journal.drop_older(before_us) == len(gone)
+        self.kept = self.kept[len(gone) :]
+        self.dropped_us = max(before_us, self.dropped_us or 0)
+
+    @rule()
+    def reopen(self):
+        """Nothing is lost by closing, and the times are learnt at the first opening alone."""
+        self.journal.close()
+        self.journal = Journal(self.path)
+        self.journal.open()
+        assert self.journal.newest_at_opening_us == (self.kept[-1][1] if self.kept else None)
+
+    @rule()
+    def fail(self):
+        """A transaction that cannot be committed leaves nothing behind."""
+        reading = type(self).make_reading()
+        with refusing("INTO trend"), pytest.raises(JournalError):  # after the readings have gone in
+            self.journal.append([reading, reading])
+
+    @rule(name=st.sampled_from("ab"), line=st.sampled_from([None, "{}", '{"x": 1}']))
+    def keep_patch(self, name, line):
+        """The newest line of a name counts; None forgets it."""
+        self.journal.keep_patch(name, line)
+        self.patches.pop(name, None)
+        if line is not None:
+            self.patches[name] = line
+        assert self.journal.patches() == dict(sorted(self.patches.items()))
+
+    @rule(
+        since=st.none() | hours,
+        until=st.none() | hours,
+        after=st.none() | st.integers(0, 20),
+        limit=st.none() | st.integers(0, 5),
+        flag=st.sampled_from([None, None, "saturated", "uncalibrated"]),
+        clean=st.booleans(),
+        newest=st.booleans(),
+        stream=st.sampled_from([None, None, "", "patch lamp", "own"]),
+    )
+    def ask(self, since, until, after, limit, flag, clean, newest, stream):
+        """A filter gives exactly what a list comprehension gives."""
+        since_us, until_us = (None if hour is None else START_US + hour * HOUR_US for hour in (since, until))
+        row_filter = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest, stream)
+        found = [json.loads(line)["sequence"] for line in JournalReader(self.path).lines(row_filter)]
+        expected = [
+            number
+            for number, at_us, _, which, where in self.kept
+            if (since_us is None or at_us >= since_us)
+            and (until_us is None or at_us < until_us)
+            and (after is None or number > after)
+            and (flag is None or flag in map(str, which))
+            and not (clean and which)
+            and (stream is None or where == stream)
+        ]
+        expected = expected[::-1] if newest else expected
+        assert found == expected[:limit]
+
+    @rule(stream=st.sampled_from(["", "patch lamp"]), fine=st.booleans())
+    def trend(self, stream, fine):
+        """Counts, extremes and means of a stream are those of its readings, from readings or from minutes."""
+        span = (START_US, START_US + HOUR_US) if fine else (START_US, START_US + 100 * HOUR_US)
+        if not fine and self.dropped_us is not None:
+            return  # minutes are deleted by their time, readings by their place
+        points = JournalReader(self.path).trend(stream, *span)
+        own = [entry for entry in self.kept if entry[4] == stream and span[0] <= entry[1] < span[1]]
+        assert sum(point.count for point in points) == len(own)
+        assert sum(point.flagged for point in points) == sum(bool(entry[3]) for entry in own)
+        assert sum(point.value * point.count for point in points) == pytest.approx(sum(entry[2] for entry in own))
+        assert sum(point.u * point.count for point in points) == pytest.approx(sum(0.01 * entry[2] for entry in own))
+        assert JournalReader(self.path).trend("own", START_US, START_US + 100 * HOUR_US) == []
+        for point in points:
+            inside = [entry for entry in own if abs(entry[1] - point.time_us) <= HOUR_US / 2]
+            assert (point.low, point.high) == (min(e[2] for e in inside), max(e[2] for e in inside))
+
+    @invariant()
+    def numbers_have_no_hole(self):
+        """Lowest, highest and count are the list's."""
+        expected = (self.kept[0][0], self.kept[-1][0], len(self.kept)) if self.kept else (0, 0, 0)
+        assert JournalReader(self.path).bounds() == expected
+
+
+@pytest.mark.usefixtures("connections")
+def test_a_journal_is_a_list_that_stays(make_reading):
+    """Numbers, filters, trend, deletion, patches and failures agree with a plain list, in any order."""
+    JournalMachine.make_reading = staticmethod(make_reading)
+    run_state_machine_as_test(
+        JournalMachine,
+        settings=settings(
+            max_examples=25, stateful_step_count=15, deadline=None, suppress_health_check=list(HealthCheck)
+        ),
+    )
+
+
+def test_a_trend_point_stands_in_the_middle_of_its_time(tmp_path, make_reading):
+    """Fine: within the bucket of span/points; coarse: whole minutes, each counted once; the bounds belong as stated."""
+    at = [0, 60_000_000, 119_999_999, 120_000_000]
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading(time=iso_time(START_US - START_US % HOUR_US + us)) for us in at])
+    base = START_US - START_US % HOUR_US
+    reader = JournalReader(tmp_path / "j.sqlite")
+    fine = reader.trend("", base, base + 120_000_000, points=2)
+    assert [(point.time_us - base, point.count) for point in fine] == [(30_000_000, 1), (90_000_000, 2)]
+    coarse = reader.trend("", base, base + 3 * HOUR_US, points=180)
+    assert [(point.time_us - base, point.count) for point in coarse] == [
+        (30_000_000, 1),
+        (90_000_000, 2),
+        (150_000_000, 1),
+    ]
+    coarser = reader.trend("", base, base + 3 * HOUR_US, points=60)
+    assert [(point.time_us - base) % 180_000_000 for point in coarser] == [90_000_000] * len(coarser)
+    assert sum(point.count for point in coarser) == 4
+
+
+def test_an_undefined_radiance_is_not_drawn(tmp_path, make_reading):
+    """Neither of two hours nor of a day; the reading itself is kept."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        undefined = make_reading(time=iso_time(START_US), radiance=Quantity(float("nan"), float("nan"), "relative"))
+        unknown_u = make_reading(time=iso_time(START_US), radiance=Quantity(2.0, float("inf"), "relative"))
+        journal.append([undefined, unknown_u, make_reading(time=iso_time(START_US))])
+    reader = JournalReader(tmp_path / "j.sqlite")
+    for span in (HOUR_US, 100 * HOUR_US):
+        points = reader.trend("", START_US - HOUR_US // 2, START_US + span)
+        assert sorted((point.count, point.low, point.u) for point in points) == [(1, 1.0, 0.01), (1, 2.0, 0.0)]
+    assert reader.bounds() == (1, 3, 3)
+
+
+async def test_what_cannot_be_deleted_is_an_alarm(tmp_path, make_reading, monkeypatch):
+    """A journal that grows because nothing can be deleted must be reported."""
+    alarms = Alarms(lambda *_: None)
+    journal = Journal(tmp_path / "j.sqlite")
+    writer = JournalWriter(journal, alarms, lambda *_: None, keep_days=1.0)
+    await writer.open()
+
+    def refused(before_us):
+        raise JournalError("read-only file system")
+
+    monkeypatch.setattr(journal, "drop_older", refused)
+    running = asyncio.create_task(writer.run())
+    while not alarms.active:
+        await asyncio.sleep(0)
+    running.cancel()
+    assert ["read-only" in alarm.message for alarm in alarms.active] == [True]
+    await writer.close()
+
+
+def test_deletion_deletes_all_that_is_old(tmp_path, make_reading):
+    """Readings and events go in one call, and of the trend whole old minutes."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading(time=iso_time(START_US + hour * HOUR_US)) for hour in range(10)])
+        journal.note("device", "lost")
+        assert journal.drop_older(START_US + 9 * HOUR_US) == 9
+        reader = JournalReader(tmp_path / "j.sqlite")
+        assert sum(point.count for point in reader.trend("", START_US, START_US + 20 * HOUR_US)) == 1
+        assert len(reader.events()) == 1
+        journal.drop_older(2**61)
+        assert (reader.events(), reader.bounds()) == ([], (10, 10, 1))
+
+
+@pytest.mark.parametrize(
+    ("text", "age_s"), [("90s", 90), ("15min", 900), ("15m", 900), ("2h", 7200), ("7d", 604_800), ("2w", 1_209_600)]
+)
+def test_ages_are_what_their_units_say(text, age_s):
+    """Each unit in s."""
+    from radiometer.daemon.timestamps import parse_moment
+
+    assert parse_moment(text, now=START_US) == START_US - age_s * 1_000_000
+
+
+MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
+BASE_US = 1_790_000_000_000_000 // DAY_US * DAY_US
+# Second of the day, radiance, its u, flags: three in the first minute, one in the second, one in the fourth.
+FIVE = (
+    (0, 1.0, 0.1, ()),
+    (10, 2.0, 0.2, (Flag.SATURATED,)),
+    (59, 6.0, 0.6, ()),
+    (60, 5.0, 0.9, ()),
+    (180, 7.0, 0.7, ()),
+)
+
+
+def readings(make_reading: Make, **more: str) -> list[Reading]:
+    return [
+        make_reading(time=iso_time(BASE_US + s * 1_000_000), radiance=Quantity(v, u, "1"), flags=flags, **more)
+        for s, v, u, flags in FIVE
+    ]
+
+
+def written(path: Path, given: list[Reading]) -> JournalReader:
+    with Journal(path) as journal:
+        journal.append(given)
+    return JournalReader(path)
+
+
+def day(reader: JournalReader, stream: str, minutes: int) -> list[tuple[float, ...]]:
+    """Return value, u, lowest, highest, count and count of flagged of every so many minutes of a day."""
+    points: list[TrendPoint] = reader.trend(stream, BASE_US, BASE_US + DAY_US, 1440 // minutes)
+    return [(p.value, p.u, p.low, p.high, p.count, p.flagged) for p in points]
+
+
+def test_a_minute_holds_the_mean_of_its_readings(tmp_path: Path, make_reading: Make) -> None:
+    """(1 + 2 + 6)/3 with the mean u, the extremes, and how many are flagged; minutes weigh by their readings."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    first, second, fourth = (3.0, 0.3, 1.0, 6.0, 3, 1), (5.0, 0.9, 5.0, 5.0, 1, 0), (7.0, 0.7, 7.0, 7.0, 1, 0)
+    assert day(reader, "", 1) == [pytest.approx(row) for row in (first, second, fourth)]
+    assert day(reader, "", 2) == [pytest.approx((3.5, 0.45, 1.0, 6.0, 4, 1)), pytest.approx(fourth)]
+    fine = reader.trend("", BASE_US, BASE_US + 2 * MINUTE_US, 2)
+    shown = [(p.value, p.u, p.low, p.high, p.count, p.flagged) for p in fine]
+    assert shown == [pytest.approx(first), pytest.approx(second)]
+
+
+def test_the_bounds_of_a_trend_are_from_the_first_to_before_the_last(tmp_path: Path, make_reading: Make) -> None:
+    """A reading at the end of a span belongs to the next; the minute in which a long span ends is in it."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    assert sum(p.count for p in reader.trend("", BASE_US, BASE_US + MINUTE_US)) == 3
+    assert sum(p.count for p in reader.trend("", BASE_US - DAY_US, BASE_US + 3 * MINUTE_US)) == 4
+    assert sum(p.count for p in reader.trend("", BASE_US - DAY_US, BASE_US + 3 * MINUTE_US + 1)) == 5
+    row_filter = ReadingFilter(since_us=BASE_US + 10_000_000, until_us=BASE_US + 60_000_000)
+    assert len(reader.lines(row_filter)) == 2
+
+
+def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes(
+    tmp_path: Path, make_reading: Make
+) -> None:
+    """The five readings stand each by itself over 7500 s; of a microsecond more, the three minutes they are in."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    longest = 7_500_000_000
+    assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest)] == [1] * 5
+    assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest + 1)] == [3, 1, 1]
+
+
+def test_of_many_events_the_newest_thousand_are_reported(tmp_path: Path) -> None:
+    """Oldest first, of 1001 all but the first; fewer where fewer are asked for, and of a time its own."""
+    with Journal(tmp_path / "j.sqlite"), sqlite3.connect(tmp_path / "j.sqlite") as connection:
+        events = [(BASE_US + number, "remark", str(number)) for number in range(1001)]
+        connection.executemany("INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", events)
+    connection.close()
+    reader = JournalReader(tmp_path / "j.sqlite")
+
+    def numbers_of(**more: int) -> list[int]:
+        return [int(event["message"]) for event in reader.events(**more)]
+
+    assert numbers_of() == list(range(1, 1001))
+    assert numbers_of(limit=2) == [999, 1000]
+    assert numbers_of(since_us=BASE_US + 5, until_us=BASE_US + 8) == [5, 6, 7]
+
+
+def test_a_trend_finer_than_its_span_is_one_of_microseconds(tmp_path: Path, make_reading: Make) -> None:
+    """Ten microseconds in 1500 points: each reading stands by itself."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    (point,) = reader.trend("", BASE_US - 5, BASE_US + 5, 1500)
+    assert (point.value, point.count) == (1.0, 1)
+    assert abs(point.time_us - BASE_US) <= 1
+
+
+def test_what_clients_measure_for_themselves_is_in_no_trend(tmp_path: Path, make_reading: Make) -> None:
+    """Readings of a session are kept, listed as `own`, and drawn nowhere; those of a named patch under its name."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading, session="http-1"))
+    assert [day(reader, stream, 1) for stream in ("", "own")] == [[], []]
+    assert len(reader.lines(ReadingFilter(stream="own"))) == 5
+    named = written(tmp_path / "k.sqlite", readings(make_reading, name="lamp"))
+    assert [len(day(named, stream, 1)) for stream in ("", "patch lamp")] == [0, 3]
+
+
+def test_a_budget_is_of_its_own_reading(tmp_path: Path, make_reading: Make) -> None:
+    """Each number gives its own lines; one that was deleted, or never was, none."""
+    own = [make_reading(time=iso_time(BASE_US), budget=(Contribution("scale", u),)) for u in (0.01, 0.02, 0.03)]
+    reader = written(tmp_path / "j.sqlite", own)
+    assert [reader.budget(n) for n in (1, 2, 3)] == [{"scale": 0.01}, {"scale": 0.02}, {"scale": 0.03}]
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.drop_older(BASE_US + 1)
+    for gone in (0, 1, 2, 4):
+        with pytest.raises(InputError, match=f"no reading {gone}"):
+            reader.budget(gone)
+
+
+def test_what_was_handed_out_survives_a_power_cut(tmp_path: Path, connections: list[Watched]) -> None:
+    """SQLite waits for the disk at every commit (synchronous = FULL) and writes ahead, so that readers never wait."""
+    with Journal(tmp_path / "j.sqlite"):
+        (connection,) = connections
+        assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
+        assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+def test_a_limit_of_bytes_is_one(tmp_path: Path, connections: list[Watched]) -> None:
+    """A journal of at most 200 kB stays below them."""
+    with Journal(tmp_path / "j.sqlite", max_bytes=200_000):
+        (connection,) = connections
+        (size,), (count,) = (
+            connection.execute(f"PRAGMA {name}").fetchone() for name in ("page_size", "max_page_count")
+        )
+        assert size * count <= 200_000 < size * (count + 1)
+
+
+async def test_a_jump_is_counted_once(tmp_path: Path, make_reading: Make) -> None:
+    """Two jumps of the clock by 10 s and −4 s are a doubt of 6 s however often is committed; each is an event."""
+    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
+    await writer.open()
+    writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
+    writer.note_jump(Jump(BASE_US, BASE_US - 4_000_000))
+    running = asyncio.create_task(writer.run())
+    for _ in range(3):
+        await writer.submit(make_reading())
+    running.cancel()
+    await writer.close()
+    again = Journal(tmp_path / "j.sqlite")
+    again.open()
+    assert again.clock_doubt_us == 6_000_000
+    again.close()
+    kinds = [event["kind"] for event in JournalReader(tmp_path / "j.sqlite").events()]
+    assert kinds == ["clock", "clock"]
+
+
+async def test_a_jump_that_could_not_be_written_is_written_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its event got through before the disk was full and it alone is left: the doubt of the clock is kept."""
+    journal, pauses = Journal(tmp_path / "j.sqlite"), []
+
+    async def pause(seconds: float) -> None:
+        pauses.append(seconds)
+        monkeypatch.undo()
+
+    def full(by_us: int) -> None:
+        raise JournalError("disk full")
+
+    writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None, sleep=pause)
+    await writer.open()
+    monkeypatch.setattr(journal, "note_jump", full)
+    writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
+    await writer.close()
+    assert len(pauses) == 1
+    with Journal(tmp_path / "j.sqlite") as again:
+        assert again.clock_doubt_us == 10_000_000
+
+
+async def test_readings_that_still_wait_at_the_end_are_saved(
+    tmp_path: Path, make_reading: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk stays full: the daemon fails, and names the file that holds them."""
+    journal = Journal(tmp_path / "j.sqlite")
+
+    def full(readings: object) -> None:
+        raise JournalError("disk full")
+
+    writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None, retry_s=0.01, closing_s=0.05)
+    await writer.open()
+    monkeypatch.setattr(journal, "append", full)
+    for value in (5.0, 3.0):
+        writer.submit(make_reading(radiance=Quantity(value, 0.1, "1")))
+    with pytest.raises(OutputError, match="2 readings are not in the journal"):
+        await writer.close()
+    (saved,) = tmp_path.glob("j.sqlite-waiting-*.jsonl")
+    values = [json.loads(line)["radiance"]["value"] for line in saved.read_text(encoding="utf-8").splitlines()]
+    assert values == [5.0, 3.0]
+
+
+async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path: Path, make_reading: Make) -> None:
+    """Three that wait fill room for three; once they are committed there is room again, in the order they came."""
+    given: list[tuple[int, float]] = []
+
+    def on_commit(reading: Reading, origin: object, seconds: float) -> None:
+        given.append((reading.sequence, reading.radiance.value))
+
+    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), on_commit, capacity=3)
+    await writer.open()
+    futures = []
+    for value in (5.0, 3.0, 4.0):
+        await writer.wait_for_room()
+        futures.append(writer.submit(make_reading(radiance=Quantity(value, 0.1, "1"))))
+    waiting = asyncio.create_task(writer.wait_for_room())
+    await asyncio.sleep(0)
+    assert (waiting.done(), writer.depth) == (False, 3)
+    running = asyncio.create_task(writer.run())
+    await waiting
+    await asyncio.gather(*futures)
+    running.cancel()
+    assert writer.depth == 0
+    assert [reading.sequence for reading in await asyncio.gather(*futures)] == [1, 2, 3]
+    assert given == [(1, 5.0), (2, 3.0), (3, 4.0)]
+    await writer.close()
+
+
+def test_deletion_takes_whole_old_minutes_of_the_trend(tmp_path: Path, make_reading: Make) -> None:
+    """What lies before the minute of the bound goes, that minute and the later ones stay."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    with Journal(tmp_path / "j.sqlite") as journal:
+        assert journal.drop_older(BASE_US + 60_000_000) == 3
+    assert [row[4] for row in day(reader, "", 1)] == [1, 1]
+
+
+async def test_a_journal_that_is_locked_is_an_alarm_and_no_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It goes by the journal's name and says why; what is wrong with the file itself ends the daemon."""
+    journal, alarms = Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None)
+    writer = JournalWriter(journal, alarms, lambda *_: None)
+
+    def locked() -> None:
+        raise JournalError("the journal is locked")
+
+    monkeypatch.setattr(journal, "open", locked)
+    await writer.open()
+    assert [(alarm.name, alarm.message) for alarm in alarms.active] == [("journal", "the journal is locked")]
+
+    def damaged() -> None:
+        raise OutputError("the journal is damaged")
+
+    monkeypatch.setattr(journal, "open", damaged)
+    with pytest.raises(OutputError, match="damaged"):
+        await writer.open()
+    await writer.close()
+
+
+def test_a_journal_that_is_closed_lets_go_of_its_file(
+    tmp_path: Path, make_reading: Make, connections: list[Watched]
+) -> None:
+    """The connection is closed, another daemon may open it; closing twice does nothing."""
+    journal = Journal(tmp_path / "j.sqlite")
+    journal.open()
+    journal.append([make_reading()])
+    (connection,) = connections
+    journal.close()
+    journal.close()
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        connection.execute("SELECT 1")
+    with Journal(tmp_path / "j.sqlite") as other:
+        assert [reading.sequence for reading in other.append([make_reading()])] == [2]
+
+
+def test_a_journal_is_recognised_by_its_first_bytes(tmp_path: Path, make_reading: Make) -> None:
+    """SQLite's header holds RAMJ at byte 68 and the form at byte 60: journals of before and `file` go by these."""
+    written(tmp_path / "j.sqlite", readings(make_reading))
+    header = (tmp_path / "j.sqlite").read_bytes()[:100]
+    assert (header[:15], header[68:72]) == (b"SQLite format 3", b"RAMJ")
+    assert int.from_bytes(header[60:64], "big") == 2
+
+
+async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: Path) -> None:
+    """What is queued of patches alone is committed at the end; the last stated of each counts; a forgotten one goes."""
+    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
+    await writer.open()
+    writer.keep_patch("lamp", "first")
+    writer.keep_patch("gone", "there")
+    running = asyncio.create_task(writer.run())
+    while await writer.patches() != {"lamp": "first", "gone": "there"}:
+        await asyncio.sleep(0)
+    running.cancel()
+    writer.keep_patch("lamp", "second")
+    writer.keep_patch("gone", None)
+    await writer.close()
+    with Journal(tmp_path / "j.sqlite") as again:
+        assert again.patches() == {"lamp": "second"}
+
+
+@pytest.mark.parametrize(
+    ("code", "kind", "message"),
+    [
+        (sqlite3.SQLITE_FULL, JournalError, "free space"), (sqlite3.SQLITE_BUSY, JournalError, "close that program"),
+        (sqlite3.SQLITE_IOERR, JournalError, "trying again"), (sqlite3.SQLITE_CORRUPT, OutputError, "damaged"),
+        (sqlite3.SQLITE_BUSY | 2 << 8, JournalError, "close that program"),
+    ],
+)  # fmt: skip
+def test_what_sqlite_refuses_is_reported_with_its_way_out(
+    tmp_path: Path, make_reading: Make, connections: list[Watched], code: int, kind: type, message: str
+) -> None:
+    """By the first byte of SQLite's code; nothing of the batch stays, and the next goes in whole."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        for words in ("trend", "COMMIT"):
+            with refusing(words, code), pytest.raises(OutputError, match=message) as refusal:
+                journal.append([make_reading(), make_reading()])
+            assert type(refusal.value) is kind
+        assert [reading.sequence for reading in journal.append([make_reading()])] == [1]
+
+
+def test_a_journal_opens_itself_where_it_is_written_to(tmp_path: Path, make_reading: Make) -> None:
+    """No one has to have opened it, at first and after it was closed; the numbers go on."""
+    journal = Journal(tmp_path / "j.sqlite")
+    for number in (1, 2):
+        assert [reading.sequence for reading in journal.append([make_reading()])] == [number]
+        journal.note("remark", str(number))
+        journal.close()
+    reader = JournalReader(tmp_path / "j.sqlite")
+    assert [event["message"] for event in reader.events()] == ["1", "2"]

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import gc
 import weakref
+from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.instrument import DeviceReport
-from radiometer.daemon.keeper import DeviceKeeper, Patience
-from radiometer.errors import DeviceLost
+from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes, Patience
+from radiometer.errors import (
+    DeviceError,
+    DeviceInUse,
+    DeviceLost,
+    DeviceNotFound,
+    DeviceTimeout,
+    MeasurementError,
+    MissingLibrary,
+    SettingOutOfRange,
+)
+from testing.patience import within
 
 
 class LibraryObject:
@@ -78,3 +93,257 @@ def test_patience_grows_by_what_came_late_and_fades() -> None:
     assert [patience.was_on_time(), patience.was_on_time()] == [False, True]
     patience.was_late(0.0)
     assert not patience.was_on_time()
+
+
+TIMES = KeeperTimes(first_pause_s=0.1, longest_pause_s=0.75, check_every_s=0.02, overdue_s=50.0)
+
+
+class Device:
+    """A device that is there or not; notes what is done to it."""
+
+    late_at = None
+
+    def __init__(self, *, there: bool = True) -> None:
+        self.there, self.calls, self.reports = there, [], 0
+        self.check_error: DeviceError | None = None
+
+    def open(self) -> None:
+        self.calls.append("open")
+        if not self.there:
+            raise DeviceNotFound("nothing there")
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+    def check(self) -> DeviceReport:
+        self.calls.append("check")
+        if self.check_error is not None:
+            raise self.check_error
+        self.reports += 1
+        return DeviceReport(float(self.reports))
+
+    def work(self, error: Exception | None = None) -> str:
+        self.calls.append("work")
+        if error is not None:
+            raise error
+        return "done"
+
+
+class Bench:
+    """A keeper whose sleeps are counted and take no time."""
+
+    def __init__(self, device: Device, times: KeeperTimes = TIMES) -> None:
+        self.device, self.slept, self.opened, self.checked, self.notified = device, [], 0, [], []
+        self.alarms = Alarms(lambda *_: None)
+        self.keeper = DeviceKeeper(
+            "camera", device, self.alarms, times=times, sleep=self._sleep,
+            after_open=self._after_open, after_check=self.checked.append,
+        )  # fmt: skip
+
+    async def _sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        await asyncio.sleep(0)
+
+    def _after_open(self) -> None:
+        self.opened += 1
+
+    @property
+    def alarm(self) -> str:
+        return "; ".join(alarm.message for alarm in self.alarms.active)
+
+
+@contextlib.asynccontextmanager
+async def running(bench: Bench) -> Any:
+    """Run a keeper's loop while the test looks on."""
+    task = asyncio.create_task(bench.keeper.run())
+    try:
+        yield
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+        await bench.keeper.close()
+
+
+async def test_opening_asks_and_reports() -> None:
+    """Opened, asked, ready, no alarm; what waits for it is called once."""
+    bench = Bench(Device())
+    assert bench.keeper.state is DeviceState.CLOSED
+    assert await bench.keeper.open_once()
+    assert (bench.device.calls, bench.opened, bench.alarm) == (["open", "check"], 1, "")
+    assert (bench.keeper.is_ready, bench.keeper.losses, bench.keeper.report) == (True, 0, DeviceReport(1.0))
+    await bench.keeper.close()
+    assert (bench.keeper.state, bench.device.calls[-1]) == (DeviceState.CLOSED, "close")
+
+
+async def test_a_device_that_is_not_there_is_closed_again_and_an_alarm() -> None:
+    """Lost, one loss however often it is tried, the reason in the alarm, nothing half open."""
+    bench = Bench(Device(there=False))
+    assert not await bench.keeper.open_once()
+    assert not await bench.keeper.open_once()
+    assert bench.device.calls == ["open", "close", "open", "close"]
+    assert (bench.keeper.state, bench.keeper.losses, bench.opened) == (DeviceState.LOST, 1, 0)
+    assert bench.alarm == "camera lost: nothing there; trying to reopen it"
+    assert bench.keeper.loss_message() == bench.alarm
+    with pytest.raises(DeviceLost, match="nothing there"):
+        await bench.keeper.use(bench.device.work)
+    assert "work" not in bench.device.calls
+    bench.device.there = True
+    assert await bench.keeper.open_once()
+    assert (bench.alarm, bench.keeper.losses, bench.opened) == ("", 1, 1)
+    await bench.keeper.close()
+
+
+async def test_a_loss_is_acted_on_at_once() -> None:
+    """With questions an hour apart, a device that a call loses is opened again without waiting for the next."""
+    bench = Bench(Device(), KeeperTimes(first_pause_s=0.1, longest_pause_s=0.75, check_every_s=3600.0, overdue_s=50.0))
+    async with running(bench), asyncio.timeout(within(20.0)):
+        while not bench.keeper.is_ready:
+            await asyncio.sleep(0.001)
+        await asyncio.sleep(0.001)  # the loop waits for its next question by now
+        with pytest.raises(DeviceLost):
+            await bench.keeper.use(bench.device.work, DeviceLost("unplugged"))
+        while bench.opened < 2:
+            await asyncio.sleep(0.001)
+        assert bench.device.calls == ["open", "check", "work", "open", "check"]
+
+
+async def test_one_that_opens_and_does_not_answer_is_lost_too() -> None:
+    """The question after the opening counts."""
+    bench = Bench(Device())
+    bench.device.check_error = DeviceTimeout("no answer")
+    assert not await bench.keeper.open_once()
+    assert bench.device.calls == ["open", "check", "close"]
+    assert "no answer" in bench.alarm
+    await bench.keeper.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "lost"),
+    [
+        (DeviceLost("x"), True), (DeviceTimeout("x"), True), (DeviceNotFound("x"), True), (DeviceInUse("x"), True),
+        (MissingLibrary("x"), True), (OSError("x"), False), (ValueError("x"), False), (MeasurementError("x"), False),
+        (SettingOutOfRange("c", "gain", 1.0, 0.0, 0.5, "dB"), False), (DeviceError("x"), False),
+    ],
+)  # fmt: skip
+async def test_which_errors_are_a_loss(error: Exception, lost: bool) -> None:
+    """What says that the device is gone; a wrong setting or a dark scene does not; a bug is reported as a loss."""
+    bench = Bench(Device())
+    await bench.keeper.open_once()
+    bug = isinstance(error, OSError | ValueError) and not isinstance(error, DeviceError | MeasurementError)
+    expected: Any = DeviceLost if bug and not isinstance(error, SettingOutOfRange) else type(error)
+    with pytest.raises(expected):
+        await bench.keeper.use(bench.device.work, error)
+    if isinstance(error, MeasurementError | SettingOutOfRange) or type(error) is DeviceError:
+        assert bench.keeper.is_ready
+        assert await bench.keeper.use(bench.device.work) == "done"
+    else:
+        assert bench.keeper.state is DeviceState.LOST
+        assert bench.keeper.losses == 1
+        assert "camera lost" in bench.alarm
+    assert lost is isinstance(error, DeviceLost | DeviceTimeout | DeviceNotFound | DeviceInUse | MissingLibrary)
+    assert bench.keeper.stuck_s == 0.0
+    await bench.keeper.close()
+
+
+async def test_pauses_double_up_to_the_longest_and_start_anew(eventually: Any) -> None:
+    """0.1, 0.2, 0.4, 0.75, 0.75 s; after it was there, 0.1 again."""
+    bench = Bench(Device(there=False))
+    async with running(bench):
+        await eventually(lambda: len(bench.slept) >= 6)
+        assert bench.slept[:6] == [0.1, 0.2, 0.4, 0.75, 0.75, 0.75]
+        bench.device.there = True
+        await eventually(lambda: bench.keeper.is_ready)
+        await asyncio.sleep(0.05)
+        before = len(bench.slept)
+        bench.device.there, bench.device.check_error = False, DeviceLost("unplugged")
+        await eventually(lambda: len(bench.slept) >= before + 2)
+        assert bench.slept[before : before + 2] == [0.1, 0.2]
+        assert bench.keeper.losses == 2
+
+
+async def test_an_idle_device_is_asked_and_its_report_handed_on(eventually: Any) -> None:
+    """Every check's report reaches whoever waits for it; a loss that shows there is one."""
+    bench = Bench(Device())
+    async with running(bench):
+        await eventually(lambda: len(bench.checked) >= 3)
+        values = [report.temperature_c for report in bench.checked]
+        assert values == sorted(values)
+        assert bench.keeper.report.temperature_c >= values[-1]
+        bench.device.check_error = DeviceError("a passing trouble")
+        asked = bench.device.calls.count("check")
+        await eventually(lambda: bench.device.calls.count("check") > asked + 1)
+        assert bench.keeper.is_ready
+        bench.device.check_error, bench.device.there = DeviceLost("unplugged"), False
+        await eventually(lambda: bench.keeper.state is DeviceState.LOST)
+        bench.device.check_error, bench.device.there = None, True
+        await eventually(lambda: bench.keeper.is_ready)
+        assert bench.opened == 2
+
+
+async def test_calls_come_one_after_the_other() -> None:
+    """Two at once are two in a row, on one thread."""
+    bench = Bench(Device())
+    await bench.keeper.open_once()
+    inside = []
+
+    def slow(number: int) -> int:
+        inside.append(number)
+        assert len(inside) == 1
+        inside.clear()
+        return number
+
+    assert await asyncio.gather(*(bench.keeper.use(slow, number) for number in range(20))) == list(range(20))
+    await bench.keeper.close()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.sampled_from(["open", "work", "lose", "plug", "unplug"]), max_size=12))
+def test_states_follow_what_happens(steps: list[str]) -> None:
+    """Whatever happens in whatever order: ready exactly while the last opening held, an alarm exactly while lost."""
+
+    async def play() -> None:
+        bench, ready, losses, lost = Bench(Device()), False, 0, False
+        for step in steps:
+            if step in ("plug", "unplug"):
+                bench.device.there = step == "plug"
+            elif step == "open":
+                ready = await bench.keeper.open_once()
+                assert ready is bench.device.there
+                losses += (not ready) and not lost
+                lost = not ready
+            else:
+                error = DeviceLost("gone") if step == "lose" else None
+                if ready and error is None:
+                    assert await bench.keeper.use(bench.device.work) == "done"
+                else:
+                    with pytest.raises(DeviceLost):
+                        await bench.keeper.use(bench.device.work, error)
+                    losses += ready
+                    lost, ready = lost or ready, False
+            assert (bench.keeper.is_ready, bench.keeper.losses, bool(bench.alarm)) == (ready, losses, lost)
+        await bench.keeper.close()
+
+    asyncio.run(play())
+
+
+def test_an_alarm_is_reported_when_it_goes_up_becomes_worse_and_goes_down() -> None:
+    """Its time stays and its message is the newest; what is not up is not taken down; the oldest stands first."""
+    notified: list[tuple[str, ...]] = []
+    alarms = Alarms(lambda *what: notified.append(what))
+    alarms.put_up("camera", "late")
+    alarms.put_up("journal", "full")
+    since = alarms.active[0].since
+    alarms.put_up("camera", "later")
+    alarms.put_up("camera", "lost", worse=True)
+    assert [(one.name, one.message, one.announced) for one in alarms.active] == [
+        ("camera", "lost", 2), ("journal", "full", 1),
+    ]  # fmt: skip
+    assert alarms.active[0].since == since
+    alarms.clear("camera", "camera is back")
+    alarms.clear("camera", "camera is back")
+    assert notified == [
+        ("alarm", "camera", "late"), ("alarm", "journal", "full"), ("alarm", "camera", "lost"),
+        ("cleared", "camera", "camera is back"),
+    ]  # fmt: skip
+    assert [one.name for one in alarms.active] == ["journal"]

@@ -5,17 +5,22 @@ from __future__ import annotations
 import asyncio
 import os
 import re
+import resource
 import signal
+import socket
 import stat
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.descriptors import Descriptors, listen
 from radiometer.daemon.epics import PvaOptions
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.limits import parse_networks
@@ -239,3 +244,46 @@ def test_the_daemon_starts_without_what_it_does_not_need() -> None:
     code = f"import sys; {words}; print(sorted({{'scipy.stats', 'pandas', 'matplotlib', 'numba'}} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=within(60))
     assert done.stdout == "[]\n"
+
+
+async def test_no_descriptors_are_one_alarm_and_a_few_tries_a_second() -> None:
+    """Fifty clients knock while none can be taken: nothing floods, and all are served afterwards."""
+    changes: list[str] = []
+    descriptors = Descriptors(Alarms(lambda kind, name, message: changes.append(f"{kind} {name}")))
+    loop, tries, served = asyncio.get_running_loop(), 0, 0
+
+    def take(failed: asyncio.AbstractEventLoop, context: dict[str, object]) -> None:
+        nonlocal tries
+        tries += 1
+        descriptors.take_error(failed, context)
+
+    class Client(asyncio.Protocol):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            nonlocal served
+            served += 1
+
+    loop.set_exception_handler(take)
+    server = await listen(Client, "127.0.0.1", 0)
+    address = server.sockets[0].getsockname()
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with ExitStack() as clients:
+        try:
+            waiting = [clients.enter_context(socket.socket()) for _ in range(50)]
+            for one in waiting:
+                one.setblocking(False)
+                one.connect_ex(address)
+            lowest_free = os.dup(0)
+            os.close(lowest_free)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (lowest_free, limits[1]))
+            await asyncio.sleep(2.5)
+            assert 1 <= tries <= 10
+            descriptors.look()
+            assert changes == ["alarm descriptors"]
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        async with asyncio.timeout(20):
+            while served < 50:
+                await asyncio.sleep(0.05)
+        descriptors.look()
+        assert changes == ["alarm descriptors", "cleared descriptors"]
+    server.close()

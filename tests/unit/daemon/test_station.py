@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import sqlite3
+import struct
 import threading
 import time
 from collections.abc import Awaitable, Callable
@@ -13,14 +14,18 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import aiohttp
 import pytest
 
+from radiometer.daemon.http.server import HttpServer
+from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal, JournalError
-from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.keeper import DeviceState
+from radiometer.daemon.patches import PatchLimits
 from radiometer.daemon.state import identity_mapping
 from radiometer.daemon.station import Station
-from radiometer.data import Patch
+from radiometer.data import Flag, Patch, Reading
 from radiometer.devices import CameraIdentity
 from radiometer.errors import (
     DeviceError,
@@ -322,3 +327,270 @@ async def test_a_camera_that_fails_at_every_measurement_is_an_alarm_until_a_read
     await eventually(lambda: [event["kind"] for event in reader.events()][-1:] == ["cleared"])
     assert len(reader.events()) <= 3
     assert station.camera.losses <= 1
+
+
+LAMP = Patch(1, 2, 3, 4)
+
+CHANGES: dict[str, tuple[Callable[[Station], Any], Callable[[dict[str, Any]], Any], Any]] = {
+    "settings": (lambda s: s.configure(gain_db=6.0), lambda status: status["settings"]["gain_db"], 6.0),
+    "a patch": (
+        lambda s: s.patches.define("lamp", LAMP),
+        lambda status: status["patches"]["lamp"]["patch"]["width"],
+        3,
+    ),
+    "no patch": (lambda s: s.patches.delete("old"), lambda status: "old" in status["patches"], False),
+    "limits": (
+        lambda s: s.patches.set_limits("old", PatchLimits(high=2.0)),
+        lambda status: status["patches"]["old"]["limits"]["high"],
+        2.0,
+    ),
+    "a remark": (lambda s: s.annotate("a cloud"), lambda status: status["alarms"], []),
+    "the period": (lambda s: s.set_every(3600.0), lambda status: status["every_s"], 3600.0),
+    "settings as at first": (lambda s: s.reset(), lambda status: status["settings"]["gain_db"], 0.0),
+    "an alarm": (lambda s: s.alarms.put_up("lens", "dusty"), lambda status: status["alarms"][0]["name"], "lens"),
+}
+
+
+@pytest.mark.parametrize("what", CHANGES)
+async def test_every_change_is_reported_once_with_the_state_after_it(station: Station, what: str) -> None:
+    """Each listener within the program is called, and each subscriber has one line of the new state."""
+    change, look, expected = CHANGES[what]
+    station.patches.define("old", LAMP)
+    subscription, called = station.hub.subscribe(), []
+    station.on_change.append(lambda: called.append(1))
+    change(station)
+    assert called == [1]
+    event = await subscription.next()
+    station.hub.close()
+    assert event is not None
+    assert (event.kind, event.sequence, look(json.loads(event.line))) == ("status", None, expected)
+    assert look(station.status()) == expected
+
+
+async def test_light_that_is_set_is_reported(station: Station) -> None:
+    """The new level is in the state that the subscriber gets."""
+    subscription = station.hub.subscribe()
+    assert await station.light.set_level("red", 0.25) == 0.25
+    event = await subscription.next()
+    assert event is not None
+    assert json.loads(event.line)["light"] == {"white": 0.0, "red": 0.25}
+
+
+@pytest.mark.parametrize(
+    ("field", "low", "high", "further"),
+    [("gain_db", 0.0, 48.0, {}), ("exposure_s", 1e-5, 30.0, {"auto_exposure": False})],
+)
+async def test_what_is_at_a_limit_is_allowed_and_what_is_beyond_is_not(
+    station: Station, field: str, low: float, high: float, further: dict[str, Any]
+) -> None:
+    """Both ends of a range belong to it; an exposure is looked at only where the daemon does not choose it."""
+    for value in (low, high):
+        assert getattr(station.configure(**further, **{field: value}), field) == value
+    for value in (low - 0.001 * high, high * 1.001):
+        with pytest.raises(SettingOutOfRange):
+            station.configure(**further, **{field: value})
+    if further:
+        assert station.configure(exposure_s=2 * high, auto_exposure=True).auto_exposure
+
+
+async def test_levels_are_0_to_1(station: Station, box: Any) -> None:
+    """Full and dark are levels; what is beyond is refused before it reaches the box."""
+    assert [await station.light.set_level("red", level) for level in (1.0, 0.0)] == [1.0, 0.0]
+    for level in (-0.01, 1.01):
+        with pytest.raises(SettingOutOfRange):
+            await station.light.set_level("red", level)
+    assert box.levels["red"] == 0.0
+
+
+async def test_settings_as_at_first_forget_a_reading_of_another_patch_only(station: Station) -> None:
+    """A reset that measures the same keeps what was measured; one that moves the patch has no reading yet."""
+    station.configure(gain_db=6.0)
+    reading = await station.acquisition.measure()
+    station.reset()
+    assert (station.shown.latest, station.settings) == (reading, MeasurementSettings())
+    station.configure(patch=LAMP)
+    moved = await station.acquisition.measure()
+    assert station.shown.latest == moved
+    station.reset()
+    assert (station.shown.latest, station.shown.line, station.shown.measurement) == (None, "", None)
+
+
+async def test_without_a_box_no_light_is_believed(instrument: Any, tmp_path: Any) -> None:
+    """A station that has none says so, of one channel and of all, and shows none in its state."""
+    alone = Station(instrument, Journal(tmp_path / "journal.sqlite"))
+    for call in (alone.light.set_level("red", 0.0), alone.light.off()):
+        with pytest.raises(DeviceLost, match="no light box"):
+            await call
+    assert (alone.light.is_confirmed, alone.status()["light"], list(alone.status()["devices"])) == (
+        False,
+        {},
+        ["camera"],
+    )
+    with pytest.raises(DeviceError, match="never open"):
+        alone.configure(gain_db=1.0)
+
+
+async def test_gauges_show_the_devices_as_they_are(station: Station, instrument: Any) -> None:
+    """Up, how often lost, how warm, how many alarms: as the camera and its keeper say."""
+    station.camera.losses = 3
+    station.alarms.put_up("lens", "dusty")
+    station.refresh_metrics()
+    shown = station.metrics.render().decode()
+    for line in (
+        'radiometer_device_up{device="camera"} 1.0',
+        'radiometer_device_up{device="light box"} 1.0',
+        'radiometer_temperature_celsius{device="camera"} 41.5',
+        'radiometer_temperature_celsius{device="light box"} 30.0',
+        "radiometer_alarms 1.0",
+    ):
+        assert line in shown
+
+
+ALL_X, OTHER_X = 7, 20  # the fake instrument's radiance is 1 + x
+
+
+async def test_another_clients_patch_is_never_fetched(connect: Any, station: Station, instrument: Any) -> None:
+    """B measures a patch of its own all the time; A polls and sees the shared patch only, whoever goes first."""
+    a, b = await connect(), await connect()
+    await a.send(f"SENS:PATC {ALL_X},1,2,3;:TRIG:TIM 0")
+    assert float((await a.ask("READ?")).split(",")[0]) == 1.0 + ALL_X
+    for _ in range(10):
+        other, mine = await asyncio.gather(b.ask(f"MEAS:RAD? {OTHER_X},1,2,3"), a.ask("FETC:RAD?"))
+        assert float(other.split(",")[0]) == 1.0 + OTHER_X
+        assert float(mine.split(",")[0]) == 1.0 + ALL_X
+        assert float((await b.ask("FETC:RAD?")).split(",")[0]) == 1.0 + OTHER_X
+
+
+async def test_a_one_off_enters_no_shared_interface(station: Station, connect: Any, eventually: Eventually) -> None:
+    """Stream, latest value, picture, figures and history of all stay those of the shared patch."""
+    listener = station.hub.subscribe()
+    await station.acquisition.measure(station.configure(patch=Patch(ALL_X, 1, 2, 3)))
+    shared = station.shown.measurement
+    client = await connect()
+    assert float((await client.ask(f"MEAS:RAD? {OTHER_X},1,2,3")).split(",")[0]) == 1.0 + OTHER_X
+    assert station.shown.latest is not None
+    assert (station.shown.latest.patch.x, station.shown.measurement) == (ALL_X, shared)
+    await station.acquisition.measure()
+    readings: list[Any] = []
+    while len(readings) < 2:
+        event = await listener.next()
+        readings += [json.loads(event.line)] if event is not None and event.kind == "reading" else []
+    assert [reading["patch"]["x"] for reading in readings] == [ALL_X, ALL_X]
+    assert b'radiometer_radiance{unit="W sr-1 m-2"} 8.0' in station.metrics.render()
+    history = await client.ask("TRAC:DATA? HIST,5")
+    assert struct.unpack(">3d", history[4:28].encode("latin-1")) == (1.0, 1.0 + ALL_X, 0.01)
+
+
+async def test_a_one_off_stays_out_of_history_and_stream_of_http(station: Station) -> None:
+    """GET /readings and the stream's replay leave it out unless asked for; the journal says whose it is."""
+    server = HttpServer(station)
+    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    async with aiohttp.ClientSession() as session:
+        await station.acquisition.measure()
+        body = {"patch": {"x": OTHER_X, "y": 1, "width": 2, "height": 3}}
+        async with session.post(f"{base}/measure", json=body) as reply:
+            own = await reply.json()
+        await station.acquisition.measure()
+
+        async def numbers(query: str) -> list[int]:
+            async with session.get(f"{base}/readings{query}") as reply:
+                return [reading["sequence"] for reading in await reply.json()]
+
+        assert (await numbers(""), await numbers("?stream=own"), await numbers("?stream=all")) == (
+            [1, 3],
+            [2],
+            [1, 2, 3],
+        )
+        async with session.get(f"{base}/readings?stream=mine") as reply:
+            assert reply.status == 400
+        async with session.get(f"{base}/readings/stream?after=0&format=jsonl") as reply:
+            replayed = [json.loads(await reply.content.readline())["sequence"] for _ in range(2)]
+    assert replayed == [1, 3]
+    assert own["session"].startswith("http-")
+    await server.close()
+
+
+async def test_two_that_ask_for_one_patch_share_the_measurement(station: Station, instrument: Any) -> None:
+    """The reading names both, and no third one."""
+    expected = station.settings.__class__(patch=Patch(OTHER_X, 1, 2, 3))
+    first, second = await asyncio.gather(
+        station.acquisition.measure(expected, session="a"), station.acquisition.measure(expected, session="b")
+    )
+    assert (first, first.session, len(instrument.measured)) == (second, "a,b", 1)
+
+
+async def test_what_is_measured_with_the_settings_in_force_belongs_to_all(connect: Any, station: Station) -> None:
+    """READ? without a patch of its own is everybody's reading: the page shows it."""
+    client = await connect()
+    await client.ask("READ?")
+    assert station.shown.latest is not None
+    assert station.shown.latest.session == ""
+
+
+async def test_a_moved_patch_has_no_reading_yet(client: Any, station: Station) -> None:
+    """After the shared patch was moved, FETC? refuses the reading of the old place; exposure alone changes nothing."""
+    assert await client.ask("READ?")
+    await client.send("SENS:EXP 4 MS")
+    assert float((await client.ask("FETC?")).split(",")[0]) == 17.0
+    await client.send(f"SENS:PATC {ALL_X},1,2,3;:FETC?")
+    assert (await client.ask("SYST:ERR?")).startswith("-230")
+    assert float((await client.ask("READ?;:FETC?")).split(";")[1].split(",")[0]) == 1.0 + ALL_X
+    await client.send("SENS:CORR:WAV 600;:FETC?")
+    assert (await client.ask("SYST:ERR?")).startswith("-230")
+
+
+async def test_a_patch_moved_while_measuring_is_not_believed(
+    station: Station, instrument: Any, eventually: Eventually
+) -> None:
+    """The reading in hand when the patch moves is kept, but is no one's latest."""
+    instrument.let_go = threading.Event()
+    begun = asyncio.create_task(station.acquisition.measure())
+    await eventually(lambda: station.acquisition.busy)
+    station.configure(patch=Patch(ALL_X, 1, 2, 3))
+    instrument.let_go.set()
+    assert (await begun).patch.x == 16
+    assert station.shown.latest is None
+
+
+async def test_each_session_gets_the_picture_of_its_reading(connect: Any, instrument: Any) -> None:
+    """TRAC:DATA? IMAGe after a session's own measurement is its own frame, another's is the shared one."""
+    a, b = await connect(), await connect()
+    await a.ask("READ?")
+    await b.ask(f"SENS:EXP 5 MS;:MEAS:RAD? {OTHER_X},1,2,3")
+    assert (await a.ask("TRAC:SIZE?"), await b.ask("TRAC:SIZE?")) == ("64,48,12", "64,48,12")
+    await a.ask(f"MEAS:RAD? {OTHER_X + 1},1,2,3")
+    await b.send("TRAC:SIZE?")
+    assert (await b.ask("SYST:ERR?")).startswith("-230")  # its frames are gone; another's are not given in their stead
+
+
+def test_the_journal_of_the_version_before_is_taken_over(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+    """Its readings belong to all, their trend is made up, and new ones are added; it can be read before that too."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        journal.append([make_reading(time=f"2026-01-01T00:00:{second:02d}Z") for second in (1, 2, 59)])
+        journal.append([make_reading(time="2026-01-01T00:01:00Z", flags=(Flag.FLICKER,))])
+    made = sqlite3.connect(path)
+    new = made.execute("SELECT * FROM trend").fetchall()
+    made.executescript(
+        "DROP TABLE trend; DROP TABLE patches; DROP INDEX readings_by_stream;"
+        "ALTER TABLE readings DROP COLUMN stream; PRAGMA user_version = 1"
+    )
+    made.close()
+    assert len(JournalReader(path).lines(ReadingFilter(stream=""))) == 4
+    assert JournalReader(path).lines(ReadingFilter(stream="own")) == []
+    assert JournalReader(path).trend("", 0, 2**61) == []
+    with Journal(path) as journal:
+        journal.append([make_reading(session="scpi-1"), make_reading()])
+    upgraded = sqlite3.connect(path)
+    assert upgraded.execute("SELECT * FROM trend ORDER BY minute").fetchall()[:2] == new
+    assert upgraded.execute("SELECT sum(count) FROM trend").fetchone() == (5,)
+    upgraded.close()
+
+
+def test_the_table_says_whose_a_reading_is(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+    """Name and session are columns of the CSV; a reading that belongs to all has neither in its JSON."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading(), make_reading(name="lamp"), make_reading(session="scpi-3")])
+    lines = JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter())
+    assert [set(json.loads(line)) & {"name", "session"} for line in lines] == [set(), {"name"}, {"session"}]
+    assert [row.split(",")[-2:] for row in to_csv(lines).splitlines()[1:]] == [["", ""], ["lamp", ""], ["", "scpi-3"]]

@@ -15,7 +15,8 @@ import radiometer
 from radiometer.adaptation.protocol import Fixation, FixationCheck, SteadyBleach
 from radiometer.data import CameraDescription, FoundEffects, LensDescription, Scale, SourceDescription
 from radiometer.data.capture_set import FrameEntry
-from radiometer.data.validation import ConfigSection, FileSection
+from radiometer.data.validation import ConfigSection, FileSection, validate
+from radiometer.errors import InputError
 from simulators.effects.lens import Lens
 
 for part in ("adaptation", "bench", "data", "devices"):
@@ -91,6 +92,32 @@ def test_what_exists_is_taken(model: type[BaseModel], fields: dict[str, object])
     """Fast and slow lenses, one and sixteen bits, germicidal lamps, hours of exposure, cooled sensors: as stated."""
     made = model.model_validate(fields)
     assert {name: getattr(made, name) for name in fields} == fields
+
+
+GOOD = {"file": "a.png", "exposure_s": 1.0}
+SCALE = {"value": 1e-6, "u_rel": 0.01, "method": "known_radiance"}
+
+
+@pytest.mark.parametrize(
+    ("model", "fields", "shown"),
+    [
+        (FrameEntry, GOOD | {"exposure_s": 1e30}, "exposure_s.*1e\\+30 s is outside 0 to 1e\\+09 s"),
+        (FrameEntry, GOOD | {"gain_db": 1e9}, "gain_db.*-200 to 200 dB"),
+        (FrameEntry, GOOD | {"temperature_C": 1e6}, "temperature_C.*to 150 °C"),
+        (FrameEntry, GOOD | {"black_level_dn": 1e300}, "black_level_dn = 1e\\+300: no quantity has this size"),
+        (Scale, SCALE | {"value": 1e300}, "value.*1e-15 to 1e\\+06"),
+        (Scale, SCALE | {"value": 1e-300}, "value.*1e-15 to 1e\\+06"),
+        (Scale, SCALE | {"unit": "mJ m-2"}, "unit = 'mJ m-2': input should be 'J m-2 per unit of signal'"),
+        (FoundEffects, {"gains_db": (0.0, 1e9), "gain_errors_rel": (0.0, 0.1)}, "gains_db.*-200 to 200 dB"),
+        (CameraDescription, {"bit_depth": 12, "full_well_e": 1e-300}, "full_well_e = 1e-300"),
+    ],
+)
+def test_what_cannot_exist_is_refused_with_place_and_range(
+    model: type[BaseModel], fields: dict[str, object], shown: str
+) -> None:
+    """A mistake of unit or power of ten: file, key, number and what is plausible."""
+    with pytest.raises(InputError, match=f"^a.yaml: {shown}"):
+        validate(model, fields, "a.yaml", InputError)
 
 
 @pytest.mark.parametrize(

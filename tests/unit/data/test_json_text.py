@@ -20,8 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from radiometer.adaptation.journal import read_events
 from radiometer.data.decoding import decoded
+from radiometer.data.event_journal import read_events
 from radiometer.data.json_text import RepeatedKey, json_text, parsed_json
 from radiometer.errors import RadiometerError
 from radiometer.importing.statistics_table import read_statistics_table

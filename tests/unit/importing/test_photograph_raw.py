@@ -163,7 +163,10 @@ def test_a_cut_raw_file_is_named(tmp_path):
 
 
 def test_measure_reads_raw_files_by_the_meters_constant_or_a_known_source(tmp_path, capsys):
-    """L = K·N²/(t·S) of the metered surface, and a known luminance, both give that of another surface within U."""
+    """L = K·N²/(t·S) of the metered surface, and a known luminance, both give that of another surface within U.
+
+    Nothing states pitch and dark current: 36,000 e⁻/s in 1/32 s are 460 DN of 1984, so that u of the source is 11.6 %.
+    """
     rng = np.random.default_rng(1)
     constant, f_number, iso, metered_s = 14.0, 4.0, 100.0, 1.0 / 32.0
     metered = constant * f_number**2 / (metered_s * iso)
@@ -178,7 +181,7 @@ def test_measure_reads_raw_files_by_the_meters_constant_or_a_known_source(tmp_pa
     light = ["--spectrum", "equal_energy"]  # stated, or what another light would do is in u too
     meter = ["--luminance-meter-k", "14", "--exposure", "1/32", "--iso", "100", "--reference-dn", "2048"]
     source = ["--patch", "10,10,20,10", "--luminance", str(metered), "--u-rel", "0.02"]
-    for words, u_rel in ((meter, 0.19), (source, 0.054)):
+    for words, u_rel in ((meter, 0.19), (source, 0.24)):
         assert (
             run(
                 [

@@ -12,11 +12,10 @@ from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry,
 from radiometer.data.thermometer import regulated, uncertainty_of_readings
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import reweighted, with_effects
-from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.measure.seen import CaptureStatistics
-from radiometer.reconciliation.noise.darkness import Darkness, drift_of_black, wander_of_black
-from radiometer.reconciliation.noise.shared_errors import errors_of_darkness
+from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
+from radiometer.reconciliation.shared_errors import errors_of_darkness
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.prnu import Prnu
 

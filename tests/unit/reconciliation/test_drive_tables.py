@@ -65,6 +65,20 @@ def test_meter_that_changes_its_range_is_named(seed: int, tmp_path: Path) -> Non
     assert reading.value == pytest.approx(0.3, rel=0.1)
 
 
+@pytest.mark.parametrize("seed", [82, 83, 84])
+def test_onset_of_a_driver_is_fitted_and_leaves_the_droop_its_name(seed: int, tmp_path: Path) -> None:
+    """Light from 3 % of full drive on: the onset is within 3 u, half drive (0.47/0.97)·2·e^0.05 over proportional."""
+    light = _engine(np.random.default_rng(seed), 0.1)
+    light = {name: ys * np.maximum(DRIVES - 0.03, 0.0) / DRIVES for name, ys in light.items()}
+    file = _written(tmp_path / "e.csv", light)
+    for law in rm.light_law(file).laws.values():
+        assert law is not None
+        assert abs(law.onset - 0.03) <= 3.0 * law.u_onset < 0.01
+        assert abs(law.deviation_rel - (0.47 / 0.97 * 2.0 * np.exp(0.05) - 1.0)) <= 3.0 * law.u_deviation_rel
+        assert law.misfit_rel < 0.008
+    assert [one.name for one in rm.reconcile(file).result.effects] == ["led_droop"]
+
+
 def test_both_are_named(tmp_path: Path) -> None:
     """A droop and a step in one table get both names, and drives held out are predicted better by each."""
     light = _stepped(_engine(np.random.default_rng(80), 0.15), 0.3, 1.04)

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from radiometer.reconciliation.fit.covariates import Covariate
-from radiometer.reconciliation.fit.held_out import Groups, leave_one_group_out
-from radiometer.reconciliation.fit.linear import LinearFit, RowBlock, cholesky
+from radiometer.reconciliation.fit.linear import Groups, LinearFit, RowBlock, cholesky, leave_one_group_out
+from radiometer.reconciliation.search.localise import Covariate
 
 seeds = st.integers(0, 10**6)
 quick = settings(max_examples=30, deadline=None)

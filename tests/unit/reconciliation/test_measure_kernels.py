@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.sums import add_tiles, coarse_cells
+from radiometer.reconciliation.measure.reduce import add_tiles, coarse_cells
 
 TOP, LEFT, HEIGHT, WIDTH = np.array([0, 2]), np.array([1, 5]), 4, 3
 FULL = 40.0

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.covariance import effect_covariance, fitted_parameters, is_misfit
-from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.descent import effect_covariance, fitted_parameters, is_misfit, refit
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
 from radiometer.reconciliation.measure.design import Design

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from radiometer.acquire.capture_plan import read_capture_plan
-from radiometer.reconciliation.advice.next_capture import write_plan
 from radiometer.reconciliation.engine import Reconciled, examine
 from radiometer.reconciliation.measure.reduce import frame_reader
+from radiometer.reconciliation.next_capture import write_plan
 from simulators.scenes.screen import ScreenPatch, ScreenScene
 
 pytestmark = pytest.mark.slow  # each runs a whole search

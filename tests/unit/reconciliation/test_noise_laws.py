@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.covariates import Covariate
-from radiometer.reconciliation.noise.repeatability import capture_scale
+from radiometer.reconciliation.repeatability import capture_scale
+from radiometer.reconciliation.search.localise import Covariate
 from radiometer.reconciliation.statistics import Given, Scale, family_of, named
 
 

@@ -82,11 +82,11 @@ def test_effect_left_out_of_the_catalogue_gets_no_confident_false_name(make_capt
 
 
 def test_constant_offset_without_its_entry_is_no_other_entry(make_capture: Callable[..., Any]) -> None:
-    """A gamma with helpers imitates an offset: a plain constant of no more freedom does better, so nothing is named."""
+    """A drift from a far temperature imitates an offset with a parameter more: its name is never a confident one."""
     captured = make_capture(seed=13, extra_dn=lambda s: -1.5)
     result = reconcile(captured.header, captured.frames, without=("black_level_offset",), with_limits=False)
-    assert [effect.name for effect in result.effects] == ["unnamed"]
-    assert result.verdict is Verdict.UNNAMED
+    assert result.verdict in (Verdict.UNNAMED, Verdict.INCOMPLETE)
+    assert any("digital_constant" in line for line in result.assumptions)
 
 
 def test_power_of_time_without_its_entry_is_no_settling_lamp(make_capture: Callable[..., Any]) -> None:

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve
 
-from radiometer.reconciliation.fit.full_fit import UnfitError, included
+from radiometer.reconciliation.fit.descent import UnfitError, included
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.noise.fixed_patterns import renewed_patterns
-from radiometer.reconciliation.noise.shared_errors import mixing_of_bands, mixing_of_lines
 from radiometer.reconciliation.search.screening import StartPool, of_seen_codes
+from radiometer.reconciliation.shared_errors import mixing_of_bands, mixing_of_lines, renewed_patterns
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.brighter_fatter import push_of
 from simulators.effects.catalogue import Scaling

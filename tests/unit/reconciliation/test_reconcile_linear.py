@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, rankdata
 
-from radiometer.reconciliation.chances import (
+from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
+from radiometer.statistics.chances import (
     chi2_beyond,
     chi2_quantile,
     deviances,
@@ -19,7 +20,6 @@ from radiometer.reconciliation.chances import (
     score_slope,
     sine_freedom,
 )
-from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
 
 
 def test_parameters_take_up_their_projection_of_many_changes_at_once() -> None:

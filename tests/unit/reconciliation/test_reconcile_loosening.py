@@ -1,4 +1,4 @@
-"""When a named effect takes a more flexible form."""
+"""When a named effect takes a more flexible form, or gives way to another."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import converged_fit, refit
+from radiometer.reconciliation.fit.descent import converged_fit, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.search.localise import departing, localise
-from radiometer.reconciliation.search.moves import LooserForms
+from radiometer.reconciliation.search.search import LooserForms, swapped
+from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
+from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.led_thermal_droop import LedThermalDroop
+from simulators.effects.veiling_glare import VeilingGlare
 from testing.reduced import start_of
 
 
@@ -104,3 +106,17 @@ def test_leaks_that_are_more_at_the_bottom_rise_over_the_sensor(make_capture: Ca
         for name, truth in (*rises, ("rise_x", 0.0), ("bend_x", 0.0)):
             assert found[name].u is not None
             assert abs(found[name].value - truth) < 4.0 * float(found[name].u or 0.0) < 0.5
+
+
+@pytest.mark.slow
+def test_what_was_named_too_early_gives_way(make_capture: Callable[..., Any]) -> None:
+    """Next to the veil that was found later, an offset of 0.9 DN is likelier than the exponent named for it."""
+    captured = make_capture(picture=lambda image, s: 0.98 * image + 0.02 * image.mean(), extra_dn=lambda s: 0.9)
+    early = _with(GammaEnabled(1.002), captured, VeilingGlare(0.02))
+    state, taken = swapped(early, {"gamma_enabled": (BlackLevelOffset(0.5),)})
+    assert [*taken] == ["gamma_enabled"]
+    assert {effect.name for effect in state.effects} == {"veiling_glare", "black_level_offset"}
+    offset = fitted_parameters(state)["black_level_offset"]["offset_dn"]
+    assert offset.u is not None
+    assert offset.value == pytest.approx(0.9, abs=3.0 * offset.u)
+    assert swapped(state, {"black_level_offset": (GammaEnabled(1.002),)}) == (state, {})

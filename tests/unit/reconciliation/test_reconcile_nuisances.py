@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, PatchDescription
-from radiometer.reconciliation.advice.sizes import limits
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, dark_current_is_free
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.noise.repeatability import steady_wander2
+from radiometer.reconciliation.repeatability import steady_wander2
+from radiometer.reconciliation.separability import limits
 from simulators.effects.gain_step_error import GainStepError
 from testing.reduced import start_of
 

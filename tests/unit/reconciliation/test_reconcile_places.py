@@ -11,7 +11,7 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.noise.repeatability import estimate_tau
+from radiometer.reconciliation.repeatability import estimate_tau
 from radiometer.reconciliation.search.localise import (
     axis_of,
     global_p_value,

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.covariance import is_misfit
+from radiometer.reconciliation.fit.descent import is_misfit
 from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.lines import RowBins, TileBands, wave_power
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.measure.row_bands import RowBins, TileBands, wave_power
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.verdict import place_of_scatter
 from testing.reduced import start_of, statistics_of

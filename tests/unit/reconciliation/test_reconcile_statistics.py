@@ -11,17 +11,14 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.errors import CaptureError
-from radiometer.reconciliation.advice.sizes import limits
-from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
+from radiometer.reconciliation.fit.descent import converged_fit, first_state, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import LinearTerm, with_effects
 from radiometer.reconciliation.measure.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
-from radiometer.reconciliation.measure.edges import edge_shares
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.measure.row_bands import RowBins
-from radiometer.reconciliation.measure.sums import CaptureSums
-from radiometer.reconciliation.noise.fixed_patterns import fixed_errors
+from radiometer.reconciliation.measure.lines import RowBins, edge_shares
+from radiometer.reconciliation.measure.reduce import CaptureSums, frame_reader, reduce_frames
 from radiometer.reconciliation.search.localise import localise, significant
+from radiometer.reconciliation.separability import limits
+from radiometer.reconciliation.shared_errors import fixed_errors
 from radiometer.reconciliation.statistics import usable_entries
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.black_level_offset import BlackLevelOffset

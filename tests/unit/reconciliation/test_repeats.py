@@ -7,7 +7,7 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.noise.repeatability import repeats_of
+from radiometer.reconciliation.repeatability import repeats_of
 from radiometer.reconciliation.result import Repeats
 
 SIZE = (48, 72)

@@ -11,9 +11,15 @@ from radiometer.numbers import rounded
 from radiometer.reconciliation.engine import Reconciled, examine, whole_catalogue
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.reduce import frame_reader
-from radiometer.reconciliation.report.html import outcome, report_html
-from radiometer.reconciliation.report.pictures import effect_plot, unnamed_plot
-from radiometer.reconciliation.report.words import along, axis_label, seen_in
+from radiometer.reconciliation.report_page import (
+    along,
+    axis_label,
+    effect_plot,
+    outcome,
+    report_html,
+    seen_in,
+    unnamed_plot,
+)
 from radiometer.reconciliation.result import FoundEffect, Verdict
 from radiometer.reporting.origin import Origin
 from simulators.effects.black_level_offset import BlackLevelOffset

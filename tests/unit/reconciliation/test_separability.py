@@ -14,20 +14,19 @@ import pytest
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
 from radiometer.reconciliation import engine
-from radiometer.reconciliation.advice.separability import (
-    ConfusablePair,
-    Directions,
-    Separability,
-    asked_sizes,
-    inseparable,
-    left_by_fit,
-    noiseless,
-    separability,
-)
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.candidate_fit import Candidate
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.separability import (
+    ConfusablePair,
+    Directions,
+    Separability,
+    asked_sizes,
+    left_by_fit,
+    noiseless,
+    separability,
+)
 from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
 from simulators.effects.catalogue import CatalogueEffect
@@ -191,17 +190,6 @@ def test_likeness_by_derivatives_is_held_to_a_fit(plain: FitState) -> None:
     (target,) = directions.forms["mains_ripple"]
     assert min(directions.left(target, form)[0] for form in directions.forms["series_settling"]) < 10.0
     assert ConfusablePair(directions, target).fitted("series_settling") is None
-
-
-@pytest.mark.parametrize("itself", [True, False])
-def test_entry_that_has_turned_into_another_is_no_rival(
-    plain: FitState, monkeypatch: pytest.MonkeyPatch, itself: bool
-) -> None:
-    """Light from the room fits a veil of 30 % only by a fit; it is a rival there unless it acts as others would."""
-    monkeypatch.setattr(AmbientLightLeak, "unlike_itself", lambda self, context: not itself)
-    state = with_effects(plain, [VeilingGlare(0.3)])
-    rivals = inseparable(state, state.effects[0], {"ambient_light_leak": AmbientLightLeak})
-    assert [rival.name for rival in rivals] == (["ambient_light_leak"] if itself else [])
 
 
 @pytest.mark.slow

@@ -11,8 +11,8 @@ import pytest
 
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.model.tile_model import predict_several
 from radiometer.reconciliation.statistics import Prediction
+from radiometer.reconciliation.tile_model import predict_several
 from simulators.effects.brighter_fatter import BrighterFatter
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.exposure_time_offset import ExposureTimeOffset

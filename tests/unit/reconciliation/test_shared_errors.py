@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings, PatchDescription
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
-from radiometer.reconciliation.measure.seen import CaptureStatistics
-from radiometer.reconciliation.noise.shared_errors import (
+from radiometer.reconciliation.measure.design import CaptureStatistics, Design
+from radiometer.reconciliation.measure.lines import RowBins, TileBands
+from radiometer.reconciliation.shared_errors import (
     Part,
     Repeatability,
     SharedError,

@@ -10,16 +10,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit import full_fit
-from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, first_state, refit, refit_with
-from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError
+from radiometer.reconciliation.fit import descent
+from radiometer.reconciliation.fit.descent import (
+    FullFits,
+    UnfitError,
+    coarse_fit,
+    converged_fit,
+    first_state,
+    included,
+    refit,
+    refit_with,
+)
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
 from radiometer.reconciliation.measure.design import Design, slope_lengths, tile_groups
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.model.tile_model import predict_several
+from radiometer.reconciliation.tile_model import predict_several
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
+from simulators.effects.exposure_quantisation import ExposureQuantisation
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.prnu import Prnu
+from simulators.effects.reciprocity_failure import ReciprocityFailure
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.tile_moments import TileMoments
 from testing.reduced import start_of
@@ -54,10 +66,14 @@ def derivatives_counted() -> Iterator[list[int]]:
         yield taken
 
 
+def uncertainty_of(state: FitState) -> Any:
+    """Return the standard uncertainty of each effect parameter."""
+    return np.sqrt(np.diag(state.fit.covariance))[-state.parameters.size :] * state.parameters.scale
+
+
 def off_by(one: FitState, other: FitState) -> Any:
     """Return by how many of its uncertainties each effect parameter differs between two fits."""
-    u = np.sqrt(np.diag(other.fit.covariance))[-other.parameters.size :] * other.parameters.scale
-    return np.abs(one.parameters.values - other.parameters.values) / u
+    return np.abs(one.parameters.values - other.parameters.values) / uncertainty_of(other)
 
 
 def test_a_fit_that_is_not_confirmed_ends_at_the_least_squares(plain: FitState) -> None:
@@ -106,7 +122,7 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
         in_a_hurry.append(early_stop)
         return with_effects(state, [effect])
 
-    monkeypatch.setattr(full_fit, "included", counted)
+    monkeypatch.setattr(descent, "included", counted)
     fits, effect = FullFits(plain), ExposureTimeOffset(1e-6)
     first = fits.included(effect, far=True)
     assert fits.included(effect, far=True) is first
@@ -119,7 +135,7 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
 def test_what_leaves_more_than_it_may_is_not_refitted_under_its_own_weights(plain: FitState) -> None:
     """The χ² under the weights of the state decides, once all parameters have followed."""
     effect = ExposureTimeOffset(1e-6)
-    near = coarse_fit(full_fit.accepted(plain, effect)).cost
+    near = coarse_fit(descent.accepted(plain, effect)).cost
     assert FullFits(plain, near + 1.0).included(effect, far=False).effects
     with pytest.raises(UnfitError, match=effect.name):
         FullFits(plain, near - 1.0).included(effect, far=False)
@@ -202,3 +218,31 @@ def test_predictions_are_compared_with_one_another_as_with_the_data(plain: FitSt
     assert changes[mean, 0].any()
     assert not changes[mean, 1].any()
     assert changes[spatial, 1].any()
+
+
+def test_a_threshold_is_fitted_though_by_default_there_is_none(make_capture: Callable[..., Any]) -> None:
+    """A power of −0.02 up to a millisecond is found from another power and threshold, within four u of both."""
+    captured = make_capture(5, plan=LADDER * 2, exposure=lambda t: t * (min(t, 1e-3) / 1e-3) ** -0.02)
+    found = converged_fit(refit(with_effects(start_of(captured), [ReciprocityFailure(-0.01, 6e-4)])))
+    assert (abs(found.parameters.values - (-0.02, 1e-3)) < 4.0 * uncertainty_of(found)).all()
+
+
+def test_what_jumps_is_fitted_anew_next_to_a_further_effect(make_capture: Callable[..., Any]) -> None:
+    """Exposures are whole lines of 12 µs: next to an offset each has its true number of lines, which some had not."""
+    captured = make_capture(5, plan=LADDER * 2, exposure=lambda t: 12e-6 * round(t / 12e-6), extra_dn=lambda s: 3.0)
+    wrong = refit(with_effects(start_of(captured), [ExposureQuantisation(12.012e-6, 0.5)]))
+    found = included(wrong, BlackLevelOffset(2.0), far=True)
+    lines, before = (
+        np.rint([setting["t"] / state.effects[0].values()["quantum_s"] for setting in LADDER])
+        for state in (found, wrong)
+    )
+    true = np.rint([setting["t"] / 12e-6 for setting in LADDER])
+    assert (lines == true).all()
+    assert (before != true).any()
+
+
+def test_a_black_level_that_is_taken_off_is_no_dark_frame(make_capture: Callable[..., Any]) -> None:
+    """Darks without noise are none: the fit ends at a share of zero, and the entry is refused."""
+    captured = make_capture(5, plan=LADDER, extra_dn=lambda s: -64.0)
+    with pytest.raises(UnfitError, match="dark_frame_subtracted"):
+        included(start_of(captured), DarkFrameSubtracted(0.1, 0.0), far=True)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.engine import examine, whole_catalogue
+from radiometer.reconciliation.inputs.sources import reconciled_model
 from radiometer.reconciliation.measure.reduce import frame_reader
-from radiometer.reconciliation.report.write_back import reconciled_model
 from radiometer.reconciliation.result import Verdict
 from radiometer.reconciliation.search.outcome import Reconciled
 from simulators.chain.camera_model import CameraModel

@@ -336,3 +336,11 @@ def test_linear_files_of_12_bits_are_shown_the_way_out(tmp_path, capsys):
     shown = capsys.readouterr().err.replace("\n", " ")
     assert code == 0 or "--linear" in shown
     assert run(["merge", str(tmp_path / "p"), "--linear", "-o", str(tmp_path / "l.tiff")]) == 0
+
+
+def test_readings_of_a_level_that_differ_are_known_no_better_than_they_agree(tmp_path):
+    """Each level read twice, 10 % apart: half the difference is the standard uncertainty of their mean."""
+    file = inputs.screen(tmp_path / "s.csv", "level,Lv", lambda i, n, v: f"{n},{v:.4f}\n{n},{1.1 * v:.4f}")
+    assert run(["screen", "import", str(file), "-o", str(tmp_path / "s.yaml")]) == 0
+    curve = ScreenCalibration.read(tmp_path / "s.yaml").channel("grey")
+    assert curve.u_independent[-1] / curve.radiance[-1] == pytest.approx(0.05 / 1.05, rel=0.05)

@@ -6,6 +6,7 @@ value that the file was made with, or the file is refused, or a doubt is reporte
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,13 +22,14 @@ from hypothesis import strategies as st
 
 from radiometer.adaptation.threshold_files import read_table as read_thresholds
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
+from radiometer.data.raw_files import read_raw_colours
 from radiometer.errors import RadiometerError
 from radiometer.importing import import_sources, statistics_of
 from radiometer.importing.emva_listing import EmvaListing
 from radiometer.importing.log_table import read_log
 from radiometer.importing.photograph_times import read_exif, read_list
 from radiometer.importing.record import record_in
-from radiometer.reconciliation.inputs.light_meter import reconcile_meter_table
+from radiometer.reconciliation.inputs.tables import reconcile_meter_table
 from radiometer.screen.measured_elsewhere import read_screen_readings
 
 # Written down anew and not taken from the product: what each spelling means in s. None: no unit of time.
@@ -519,12 +521,89 @@ def emva_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Call
     return {str(n): s if factor else -1.0 for n, s in enumerate(EXPOSURES)}, made
 
 
+@st.composite
+def raw_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a DNG of any mosaic, its black level and exposure in tags of some type."""
+    filters = draw(st.sampled_from([(0, 1, 1, 2), (2, 1, 1, 0), (1, 0, 2, 1), (1, 2, 0, 1)]))
+    black, white = draw(st.sampled_from([64, 256])), draw(st.sampled_from([1023, 4095, 16_383]))
+    seconds = draw(st.sampled_from(EXPOSURES))
+    level = draw(
+        st.sampled_from(
+            [
+                [(50714, "H", 1, black, True)], [(50714, "2I", 1, (black, 1), True)],
+                [(50713, "H", 2, (2, 2), True), (50714, "2I", 4, (black, 1) * 4, True)],
+                [(50713, "H", 2, (2, 2), True), (50714, "I", 4, (black,) * 4, True)],
+            ]
+        )
+    )  # fmt: skip
+    exposure = draw(
+        st.sampled_from(
+            [(33434, "2I", 1, (round(seconds * 1000), 1000), True), (33434, "d", 1, seconds, True),
+             (37377, "2i", 1, (round(-1e6 * np.log2(seconds)), 1_000_000), True), (33434, "2I", 1, (0, 0), True), None]
+        )
+    )  # fmt: skip
+    tags = [
+        (50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Test Camera", True), (33421, "H", 2, (2, 2), True),
+        (33422, "B", 4, filters, True), (50717, draw(st.sampled_from(["H", "I"])), 1, white, True), *level,
+        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+        (50728, "2I", 3, (1, 1) * 3, True), (50778, "H", 1, 21, True), *([exposure] if exposure else []),
+    ]  # fmt: skip
+    colours = (700.0, 900.0, 500.0)
+    truth = {"R": colours[0], "G": colours[1], "B": colours[2], "white": float(white), "s": seconds}
+    truth |= {f"black {n}": float(black) for n in range(3)}
+
+    def made(folder: Path) -> Callable[[], Read]:
+        cell = np.array([colours[n] for n in filters]).reshape(2, 2)
+        with tifffile.TiffWriter(folder / "p.dng") as writer:
+            writer.write(
+                np.tile(cell, (16, 16)).astype(np.uint16), photometric=32803, extratags=sorted(tags), metadata=None
+            )
+
+        def read() -> Read:
+            found, exif = read_raw_colours(folder / "p.dng"), read_exif(folder / "p.dng")
+            values = dict(zip("RGB", (float(plane.mean()) for plane in np.moveaxis(found.values, 2, 0)), strict=True))
+            values |= {f"black {n}": value for n, value in enumerate(found.black_levels_dn)}
+            return Read(
+                values | {"white": float(found.white_level_dn), "s": None if exif is None else exif.nominal_exposure_s}
+            )
+
+        return read
+
+    return truth, made
+
+
+@st.composite
+def micro_manager_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a picture with Micro-Manager's file of metadata: numbers, text, another unit, numbers for "unknown"."""
+    milliseconds = draw(st.sampled_from([20.0, 500.0, 3000.0]))
+    written = draw(
+        st.sampled_from(
+            [milliseconds, f"{milliseconds}", f"{milliseconds:.4f}".replace(".", ","), f"{milliseconds / 1e3} s",
+             f"{milliseconds} ms", f"{milliseconds} ticks", -1, 65_535, None, "NaN", ""]
+        )
+    )  # fmt: skip
+    celsius = draw(st.sampled_from([-5.0, "-5.0", "-5,0", "268.15 K", 999, "n/a"]))
+    entry = {
+        "FileName": "a.tif", "Camera": "Cam", draw(st.sampled_from(["Exposure-ms", "Cam-Exposure"])): written,
+        "Cam-CCDTemperature": celsius, "Cam-Gain": draw(st.sampled_from([1, "4", "High"])), "Slice": 3,
+    }  # fmt: skip
+    keys = draw(st.permutations(sorted(entry)))
+    content = {"Summary": {"Slices": 1}, "Metadata-Default/a.tif": {key: entry[key] for key in keys}}
+
+    def made(folder: Path) -> Callable[[], Read]:
+        tifffile.imwrite(folder / "a.tif", np.random.default_rng(0).integers(500, 900, (16, 16)).astype(np.uint16))
+        (folder / "metadata.txt").write_text(json.dumps(content), encoding="utf-8")
+        return lambda: of_import(folder / "a.tif")
+
+    return {"exposure 0": milliseconds / 1e3, "temperature 0": -5.0}, made
+
+
 READERS = {
     "FITS": fits_variant(), "TIFF": tiff_variant(), "OME-TIFF": ome_variant(), "screen table": screen_variant(),
     "spectrum table": spectrum_variant(), "table of statistics": statistics_variant(),
     "list of exposures": list_variant(), "EXIF": exif_variant(), "log of nights": log_variant(),
     "light meter": meter_variant(), ".ti3": argyll_variant(), "dark adaptation": threshold_variant(),
-    "EMVA 1288": emva_variant(),
+    "EMVA 1288": emva_variant(), "raw": raw_variant(), "Micro-Manager": micro_manager_variant(),
 }  # fmt: skip
 
 

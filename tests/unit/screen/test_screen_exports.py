@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import radiometer as rm
 from radiometer.errors import UsageError
 from radiometer.screen import ScreenCalibration
 from radiometer.screen.calibration import LUMINANCE
@@ -127,6 +128,17 @@ def test_known_chromaticities_replace_those_of_srgb(screen: ScreenCalibration) -
     assert argyll_line(known, "grey", 100.0).startswith(" Result is XYZ: 109.84")
     assert "sRGB" in str(EXPORTS["ti3"][0](screen))
     assert "sRGB" not in str(EXPORTS["ti3"][0](known))
+
+
+def test_a_calibration_that_is_replaced_leaves_its_chromaticities(screen: ScreenCalibration, tmp_path: Path) -> None:
+    """A colorimeter measures a screen once; those of a screen of another name are not taken."""
+    file, heard = tmp_path / "desk.yaml", list[str]()
+    known = {"grey": (0.31, 0.33)}
+    replace(screen, name="desk", chromaticities=known).write(file)
+    again = rm.screen_calibrate(file, "lcd", name="desk", levels="3", force=True, notice=heard.append)
+    assert again.calibration.chromaticities == known
+    assert "chromaticities of grey are kept" in heard[0]
+    assert rm.screen_calibrate(file, "lcd", name="other", levels="3", force=True).calibration.chromaticities == {}
 
 
 def test_page_states_what_the_screen_was_measured_with(screen: ScreenCalibration) -> None:

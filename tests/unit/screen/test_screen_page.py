@@ -15,7 +15,7 @@ import pytest
 from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, SettingOutOfRange
 from radiometer.screen.browser_page import BrowserDisplay
-from radiometer.screen.page_server import PageServer, page_text
+from radiometer.screen.loopback import PageServer, page_text
 from testing.patience import within
 
 Answer = Callable[[dict], dict | None]

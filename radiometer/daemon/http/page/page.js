@@ -328,7 +328,7 @@ function showSettings() {
   $("exposure").disabled = settings.auto_exposure;
 }
 function showCalibration() {
-  const { calibration } = state.status, made = calibration.created ? `made ${calibration.created.slice(0, 10)}` : "";
+  const { calibration } = state.status, made = calibration.created ? calibration.created.slice(0, 10) : "";
   $("calibration").textContent = calibration.source ? [calibration.source, made].filter(Boolean).join(" · ") : "no calibration: values are relative";
   $("calibration").title = (calibration.assumptions || []).map((a) => `assumed: ${a}`).join("\n");
 }

@@ -122,6 +122,26 @@ def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -
         rm.certificate(tmp_path / "list.json", laboratory=laboratory, identifier="1")
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "why"),
+    [
+        ("radiance", {"value": 0.3, "u": -0.003, "unit": "W sr-1 m-2"}, "above 0"),
+        ("radiance", {"value": 1e999, "u": 0.003, "unit": "W sr-1 m-2"}, "outside"),
+        ("radiance", {"value": 0.3, "u": 0.003, "unit": "1"}, "unit"),
+        ("coverage_factor", -2.0, "coverage_factor"), ("coverage_factor", 0.0, "coverage_factor"),
+        ("time", "yesterday", "ISO 8601"), ("time", "2099-01-01T00:00:00+00:00", "future"),
+        ("flags", ["uncalibrated"], "relative"), ("instrument", "a\u0001b", "U\\+0001"),
+        ("instrument", "\ud800", "D800"),
+    ],
+)  # fmt: skip
+def test_no_certificate_of_what_no_reading_states(tmp_path: Path, laboratory: Path, key: str, value, why: str) -> None:
+    """An impossible number, unit, time or character is refused by its name, and nothing is written."""
+    (tmp_path / "r.json").write_text(json.dumps({**reading().to_mapping(), key: value}))
+    with pytest.raises((InputError, UsageError), match=why):
+        rm.certificate(tmp_path / "r.json", tmp_path / "c.xml", laboratory=laboratory, identifier="1")
+    assert not (tmp_path / "c.xml").exists()
+
+
 REQUIRED = [
     *(("laboratory", key) for key in ("name", "email", "city", "country")), ("customer", "name"),
     ("responsible", "name"), *(("item", key) for key in ("name", "manufacturer", "serial")),
@@ -146,6 +166,16 @@ def test_what_a_certificate_must_state_cannot_be_left_empty(tmp_path: Path, part
         (lambda text: text.replace("digitalCalibrationCertificate", "certificate"), "no digital calibration"),
         (lambda text: text.replace(r"\watt", r"\kilo\watt"), "states 0 values"),
         (lambda text: text.replace("si:coverageFactor>", "si:factor>"), "no expanded uncertainty"),
+        (lambda text: text.replace("<si:value>0.3<", "<si:value>0_3<"), "just one number"),
+        (lambda text: text.replace("<si:value>0.3<", "<si:value>\u0663<"), "just one number"),
+        (lambda text: text.replace("<si:value>0.3<", "<si:value>0.3</si:value><si:value>0.4<"), "just one number"),
+        (lambda text: text.replace("<si:value>0.3<", "<si:value>-0.3<"), "value"),
+        *(
+            (lambda text, k=k: text.replace("Factor>2.13<", f"Factor>{k}<"), "number|factor")
+            for k in ("-2", "1e9", "NaN")
+        ),
+        *((lambda text, u=u: text.replace("0.00639", u), "number|above 0") for u in ("0", "-0.5", "INF")),
+        (lambda text: text.replace("dcc:results", "dcc:influenceConditions"), "states 0 values"),
     ],
 )
 def test_what_does_not_state_one_value_with_its_uncertainty_is_refused(

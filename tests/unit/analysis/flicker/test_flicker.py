@@ -300,3 +300,29 @@ def test_measured_lamps_agree_with_other_meters(shared_data: Path, lamp: str) ->
     assert found.measures.pst_lm is not None
     severity = severity_in_time(once, waveform.rate_hz)
     assert found.measures.pst_lm.value == pytest.approx(severity, rel=0.01, abs=1e-5)
+
+
+@given(
+    step=st.sampled_from([0.5, 0.2, 0.1, 0.05, 0.02, 1 / 128]),
+    depth=st.floats(0.25, 0.9),
+    phase=st.floats(0.0, 6.28),
+    offset=st.floats(0.0, 1.0),
+)
+@settings(max_examples=8, deadline=None, phases=NO_SHRINKING)
+def test_light_that_is_rounded_to_steps_holds_the_rounding_in_u(step, depth, phase, offset):
+    """A sinusoid of 100 Hz in few codes, alike in every period: depth, index 1/π of it and SVM are within 3 u."""
+    assume(depth > step)
+    time_s = np.arange(4000) / 8000
+    light = 1.0 + depth * np.sin(2 * np.pi * 100 * time_s + phase)
+    found = measure_flicker(Waveform((np.round(light / step + offset) - offset) * step, 8000.0, "rounded"))
+    svm = depth / float(svm_threshold(np.array(100.0)))
+    for measured, true in ((found.modulation_depth, depth), (found.flicker_index, depth / np.pi), (found.svm, svm)):
+        assert measured.value == pytest.approx(true, abs=3.0 * measured.u + 1e-4 * true)
+
+
+def test_slow_samples_warn_of_faster_light():
+    """100 Hz sampled at 90 Hz looks like 10 Hz, which nothing in the record shows."""
+    time_s = np.arange(900) / 90.0
+    found = measure_flicker(Waveform(1.0 + 0.3 * np.sin(2 * np.pi * 100 * time_s), 90.0, "slow"))
+    assert found.frequency.value == pytest.approx(10.0, abs=0.01)
+    assert any("above 45 Hz" in line for line in found.warnings)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import radiometer as rm
 from radiometer.analysis.exports.maps import MapPicture, read_tiff, write_tiff
 from radiometer.analysis.regions.figures import profile, ratio_of, region_figures, vertical_illuminance
 from radiometer.analysis.regions.glare import glare_of
-from radiometer.data import Patch, PixelMask, RadianceMap
+from radiometer.data import Patch, PixelMask, Provenance, RadianceMap
 from radiometer.errors import InputError, MeasurementError, MissingLibrary, UsageError
 
 
@@ -115,7 +116,10 @@ def test_saturated_and_missing_pixels_are_flagged_or_refused() -> None:
 
 def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
     """A written map is analysed as the map."""
-    found = map_of(np.random.default_rng(1).uniform(1, 2, (30, 40)), unit="W sr-1 m-2")
+    taken = {"camera": "FLIR BFS-U3-19S4M 22500001", "taken": "2026-11-21 12:00:00"}
+    made = Provenance("merge", parameters={"origin": taken}, created="2026-11-22T08:00:00Z")
+    values = np.random.default_rng(1).uniform(1, 2, (30, 40))
+    found = replace(map_of(values, unit="W sr-1 m-2"), provenance=made)
     write_tiff(tmp_path / "map.tiff", MapPicture({"mono": found}))
     again = read_tiff(tmp_path / "map.tiff").first
     assert np.array_equal(again.radiance, found.radiance)
@@ -124,7 +128,9 @@ def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
     report.write_csv(tmp_path / "figures.csv")
     assert (tmp_path / "figures.csv").read_text().splitlines()[1].startswith("a,mean,1.")
     report.write_report(tmp_path / "page.html")
-    assert "W·sr⁻¹·m⁻²" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    for stated in ("W·sr⁻¹·m⁻²", *taken.values(), "2026-11-22 08:00:00", "calibration</dt><dd>not stated"):
+        assert stated in page
     bright = rm.analyse(tmp_path / "map.tiff", spectrum="line:555").regions[0].mean
     assert bright.value == pytest.approx(683.0 * float(found.radiance.mean()), rel=1e-3)
     assert bright.unit == "cd m-2"

@@ -17,7 +17,7 @@ from radiometer.analysis.response.shutter_offset import (
     find_offset,
     with_offset,
 )
-from radiometer.analysis.response.wrong_labels import UNTOLD_OFFSET_S, WrongLabel
+from radiometer.analysis.response.wrong_labels import UNSTATED_OFFSET_S, WrongLabel
 from radiometer.data import ResponseCurve
 from testing.brackets_of_a_shutter import LABELS_S, photographed, plane
 
@@ -127,7 +127,7 @@ def test_the_time_is_not_multiplied_by_the_gain() -> None:
 
 def test_a_label_may_differ_by_what_the_offset_may_still_be() -> None:
     """Three of its u, 30 us at most; 30 us where none was taken."""
-    assert Exposures(None, ()).allowed_s == UNTOLD_OFFSET_S == 30e-6
+    assert Exposures(None, ()).allowed_s == UNSTATED_OFFSET_S == 30e-6
     assert Exposures(ShutterOffset(2e-5, 2e-6, 0.5), ()).allowed_s == pytest.approx(6e-6)
     assert Exposures(ShutterOffset(2e-5, 2e-5, 0.5), ()).allowed_s == 30e-6
 

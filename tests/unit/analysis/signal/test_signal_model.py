@@ -124,9 +124,11 @@ def test_without_dark_frames_the_model_stands_alone():
     (level,) = dark_levels([LIGHT], [], LINEAR, DOUBT)
     assert (level.signal, level.source) == (pytest.approx(2.5), "black level")
     assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
-    unknown = signal_model(CAMERA, None, SensorNoise(2.0, 6.0, assumed=("dark_current_e_per_s",)), BLACK)
-    (most,) = dark_levels([LIGHT], [], unknown, DOUBT, darkest=(30.0,))
-    assert most.u_unstated == pytest.approx(10.0 * 0.1 / 2.0)
+    camera = CAMERA.model_copy(update={"pixel_pitch_um": 4.5})
+    unknown = signal_model(camera, None, SensorNoise(2.0, 6.0, assumed=("dark_current_e_per_s",)), BLACK)
+    (most,) = dark_levels([LIGHT], [], unknown, DOUBT, darkest=(1000.0,))
+    e_per_s = 1e-9 * 4.5e-4**2 / 1.602e-19  # 1 nA/cm²
+    assert most.u_unstated == pytest.approx(e_per_s * 0.1 / 2.0 / 2.0, rel=1e-3)
 
 
 def test_dark_frames_of_the_exposure_are_taken_as_they_are():

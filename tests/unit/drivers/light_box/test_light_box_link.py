@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from drivers.light_box.box import SerialLightBox, read_capabilities, read_flash, read_identity, read_state, read_status
-from drivers.light_box.clock import BoxClock, ClockSample
 from drivers.light_box.frames import Event, parse_times
-from drivers.light_box.link import BoxLink, BoxRefusal, EventInbox
+from drivers.light_box.link import BoxClock, BoxLink, BoxRefusal, ClockSample, EventInbox
 from drivers.light_box.serial_line import ReceivedLine
 from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger

@@ -19,9 +19,8 @@ from radiometer.data import Frame, FrameSettings
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing import open_capture
 from radiometer.reconciliation.inputs import photographs
-from radiometer.reconciliation.inputs.light_meter import read_meter_table, reconcile_meter_table
-from radiometer.reconciliation.inputs.photograph_report import outcome
-from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, reconcile_photographs
+from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, outcome, reconcile_photographs
+from radiometer.reconciliation.inputs.tables import read_meter_table, reconcile_meter_table
 from radiometer.reconciliation.result import Verdict
 
 THESIS = """\

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.inputs.photograph_report import outcome
-from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, reconcile_photographs
+from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, outcome, reconcile_photographs
 from radiometer.reconciliation.result import Verdict
 from testing.brackets_of_a_shutter import LABELS_S, photographed
 

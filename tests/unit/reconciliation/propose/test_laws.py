@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
-from radiometer.reconciliation.model.tile_context import TileContext
-from radiometer.reconciliation.propose.effect_file import effect_source, source_of_test
 from radiometer.reconciliation.propose.grammar import FORMS, Term, finer, formula, terms_of
 from radiometer.reconciliation.propose.law import Law, acted, effect_of, round_to
+from radiometer.reconciliation.propose.proposal import effect_source, source_of_test
+from radiometer.reconciliation.tile_model import TileContext
 from simulators.chain.law_stages import LINKS
 from simulators.effects import registry
 from simulators.effects.context import ExposureContext, FrameGeometry
@@ -57,6 +57,7 @@ WORKED = [
 ACTS = {
     "source": 1002.0,
     "scene": 1002.0,
+    "exposure": 1002.0,
     "optics": 1002.0,
     "light": 1002.0,
     "lens_light": 1008.0,  # at f/2, four times what f/4 lets through

@@ -28,7 +28,6 @@ from simulators.effects.pixel_mixing import (
 from simulators.effects.quantisation import Quantisation
 from simulators.effects.registry import EFFECTS
 from simulators.effects.soft_saturation import SoftSaturation
-from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
 from simulators.effects.tile_moments import TileMoments
 from testing.effect_context import CATALOGUE, HEIGHT, WIDTH, effect_context, starts_of
 
@@ -250,20 +249,6 @@ def test_label_is_wrong_for_the_captures_that_are_meant() -> None:
     assert isinstance(both, ExposureLabelError)
     assert [float(both.factor(_at(t, s))) for t, s in ((0.01, 60.0), (0.01, 80.0), (0.02, 80.0))] == [1.25, 1.0, 0.8]
     assert both.free() == ("ratio", "further_ratios[0]")
-
-
-def test_lamp_that_settles_at_once_is_no_lamp_of_its_own() -> None:
-    """Where a lamp settles within the shortest exposure, its light grows with time plus a constant: a time offset."""
-    times = np.geomspace(60e-6, 20e-3, 8)
-    context = effect_context()
-    context = replace(context, settings=replace(context.settings, exposure_s=times))
-    quick, slow = (SourceNotProportionalToExposure(-0.5, tau_s) for tau_s in (12e-6, 600e-6))
-    for lamp, alike in ((quick, True), (slow, False)):
-        light = np.asarray(lamp.factor(context)) * times
-        line = np.stack([np.ones_like(times), times], axis=1) / light[:, None]
-        off = 1.0 - line @ np.linalg.lstsq(line, np.ones_like(times), rcond=None)[0]
-        assert bool(np.abs(off).max() < 0.001) is alike
-        assert lamp.unlike_itself(context) is alike
 
 
 @pytest.mark.parametrize("form", [{"hardness": 1.0}, {"hardness": 2.0}, {"charging": 1.0}])

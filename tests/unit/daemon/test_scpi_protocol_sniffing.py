@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from radiometer.daemon.scpi.server import ScpiServer, is_strange
+from radiometer.daemon.scpi.server import ScpiServer, is_other_protocol
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from testing.fake_station import PORTS
@@ -93,7 +93,7 @@ async def test_a_client_of_ours_lights_after_the_pause(client: Any, box: Any) ->
 @pytest.mark.parametrize("command", command_table().commands, ids=lambda command: command.pattern)
 def test_no_command_of_ours_looks_like_http(command: Any) -> None:
     """No example, and no spelling with arguments or as a query, is taken for a stranger's."""
-    assert not is_strange(command.example.encode() + b"\n")
+    assert not is_other_protocol(command.example.encode() + b"\n")
     for spelling in command.spellings():
         header = spelling.replace("<n>", "1").encode()
-        assert not is_strange(header + b" 1,2,3,4\n" + b":" + header.lower() + b"? MAX\n")
+        assert not is_other_protocol(header + b" 1,2,3,4\n" + b":" + header.lower() + b"? MAX\n")

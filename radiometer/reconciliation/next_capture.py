@@ -24,10 +24,10 @@ from radiometer.reconciliation.fit.descent import refit, refit_with
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
 from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Design
 from radiometer.reconciliation.measure.reduce import PatternImages
-from radiometer.reconciliation.model.tile_model import TileModel
 from radiometer.reconciliation.result import Limit, ReconcileResult
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.statistics import Prediction
+from radiometer.reconciliation.tile_model import TileModel
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
@@ -319,9 +319,7 @@ def _best(
     expected = pool.predicted(state)
     apart = np.stack([pool.separation(expected, pool.predicted(model)) for model in models.values()])
     apart = np.nan_to_num(apart)
-    own = ([effect for effect in model.effects if effect.name == name] for name, model in models.items())
-    weight = np.array([several[0].weight_unseen if several else 1.0 for several in own])
-    worth = weight @ np.minimum(apart, _DISTINGUISHED_CHI2)
+    worth = np.minimum(apart, _DISTINGUISHED_CHI2).sum(axis=0)
     index = int(np.lexsort((apart.min(axis=0), worth))[-1])
     separated: Array = apart[:, index]
     names = [name for name, chi2 in zip(models, separated, strict=True) if chi2 >= enough]

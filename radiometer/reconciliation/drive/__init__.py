@@ -1,1 +1,0 @@
-"""Names what makes the light of an engine's channels other than proportional to their drive."""

@@ -1,1 +1,0 @@
-"""The forward model on tiles: what the ideal camera and a set of effects predict for every statistic."""

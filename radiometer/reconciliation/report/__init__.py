@@ -1,1 +1,0 @@
-"""Writes the findings as result, report and camera model."""

@@ -1,0 +1,648 @@
+"""The self-contained HTML report: one picture first, then each name with its evidence; tables last.
+
+Pictures show the gap as it closes, each effect along its covariate, and the residual.
+"""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from radiometer.data.storage import write_text_atomic
+from radiometer.numbers import unit_text, with_u
+from radiometer.reconciliation.fit.comparison import FAMILY
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
+from radiometer.reconciliation.search.localise import covariates
+from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reconciliation.statistics import STATISTICS, Prediction
+from radiometer.reporting.origin import Origin
+from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
+from radiometer.reporting.pictures import BEFORE, RULE, SEEN, dress, label, legend, picture, shortened
+from radiometer.reporting.pictures import MODEL as AFTER
+from radiometer.typing import Array
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.registry import all_effects
+
+_LISTED_PLACES: Final = 5
+_WEAK_NATS: Final = 10.0
+
+
+def write_report(path: Path, reconciled: Reconciled, title: str, origin: Origin) -> None:
+    """Write the report as one HTML file that needs nothing else.
+
+    Args:
+        reconciled: What was found.
+        title: Name of the capture set.
+        origin: Camera, lens, date and whatever else is known of the data.
+
+    Raises:
+        OutputError: If the file cannot be written.
+    """
+    write_text_atomic(path, report_html(reconciled, title, origin))
+
+
+def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
+    """Return the report as HTML."""
+    result = reconciled.result
+    return page(
+        title,
+        outcome(result),
+        [
+            paragraph(_summary(result)),
+            story(reconciled),
+            *[_effect(effect, reconciled) for effect in result.effects],
+            _following(result),
+            _repeats(result),
+            section("Where the residual is", rest_map(reconciled.outcome.state)),
+            heading("Figures"),
+            folded("Equal frames, each less the others of its series", _frames(result)),
+            folded(
+                "Residuals along each setting, before and after",
+                residual_panels(reconciled) if result.covariates else "",
+            ),
+            folded(
+                "Where simulation and measurement disagreed at first, found without any known effect", _places(result)
+            ),
+            folded("Largest trend along each covariate", _covariate_table(result)),
+            folded("What these data would have detected", _limits(result)),
+            folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
+        ],
+        kind="reconcile",
+        origin=origin,
+    )
+
+
+def outcome(result: ReconcileResult) -> str:
+    """Return in one sentence what was missing, with the size of each and its U (k = 2), or that nothing was."""
+    named = [f"{effect.name}{_size(effect)}" for effect in result.effects if effect.name != "unnamed"]
+    names = " and ".join(part for part in (", ".join(named[:-1]), *named[-1:]) if part)
+    if result.verdict is Verdict.AGREES:
+        return f"Nothing is missing: simulation and measurement agree (gap {result.gap_after:.3g}; 1 is noise alone)."
+    if result.verdict is Verdict.EFFECTS_FOUND:
+        return f"The missing effect was found: {names}. With {'it' if len(named) == 1 else 'them'} they agree."
+    if result.verdict is Verdict.UNNAMED:
+        where = next((along(effect.where) for effect in result.effects if effect.name == "unnamed"), "")
+        return f"Simulation and measurement differ {where}, and no known effect explains it.".replace("  ", " ")
+    return f"Structure remains{'; these names are provisional: ' + names if names else ', and no name is certain'}."
+
+
+def _size(effect: FoundEffect) -> str:
+    """Return the first parameter of an effect with its U (k = 2), in brackets; nothing where it has none."""
+    for name, entry in effect.parameters.items():
+        if entry.u is not None:
+            unit = unit_text(entry.unit)
+            return f" ({_plain(name, entry.unit)} {with_u(entry.value, 2.0 * entry.u, unit)})"
+    return ""
+
+
+def _plain(name: str, unit: str) -> str:
+    """Return a parameter's name without its unit, which is shown with the value."""
+    stem, _, last = name.rpartition("_")
+    return (stem if stem and last.casefold() == unit.casefold().rstrip("-") else name).replace("_", " ")
+
+
+def _summary(result: ReconcileResult) -> str:
+    names = [effect.name for effect in result.effects if effect.name != "unnamed"]
+    gap = f"The gap of settings left out of the fit went from {result.gap_before:.3g} to {result.gap_after:.3g}"
+    if not result.effects:
+        gap = f"The gap of settings left out of the fit is {result.gap_after:.3g}"
+    named = f" by {', '.join(names)}" if names else ""
+    return (
+        f"{gap}{named} ({result.gap_unit}; 1 is noise alone). {result.captures} settings, {result.frames} frames; "
+        f"{result.tests[1]} of {result.tests[0]} tests still stand out."
+    )
+
+
+def _places(result: ReconcileResult) -> str:
+    """Return where the starting model disagrees, found without the catalogue."""
+    rows = [
+        (seen_in(place.block), along(place.covariate), place.form, f"{place.score:.1f}", f"{place.p_value:.2g}")
+        for place in result.localisation[:_LISTED_PLACES]
+    ]
+    return table(("what", "along", "form", "χ²", "p"), rows, words=(1, 2))
+
+
+def _repeats(result: ReconcileResult) -> str:
+    """Return in words what equal frames differ by."""
+    message = [f"{text[0].upper()}{text[1:]}." for one in result.repeats for text in one.sentences()]
+    return section("How equal frames differ", listed(message)) if message else ""
+
+
+def _frames(result: ReconcileResult) -> str:
+    """Return each frame less the others of its series."""
+    rows = []
+    for part in result.repeats:
+        scale, unit = (100.0, "%") if part.scatter.unit == "1" else (1.0, part.scatter.unit)
+        for one in part.series:
+            apart = (with_u(scale * value, 2.0 * scale * u, unit) for value, u in zip(one.apart, one.u, strict=True))
+            rows += [(str(n), f"{one.exposure_s:.4g} s", shown) for n, shown in zip(one.frames, apart, strict=True)]
+    return table(("frame", "exposure", "apart (k = 2)"), rows)
+
+
+def _following(result: ReconcileResult) -> str:
+    if not result.next_capture:
+        return ""
+    return paragraph(f"Next capture: {result.next_capture['description']}", "do")
+
+
+def _effect(effect: FoundEffect, reconciled: Reconciled) -> str:
+    present = {one.name: one for one in reconciled.outcome.state.effects}
+    entry = present.get(effect.name)
+    title = "Not explained by any known effect" if effect.name == "unnamed" else effect.name
+    tags = [text for text, holds in (("provisional", effect.provisional), ("weak", _is_weak(effect))) if holds]
+    return "\n".join(
+        (
+            heading(title, tags),
+            paragraph(_physics(type(entry)), "what") if entry else "",
+            paragraph(_evidence(effect)),
+            _effect_picture(effect, entry, reconciled),
+            _parameters(effect),
+            _law(effect),
+            _rivals(effect),
+            _advice(effect, entry),
+        )
+    )
+
+
+def _is_weak(effect: FoundEffect) -> bool:
+    return effect.name != "unnamed" and effect.gain_nats < _WEAK_NATS
+
+
+def _physics(kind: type[CatalogueEffect]) -> str:
+    """Return the description of an effect from its file."""
+    return (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " ")
+
+
+def _evidence(effect: FoundEffect) -> str:
+    sentence = f"It shows in {seen_in(effect.block)}, {along(effect.where)}."
+    if effect.name == "unnamed":
+        return sentence
+    closed = f" With it the gap falls from {effect.gap_before:.3g} to {effect.gap_after:.3g}"
+    weak = "; that is little: repeat the captures" if _is_weak(effect) else ""
+    known = f" {effect.evidence.capitalize()}." if effect.probability is not None else ""
+    return (
+        f"{sentence}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}.{known}"
+    )
+
+
+def _effect_picture(effect: FoundEffect, entry: CatalogueEffect | None, reconciled: Reconciled) -> str:
+    state = reconciled.outcome.state
+    if entry is None:
+        return unnamed_plot(state, effect.where, effect.block) or ""
+    first = next(iter(effect.parameters.values()), None)
+    known = first is not None and first.u is not None and first.value != 0
+    u_rel = abs(first.u / first.value) if known and first is not None and first.u is not None else None
+    return effect_plot(state, entry, u_rel) or ""
+
+
+def _parameters(effect: FoundEffect) -> str:
+    rows = []
+    for name, entry in effect.parameters.items():
+        shown = with_u(entry.value, 2.0 * entry.u if entry.u is not None else 0.0, entry.unit)
+        rows.append((_plain(name, entry.unit), shown, "not fitted" if entry.u is None else ""))
+    return table(("parameter", "value (k = 2)", ""), rows, words=(2,))
+
+
+def _law(effect: FoundEffect) -> str:
+    """Return the curve of another law than the catalogue's; of a table a row for each knot of the first covariate."""
+    if effect.curve is None:
+        return ""
+    (first, knots), *second = effect.curve.along.items()
+    columns = second[0][1] if second else (None,)
+    shown = [_with_band(value, u) for value, u in zip(effect.curve.factor, effect.curve.u, strict=True)]
+    width = len(columns)
+    rows = [(f"{at:.3g}", *shown[n * width : (n + 1) * width]) for n, at in enumerate(knots)]
+    heads = ("factor",) if not second else tuple(f"{axis_label(second[0][0])[0]} {at:.3g}" for at in columns)
+    sentence = "It follows another functional form: the factors below multiply the catalogue's equation, ± U (k = 2)."
+    return paragraph(sentence) + table((axis_label(first)[0], *heads), rows)
+
+
+def _with_band(value: float, u: float | None) -> str:
+    return f"{value:.3g}" if u is None else with_u(value, 2.0 * u, "")
+
+
+def _rivals(effect: FoundEffect) -> str:
+    closest = (
+        paragraph(
+            f"Closest known effect: {effect.closest[0]}, which explains {100 * effect.closest[1]:.0f} % of it."
+            f"{_in_words(effect.closest[0])}"
+        )
+        if effect.closest
+        else ""
+    )
+    if not effect.alternatives:
+        return closest
+    others = listed([f"{name}.{_in_words(name)}" for name in effect.alternatives])
+    together = f" ({effect.evidence_of_any})" if effect.evidence_of_any else ""
+    only = "Each ± is conditional on this effect being the right one."
+    return f"{closest}{paragraph(f'These data cannot separate it from{together}:')}{others}{paragraph(only, 'small')}"
+
+
+def _in_words(name: str) -> str:
+    """Return what the effect of a name is, as a further sentence; nothing where it is in no catalogue."""
+    kind = all_effects().get(name)
+    return f" {_physics(kind)}" if kind is not None and issubclass(kind, CatalogueEffect) else ""
+
+
+def _advice(effect: FoundEffect, entry: CatalogueEffect | None) -> str:
+    """Return what to do at the bench: the capture that settles the choice, else what would show the effect best."""
+    following = str(effect.next_capture.get("description", "")) if effect.next_capture else ""
+    if following:
+        return paragraph(f"To settle it, take: {following}", "do")
+    if effect.name == "unnamed":
+        what = axis_label(effect.where)[0]
+        return paragraph(f"To learn more, vary nothing but this, in more steps and in another order: {what}.", "do")
+    return paragraph(f"To see it alone: {entry.settles}.", "do") if entry and entry.settles else ""
+
+
+def _covariate_table(result: ReconcileResult) -> str:
+    rows = [
+        (along(name), f"{gap.before:.1f}", f"{gap.after:.1f}")
+        for name, gap in sorted(result.covariates.items(), key=lambda item: -item[1].before)
+    ]
+    note = "Largest trend's χ² per degree of freedom; a single trend has 1 by chance."
+    return table(("covariate", "before", "after"), rows) + paragraph(note, "small")
+
+
+def _limits(result: ReconcileResult) -> str:
+    rows = [
+        (
+            name,
+            "blind" if v.amplitude is None else f"{v.amplitude:.3g}",
+            unit_text(v.unit),
+            v.parameter.replace("_", " "),
+        )
+        for name, v in result.limits.items()
+    ]
+    note = "Sizes that would stand out by 5 sigma; “nothing is missing” holds only for larger effects."
+    shown = table(("effect", "from", "unit", "parameter"), rows, words=(2, 3))
+    return f"{paragraph(note, 'small')}{shown}" if shown else ""
+
+
+# ---- pictures -------------------------------------------------------------------------------------------------------
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_WIDE: Final = (8.0, 3.3)
+_NARROW: Final = (4.0, 3.0)
+_CHANCE_SIGMAS: Final = 4.0
+_FEWEST_ROWS: Final = 3  # of the bars: one alone is not drawn as tall as the picture
+_BINS: Final = 14
+_PANELS: Final = 6
+_SMALLEST_REACH: Final = 0.01  # of an axis, in % or DN: finer than any converter resolves
+_DIMMEST_DN: Final = 3.0  # below, a relative deviation of the means says nothing
+
+
+def story(reconciled: Reconciled) -> str:
+    """Return the opening picture: measured over simulated before and after, and the gap step by step."""
+    steps = len(reconciled.outcome.steps)
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        if narrow:
+            first, second = figure.subplots(2, 1, height_ratios=(3.0, 1.2 + 0.25 * steps))
+        else:
+            first, second = figure.subplots(1, 2, width_ratios=(3, 2))
+        _deviations(first, reconciled)
+        _steps(second, reconciled)
+
+    caption = (
+        "Every patch of every setting, measured against simulated, before and after; then how far settings that the "
+        "fit did not see are missed, step by step: at 1 only noise is left."
+    )
+    return picture(draw, caption, (10.0, 3.9), (4.0, 4.9 + 0.25 * steps))
+
+
+def _deviations(axes: Axes, reconciled: Reconciled) -> None:
+    """Draw what each patch deviates by: relative over its light, or in DN over the settings where none has light."""
+    from matplotlib.ticker import MaxNLocator
+
+    outcome = reconciled.outcome
+    states = ((outcome.start, BEFORE, "simulated before"), (outcome.state, AFTER, "simulated after"))
+    lit = any(_relative(state)[0].size for state, _, _ in states)
+    drawn = [(*(_relative(state) if lit else _absolute(state)), colour, words) for state, colour, words in states]
+    for x, deviation, colour, words in drawn:
+        axes.plot(
+            x, deviation, ".", ms=4, alpha=0.4, color=colour, label=words, markeredgewidth=0, rasterized=True
+        )  # fmt: skip
+    axes.axhline(0.0, color=SEEN, lw=1.2, label="measured = simulated")
+    first = next((deviation for _, deviation, _, _ in drawn if deviation.size), np.ones(1))
+    reach = max(float(np.quantile(np.abs(first), 0.99)), _SMALLEST_REACH)
+    axes.set_ylim(-1.3 * reach, 1.3 * reach)
+    if lit:
+        axes.set_xscale("log")
+        dress(axes, "simulated signal above black in DN", "measured − simulated in %")
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        dress(axes, "setting in the order taken (none has light)", "measured − simulated in DN")
+    shown = axes.legend(fontsize=9, markerscale=3, framealpha=0.85, edgecolor="none")
+    for handle in shown.legend_handles:
+        if handle is not None:
+            handle.set_alpha(1.0)
+
+
+def _relative(state: FitState) -> tuple[Array, Array]:
+    """Return what light adds to the means in DN, and their deviation in % of it, where both say something."""
+    light = state.sensitivity  # d(mean)/d(ln light)
+    usable = state.comparison.usable["mean"] & (light > _DIMMEST_DN)
+    return light[usable], 100.0 * (state.seen.mean - state.prediction.mean)[usable] / light[usable]
+
+
+def _absolute(state: FitState) -> tuple[Array, Array]:
+    """Return the setting of each mean, counted from 1, its patches side by side, and its deviation in DN."""
+    usable = state.comparison.usable["mean"]
+    settings, patches = usable.shape
+    place = np.arange(1.0, settings + 1.0)[:, None] + np.linspace(-0.35, 0.35, patches)
+    return place[usable], (state.seen.mean - state.prediction.mean)[usable]
+
+
+def _steps(axes: Axes, reconciled: Reconciled) -> None:
+    """Draw the held-out gap after each name, from top to bottom."""
+    result, steps = reconciled.result, reconciled.outcome.steps
+    names = ["ideal camera", *(f"+ {step.name}" for step in steps)]
+    gaps = [result.gap_before, *(step.gap_after for step in steps)]
+    if steps and abs(gaps[-1] - result.gap_after) > 0.005:
+        names, gaps = [*names, "all, fitted together"], [*gaps, result.gap_after]
+    place = np.arange(len(gaps))[::-1]
+    agrees = not steps and result.verdict is Verdict.AGREES
+    colours = [AFTER if agrees else BEFORE, *[AFTER] * (len(gaps) - 1)]
+    axes.barh(place, gaps, color=colours, height=0.62)
+    for y, gap in zip(place, gaps, strict=True):
+        behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}  # the line of 1 may be there
+        axes.annotate(f"{gap:.3g}", (gap, y), xytext=(3, 0), textcoords="offset points", va="center", bbox=behind)
+    axes.axvline(1.0, color=SEEN, lw=1.0, ls="--")
+    axes.set_ylim(min(0.0, len(gaps) - _FEWEST_ROWS) - 0.6, len(gaps) - 0.4)
+    axes.set_yticks(place, [label(shortened(name, 30)) for name in names])
+    if max(gaps) > 8.0:
+        axes.set_xscale("log")
+        axes.set_xlim(0.5, 3.0 * max(gaps))
+    else:
+        axes.set_xlim(0.0, 1.2 * max(*gaps, 1.0))
+    dress(axes, "gap of held-out settings\n(1 = noise alone)", "")
+    axes.grid(visible=False, axis="y")
+
+
+def effect_plot(state: FitState, effect: CatalogueEffect, u_rel: float | None) -> str | None:
+    """Return what the data show along an effect's covariate without it, and what it predicts there.
+
+    Args:
+        u_rel: Relative standard uncertainty of its main parameter; None where it has none.
+
+    Returns:
+        The picture; None where the covariate does not vary, or no entry of the statistic counts.
+    """
+    axis = covariates(state.model, state.prediction).get(effect.where)
+    if axis is None:
+        return None
+    others = tuple(one for one in state.effects if one is not effect)
+    value, without = _left(state, axis.value, effect.block, state.predicted_with(others))
+    if not value.size:
+        return None
+    _, within = _left(state, axis.value, effect.block, state.prediction)
+    x, seen, u = _binned(effect.where, value, without)
+    _, curve, _ = _binned(effect.where, value, without - within)
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        axes = figure.subplots()
+        axes.errorbar(x, seen, u, fmt="o", ms=4, lw=1, color=BEFORE, label="measured − simulated without it")
+        axes.plot(x, curve, color=AFTER, lw=1.6, label=label(f"what {shortened(effect.name, 40)} predicts"))
+        if u_rel is not None and np.isfinite(u_rel):
+            wide = 2.0 * min(u_rel, 1.0) * np.abs(curve)
+            axes.fill_between(x, curve - wide, curve + wide, color=AFTER, alpha=0.2, linewidth=0)
+        _along(axes, effect.where, f"{effect.block}: residual in σ")
+
+    caption = "Points: residual without it, with k = 1 bars. Line: what it predicts, with its k = 2 band."
+    return picture(draw, caption, _WIDE, _NARROW)
+
+
+def unnamed_plot(state: FitState, where: str, block: str) -> str | None:
+    """Return what the final model leaves of a statistic along a covariate.
+
+    Returns:
+        The picture; None where the covariate does not vary.
+    """
+    axis = covariates(state.model, state.prediction).get(where)
+    value, left = (np.zeros(0),) * 2 if axis is None else _left(state, axis.value, block, state.prediction)
+    if not value.size:
+        return None
+    x, seen, u = _binned(where, value, left)
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        axes = figure.subplots()
+        axes.errorbar(
+            x, seen, u, fmt="o", ms=4, lw=1, color=BEFORE, label="measured − simulated with all that is named"
+        )
+        _along(axes, where, f"{block}: residual in σ")
+
+    return picture(draw, "What no known effect explains, along what it follows, with k = 1 bars.", _WIDE, _NARROW)
+
+
+def _left(state: FitState, value: Array, block: str, prediction: Prediction) -> tuple[Array, Array]:
+    """Return a covariate's values and standardised residuals of a statistic, in all of its directions, where usable."""
+    residual = state.comparison.residual(prediction)
+    values, left = [np.zeros(0)], [np.zeros(0)]
+    for name, cut in state.comparison.cuts.items():
+        if block in (name, FAMILY[name]):
+            shape, usable = STATISTICS[name].shape(state.design), state.comparison.usable[name]
+            values.append(np.broadcast_to(_fitting(value, len(shape)), shape)[usable])
+            left.append(residual[cut].reshape(shape)[usable])
+    return np.concatenate(values), np.concatenate(left)
+
+
+def _fitting(value: Array, dimensions: int) -> Array:
+    """Return a covariate in the shape of a statistic: of captures alone where it has no tiles."""
+    return np.asarray(
+        value.mean(axis=1) if dimensions == 1 else value if value.ndim == dimensions else value[..., None]
+    )
+
+
+def rest_map(state: FitState) -> str:
+    """Return where on the picture the final model still disagrees: each patch by its residual over all captures."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import TwoSlopeNorm
+    from matplotlib.patches import Rectangle
+
+    design = state.design
+    cut = state.comparison.cuts["mean"]
+    residual = state.comparison.residual(state.prediction)[cut].reshape(STATISTICS["mean"].shape(design))
+    usable = state.comparison.usable["mean"]
+    count = usable.sum(axis=0)
+    score = np.where(count > 0, residual.sum(axis=0) / np.sqrt(np.maximum(count, 1)), np.nan)
+    height, width = design.shape
+    reach = max(_CHANCE_SIGMAS, float(np.nanmax(np.abs(score), initial=0.0)))
+    norm, colours = TwoSlopeNorm(0.0, -reach, reach), _diverging()
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        axes = figure.subplots()
+        for tile, one in zip(design.tiles, score, strict=True):
+            colour = colours(norm(one)) if np.isfinite(one) else "#dddddd"
+            axes.add_patch(
+                Rectangle((tile.x, tile.y), tile.width, tile.height, facecolor=colour, edgecolor="#555", lw=0.4)
+            )
+        axes.set_xlim(0, width)
+        axes.set_ylim(height, 0)
+        axes.set_aspect("equal")
+        axes.set_xlabel("column in pixels")
+        axes.set_ylabel("row in pixels")
+        bar = {"orientation": "horizontal", "aspect": 40} if narrow else {"shrink": 0.9}
+        figure.colorbar(ScalarMappable(norm, colours), ax=axes, label="mean over all captures, in σ", **bar)
+
+    beyond = int(np.count_nonzero(np.abs(score[np.isfinite(score)]) > _CHANCE_SIGMAS))
+    caption = (
+        f"Patches by their residual after the final model; within ±{_CHANCE_SIGMAS:g} σ is chance. {beyond} of "
+        f"{int(np.isfinite(score).sum())} are beyond."
+    )
+    return picture(draw, caption, (6.8, 0.6 + 5.2 * height / width), (4.0, 1.0 + 3.2 * height / width))
+
+
+def _diverging() -> Any:
+    from matplotlib import colormaps
+
+    return colormaps["RdBu_r"]
+
+
+def residual_panels(reconciled: Reconciled) -> str:
+    """Return the residuals of the means along the most telling covariates, before and after."""
+    gaps = reconciled.result.covariates
+    # What varies in the tiles that one model leaves usable need not vary in those of the other.
+    drawn = [covariates(one.model, one.prediction) for one in (reconciled.outcome.start, reconciled.outcome.state)]
+    both = [name for name in gaps if all(name in axes for axes in drawn)]
+    names = sorted(both, key=lambda name: -gaps[name].before)[:_PANELS]
+    if not names:
+        return ""
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        columns = 1 if narrow else 2
+        panels = figure.subplots(-(-len(names) // columns), columns, squeeze=False).ravel()
+        for axes, name in zip(panels, names, strict=False):
+            for state, colour, words in (
+                (reconciled.outcome.start, BEFORE, "before"),
+                (reconciled.outcome.state, AFTER, "after"),
+            ):
+                x, y, u = _profile(state, name)
+                axes.errorbar(x, y, u, fmt="o", ms=3, lw=1, color=colour, label=words)
+            _along(axes, name, "residual in σ")
+        for axes in panels[len(names) :]:
+            axes.set_visible(False)
+
+    caption = "Measured − simulated: means of patches, of one setting or of neighbouring settings."
+    return picture(draw, caption, (10.0, 2.6 * -(-len(names) // 2)), (4.0, 2.3 * len(names)))
+
+
+def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
+    """Return bin centres, mean standardised residual of the means, and its standard uncertainty."""
+    axis = covariates(state.model, state.prediction)[name]
+    usable = state.comparison.usable["mean"]
+    deviation = np.hypot(state.comparison.deviation["mean"], state.tau * state.sensitivity)
+    standardised = ((state.seen.mean - state.prediction.mean) / deviation)[usable]
+    return _binned(name, axis.value[usable], standardised)
+
+
+def _binned(name: str, value: Array, standardised: Array) -> tuple[Array, Array, Array]:
+    """Return centres in a reader's units, means, and standard uncertainties of bins along a covariate."""
+    levels = np.unique(np.round(value, 6))
+    if levels.size <= _BINS:  # every setting has a separate point
+        place = np.argmin(np.abs(value[:, None] - levels), axis=1)
+    else:
+        edges = np.unique(np.quantile(value, np.linspace(0, 1, _BINS + 1)))
+        place = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, max(len(edges) - 2, 0))
+    groups = np.unique(place)
+    x = _in_units(name, np.array([value[place == g].mean() for g in groups]))
+    y = np.array([standardised[place == g].mean() for g in groups])
+    u = np.array([1.0 / np.sqrt(np.sum(place == g)) for g in groups])
+    return x, y, u
+
+
+def _in_units(name: str, value: Array) -> Array:
+    """Return values of a covariate as people read them; the tests use logarithms of most."""
+    if name == "f_number":
+        return np.asarray(2.0**value)
+    if name == "signal":
+        return np.asarray(np.maximum(10.0**value - 10.0, 1.0))
+    return np.asarray(10.0**value if name in AXES else value)
+
+
+def _along(axes: Axes, covariate: str, what: str) -> None:
+    words, logarithmic = axis_label(covariate)
+    axes.axhline(0.0, color=RULE, lw=0.8)
+    if logarithmic:
+        axes.set_xscale("log")
+    dress(axes, label(words), label(what))
+    legend(axes)
+
+
+# ---- words ----------------------------------------------------------------------------------------------------------
+
+
+# Covariates drawn on a logarithmic axis, and what stands at the others.
+AXES: Final = {
+    "exposure_s": "exposure in s",
+    "f_number": "f-number",
+    "signal": "signal in e⁻",
+    "patch_level": "radiance of the patch in W·sr⁻¹·m⁻²",
+    "previous_frame": "signal of the capture before in e⁻, plus 1",
+}
+_PLAIN: Final = {
+    "gain_db": "gain in dB",
+    "temperature_C": "sensor temperature in °C",
+    "timestamp_s": "time in s",
+    "source_level": "source level",
+    "image_x": "column in pixels",
+    "image_y": "row in pixels",
+    "field_radius": "distance from the middle of the picture (1 in the corner)",
+    "half_x": "left and right half of the picture",
+    "half_y": "upper and lower half of the picture",
+    "pattern": "displayed pattern",
+}
+_ALONG: Final = {
+    "exposure_s": "with the exposure time",
+    "f_number": "with the f-number",
+    "signal": "with the signal",
+    "patch_level": "with the brightness of the patch",
+    "previous_frame": "with the brightness of the capture before",
+    "gain_db": "with the gain",
+    "temperature_C": "with the sensor's temperature",
+    "timestamp_s": "in the course of time",
+    "source_level": "with the level of the source",
+    "image_x": "across the picture",
+    "image_y": "down the picture",
+    "screen_x": "across the screen",
+    "field_radius": "from the middle of the picture to its corners",
+}
+_SEEN: Final = {
+    "mean": "how bright patches are",
+    "slope": "how brightness changes within patches",
+    "variance": "how much a pixel's value scatters from frame to frame",
+    "spatial": "how much pixels of a patch differ among each other",
+    "neighbour": "how alike neighbouring pixels scatter",
+    "first": "how the first frame of a setting differs from the next",
+    "common": "how whole frames brighten and darken together",
+    "bands": "how rows brighten and darken together",
+    "row_temporal": "how whole rows scatter",
+    "columns": "how columns differ from each other",
+    "rows": "how rows differ from each other",
+    "edge": "how sharp the borders of patches are",
+    "outliers": "how many single pixels stand far out",
+    "comb": "which codes occur",
+}
+
+
+def axis_label(covariate: str) -> tuple[str, bool]:
+    """Return what stands at the axis of a covariate, and whether the axis is logarithmic."""
+    return AXES.get(covariate, _PLAIN.get(covariate, covariate)), covariate in AXES
+
+
+def along(covariate: str) -> str:
+    """Return in words along what something changes."""
+    return _ALONG.get(covariate, f"along {covariate.replace('_', ' ')}")
+
+
+def seen_in(block: str) -> str:
+    """Return in words what a statistic is."""
+    return _SEEN.get(block.partition("_x")[0], block)
