@@ -28,6 +28,7 @@ SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
 PEAK_TOLERANCE_NM: Final = 10.0  # bin of LEDs: ± 5 to 10 nm; rods change by less than 10 % within it near 500 nm
 PLACE_TOLERANCE_DEG: Final = 1.0  # spots are 1.5 to 2.5° wide
 FIXATION = "fixation"
+_LOOK_S = 0.25  # how often a bleach looks whether it was ended
 FLASH_GAP_S = 10.0  # between two photographic flashes: the box wants 5 s, the flash charges
 
 
@@ -139,8 +140,20 @@ class BoxStage:
             self._flash()
         else:
             self.box.pulse(protocol.bleach.channel, self.lights.bleach, protocol.bleach.duration_s)
-            self.sleep(protocol.bleach.duration_s)
+            self._sleep_while_on(protocol.bleach.duration_s)
         self._light_mark()
+
+    @property
+    def switched_off(self) -> bool:
+        """Return whether another program has switched the lights off: none is lit again."""
+        return bool(getattr(self.box, "switched_off", False))
+
+    def _sleep_while_on(self, duration_s: float) -> None:
+        """Wait, in real time until the lights are switched off at most."""
+        slice_s, left_s = duration_s if self.wall_clock is None else _LOOK_S, duration_s
+        while left_s > 0.0 and not self.switched_off:
+            self.sleep(min(left_s, slice_s))
+            left_s -= slice_s
 
     def _flash(self) -> None:
         if not isinstance(self.box, FlashBox):
@@ -176,7 +189,7 @@ class BoxStage:
     def _blink_once(self, channel: str, light: Radiance | None) -> list[float]:
         """Light a channel for the protocol's time (None: nothing) and return the presses until the cycle is over."""
         spot, onset = self.protocol.spot, self.clock()
-        if light is not None:
+        if light is not None and not self.switched_off:
             self.box.pulse(channel, light, spot.on_s)
         presses = self._presses(self.box.buttons(max(0.0, spot.cycle_s - (self.clock() - onset))))
         return [time_s - onset for time_s in presses if time_s >= onset]
@@ -213,7 +226,7 @@ class BoxStage:
         return presses
 
     def _light_mark(self) -> None:
-        if self.lights.fixation_w_sr_m2:
+        if self.lights.fixation_w_sr_m2 and not self.switched_off:
             self.box.set_level(FIXATION, Radiance(self.lights.fixation_w_sr_m2))
 
 

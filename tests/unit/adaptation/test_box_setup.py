@@ -332,6 +332,20 @@ def test_bleach_is_the_protocols_light_and_then_the_mark(stage: BoxStage, box: R
     assert stage.now_s() == pytest.approx(150.0)
 
 
+def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage: BoxStage, box: RecordingBox) -> None:
+    """In the bleach: it is over within a quarter of a second, and neither mark nor spot follows."""
+
+    def sleep(seconds: float) -> None:
+        box.time += seconds
+        box.switched_off = box.time >= 102.0  # type: ignore[attr-defined]
+
+    stage.sleep, stage.wall_clock = sleep, lambda: 1.7e9
+    stage.bleach(stage.lights.protocol)
+    stage.blink(-3.0, 0, 0)
+    assert [asked[0] for asked in box.asked] == ["bleach"]
+    assert stage.now_s() == pytest.approx(3.0, abs=0.3)
+
+
 def test_blink_is_one_pulse_of_the_levels_radiance(stage: BoxStage, box: RecordingBox) -> None:
     """-3 log scotopic cd/m² behind a filter of density 3 at 900 lm/W, for the protocol's 0.3 s, in a cycle of 1 s."""
     stage.blink(-3.0, 0, 0)
