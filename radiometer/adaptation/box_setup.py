@@ -81,6 +81,7 @@ class BoxStage:
     clock: Callable[[], float]  # steady clock in s, the one that the box's button events are given on
     sleep: Callable[[float], None]  # waits for a number of seconds
     wall_clock: Callable[[], float] | None = None  # time of day as Unix time in s; None where the box is simulated
+    ended: Callable[[], bool] = lambda: False  # whether the end of the test is asked for
     _zero_s: float = field(default=0.0, init=False)
     _pressed_s: float | None = field(default=None, init=False)
     _longest: tuple[float, float] = field(default=(0.0, 0.0), init=False)
@@ -141,6 +142,9 @@ class BoxStage:
         else:
             self.box.pulse(protocol.bleach.channel, self.lights.bleach, protocol.bleach.duration_s)
             self._sleep_while_on(protocol.bleach.duration_s)
+            if self.ended():
+                self.box.off(protocol.bleach.channel)
+                return
         self._light_mark()
 
     @property
@@ -149,9 +153,9 @@ class BoxStage:
         return bool(getattr(self.box, "switched_off", False))
 
     def _sleep_while_on(self, duration_s: float) -> None:
-        """Wait, in real time until the lights are switched off at most."""
+        """Wait, in real time until the lights are switched off or the test is ended at most."""
         slice_s, left_s = duration_s if self.wall_clock is None else _LOOK_S, duration_s
-        while left_s > 0.0 and not self.switched_off:
+        while left_s > 0.0 and not (self.switched_off or self.ended()):
             self.sleep(min(left_s, slice_s))
             left_s -= slice_s
 

@@ -69,7 +69,9 @@ class Stage(Protocol):
 
 @runtime_checkable
 class SwitchedStage(Protocol):
-    """A stage whose lights another program may switch off."""
+    """A stage whose lights another program may switch off, and whose bleach ends when the test does."""
+
+    ended: Callable[[], bool]  # whether the end of the test is asked for
 
     @property
     def switched_off(self) -> bool:
@@ -219,6 +221,8 @@ class _Run:
         bleach = self.protocol.bleach
         if self.bleaches:
             self.note("bleach", light=bleach.model_dump())
+            if isinstance(self.stage, SwitchedStage):
+                self.stage.ended = lambda: self.controls.stopped_by is not None
             self.stage.bleach(self.protocol)
         else:  # a practice run: the mark alone is lit
             self.stage.resume_at(self.stage.now_s())

@@ -283,7 +283,7 @@ def test_a_mask_is_no_frame(tmp_path):
             writer.write(np.ones(STACK_PICTURE.shape, bool), photometric="minisblack", subfiletype=4, metadata=None)
     (found,) = import_sources([tmp_path], ImportOptions())
     assert len(found.header.frames) == 2
-    assert any("mask" in line for line in found.record.not_used)
+    assert all("mask" in line for frame in found.frames.values() for line in frame.not_used)
 
 
 FITS_PICTURE = (np.arange(48 * 64).reshape(48, 64) + 1000).astype(np.uint16)
