@@ -55,6 +55,7 @@ def ours(folder: Path) -> dict[str, dict[str, tuple[float, float]]]:
         one.tap.name: {name: (one.characterisation.figures[symbol].value, one.characterisation.figures[symbol].u)
                        for name, symbol in _OURS.items()}
         for one in found.taps
+        if one.characterisation is not None
     }  # fmt: skip
 
 

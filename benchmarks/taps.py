@@ -55,8 +55,9 @@ def figures(kind: str, seed: int) -> dict[str, Any]:
         stated = rm.characterise(path, taps=f"{columns}x{rows}")
         errors = {
             symbol: [
-                (one.characterisation.figures[symbol].value - true) / one.characterisation.figures[symbol].u
+                (found.figures[symbol].value - true) / found.figures[symbol].u
                 for one, true in zip(stated.taps, getattr(taps, truth).flat, strict=True)
+                if (found := one.characterisation) is not None
             ]
             for symbol, truth in _FIGURES.items()
         }

@@ -53,6 +53,7 @@ class ScriptedStage:
         self.time, self.dark_since, self.dies_after = 0.0, 0.0, math.inf
         self.at: dict[float, Callable[[], None]] = {}
         self.held_since: float | None = None
+        self.switched_off, self.ended = False, lambda: False
         self.presses_in_pause: list[float] = []
         self.unix: float | None = None
 

@@ -148,6 +148,7 @@ class SerialLightBox(Opened):
     # Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's
     mild: bool = False
     flash: FlashLight | None = None  # the photographic flash at its trigger; None where there is none
+    switched_off: bool = False  # whether another program has asked for darkness since the box was opened
     _identity: LightBoxIdentity | None = None
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
     _buckets: dict[str, int] = field(default_factory=dict)
@@ -347,6 +348,11 @@ class SerialLightBox(Opened):
                 raise
             finally:
                 self.ledger.darken(within_s=dark_after_s)
+
+    def switch_off(self) -> None:
+        """Darken every channel for another program; raises as `darken`. Who gives a series of lights has to end it."""
+        self.switched_off = True
+        self.darken()
 
     def safe(self) -> None:
         """Darken every channel; never raises, for the box darkens itself where it cannot be reached."""

@@ -28,6 +28,7 @@ SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
 PEAK_TOLERANCE_NM: Final = 10.0  # bin of LEDs: ± 5 to 10 nm; rods change by less than 10 % within it near 500 nm
 PLACE_TOLERANCE_DEG: Final = 1.0  # spots are 1.5 to 2.5° wide
 FIXATION = "fixation"
+_LOOK_S = 0.25  # how often a bleach looks whether it was ended
 FLASH_GAP_S = 10.0  # between two photographic flashes: the box wants 5 s, the flash charges
 
 
@@ -80,6 +81,7 @@ class BoxStage:
     clock: Callable[[], float]  # steady clock in s, the one that the box's button events are given on
     sleep: Callable[[float], None]  # waits for a number of seconds
     wall_clock: Callable[[], float] | None = None  # time of day as Unix time in s; None where the box is simulated
+    ended: Callable[[], bool] = lambda: False  # whether the end of the test is asked for
     _zero_s: float = field(default=0.0, init=False)
     _pressed_s: float | None = field(default=None, init=False)
     _longest: tuple[float, float] = field(default=(0.0, 0.0), init=False)
@@ -139,8 +141,23 @@ class BoxStage:
             self._flash()
         else:
             self.box.pulse(protocol.bleach.channel, self.lights.bleach, protocol.bleach.duration_s)
-            self.sleep(protocol.bleach.duration_s)
+            self._sleep_while_on(protocol.bleach.duration_s)
+            if self.ended():
+                self.box.off(protocol.bleach.channel)
+                return
         self._light_mark()
+
+    @property
+    def switched_off(self) -> bool:
+        """Return whether another program has switched the lights off: none is lit again."""
+        return bool(getattr(self.box, "switched_off", False))
+
+    def _sleep_while_on(self, duration_s: float) -> None:
+        """Wait, in real time until the lights are switched off or the test is ended at most."""
+        slice_s, left_s = duration_s if self.wall_clock is None else _LOOK_S, duration_s
+        while left_s > 0.0 and not (self.switched_off or self.ended()):
+            self.sleep(min(left_s, slice_s))
+            left_s -= slice_s
 
     def _flash(self) -> None:
         if not isinstance(self.box, FlashBox):
@@ -176,7 +193,7 @@ class BoxStage:
     def _blink_once(self, channel: str, light: Radiance | None) -> list[float]:
         """Light a channel for the protocol's time (None: nothing) and return the presses until the cycle is over."""
         spot, onset = self.protocol.spot, self.clock()
-        if light is not None:
+        if light is not None and not self.switched_off:
             self.box.pulse(channel, light, spot.on_s)
         presses = self._presses(self.box.buttons(max(0.0, spot.cycle_s - (self.clock() - onset))))
         return [time_s - onset for time_s in presses if time_s >= onset]
@@ -213,7 +230,7 @@ class BoxStage:
         return presses
 
     def _light_mark(self) -> None:
-        if self.lights.fixation_w_sr_m2:
+        if self.lights.fixation_w_sr_m2 and not self.switched_off:
             self.box.set_level(FIXATION, Radiance(self.lights.fixation_w_sr_m2))
 
 

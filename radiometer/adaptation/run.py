@@ -27,6 +27,7 @@ from radiometer.errors import UsageError
 
 Watcher = Callable[[Event], None]
 SUBJECT: Final = "subject"
+SWITCHED_OFF: Final = "light off"  # who ended a test whose lights another program switched off
 HOPELESS: Final = 15  # trials without one threshold, but with false presses, after which the test is over
 SAME_TIME_S: Final = 1e-4  # to which the journal gives times
 ABOVE_LOG10: Final = 1.0  # how far above the last threshold a spot is that only lapses miss; half of it at least
@@ -64,6 +65,17 @@ class Stage(Protocol):
 
     def resume_at(self, time_s: float) -> None:
         """Count on from a time, after a crash."""
+
+
+@runtime_checkable
+class SwitchedStage(Protocol):
+    """A stage whose lights another program may switch off, and whose bleach ends when the test does."""
+
+    ended: Callable[[], bool]  # whether the end of the test is asked for
+
+    @property
+    def switched_off(self) -> bool:
+        """Return whether one has: the test ends."""
 
 
 @runtime_checkable
@@ -209,10 +221,13 @@ class _Run:
         bleach = self.protocol.bleach
         if self.bleaches:
             self.note("bleach", light=bleach.model_dump())
+            if isinstance(self.stage, SwitchedStage):
+                self.stage.ended = lambda: self.controls.stopped_by is not None
             self.stage.bleach(self.protocol)
         else:  # a practice run: the mark alone is lit
             self.stage.resume_at(self.stage.now_s())
         self.note("dark", steady=isinstance(bleach, SteadyBleach))
+        self._ask_again()
         if self.controls.stopped_by is not None:
             self.note("stop", by=self.controls.stopped_by)
 
@@ -386,7 +401,12 @@ class _Run:
         return by is not None or self.controls.stopped_by is not None
 
     def _ask_again(self) -> None:
-        """Ask for what the operator asked for at this moment of a run that is lived through again."""
+        """Ask for the end where another program switched the lights off, and for what was asked for at this moment.
+
+        The latter is of a run that is lived through again.
+        """
+        if isinstance(self.stage, SwitchedStage) and self.stage.switched_off:
+            self.controls.stop(SWITCHED_OFF)
         before = self.journal.upcoming
         if before is None or self.stage.now_s() < float(before["time_s"]) - SAME_TIME_S:
             return

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 import time
+import warnings
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from radiometer.adapters.readings import DaemonSource, MeterSource, ReadingSource
-from radiometer.data import Patch, Reading
+from radiometer.data import Flag, Patch, Reading
 from radiometer.errors import MeasurementError
 
 ADDRESS_VARIABLE: Final = "RADIOMETER_PHOTOMETER"
@@ -91,7 +92,8 @@ class RadiometerPhotometer(BasePhotometerDevice):  # type: ignore[misc]
 
         Raises:
             DeviceError: If camera or daemon fail.
-            MeasurementError: If the spectrum of the light is not known, so that there is no luminance.
+            MeasurementError: If the spectrum of the light is not known, so that there is no luminance, or the patch is
+                saturated.
         """
         self.dispatchMessages()
         return float(self.responses[-1].value)
@@ -106,12 +108,23 @@ class RadiometerPhotometer(BasePhotometerDevice):  # type: ignore[misc]
         self.receiveMessage(self.parseMessage(self._source.measure()))
 
     def parseMessage(self, message: Reading) -> PhotometerResponse:  # noqa: N802 (PsychoPy's name)
-        """Return a reading as a response. Raises MeasurementError where it has no luminance."""
+        """Return a reading as a response; one below the noise warns, for its value may be any up to its uncertainty.
+
+        Raises:
+            MeasurementError: If it has no luminance, or is a lower bound alone.
+        """
+        if Flag.SATURATED in message.flags:
+            raise MeasurementError(
+                f"{message} is a lower bound: the patch is saturated; shorten the exposure, or let the camera choose"
+                " it (SENS:EXP:AUTO ON)"
+            )
         if message.luminance is None:
             raise MeasurementError(
                 "the spectrum of the light is not known, so that there is no luminance: give spectrum='white_led', or "
                 "calibrate with --spectrum"
             )
+        if Flag.BELOW_NOISE in message.flags:
+            warnings.warn(f"{message} is below the noise", stacklevel=3)
         self.lastReading, self.lastLum = message, message.luminance.value
         return PhotometerResponse(t=_SECONDS(), value=message.luminance.value, device=self)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -17,7 +17,7 @@ from radiometer.analysis.photometry.facing import FacingSource
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.api.files import PathLike
 from radiometer.api.result import Drawn
-from radiometer.data import Quantity, Reading
+from radiometer.data import Flag, Quantity, Reading
 from radiometer.data.drawing import new_axes
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import read_text
@@ -32,6 +32,7 @@ _SPELT: Final = {
     "cd": "cd m-2", "cd/m2": "cd m-2", "cd·m⁻²": "cd m-2", "lux": "lx",
     "W": "W sr-1 m-2", "W/sr/m2": "W sr-1 m-2", "W·sr⁻¹·m⁻²": "W sr-1 m-2", "W/m2": "W m-2", "W·m⁻²": "W m-2",
 }  # fmt: skip
+_FOR_SPECTRUM: Final = "spectrum "  # an assumption of a reading: which light its luminance is of
 
 
 @dataclass(frozen=True, repr=False)
@@ -158,9 +159,9 @@ def alpha_opic(
             named = curve.spectrum
             assumptions.append(f"the spectrum of {channel} is that of the screen's calibration: {named}")
     elif isinstance(value, Reading):
-        source = value.luminance if value.luminance is not None else value.radiance
+        source = _quantity_of(value.to_mapping(), named, assumptions)
     elif reading is not None:
-        source = _quantity_of_file(Path(reading))
+        source = _quantity_of_file(Path(reading), named, assumptions)
     else:
         source = Quantity(float(value or 0.0), u, _SPELT.get(unit, unit))
     if source.unit not in UNITS:
@@ -179,12 +180,31 @@ def alpha_opic(
     return AlphaOpicQuantities(source, light.name, found, tuple(assumptions))
 
 
-def _quantity_of_file(path: Path) -> Quantity:
-    """Return the luminance of a reading's JSON, or its radiance where it has none. Raises InputError."""
+def _quantity_of(content: Mapping[str, Any], spectrum: str | None, assumptions: list[str]) -> Quantity:
+    """Return the luminance of a reading, or its radiance where it has none; its flags join the assumptions.
+
+    Raises:
+        UsageError: If the reading is a relative one, or was made for another spectrum.
+    """
+    flags = [str(flag) for flag in content.get("flags", [])]
+    if Flag.UNCALIBRATED.value in flags or (content["radiance"] or {}).get("unit") == "relative":
+        raise UsageError("the reading is relative: it has no α-opic quantities; calibrate the camera first")
+    made_for = [one for one in content.get("assumptions", []) if str(one).startswith(_FOR_SPECTRUM)]
+    own = {str(one).removeprefix(_FOR_SPECTRUM) for one in made_for}
+    if spectrum is not None and own and not own & {spectrum, spectrum_of(spectrum).name}:
+        raise UsageError(
+            f"the reading was made for the spectrum {', '.join(sorted(own))}, not {spectrum}: its luminance is that of "
+            f"such light; measure again with --spectrum {spectrum}"
+        )
+    assumptions += [f"the reading is flagged {flag}" for flag in flags]
+    stated = content["luminance"] or content["radiance"]
+    return Quantity(float(stated["value"]), float(stated["u"]), str(stated["unit"]))
+
+
+def _quantity_of_file(path: Path, spectrum: str | None, assumptions: list[str]) -> Quantity:
+    """Return what `_quantity_of` gives of the JSON of a reading. Raises InputError, and UsageError as there."""
     try:
-        content = parsed_json(read_text(path))
-        stated = content["luminance"] or content["radiance"]
-        return Quantity(float(stated["value"]), float(stated["u"]), str(stated["unit"]))
+        return _quantity_of(parsed_json(read_text(path)), spectrum, assumptions)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
             f"{path}: is not the JSON of a reading, as `radiometer measure --json` prints it ({error})"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,7 +30,7 @@ from radiometer.data import CameraDescription, CaptureHeader, LensDescription, P
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.mosaic import COLOURS
 from radiometer.data.storage import check_outputs, write_text_atomic
-from radiometer.errors import InputError, MeasurementError, UsageError
+from radiometer.errors import CalibrationError, InputError, MeasurementError, UsageError
 from radiometer.importing import open_capture
 from radiometer.numbers import unit_text, with_u
 from radiometer.progress import unseen
@@ -325,7 +326,7 @@ def colour_measure(
 
     Raises:
         UsageError: If arguments exclude each other, or the kind of light is not known.
-        CalibrationError: If the calibration is of another camera.
+        CalibrationError: If the calibration is of another camera, f-number or filter.
         MeasurementError: If the patch has too few pixels with a value, or no light.
     """
     files = [Path(one) for one in (maps, report) if one is not None]
@@ -343,6 +344,15 @@ def colour_measure(
     require_lens(known, seen.lens)
     if (known.lens.f_number is None) != (seen.lens.f_number is None):
         settle("f-number", known.lens.f_number, seen.lens.f_number)
+    for name, there, here in (
+        ("f-number", known.lens.f_number, seen.lens.f_number),
+        ("transmittance", known.lens.transmittance, seen.lens.transmittance),
+    ):
+        if there is not None and here is not None and not math.isclose(there, here, rel_tol=1e-3):
+            raise CalibrationError(
+                f"{seen.origin}: was taken at a {name} of {here:g}, the colour calibration at {there:g}; take the "
+                "frames with the same lens setting and filter, or calibrate colours with this one"
+            )
     where = as_patch(patch) or Patch(0, 0, *next(iter(seen.maps.values())).shape[::-1])
     signal, own, flags = seen.signal(where, str(seen.origin))
     readings = seen.covariance(signal, own)

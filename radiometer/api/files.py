@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -52,6 +53,7 @@ class Stack:
         photographs: Whether they are photographs: their response and their exposures are not those of a bench camera.
         listed: Name of the list that gives the exposures of photographs; None where EXIF does.
         notes: What is missing and what is doubted of the files.
+        taken: When they were taken, with time zone; None where the files do not state it.
     """
 
     brackets: dict[str, Bracket]
@@ -63,6 +65,7 @@ class Stack:
     photographs: bool = False
     listed: str | None = None
     notes: tuple[str, ...] = ()
+    taken: dt.datetime | None = None
 
     def __len__(self) -> int:
         """Return the number of brackets."""
@@ -189,7 +192,10 @@ def stack_of(found: Source, origin: str) -> Stack:
     if header is None:
         camera = CameraDescription(bit_depth=found.brackets[0].bit_depth)
         return Stack(brackets, camera, LensDescription(), origin, photographs=True, listed=found.listed)
-    return Stack(brackets, header.camera, header.lens, origin, header.source, tuple(header.patches), notes=found.doubts)
+    return Stack(
+        brackets, header.camera, header.lens, origin, header.source, tuple(header.patches), notes=found.doubts,
+        taken=header.taken,
+    )  # fmt: skip
 
 
 def read_photographs(path: PathLike, channel: str = "each") -> Stack:

@@ -101,27 +101,13 @@ def run_job(capture: Path, settings: JobSettings, done_hashes: frozenset[str] = 
     common["software"] = f"radiometer {radiometer.__version__}"
     try:
         capture_set = CaptureSet.read(capture)
-        common.update(content_hash=capture_set.content_hash(), captured=captured_at(capture_set))
+        taken = capture_set.header.taken
+        common.update(content_hash=capture_set.content_hash(), captured=None if taken is None else taken.timestamp())
         if common["content_hash"] in done_hashes:
             return []
         return [{**common, "status": "ok", **row} for row in JOBS[settings.job](capture_set, settings)]
     except (RadiometerError, OSError) as error:
         return [{**common, "status": "failed", "error": str(error)}]
-
-
-def captured_at(capture_set: CaptureSet) -> float | None:
-    """Return when a capture was taken in s since 1970: its `created` key, else a first time stamp that is a date."""
-    import datetime as dt
-
-    created = capture_set.header.created
-    if created is not None:
-        try:
-            moment = created if isinstance(created, dt.datetime) else dt.datetime.fromisoformat(str(created))
-            return moment.replace(tzinfo=moment.tzinfo or dt.UTC).timestamp()
-        except ValueError:
-            return None
-    stamp = capture_set.header.frames[0].timestamp_s
-    return stamp if stamp is not None and stamp > 1e9 else None
 
 
 def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
@@ -135,7 +121,10 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     rows: list[Row] = []
     for name, patch in _patches(capture_set, settings, frames[0].shape):
         reading = read_patch(
-            frames, patch, Setup(header.camera, header.lens, calibration, spectrum=AS_CALIBRATED if stated else None)
+            frames,
+            patch,
+            Setup(header.camera, header.lens, calibration, spectrum=AS_CALIBRATED if stated else None),
+            now=header.taken,
         )
         shared = {"patch": name, "flags": " ".join(map(str, reading.flags))}
         rows.append({**shared, "quantity": "radiance", **reading.radiance.to_mapping()})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -49,6 +50,7 @@ _OUTLIER_SIGMAS: Final = 4.0  # by chance once in 16 000 readings
 _ROUNDS: Final = 4  # of scatter and stated sizes
 _LEAST_SCATTER: Final = 1e-3  # of the stated sigma, below which stated sizes pull no less
 _MOST_VALUES: Final = 4_000_000  # in a table of correlation times at once
+_EARLIEST_S: Final = 631_152_000.0  # 1990-01-01: before digital cameras
 _MINIMUM_READINGS: Final = 8  # twice as many as line and season have parameters
 
 
@@ -78,6 +80,7 @@ class Trend:
     # Times from which on another calibration, or other settings, were in use; in s since 1970
     changes_s: tuple[float, ...] = ()
     flags: Mapping[str, int] = field(default_factory=dict)  # how many readings bear each flag
+    left_out: Mapping[str, int] = field(default_factory=dict)  # how many rows take no part, by reason
 
     @property
     def claim_sigmas(self) -> float:
@@ -124,6 +127,7 @@ class Trend:
             "season_rel": self.season_rel,
             "cycles": [{"period_days": period / 86400.0, "amplitude_rel": size} for period, size in self.cycles],
             "excess_scatter_rel": self.excess_rel,
+            "left_out": dict(self.left_out),
         }
 
 
@@ -401,7 +405,7 @@ def read_histories(table: Path, quantity: str) -> list[Trend]:
         chosen = chosen.astype(dict.fromkeys(("captured", "value", "u"), float))
     except (ValueError, TypeError) as error:
         raise InputError(f"{table}: a time, value or uncertainty is no number ({error})") from error
-    return [_history(str(name), quantity, rows) for name, rows in chosen.groupby("patch")]
+    return [_history(str(name), quantity, rows) for (name, _), rows in chosen.groupby(["patch", "unit"], dropna=False)]
 
 
 @bounded_reader(error=InputError, apart="pyarrow")
@@ -421,19 +425,34 @@ def _csv(table: Path) -> pd.DataFrame:
 
 
 def _history(patch: str, quantity: str, rows: pd.DataFrame) -> Trend:
-    """Return the trend of one patch, with when its settings changed and what its readings were flagged."""
+    """Return the trend of one patch, with when its settings changed and what its readings were flagged.
+
+    A bound is no value, and a time before the archive's kind of camera or after now is that of a wrong clock.
+    """
+    marks = (rows["flags"] if "flags" in rows else rows["patch"].map(lambda _: "")).astype("string").fillna("")
+    reasons = {
+        "the time is before 1990 or in the future": ~rows["captured"].between(_EARLIEST_S, time.time() + 86_400.0),
+        "saturated: the value is a lower bound": marks.str.contains(r"\bsaturated\b"),
+        "below_noise: the value is an upper bound": marks.str.contains(r"\bbelow_noise\b"),
+    }
+    flags = Counter(flag for written in marks for flag in re.split(r"[\s,;|]+", str(written)) if flag)
+    left_out = {reason: int(found.sum()) for reason, found in reasons.items() if found.any()}
+    unit = str(rows["unit"].iloc[0])
+    for found in reasons.values():
+        rows = rows[~found.reindex(rows.index)]
+    if left_out and len(rows) < _MINIMUM_READINGS:
+        why = "; ".join(f"{count} rows: {reason}" for reason, count in left_out.items())
+        raise InputError(
+            f"patch {patch!r}: {len(rows)} readings are left for a trend; it takes {_MINIMUM_READINGS} ({why})"
+        )
     trend = fit_trend(
         np.asarray(rows["captured"], float),
         np.asarray(rows["value"], float),
         np.asarray(rows["u"], float),
         patch=patch,
         quantity=quantity,
-        unit=str(rows["unit"].iloc[0]),
+        unit=unit,
     )
-    flags: Counter[str] = Counter()
-    if "flags" in rows:
-        for written in rows["flags"].dropna():
-            flags.update(flag for flag in re.split(r"[\s,;|]+", str(written)) if flag)
     changes: tuple[float, ...] = ()
     if "fingerprint" in rows:  # of settings, calibration and code
         ordered = rows.sort_values("captured", kind="stable")
@@ -442,4 +461,4 @@ def _history(patch: str, quantity: str, rows: pd.DataFrame) -> Trend:
             ordered["captured"].to_numpy(float),
         )
         changes = tuple(float(t) for t in times[1:][marks[1:] != marks[:-1]])
-    return replace(trend, changes_s=changes, flags=dict(flags))
+    return replace(trend, changes_s=changes, flags=dict(flags), left_out=left_out)

@@ -202,13 +202,14 @@ def _section(trend: Trend, *, drawn: bool) -> str:
         if trend.changes_s
         else "",
     ]
+    left_out = [f"{count} rows take no part: {reason}." for reason, count in trend.left_out.items()]
     flagged = [f"{count} of the readings are flagged {name}." for name, count in trend.flags.items()]
     return "\n".join(
         (
             heading(trend.patch, [_TAGS[trend.verdict]]),
             paragraph(f"{_per_month(trend)}. {verdict}", "what"),
             paragraph(" ".join(fact for fact in facts if fact)),
-            *(paragraph(text, "flag") for text in flagged),
+            *(paragraph(text, "flag") for text in (*left_out, *flagged)),
             "" if drawn else _picture([trend]),
         )
     )

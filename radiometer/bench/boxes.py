@@ -429,7 +429,7 @@ def open_light_box(
         box.calibration = known
         if opened.twin is None:
             remember(box.link.line.name, list_serial_ports())
-        with nullcontext() if opened.twin else holding(box.identity.serial, box.link.line.name, box.darken):
+        with nullcontext() if opened.twin else holding(box.identity.serial, box.link.line.name, box.switch_off):
             yield OpenedBox(box, config, known, opened.wait, opened.twin)
 
 

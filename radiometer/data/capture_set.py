@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import datetime as dt
 import hashlib
 import shutil
 import tempfile
@@ -126,6 +127,21 @@ class CaptureHeader(FileSection):
     patches: tuple[PatchDescription, ...] = ()
     frames: tuple[FrameEntry, ...] = ()
     statistics: tuple[SettingStatistics, ...] = ()  # instead of frames, where pictures are not to be had
+
+    @property
+    def taken(self) -> dt.datetime | None:
+        """Return when it was taken, with time zone: `created`, else a first time stamp that is a date; None if unknown.
+
+        A text without a zone counts as UTC, as the form says.
+        """
+        if self.created is not None:
+            try:
+                moment = dt.datetime.fromisoformat(self.created)
+            except ValueError:
+                return None
+            return moment.replace(tzinfo=moment.tzinfo or dt.UTC)
+        stamp = self.frames[0].timestamp_s if self.frames else None
+        return dt.datetime.fromtimestamp(stamp, dt.UTC) if stamp is not None and 1e9 < stamp < 1e11 else None
 
     @model_validator(mode="after")
     def _refuse_nothing(self) -> Self:

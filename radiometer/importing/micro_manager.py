@@ -42,6 +42,7 @@ class PlaneFacts:
     camera: str | None = None  # name of the camera
     device: Mapping[str, Any] = field(default_factory=dict)  # properties of the camera by name
     doubts: tuple[str, ...] = ()  # what is stated as unknown
+    band: str | None = None  # of what wavelength the light is, where the file holds several
 
     def header(self) -> dict[str, Statement]:
         """Return the camera's properties as statements, where a user may point to."""
@@ -97,6 +98,8 @@ def completed(frame: FoundFrame, facts: PlaneFacts, mapped: StatementMap) -> Fou
         camera["stated_top_dn"] = float((1 << facts.bit_depth) - 1)
     if facts.camera:
         camera.setdefault("model", facts.camera)
+    if facts.band is not None:
+        camera["band"] = facts.band
     changed = replace(frame, settings=settings, exposure_known=known, camera=camera, taken=taken, extra=extra)
     return changed.doubting(*doubts)
 
@@ -162,17 +165,25 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
         return nothing
     device, camera = _devices(root, path)
     found: dict[int, PlaneFacts | None] = {}
-    for image in root.iterfind(".//{*}Image"):
+    images = list(root.iterfind(".//{*}Image"))
+    scenes = list(dict.fromkeys(str(image.get("Name") or image.get("ID")) for image in images))
+    several = f"{path} holds the images {', '.join(scenes[:4])}: they count as frames of one scene"
+    for image in images:
         pixels = image.find("{*}Pixels")
         if pixels is None:
             continue
         where = _pages_of(pixels, path, root.get("UUID", ""), max(pages, default=-1) + 1)
         begun, bits = _stamp(image.findtext("{*}AcquisitionDate")), _bits(pixels.get("SignificantBits"))
+        bands = _bands(pixels)
         for plane in pixels.iterfind("{*}Plane"):
             page = where.get(_place_of(plane, "The"))
             if page is not None:
                 own = {**device, **_detector(pixels, _whole(plane.get("TheC"), 0))}
-                found.setdefault(page, _of_plane(plane, str(path), own, camera, bits, begun))
+                facts = _of_plane(plane, str(path), own, camera, bits, begun)
+                if facts is not None:
+                    doubts = (*facts.doubts, several) if len(scenes) > 1 else facts.doubts
+                    facts = replace(facts, band=bands.get(_whole(plane.get("TheC"), 0)), doubts=doubts)
+                found.setdefault(page, facts)
     return [found.get(page) for page in pages]
 
 
@@ -181,6 +192,17 @@ def _detector(pixels: Any, channel: int) -> dict[str, Any]:
     channels = list(pixels.iterfind("{*}Channel"))
     settings = channels[channel].find("{*}DetectorSettings") if channel < len(channels) else None
     return {} if settings is None else {key: value for key, value in settings.attrib.items() if key != "ID"}
+
+
+def _bands(pixels: Any) -> dict[int, str]:
+    """Return the name of each channel's light, where channels state different wavelengths; else nothing."""
+    stated = {
+        number: (channel.get("EmissionWavelength") or channel.get("ExcitationWavelength"), channel.get("Name"))
+        for number, channel in enumerate(pixels.iterfind("{*}Channel"))
+    }
+    if len({wavelength for wavelength, _ in stated.values()}) < 2:
+        return {}
+    return {number: name or f"{wavelength or 'unknown'} nm" for number, (wavelength, name) in stated.items()}
 
 
 def _place_of(element: Any, prefix: str) -> tuple[int, int, int]:

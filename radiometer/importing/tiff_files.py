@@ -103,6 +103,7 @@ def _unpacked(path: Path, page: Any) -> NDArray[Any]:
 
 
 _LINEARIZATION: Final = 50712
+_MASK_TYPE, _MASK_PHOTOMETRIC = 4, 4
 _WHITE_IS_ZERO, _PALETTE = 0, 3  # PhotometricInterpretation, TIFF 6.0, section 4
 _MOSAIC: Final = 32803
 # LZW (OpenCV's default) and the JPEG and CCITT kinds: tifffile needs a further library for them, Pillow has them.
@@ -125,15 +126,21 @@ def _with_pillow(path: Path, data_begin: int) -> NDArray[Any]:
 def _full_size(tiff: Any) -> tuple[list[tuple[Any, tuple[Any, ...]]], tuple[str, ...]]:
     """Return the directories of full-size pictures with those above them, and the others in words."""
     found = list(directories(tiff))
-    whole = [(page, parents) for page, parents in found if not page.is_reduced]
+    whole = [(page, parents) for page, parents in found if not (page.is_reduced or _is_mask(page))]
     if not whole:  # writers that mark everything as reduced: the first is the picture
         whole = found[:1]
     kept = {id(page) for page, _ in whole}
     return whole, tuple(
-        f"directory {n} (a reduced picture of {page.shape[1]} × {page.shape[0]} pixels)"
+        f"directory {n} (a {'mask' if _is_mask(page) else 'reduced picture'} of {page.shape[1]} × {page.shape[0]}"
+        " pixels)"
         for n, (page, _) in enumerate(found)
         if id(page) not in kept
     )
+
+
+def _is_mask(page: Any) -> bool:
+    """Return whether a directory is the transparency mask of another (TIFF 6.0: NewSubfileType 4, photometric 4)."""
+    return bool(page.subfiletype & _MASK_TYPE) or page.photometric == _MASK_PHOTOMETRIC
 
 
 def _pictures_without_directory(tiff: Any, pages: Sequence[Any]) -> int:

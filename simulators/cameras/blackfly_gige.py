@@ -96,7 +96,7 @@ class BlackflyGige(Opened):
 
     def open(self) -> None:
         """Serve the camera. Raises DeviceInUse if the address is taken, MissingLibrary without Aravis."""
-        features = registers.blackfly_features(self._limits, self._native_bits, self._temperature_c)
+        features = self._features()
         with tempfile.TemporaryDirectory(prefix="radiometer-") as folder:
             description = Path(folder) / "blackfly.xml"
             description.write_bytes(genicam_xml(features, self._vendor, self._model))
@@ -141,6 +141,9 @@ class BlackflyGige(Opened):
         self._write_word(registers.DISCONNECT, 1)
         while self.is_served:
             self._sleep(_LOOK_S)
+
+    def _features(self) -> list[Feature]:
+        return registers.blackfly_features(self._limits, self._native_bits, self._temperature_c)
 
     def _power_on(self, device: FakeGigeDevice, features: list[Feature]) -> None:
         for feature in features:

@@ -365,9 +365,9 @@ def _temperature(size: float, here: ScaleConditions, there: ScaleConditions, sta
 
 
 def _drift(size: float, calibration: Calibration, now: dt.datetime) -> Term:
-    age = max((now - dt.datetime.fromisoformat(calibration.created)).total_seconds() / 86400.0, 0.0)
+    age = abs((now - dt.datetime.fromisoformat(calibration.created)).total_seconds()) / 86400.0  # it drifts before, too
     u = size * calibration.uncertainties.drift_u_rel_per_year * age / _DAYS_PER_YEAR
-    return Term("drift", u, correlated=True, note=f"{age:.3g} days since calibration", flag=Flag.DRIFT)
+    return Term("drift", u, correlated=True, note=f"{age:.3g} days from the calibration", flag=Flag.DRIFT)
 
 
 def _handling(size: float, lens: LensDescription, stated: StatedUncertainties) -> list[Term]:

@@ -54,4 +54,5 @@ def _sentence(trend: Trend) -> str:
     return (
         f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: {with_u(drift, 2 * u, '% per month', k=2)} "
         f"over {trend.time_s.size} readings{outliers}"
+        + "".join(f"\n  {count} rows take no part: {reason}" for reason, count in trend.left_out.items())
     )

@@ -300,6 +300,9 @@ class RecordingBox:
     def set_level(self, channel: str, level: Radiance) -> None:
         self.asked.append((channel, level.radiance_w_sr_m2))
 
+    def off(self, channel: str) -> None:
+        self.asked.append((channel, "off"))
+
     def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
         self.time += timeout_s
         for number, time_s in enumerate(self.presses):
@@ -330,6 +333,28 @@ def test_bleach_is_the_protocols_light_and_then_the_mark(stage: BoxStage, box: R
     stage.bleach(stage.lights.protocol)
     assert box.asked == [("bleach", pytest.approx(2.5), 150.0), ("fixation", 1e-4)]
     assert stage.now_s() == pytest.approx(150.0)
+
+
+def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage: BoxStage, box: RecordingBox) -> None:
+    """In the bleach: it is over within a quarter of a second, and neither mark nor spot follows."""
+
+    def sleep(seconds: float) -> None:
+        box.time += seconds
+        box.switched_off = box.time >= 102.0  # type: ignore[attr-defined]
+
+    stage.sleep, stage.wall_clock = sleep, lambda: 1.7e9
+    stage.bleach(stage.lights.protocol)
+    stage.blink(-3.0, 0, 0)
+    assert [asked[0] for asked in box.asked] == ["bleach"]
+    assert stage.now_s() == pytest.approx(3.0, abs=0.3)
+
+
+def test_stop_ends_the_bleach(stage: BoxStage, box: RecordingBox) -> None:
+    """Within a quarter of a second, and no mark follows."""
+    stage.wall_clock, stage.ended = (lambda: 1.7e9), lambda: box.time >= 102.0
+    stage.bleach(stage.lights.protocol)
+    assert box.asked[1:] == [("bleach", "off")]
+    assert stage.now_s() == pytest.approx(2.0, abs=0.3)
 
 
 def test_blink_is_one_pulse_of_the_levels_radiance(stage: BoxStage, box: RecordingBox) -> None:

@@ -296,6 +296,19 @@ def test_stop_ends_the_test_at_once_and_for_good(tmp_path: Path, stage: Scripted
     assert (tmp_path / "j").read_bytes() == before
 
 
+@pytest.mark.parametrize("when", [500.0, 0.0])
+def test_a_test_whose_lights_were_switched_off_ends(tmp_path: Path, stage: ScriptedStage, when: float) -> None:
+    """By `light off` of another program, in the bleach or later: it is stopped, and the journal states by whom."""
+    stage.at = {when: lambda: setattr(stage, "switched_off", True)}
+    if not when:
+        stage.switched_off = True
+    outcome, journal = _run_with(tmp_path / "j", stage, Controls())
+    assert outcome.verdict is Verdict.STOPPED
+    assert journal.of_kind("stop")[0]["by"] == "light off"
+    assert len(journal.of_kind("blink")) == (0 if not when else pytest.approx(400, abs=400))
+    assert journal.events[-1]["time_s"] < 502.0
+
+
 def test_restart_ends_a_pause_that_a_crash_met(tmp_path: Path, protocol: AdaptationProtocol) -> None:
     """Whoever starts the program again wants to go on; the time away has passed for the eye too."""
 

@@ -6,7 +6,7 @@ import pytest
 
 from radiometer.adapters.psychopy import ADDRESS_VARIABLE, RadiometerPhotometer
 from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
-from radiometer.data import Patch, Quantity, Reading
+from radiometer.data import Flag, Patch, Quantity, Reading
 from radiometer.errors import DeviceError, MeasurementError, MissingLibrary
 
 
@@ -15,11 +15,11 @@ class Told:
 
     origin = "radiometer:stated"
 
-    def __init__(self, luminance: Quantity | None) -> None:
-        self.luminance = luminance
+    def __init__(self, luminance: Quantity | None, *flags: Flag) -> None:
+        self.luminance, self.flags = luminance, flags
 
     def measure(self) -> Reading:
-        return Reading(Quantity(0.5, 0.01, "W sr-1 m-2"), Patch(0, 0, 4, 4), "stated", self.luminance)
+        return Reading(Quantity(0.5, 0.01, "W sr-1 m-2"), Patch(0, 0, 4, 4), "stated", self.luminance, flags=self.flags)
 
 
 def test_photometer_answers_as_psychopy_asks():
@@ -76,3 +76,12 @@ def test_backend_without_psychopy_says_so():
     pytest.importorskip("radiometer.adapters.psychopy")
     with pytest.raises(MissingLibrary, match="PsychoPy"):
         __import__("radiometer.adapters.psychopy_backend")
+
+
+def test_a_lower_bound_is_no_luminance_and_one_below_the_noise_warns():
+    """A saturated patch is an error with the way out; what is below the noise comes with a warning."""
+    bound = Quantity(46.9, 46.9, "cd m-2")
+    with pytest.raises(MeasurementError, match="lower bound"):
+        RadiometerPhotometer(source=Told(bound, Flag.SATURATED)).getLum()
+    with pytest.warns(UserWarning, match="below the noise"):
+        assert RadiometerPhotometer(source=Told(bound, Flag.BELOW_NOISE)).getLum() == 46.9

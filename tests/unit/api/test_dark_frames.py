@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -137,3 +139,17 @@ def test_light_that_may_all_be_dark_current_carries_no_scale(tmp_path):
             writer.add(Frame(dn, 12, FrameSettings(0.5)))
     with pytest.raises(MeasurementError, match="dark frames of the same exposures"):
         rm.calibrate(tmp_path / "set", patch=(4, 4, 16, 16), radiance=1.0, u_rel=0.01)
+
+
+def test_a_capture_is_dated_and_aged_by_when_it_was_taken(capture):
+    """Ten years from its calibration, before or after: ten years of drift, and a flag; the reading has its date."""
+    folder, text = capture[1], (capture[1] / "capture.yaml").read_text()
+    base = calibration()
+    known = replace(base, uncertainties=base.uncertainties.model_copy(update={"drift_u_rel_per_year": 0.01}))
+    for year in (-10, 10):
+        day = dt.datetime.fromisoformat(known.created) + dt.timedelta(days=365.25 * year)
+        (folder / "capture.yaml").write_text(f"created: '{day.isoformat()}'\n{text}")
+        reading = rm.measure_photographs(folder, PATCH, calibration=known, spectrum="equal_energy")
+        assert dt.datetime.fromisoformat(reading.time).date() == day.date()
+        assert {line.name: line.u_rel for line in reading.budget}["drift"] == pytest.approx(0.1, rel=0.01)
+        assert "stale_calibration" in reading.flags

@@ -397,3 +397,26 @@ def test_changes_of_the_settings_and_flags_come_from_the_table(tmp_path):
     rows.assign(fingerprint="").to_csv(tmp_path / "unmarked.csv", index=False)
     (unmarked,) = read_histories(tmp_path / "unmarked.csv", "radiance")
     assert unmarked.changes_s == ()
+
+
+@pytest.mark.parametrize(
+    ("column", "entry", "reason"),
+    [("captured", 0.0, "1990"), ("captured", 3.2e10, "future"), ("flags", "few_frames saturated", "lower bound"),
+     ("flags", "below_noise", "upper bound")],
+)  # fmt: skip
+def test_rows_that_show_nothing_take_no_part_and_are_counted(tmp_path, column, entry, reason):
+    """A clock that was wrong once hides no drift; bounds that fall are none, and another unit is a history apart."""
+    weeks, rng = np.arange(120), np.random.default_rng(8)
+    value = 1.5 * (1.0 + 0.02 * weeks / 52.18) * (1.0 + 0.002 * rng.standard_normal(weeks.size))
+    rows = pd.DataFrame({
+        "captured": 1.6e9 + 604_800.0 * weeks, "quantity": "radiance", "patch": "lamp", "value": value, "u": 0.003,
+        "unit": "W sr-1 m-2", "status": "ok", "flags": "",
+    })  # fmt: skip
+    bad = rows.tail(30).assign(**{column: entry, "value": 0.1})
+    other = rows.assign(unit="relative", value=3.0)
+    pd.concat([rows, bad, other]).to_csv(tmp_path / "t.csv", index=False)
+    found = {one.unit: one for one in read_histories(tmp_path / "t.csv", "radiance")}
+    assert found["W sr-1 m-2"].time_s.size == 120
+    assert found["W sr-1 m-2"].drift_per_month == pytest.approx(0.02 / 12, rel=0.15)
+    assert [(reason in why, count) for why, count in found["W sr-1 m-2"].left_out.items()] == [(True, 30)]
+    assert found["relative"].verdict == "no_drift"

@@ -159,6 +159,6 @@ def test_a_file_that_is_no_journal_is_never_emptied(
         Path("notes.txt").write_text(content)
         assert run([*words, "notes.txt"]) != 0
         assert Path("notes.txt").read_text() == content
-    assert "no journal of an adaptation run" in capsys.readouterr().err
+    assert "no journal of a measurement" in capsys.readouterr().err
     Path("torn.jsonl").write_text('{"sequence": 0, "ki')
     assert run([*words, "torn.jsonl"]) == 0

@@ -253,6 +253,39 @@ def test_planes_are_distinguished_by_their_place(tmp_path):
     assert capture.header.camera.bit_depth == 12
 
 
+@pytest.mark.parametrize("second", ["670", "461", None])
+def test_channels_of_other_wavelengths_are_never_one_bracket(tmp_path, second):
+    """Each light is a set named as its channel; channels of one wavelength are exposures of one scene."""
+    wavelength = "" if second is None else f'EmissionWavelength="{second}"'
+    channels = f'<Channel ID="C:0" Name="DAPI" EmissionWavelength="461"/><Channel ID="C:1" Name="Cy5" {wavelength}/>'
+    planes = "".join(
+        f'<Plane TheZ="0" TheT="{t}" TheC="{c}" ExposureTime="{4**c * 2**t}" ExposureTimeUnit="ms"/>'
+        for t in (0, 1)
+        for c in (0, 1)
+    )
+    xml = (
+        '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" '
+        'DimensionOrder="XYCTZ" Type="uint16" SizeX="16" SizeY="12" SizeZ="1" SizeC="2" SizeT="2" SignificantBits="12">'
+        f"{channels}{planes}</Pixels></Image></OME>"
+    )
+    path = tmp_path / "p.ome.tif"
+    tifffile.imwrite(path, np.stack([STACK_PICTURE] * 4), description=xml, metadata=None, photometric="minisblack")
+    sets = import_sources([path], ImportOptions())
+    assert len(sets) == (1 if second == "461" else 2)
+    assert sorted(len(one.header.frames) for one in sets) == ([4] if second == "461" else [2, 2])
+
+
+def test_a_mask_is_no_frame(tmp_path):
+    """A transparency mask (TIFF 6.0) behind each picture is left out and reported."""
+    for number, time_s in enumerate((0.01, 0.02)):
+        with tifffile.TiffWriter(tmp_path / f"{time_s}s-{number}.tif") as writer:
+            writer.write(STACK_PICTURE, photometric="minisblack", metadata=None)
+            writer.write(np.ones(STACK_PICTURE.shape, bool), photometric="minisblack", subfiletype=4, metadata=None)
+    (found,) = import_sources([tmp_path], ImportOptions())
+    assert len(found.header.frames) == 2
+    assert all("mask" in line for frame in found.frames.values() for line in frame.not_used)
+
+
 FITS_PICTURE = (np.arange(48 * 64).reshape(48, 64) + 1000).astype(np.uint16)
 
 

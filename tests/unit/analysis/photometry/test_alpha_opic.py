@@ -135,3 +135,22 @@ def test_what_gives_no_quantity_is_refused(given: dict[str, object], error: type
     """What gives no quantity is refused."""
     with pytest.raises(error):
         rm.alpha_opic(**given)  # type: ignore[arg-type]
+
+
+def test_a_reading_counts_for_the_spectrum_that_it_was_made_for(tmp_path: Path) -> None:
+    """Its luminance is that of such light; its flags go on, and a relative reading has no such quantities."""
+    stated = {
+        "radiance": {"value": 1.5, "u": 0.01, "unit": "W sr-1 m-2"},
+        "luminance": {"value": 475.0, "u": 5.0, "unit": "cd m-2"},
+        "flags": ["saturated"], "assumptions": ["spectrum white_led"],
+    }  # fmt: skip
+    file = tmp_path / "r.json"
+    file.write_text(json.dumps(stated))
+    with pytest.raises(UsageError, match="measure again with --spectrum line:465"):
+        rm.alpha_opic(reading=file, spectrum="line:465")
+    found = rm.alpha_opic(reading=file, spectrum="white_led")
+    assert "the reading is flagged saturated" in found.assumptions
+    for change in ({"flags": ["uncalibrated"]}, {"radiance": {"value": 1.5, "u": 0.01, "unit": "relative"}}):
+        file.write_text(json.dumps({**stated, **change}))
+        with pytest.raises(UsageError, match="relative"):
+            rm.alpha_opic(reading=file, spectrum="white_led")
