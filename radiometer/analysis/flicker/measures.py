@@ -102,8 +102,7 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         return with_dark(Quantity(of(part, period), u, "1"))
 
     rounded = _rounded(part)
-    if np.unique(part.light).size == _FEWEST_CODES - 1:
-        warnings.append("the light takes three values only: if they are rounded, no uncertainty covers that")
+    warnings += _sampling_warnings(part)
     shapes = [_shape(one, period if periods else None)[0] for one in rounded]
     depth, index = (
         with_dark(Quantity(one.value, math.hypot(one.u, _spread([other.value for other in others])), "1"))
@@ -115,11 +114,6 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     if depth.value - 2.0 * depth.u > 1.0:
         warnings.append("the light falls below the value of darkness: state that value by --dark")
     svm = pst = None
-    if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
-        warnings.append(
-            f"modulation above {waveform.rate_hz / 2.0:.4g} Hz shows at a wrong, lower frequency: the record has "
-            f"{waveform.rate_hz:.4g} samples per s"
-        )
     if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
         warnings.append(
             f"SVM is not determined: it needs {2.0 * _SVM_BAND_HZ[1]:g} samples per s, the record has "
@@ -267,6 +261,19 @@ def _jackknife(
         left = np.concatenate([part.light[:first], part.light[last:]])
         values.append(of(Waveform(left, part.rate_hz, part.origin, averaged_s=part.averaged_s), period))
     return float(np.sqrt((blocks - 1) * np.var(values)))
+
+
+def _sampling_warnings(waveform: Waveform) -> list[str]:
+    """Return what slow samples or few values hide."""
+    found = []
+    if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
+        found.append(
+            f"modulation above {waveform.rate_hz / 2.0:.4g} Hz shows at a wrong frequency, a lower one: the record has "
+            f"{waveform.rate_hz:.4g} samples per s"
+        )
+    if np.unique(waveform.light).size == _FEWEST_CODES - 1:
+        found.append("the light takes three values only: if they are rounded, no uncertainty covers that")
+    return found
 
 
 def _rounded(waveform: Waveform) -> list[Waveform]:
