@@ -79,7 +79,7 @@ def take_series(camera: Camera, patch: Patch, duration_s: float, exposure_s: flo
     rate = _rate_hz(frames)
     notes = (
         note,
-        f"the camera took {rate:.4g} frames per s",
+        f"the camera took {rate:.4g} frames per s: modulation above {rate / 2:.4g} Hz shows at a wrong frequency",
     )
     return LightSeries(light, rate, taken_s, u_dark, notes)
 

@@ -126,7 +126,7 @@ def flicker(
     Examples:
         >>> import radiometer as rm
         >>> rm.flicker("lamp.csv", dark=0.0)
-        <FlickerReport 100 Hz, modulation depth 30 ± ... %, SVM 1.15 ± ... (k = ...)>
+        <FlickerReport 100 Hz, modulation depth 30 ± ... %, SVM 1.17 ± ... (k = ...)>
 
     Args:
         source: Table of time and light, or a frame of a rolling-shutter camera in a linear form (TIFF, PNG, raw).

@@ -58,7 +58,7 @@ class Places(Generic[_C]):
     def make_room(self, peer: str) -> _C | None:
         """Return who must go for the next one of a peer; None where there is room or none may be dropped.
 
-        Where the peer has its part of the places, it is one of its own connections.
+        Where the peer has its part of the places, one of its connections goes.
         """
         own = bool(self.refusal(peer))
         if not own and not self.is_full:

@@ -186,7 +186,7 @@ def _dcc(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
     element = ET.SubElement(parent, f"{{{_DCC}}}{tag}")
     if text is not None and (wrong := _NO_XML.search(text)) is not None:
         raise InputError(
-            f"{tag} {text[:40]!r}: character U+{ord(wrong[0]):04X} cannot stand in a certificate; remove it"
+            f"{tag} {text[:40]!r}: character U+{ord(wrong[0]):04X} is not allowed in a certificate; remove it"
         )
     element.text = text
     return element

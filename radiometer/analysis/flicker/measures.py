@@ -44,7 +44,7 @@ _PST_RATE_HZ: Final = 2000.0  # the least that the filters are specified for
 _MOST_BLOCKS: Final = 16  # of whole periods, of which the scatter is taken
 # Rounding to steps is alike in every period, so no scatter shows it: it is drawn, if values occur four times or more.
 _OCCURRENCES: Final = 4
-_FEWEST_CODES: Final = 3  # light of two levels need not be rounded
+_FEWEST_CODES: Final = 4  # light of two or three levels need not be rounded
 _DRAWS: Final = 6
 _LATTICE: Final = 1e-4  # of a step, to which differences of rounded values are multiples of it
 _NO_STEP: Final = 1e-4  # of the range: what finer steps move is nothing
@@ -72,7 +72,7 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     """Return the measures of a waveform with their standard uncertainty.
 
     The scatter between blocks of whole periods gives the statistical part, by leaving out one block at a time. Where
-    the light is rounded to steps, each step may stand for any light within half of it (rectangular, GUM 4.3.7). The
+    the light is rounded to steps, each value may be any light within half a step (rectangular, GUM 4.3.7). The
     value of darkness adds u_dark over the mean light, for it scales every modulation.
 
     Args:
@@ -102,6 +102,7 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         return with_dark(Quantity(of(part, period), u, "1"))
 
     rounded = _rounded(part)
+    warnings += _sampling_warnings(part)
     shapes = [_shape(one, period if periods else None)[0] for one in rounded]
     depth, index = (
         with_dark(Quantity(one.value, math.hypot(one.u, _spread([other.value for other in others])), "1"))
@@ -113,11 +114,6 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     if depth.value - 2.0 * depth.u > 1.0:
         warnings.append("the light falls below the value of darkness: state that value by --dark")
     svm = pst = None
-    if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
-        warnings.append(
-            f"modulation above {waveform.rate_hz / 2.0:.4g} Hz shows at a wrong, lower frequency: the record has "
-            f"{waveform.rate_hz:.4g} samples per s"
-        )
     if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
         warnings.append(
             f"SVM is not determined: it needs {2.0 * _SVM_BAND_HZ[1]:g} samples per s, the record has "
@@ -265,6 +261,19 @@ def _jackknife(
         left = np.concatenate([part.light[:first], part.light[last:]])
         values.append(of(Waveform(left, part.rate_hz, part.origin, averaged_s=part.averaged_s), period))
     return float(np.sqrt((blocks - 1) * np.var(values)))
+
+
+def _sampling_warnings(waveform: Waveform) -> list[str]:
+    """Return what slow samples or few values hide."""
+    found = []
+    if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
+        found.append(
+            f"modulation above {waveform.rate_hz / 2.0:.4g} Hz shows at a wrong frequency, a lower one: the record has "
+            f"{waveform.rate_hz:.4g} samples per s"
+        )
+    if np.unique(waveform.light).size == _FEWEST_CODES - 1:
+        found.append("the light takes three values only: if they are rounded, no uncertainty covers that")
+    return found
 
 
 def _rounded(waveform: Waveform) -> list[Waveform]:

@@ -16,7 +16,7 @@ from radiometer.errors import (
     UsageError,
 )
 
-_ASCII: Final = str.maketrans({"×": "x", "·": " ", "−": "-", "–": "-", "±": "+-", "μ": "u", "°": " deg"})  # after NFKD
+_ASCII: Final = str.maketrans({"×": "x", "·": " ", "−": "-", "–": "-", "±": "+-", "μ": "u", "°": ""})  # after NFKD
 MESSAGES: Final = {
     0: "No error",
     -101: "Invalid character",

@@ -193,7 +193,7 @@ def test_our_errors_have_the_standard_s_numbers() -> None:
         ValueError("what"): -310,
     }
     assert {error: scpi_error(error).number for error in expected} == expected
-    assert scpi_error(DeviceLost('camera "1" × °')).entry == '-240,"Hardware error;camera ""1"" x  deg"'
+    assert scpi_error(DeviceLost('camera "1" × °')).entry == '-240,"Hardware error;camera ""1"" x "'
 
 
 @pytest.mark.parametrize(
