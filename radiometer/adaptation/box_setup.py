@@ -22,7 +22,14 @@ from radiometer.bench.served_box import places_of, seat_subject
 from radiometer.data.config_files import shipped_config
 from radiometer.devices.light_box import ButtonEvent, FlashBox, LightBox, Radiance
 from radiometer.devices.retinal_safety import HazardFractions
-from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
+from radiometer.errors import (
+    CalibrationError,
+    DeviceError,
+    MeasurementError,
+    RadiometerError,
+    SettingOutOfRange,
+    UsageError,
+)
 
 SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
 PEAK_TOLERANCE_NM: Final = 10.0  # bin of LEDs: ± 5 to 10 nm; rods change by less than 10 % within it near 500 nm
@@ -141,7 +148,7 @@ class BoxStage:
             self._flash()
         else:
             self.box.pulse(protocol.bleach.channel, self.lights.bleach, protocol.bleach.duration_s)
-            self._sleep_while_on(protocol.bleach.duration_s)
+            self._sleep_while_on(protocol.bleach.channel, protocol.bleach.duration_s)
             if self.ended():
                 self.box.off(protocol.bleach.channel)
                 return
@@ -152,12 +159,17 @@ class BoxStage:
         """Return whether another program has switched the lights off: none is lit again."""
         return bool(getattr(self.box, "switched_off", False))
 
-    def _sleep_while_on(self, duration_s: float) -> None:
-        """Wait, in real time until the lights are switched off or the test is ended at most."""
+    def _sleep_while_on(self, channel: str, duration_s: float) -> None:
+        """Wait while a channel is lit, in real time until the lights are switched off or the test is ended at most."""
         slice_s, left_s = duration_s if self.wall_clock is None else _LOOK_S, duration_s
         while left_s > 0.0 and not (self.switched_off or self.ended()):
             self.sleep(min(left_s, slice_s))
             left_s -= slice_s
+            if left_s > _LOOK_S and not self.switched_off and self.box.read_channel(channel).drive.level == 0:
+                raise DeviceError(
+                    f"the light box ended the bleach by itself, about {left_s:.0f} s too early: its energy budget is"
+                    " used up, or its button was held for 3 s. Let the eye recover, then begin a new visit"
+                )
 
     def _flash(self) -> None:
         if not isinstance(self.box, FlashBox):

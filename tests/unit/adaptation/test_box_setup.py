@@ -20,10 +20,11 @@ from radiometer.bench.served_box import served_box
 from radiometer.data.config_files import shipped_config
 from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
 from radiometer.data.provenance import utc_now
-from radiometer.devices.light_box import ButtonEvent, Radiance
+from radiometer.devices.light_box import ButtonEvent, ChannelMode, ChannelState, DriveLevel, Radiance
 from radiometer.errors import (
     CalibrationError,
     ConfigurationError,
+    DeviceError,
     MeasurementError,
     RadiometerError,
     SettingOutOfRange,
@@ -293,12 +294,16 @@ class RecordingBox:
         self.presses: list[float] = []
         self.held: list[tuple[float, float]] = []
         self.time = 100.0
+        self.level = 1000
 
     def pulse(self, channel: str, level: Radiance, duration_s: float) -> None:
         self.asked.append((channel, level.radiance_w_sr_m2, duration_s))
 
     def set_level(self, channel: str, level: Radiance) -> None:
         self.asked.append((channel, level.radiance_w_sr_m2))
+
+    def read_channel(self, channel: str) -> ChannelState:
+        return ChannelState(channel, ChannelMode.PULSE, DriveLevel(self.level), 0, 1.0)
 
     def off(self, channel: str) -> None:
         self.asked.append((channel, "off"))
@@ -347,6 +352,19 @@ def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage: 
     stage.blink(-3.0, 0, 0)
     assert [asked[0] for asked in box.asked] == ["bleach"]
     assert stage.now_s() == pytest.approx(3.0, abs=0.3)
+
+
+def test_a_bleach_that_the_box_ends_by_itself_is_no_bleach(stage: BoxStage, box: RecordingBox) -> None:
+    """Its energy budget, or its button: a curve after a tenth of the bleach would be taken for one after all of it."""
+
+    def sleep(seconds: float) -> None:
+        box.time += seconds
+        box.level = 0 if box.time >= 102.0 else 1000
+
+    stage.sleep, stage.wall_clock = sleep, lambda: 1.7e9
+    with pytest.raises(DeviceError, match="148 s too early"):
+        stage.bleach(stage.lights.protocol)
+    assert len(box.asked) == 1
 
 
 def test_stop_ends_the_bleach(stage: BoxStage, box: RecordingBox) -> None:
