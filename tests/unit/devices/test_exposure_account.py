@@ -122,7 +122,7 @@ def test_a_program_that_lives_keeps_its_light_in_the_account_whoever_opens_a_box
 
 
 def test_another_box_of_the_same_number_ends_no_light_of_a_killed_program(desk):
-    """Its box is lit until the dead man has waited 1 s: of ten such pulses of 1 s nine and a half are counted at least."""
+    """Its box is lit until the dead man has waited 1 s: ten such pulses of 1 s are all counted."""
     for _ in range(10):
         desk.pulse(desk.open(), 1.0)  # 0.1 % each, killed at once
         desk.open(program="two")  # of the other box, which is dark
