@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import hashlib
 import math
 from collections.abc import Mapping
@@ -26,9 +27,20 @@ from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import ResponseLike, merge
 from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
 from radiometer.bench.sources import is_photographs, open_source
-from radiometer.data import CameraDescription, CaptureHeader, LensDescription, Patch, PixelMask, Quantity, RadianceMap
+from radiometer.data import (
+    CameraDescription,
+    CaptureHeader,
+    Flag,
+    LensDescription,
+    Patch,
+    PixelMask,
+    Quantity,
+    RadianceMap,
+)
+from radiometer.data.calibration import DEFAULT_VALIDITY_DAYS
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.mosaic import COLOURS
+from radiometer.data.provenance import is_out_of_date
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import CalibrationError, InputError, MeasurementError, UsageError
 from radiometer.importing import open_capture
@@ -561,6 +573,8 @@ def _flags(known: ColourCalibration, found: Coordinates, kind: str | None) -> li
         flags.append("kind_unstated")
     elif kind not in known.trained:
         flags.append("other_light")
+    if is_out_of_date(known.created, DEFAULT_VALIDITY_DAYS, dt.datetime.now(dt.UTC)):
+        flags.append(Flag.STALE_CALIBRATION.value)
     return flags
 
 

@@ -58,6 +58,7 @@ class LoggedReadings(Result):
     """
 
     stored: tuple[str, ...]  # the readings as the journal holds them: a line of JSON each
+    damaged: int = 0  # rows of the journal that are no reading, and were left out
 
     @cached_property
     def readings(self) -> list[dict[str, Any]]:
@@ -172,7 +173,23 @@ def log(
     since_us, until_us = (parse_moment(moment) if moment else None for moment in (since, until))
     row_filter = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest_first=limit is not None)
     lines = _reader(journal).lines(row_filter)
-    return LoggedReadings(tuple(reversed(lines)) if row_filter.newest_first else tuple(lines))
+    whole = [line for line in lines if _is_reading(line)]
+    if row_filter.newest_first:
+        whole.reverse()
+    return LoggedReadings(tuple(whole), len(lines) - len(whole))
+
+
+def _is_reading(line: object) -> bool:
+    """Return whether a row holds the JSON of a reading."""
+    try:
+        content = parsed_json(line) if isinstance(line, str) else {}
+        return (
+            isinstance(content["radiance"], dict)
+            and {"value", "unit"} <= content["radiance"].keys()
+            and (isinstance(content["patch"], dict) and isinstance(content["time"], str))
+        )
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return False
 
 
 def log_events(journal: PathLike | None = None, *, since: str | None = None, limit: int = 200) -> list[dict[str, str]]:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from radiometer.data import Flag, Patch, Reading
 from radiometer.data.json_text import json_text, parsed_json
-from radiometer.errors import UsageError
+from radiometer.errors import InputError, UsageError
 
 MAIN: Final = "main"  # means the patch that is measured for all where a name is asked for
 MOST_PATCHES: Final = 12  # engineering choice: each takes a measurement in every period
@@ -114,9 +114,15 @@ class NamedPatch:
 
     @classmethod
     def from_json(cls, name: str, line: str) -> NamedPatch:
-        """Return the patch that a line of JSON describes."""
-        content: Mapping[str, Any] = parsed_json(line)
-        return cls(name, Patch(**content["patch"]), PatchLimits(**content["limits"]))
+        """Return the patch that a line of JSON describes. Raises InputError if it describes none."""
+        try:
+            content: Mapping[str, Any] = parsed_json(line)
+            return cls(name, Patch(**content["patch"]), PatchLimits(**content["limits"]))
+        except (ValueError, KeyError, TypeError, RecursionError, UsageError) as error:
+            raise InputError(
+                f"what the journal keeps of patch {name[:40]!r} is damaged ({type(error).__name__}); move the journal "
+                "away, and define the patch again"
+            ) from error
 
 
 def check_name(name: str) -> str:

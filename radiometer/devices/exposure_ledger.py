@@ -27,6 +27,9 @@ _LINE_NM: Final = 20.0  # width of a coloured LED where the preset states none
 _BY_FAR: Final = 1.5  # LEDs of one type differ by up to 10 nm, which is 1.3 times in the steepest part of B(λ)
 # A command may be repeated for 1.6 s, each time feeding the dead man, who waits 1 s: the old light may last that long.
 CHANGE_S: Final = 3.0
+# Another box may have the same serial number. What a program that died has lit there ends by the dead man, who waits
+# 1 s; the rest is what adapters and operating systems hold back.
+_STILL_LIT_S: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +83,7 @@ class ExposureLedger:
                     self._meet(account)
                     for name, planned in list(account.planned.items()):
                         if planned.box == serial and not self.store.lives(planned.holder):
-                            account.settle(name, account.now_s)
+                            account.settle(name, account.now_s + _STILL_LIT_S)
             except UnsafeStimulus:
                 return  # `reserve` meets the same trouble and reports it
             self._open, self._dark_s = {}, {}

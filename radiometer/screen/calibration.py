@@ -196,10 +196,20 @@ class ChannelCurve:
         return min(near, key=lambda n: abs(float(self.table.at(n / self.top_level)) * factor - target))
 
     def fits(self) -> dict[str, TransferFit]:
-        """Return every model of `MODELS` that these levels suffice for, fitted."""
+        """Return every model of `MODELS` that these levels suffice for, fitted.
+
+        Raises:
+            CalibrationError: If the light does not rise with the level as that of a display does.
+        """
         levels = np.array(self.levels) / self.top_level
         usable = [name for name, model in MODELS.items() if len(self.levels) >= len(model.parameters)]
-        return {name: fit_transfer(name, levels, self.radiance, self.u_independent) for name in usable}
+        try:
+            return {name: fit_transfer(name, levels, self.radiance, self.u_independent) for name in usable}
+        except ValueError as error:
+            raise CalibrationError(
+                f"the light does not rise with the level as that of a display does ({error}); correct the levels, or "
+                "measure again"
+            ) from error
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping that is written to the file."""

@@ -462,6 +462,11 @@ def _drives(table: TextTable, at: int | None, doubts: list[str], mapped: Stateme
     stated = mapped.places.get("level")
     if (stated and stated[0].unit) or heading_parts(heading, "level")[2]:
         known = finite(table.values(at, "level", doubts, mapped), table, at)
+        if min(known) < 0.0 or max(known) > 1.0 + 1e-9:
+            raise InputError(
+                f"{table.path}: levels from {FULL * min(known):g} to {FULL * max(known):g} of 255 in the"
+                " column of levels; a display has 0 to 255. Correct the table, or name another unit by --map level="
+            )
         return [round(FULL * share, 6) for share in known]
     raw = finite(table.values(at, "number", doubts), table, at)
     top, whole = max(raw), all(v.is_integer() for v in raw)

@@ -164,7 +164,7 @@ class ColourCalibration:
                 stored.lens,
                 stored.unit,
                 {kind: one.fit(channels) for kind, one in stored.matrices.items()},
-                {kind: _shaped(one, 3, 3) for kind, one in stored.errors.items()},
+                {kind: _covariance(one, 3) for kind, one in stored.errors.items()},
                 stored.trained,
                 _training(stored.training, channels),
                 stored.u_rel,
@@ -173,7 +173,8 @@ class ColourCalibration:
             )
         except ValueError as error:
             raise CalibrationError(
-                f"{path}: a matrix, error or reading has not {channels} channels; calibrate again"
+                f"{path}: a matrix, error or reading has not {channels} channels, or a variance is below 0; "
+                "calibrate again"
             ) from error
 
 
@@ -186,8 +187,8 @@ class _Matrix(FileSection):
     def fit(self, channels: int) -> Fit:
         return Fit(
             _shaped(self.matrix, 3, channels),
-            _shaped(self.spread, channels, channels),
-            _shaped(self.error, 3, 3),
+            _covariance(self.spread, channels),
+            _covariance(self.error, 3),
             _shaped(self.hull, len(self.hull), 2),
         )
 
@@ -226,6 +227,14 @@ def _training(lights: list[_Light], channels: int) -> Training | None:
         _shaped([one.xyz for one in lights], len(lights), 3),
         np.array([one.u_rel for one in lights]),
     )
+
+
+def _covariance(values: Any, size: int) -> Array:
+    """Return a covariance. Raises ValueError where it has another shape, or a variance below 0."""
+    found = _shaped(values, size, size)
+    if not np.linalg.eigvalsh((found + found.T) / 2.0).min() >= -1e-9 * np.abs(found).max():
+        raise ValueError("a variance is below 0")
+    return found
 
 
 def _shaped(values: Any, rows: int, columns: int) -> Array:

@@ -58,6 +58,8 @@ def command(
             out.print(f"{name:<32} {100 * u_rel:.3g} %")
         return
     found = rm.log(where, since=since, until=until, after=after, flag=flag, clean=clean, limit=limit)
+    if found.damaged:
+        note(f"{found.damaged} rows of the journal are damaged and left out")
     if json:
         sys.stdout.writelines(line + "\n" for line in found.stored)
     elif csv:

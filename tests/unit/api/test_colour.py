@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+import yaml
 
 import radiometer as rm
 from radiometer.analysis.colour.chromaticity import coordinates
@@ -170,3 +171,21 @@ def test_a_radiance_of_a_mosaic_is_refused(bench: Path) -> None:
         rm.measure(bench=bench / "bench.yaml", patch=(0, 0, 8, 8), uncalibrated=True)
     assert rm.read(bench / "set").bracket.shape == (30, 48)
     assert set(rm.merge(bench / "set").maps) == {"red", "green", "blue"}
+
+
+def test_a_colour_calibration_past_its_time_or_for_other_conditions(bench: Path) -> None:
+    """A flag after a year; another f-number, and a variance below 0, are refused."""
+    text = (bench / "colour.yaml").read_text()
+    stated = yaml.safe_load(text)
+    args = {"patch": place("white"), "kind": "leds"}
+    old = {**stated, "created": "1990-01-01T00:00:00+00:00"}
+    (bench / "old.yaml").write_text(yaml.safe_dump(old))
+    assert "stale_calibration" in rm.colour_measure(bench / "set", calibration=bench / "old.yaml", **args).flags
+    number = stated["lens"]["f_number"]
+    wide = {**stated, "lens": {**stated["lens"], "f_number": number / 2}}
+    errors = {kind: [[-one for one in row] for row in error] for kind, error in stated["errors"].items()}
+    negative = {**stated, "errors": errors}
+    for wrong, why in ((wide, "f-number"), (negative, "below 0")):
+        (bench / "wrong.yaml").write_text(yaml.safe_dump(wrong))
+        with pytest.raises(CalibrationError, match=why):
+            rm.colour_measure(bench / "set", calibration=bench / "wrong.yaml", **args)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
@@ -83,3 +84,14 @@ def test_an_installed_throttle_bounds_what_is_written(capsys: pytest.CaptureFixt
         assert len(capsys.readouterr().err.splitlines()) == 11
     finally:
         structlog.configure(processors=before)
+
+
+@pytest.mark.parametrize("damage", ["{", "[" * 100_000, '{"time": "2026"}', b"\x00"])
+def test_a_damaged_row_is_left_out_and_counted(journal, capsys, damage):
+    """The other readings are shown."""
+    with sqlite3.connect(journal) as connection:
+        connection.execute("UPDATE readings SET json = ? WHERE sequence = 2", (damage,))
+    assert run(["log", str(journal)]) == 0
+    printed = capsys.readouterr()
+    assert "1 rows of the journal are damaged" in printed.err
+    assert "patch 1,2 3 × 4: 2 readings" in printed.out

@@ -121,6 +121,14 @@ def test_a_program_that_lives_keeps_its_light_in_the_account_whoever_opens_a_box
     desk.pulse(desk.open(program="two"), 50.0)
 
 
+def test_another_box_of_the_same_number_ends_no_light_of_a_killed_program(desk):
+    """Its box is lit until the dead man has waited 1 s: ten such pulses of 1 s are all counted."""
+    for _ in range(10):
+        desk.pulse(desk.open(), 1.0)  # 0.1 % each, killed at once
+        desk.open(program="two")  # of the other box, which is dark
+    assert desk.store("two").look().blue("box LB000001") >= 0.0095
+
+
 @pytest.mark.parametrize("step_s", [-1e7, -3600.0, 3600.0, 1e7])
 def test_setting_the_clock_changes_nothing(desk, step_s):
     """8 % given just now stay 8 % whatever the wall clock shows."""

@@ -266,3 +266,20 @@ def test_command_imports_and_says_what_it_took(tmp_path: Path, capsys: pytest.Ca
     assert set(json.loads(capsys.readouterr().out)["channels"]) == {"grey", "red"}
     assert run(["screen", "import", str(tmp_path / "none.ti3")]) == 1
     assert capsys.readouterr().err.startswith("error:")
+
+
+@pytest.mark.parametrize(
+    ("rows", "why"),
+    [
+        ((0, 0.2, 128, 10, 256, 43.7, 512, 108, 1020, 204), "0 to 1020 of 255"),
+        ((0, 5, 32, 1.94, 64, 90.1, 128, 43.7, 192, 108, 255, 204), "does not rise"),
+    ],
+)
+def test_levels_that_no_display_has_are_refused_in_one_line(tmp_path, capsys, rows, why) -> None:
+    """Beyond the stated unit's range, and light that falls where the level rises."""
+    lines = "".join(f"{level},{light}\n" for level, light in zip(rows[::2], rows[1::2], strict=True))
+    (tmp_path / "t.csv").write_text(f"level,Y [cd/m2]\n{lines}")
+    words = ["screen", "import", str(tmp_path / "t.csv"), "-o", str(tmp_path / "s.yaml"), "--map", "level=level:8bit"]
+    assert run(words) == 1
+    assert why in capsys.readouterr().err
+    assert not (tmp_path / "s.yaml").exists()
