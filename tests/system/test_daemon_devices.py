@@ -38,7 +38,7 @@ async def test_the_light_box_is_set_through_its_driver(tmp_path: Path) -> None:
 
 @pytest.mark.long
 async def test_a_light_box_is_unplugged_and_replugged_twenty_times(tmp_path: Path) -> None:
-    """Each loss is reported and refuses levels, each return is noticed, and the levels are known to be dark then."""
+    """Each loss is reported and refuses levels; after each return the levels are dark, and that is an alarm."""
     async with box_station(tmp_path, QUICK) as (station, server, _):
         for _ in range(20):
             await station.light.set_level("fixation", 0.1)
@@ -47,7 +47,7 @@ async def test_a_light_box_is_unplugged_and_replugged_twenty_times(tmp_path: Pat
             with pytest.raises(DeviceError):
                 await station.light.set_level("fixation", 0.2)
             server.plug()
-            await seconds_until(lambda: not station.alarms.active)
+            await seconds_until(lambda: [alarm.name for alarm in station.alarms.active] == ["light fixation"])
             assert set(station.light.levels.values()) == {0.0}
         assert station.light.keeper is not None
         assert station.light.keeper.losses == 20
