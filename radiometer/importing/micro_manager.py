@@ -166,7 +166,7 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
     device, camera = _devices(root, path)
     found: dict[int, PlaneFacts | None] = {}
     images = list(root.iterfind(".//{*}Image"))
-    scenes = list(dict.fromkeys(str(image.get("Name") or image.get("ID")) for image in images))
+    scenes = list(dict.fromkeys(name for image in images if (name := image.get("Name"))))
     several = f"{path} holds the images {', '.join(scenes[:4])}: they count as frames of one scene"
     for image in images:
         pixels = image.find("{*}Pixels")
