@@ -36,6 +36,7 @@ PEAK_TOLERANCE_NM: Final = 10.0  # bin of LEDs: ± 5 to 10 nm; rods change by le
 PLACE_TOLERANCE_DEG: Final = 1.0  # spots are 1.5 to 2.5° wide
 FIXATION = "fixation"
 _LOOK_S = 0.25  # how often a bleach looks whether it was ended
+_CLOCK_REL = 0.02  # twice the rate beyond which the clock of a box is given up
 FLASH_GAP_S = 10.0  # between two photographic flashes: the box wants 5 s, the flash charges
 
 
@@ -161,11 +162,14 @@ class BoxStage:
 
     def _sleep_while_on(self, channel: str, duration_s: float) -> None:
         """Wait while a channel is lit, in real time until the lights are switched off or the test is ended at most."""
-        slice_s, left_s = duration_s if self.wall_clock is None else _LOOK_S, duration_s
-        while left_s > 0.0 and not (self.switched_off or self.ended()):
+        slice_s, end_s = duration_s if self.wall_clock is None else _LOOK_S, self.clock() + duration_s
+        while (left_s := end_s - self.clock()) > 0.0 and not (self.switched_off or self.ended()):
             self.sleep(min(left_s, slice_s))
-            left_s -= slice_s
-            if left_s > _LOOK_S and not self.switched_off and self.box.read_channel(channel).drive.level == 0:
+            if self.wall_clock is None or self.switched_off:
+                continue
+            left_s = end_s - self.clock()
+            # A box whose clock is fast by as much as one may be ends its light before.
+            if left_s > _LOOK_S + _CLOCK_REL * duration_s and self.box.read_channel(channel).drive.level == 0:
                 raise DeviceError(
                     f"the light box ended the bleach by itself, about {left_s:.0f} s too early: its energy budget is"
                     " used up, or its button was held for 3 s. Let the eye recover, then begin a new visit"

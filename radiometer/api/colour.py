@@ -381,7 +381,8 @@ def colour_measure(
             name: Quantity(values[n], u[n], unit) if np.isfinite(values[n]) else None
             for n, (name, unit) in enumerate(_units(known.unit).items())
         },
-        found, (*flags, *_flags(known, found, kind)), (*known.provenance.assumptions, *seen.assumptions), known,
+        found, (*flags, *_flags(known, found, kind, seen.taken)),
+        (*known.provenance.assumptions, *seen.assumptions), known,
         _converted(seen, known, kind) if maps is not None else None,
         next(iter(seen.maps.values())).provenance.parameters.get("origin", {}),
     )  # fmt: skip
@@ -402,6 +403,7 @@ class _Channels:
     lens: LensDescription
     patches: Mapping[str, Patch]
     together: bool
+    taken: dt.datetime | None = None
 
     @property
     def assumptions(self) -> tuple[str, ...]:
@@ -468,7 +470,7 @@ class _Frames:
         for line in found.notes:
             self.notice(line)
         places = {one.name: one.patch for one in capture.header.patches}
-        return _Channels(str(path), found.maps, camera, _stated(capture.header), places, together=True)
+        return _Channels(str(path), found.maps, camera, _stated(capture.header), places, True, capture.header.taken)
 
     def _behind_filters(self, filters: Mapping[str, PathLike]) -> _Channels:
         maps = dict[str, RadianceMap]()
@@ -480,7 +482,9 @@ class _Frames:
         if len({one.shape for one in maps.values()}) > 1:
             raise InputError("--filter: the frames behind the filters differ in size; capture the same region")
         first = open_capture(Path(next(iter(filters.values())))).header
-        return _Channels(", ".join(map(str, filters.values())), maps, first.camera, _stated(first), {}, together=False)
+        return _Channels(
+            ", ".join(map(str, filters.values())), maps, first.camera, _stated(first), {}, False, first.taken
+        )
 
     def _of_photographs(self, path: Path) -> _Channels:
         stack = stack_of(open_source(path, "each"), str(path))
@@ -565,7 +569,7 @@ def _digest(path: Path) -> str:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _flags(known: ColourCalibration, found: Coordinates, kind: str | None) -> list[str]:
+def _flags(known: ColourCalibration, found: Coordinates, kind: str | None, taken: dt.datetime | None) -> list[str]:
     flags = []
     if bool(known.is_outside(found.xy, found.xy_covariance, kind)):
         flags.append("extrapolated")
@@ -573,7 +577,7 @@ def _flags(known: ColourCalibration, found: Coordinates, kind: str | None) -> li
         flags.append("kind_unstated")
     elif kind not in known.trained:
         flags.append("other_light")
-    if is_out_of_date(known.created, DEFAULT_VALIDITY_DAYS, dt.datetime.now(dt.UTC)):
+    if is_out_of_date(known.created, DEFAULT_VALIDITY_DAYS, taken or dt.datetime.now(dt.UTC)):
         flags.append(Flag.STALE_CALIBRATION.value)
     return flags
 

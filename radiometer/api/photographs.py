@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -107,8 +106,8 @@ def measure_photographs(
         bracket, camera, lens = with_f_number(stack.chosen(pattern), f_number), stack.camera, stack.lens
         ready = Photographs({"mono": bracket}, Path(stack.origin), notes=stack.notes)
     where = patch if isinstance(patch, Patch) else Patch(*patch)
-    setup = Setup(camera, lens, known, spectrum=spectrum)
-    reading = _reading(bracket, where, setup, ready, stack.taken, drawn=monte_carlo)
+    setup = Setup(camera, lens, known, spectrum=spectrum, taken=stack.taken)
+    reading = _reading(bracket, where, setup, ready, drawn=monte_carlo)
     stated = None
     if calibration is not None and known is not None:
         file = None if isinstance(calibration, Calibration) else str(calibration)
@@ -123,10 +122,8 @@ def _opened(path: Path, channel: str, progress: Progress | None) -> Stack:
     return stack_of(open_source(path, channel, report=counted(progress, "reading")), str(path))
 
 
-def _reading(
-    bracket: Bracket, patch: Patch, setup: Setup, ready: Photographs, taken: dt.datetime | None, *, drawn: bool
-) -> Reading:
-    reading = read_patch(bracket, patch, setup, now=taken)
+def _reading(bracket: Bracket, patch: Patch, setup: Setup, ready: Photographs, *, drawn: bool) -> Reading:
+    reading = read_patch(bracket, patch, setup)
     reading = with_iso_in_reading(reading, bracket.light)
     origin = reading.provenance or Provenance("maximum-likelihood patch estimate")
     assumed = (*origin.assumptions, *(text for texts in ready.assumed.values() for text in texts))
@@ -137,7 +134,7 @@ def _reading(
         "notes": list(ready.notes),
     }
     if drawn:
-        situation = patch_situation(bracket, patch, setup, taken)
+        situation = patch_situation(bracket, patch, setup)
         found = propagate_distributions(situation, np.random.default_rng(reading.sequence))
         more["monte_carlo"] = found.to_mapping(reading)
     return replace(reading, provenance=replace(origin, assumptions=assumed), more=more)

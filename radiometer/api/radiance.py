@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -53,7 +54,6 @@ from radiometer.photographs.scene import (
     prepared,
 )
 from radiometer.progress import counted, unseen
-from radiometer.reporting.origin import moment
 
 if TYPE_CHECKING:
     import xarray
@@ -454,7 +454,7 @@ def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress 
     maps, camera = {}, camera_with_taps(capture, asked.taps)
     for name, plane in _planes(capture, asked):
         frames = _streamed(plane, (*dark, *lit), counted(progress, "merging"))
-        maps[name] = _of_capture(frames, levels, camera, capture.header.lens, asked, capture.header.created).map
+        maps[name] = _of_capture(frames, levels, camera, capture.header.lens, asked, capture.header.taken).map
     return Radiance(maps, notes=tuple(f"{path.name}: {line}" for line in notes))
 
 
@@ -486,7 +486,7 @@ def _of_stack(stack: Stack, asked: _Asked, pattern: str | None, progress: Progre
     chosen = stack.chosen(pattern)
     bracket = Bracket.from_frames(with_white_levels(chosen.every_frame), origin=chosen.origin)
     levels = [frame.settings.black_level_dn for frame in bracket.light]
-    return replace(_of_capture(bracket, levels, stack.camera, stack.lens, asked), notes=stack.notes)
+    return replace(_of_capture(bracket, levels, stack.camera, stack.lens, asked, stack.taken), notes=stack.notes)
 
 
 def _of_capture(
@@ -495,7 +495,7 @@ def _of_capture(
     camera: CameraDescription,
     lens: LensDescription,
     asked: _Asked,
-    created: str | None = None,
+    taken: dt.datetime | None = None,
 ) -> Radiance:
     """Return the map of a capture set: dark frames first, then light ones.
 
@@ -505,7 +505,7 @@ def _of_capture(
         camera: As the capture set describes it.
         lens: As the capture set describes it.
         asked: What is asked for.
-        created: When it was taken: ISO 8601 time in UTC; None where that is not known.
+        taken: When it was taken, with time zone; None where that is not known.
     """
     if asked.vignetting:
         raise UsageError("--vignetting belongs to photographs; a capture set takes its calibration's flat field")
@@ -528,7 +528,7 @@ def _of_capture(
             noise=SensorNoise.of(camera),
             black_level=BlackLevel(dn=next(black for black in stated if black is not None)),
         )
-    setup = Setup(camera, lens, known, taken=moment(created) if created else "")
+    setup = Setup(camera, lens, known, taken=taken)
     return Radiance({"mono": merge_bracket(frames, setup)})
 
 

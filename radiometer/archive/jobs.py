@@ -120,12 +120,9 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     frames = list(capture_set.frames())
     rows: list[Row] = []
     for name, patch in _patches(capture_set, settings, frames[0].shape):
-        reading = read_patch(
-            frames,
-            patch,
-            Setup(header.camera, header.lens, calibration, spectrum=AS_CALIBRATED if stated else None),
-            now=header.taken,
-        )
+        spectrum = AS_CALIBRATED if stated else None
+        setup = Setup(header.camera, header.lens, calibration, spectrum=spectrum, taken=header.taken)
+        reading = read_patch(frames, patch, setup)
         shared = {"patch": name, "flags": " ".join(map(str, reading.flags))}
         rows.append({**shared, "quantity": "radiance", **reading.radiance.to_mapping()})
         if reading.luminance:

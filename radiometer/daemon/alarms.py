@@ -36,11 +36,10 @@ KINDS: Final = (
     AlarmKind("reading", "no reading of the shared patch for 5 periods, 10 s and 3 times its last duration",
               "a reading of it is in the journal, or continuous measurement ended"),
     AlarmKind("reading PATCH", "the same for a patch with a name", "a reading of it came, or it was deleted"),
-    AlarmKind("stopped", "continuous measurement was stopped, or slowed to a fifth or less of the rate at the start and"
-              " a period above 10 s, although a patch has limits",
+    AlarmKind("stopped",
+              "continuous measurement was stopped, or slowed to a fifth (and above 10 s), although a patch has limits",
               "it goes on, or no patch has limits"),
-    AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch, or saturated or below the noise so"
-              " that it cannot be seen whether they are",
+    AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch, or are bounds that do not show it",
               "two in a row are back inside by the hysteresis, or the limits or the patch changed"),
     AlarmKind("calibration", "the calibration could not be read again, and the old one stays in use",
               "it was read again"),

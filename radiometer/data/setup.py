@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -25,7 +26,9 @@ class Setup:
     # Name of the light's spectrum, or path of a CSV; `AS_CALIBRATED`; None where it is unknown: then all kinds of light
     # count in the uncertainty
     spectrum: str | None = AS_CALIBRATED
-    taken: str = ""  # when the frames were taken, for people, where the frames themselves state no date
+    # When the frames were taken, with time zone: the calibration's age counts to it; None where that is not known, and
+    # the age counts to the present
+    taken: dt.datetime | None = None
 
     def __post_init__(self) -> None:
         if self.calibration is not None and self.spectrum not in (None, AS_CALIBRATED):

@@ -6,7 +6,7 @@ from typing import Final
 
 from simulators.displays.base import DisplayModel, MuraSpot
 
-# Radiance that stands for 250 and 0.1 cd/m² at some 340 lm/W, the efficacy of an LED-lit white.
+# Radiance of 250 and 0.1 cd/m² at some 340 lm/W, the efficacy of an LED-lit white.
 WHITE: Final = 250.0 / 340.0
 BLACK: Final = 0.1 / 340.0  # 0.1 cd/m² of white at 340 lm/W
 

@@ -514,8 +514,10 @@ class StreamingMerge:
 
     def _frames_u_rel(self, numbers: set[float | None]) -> float:
         settings = [terms.settings for terms in self._terms]
-        calibration = self._calibration
-        return 0.0 if calibration is None else frame_u_rel(calibration, self._situation.lens, numbers, settings)
+        calibration, situation = self._calibration, self._situation
+        if calibration is None:
+            return 0.0
+        return frame_u_rel(calibration, situation.lens, numbers, settings, situation.setup.taken)
 
     def _doubt_falloff(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> None:
         """Add to the uncertainty of every pixel that of a natural fall-off that is neither declared nor measured."""
@@ -666,7 +668,8 @@ class StreamingMerge:
         setup, calibration = self._situation.setup, self._calibration
         settings = [terms.settings for terms in self._terms]
         return {
-            "taken": span_of(one.timestamp_s for one in settings) or setup.taken,
+            "taken": span_of(one.timestamp_s for one in settings)
+            or ("" if setup.taken is None else moment(setup.taken.isoformat())),
             "camera": setup.camera.name,
             "lens": setup.lens.in_words(one.f_number for one in settings),
             "calibration": ""

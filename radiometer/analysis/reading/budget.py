@@ -365,7 +365,9 @@ def _temperature(size: float, here: ScaleConditions, there: ScaleConditions, sta
 
 
 def _drift(size: float, calibration: Calibration, now: dt.datetime) -> Term:
-    age = abs((now - dt.datetime.fromisoformat(calibration.created)).total_seconds()) / 86400.0  # it drifts before, too
+    # It drifts before its date, too. Within a day it does not: no result depends on the moment of its evaluation.
+    age = abs((now - dt.datetime.fromisoformat(calibration.created)).total_seconds()) / 86400.0
+    age = age if age >= 1.0 else 0.0
     u = size * calibration.uncertainties.drift_u_rel_per_year * age / _DAYS_PER_YEAR
     return Term("drift", u, correlated=True, note=f"{age:.3g} days from the calibration", flag=Flag.DRIFT)
 

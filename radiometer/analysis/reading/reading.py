@@ -75,7 +75,7 @@ def read_patch(
         setup: Camera, lens and calibration in use, and the light. Without a calibration values are relative and the
             flag `uncalibrated` is set; without a stated spectrum the kinds of light that there are count, and the
             reading is flagged so.
-        now: Time that the calibration's age is counted to, with time zone; None for the present.
+        now: Time that the calibration's age is counted to, with time zone; None for when the frames were taken.
         sequence: Running number of the reading.
 
     Raises:
@@ -99,7 +99,7 @@ def patch_situation(
         frames: As for `read_patch`.
         patch: Where to read.
         setup: As for `read_patch`.
-        now: Time of the reading, with time zone; None for the present.
+        now: Time of the reading, with time zone; None for when the frames were taken.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
@@ -135,7 +135,7 @@ def patch_situation(
     scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
     shown = Shown(estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light))
     falloff = _falloff(calibration, camera, settled.lens, chosen, place)
-    now = now or dt.datetime.now(dt.UTC)
+    now = now or setup.taken or dt.datetime.now(dt.UTC)
     return PatchSituation(settled, shown, scale, conditions, surround, falloff, now, stray, taps)
 
 

@@ -357,14 +357,20 @@ def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage: 
 def test_a_bleach_that_the_box_ends_by_itself_is_no_bleach(stage: BoxStage, box: RecordingBox) -> None:
     """Its energy budget, or its button: a curve after a tenth of the bleach would be taken for one after all of it."""
 
+    dark_s = [102.0, 100.0 + 0.99 * 150.0]  # then a box whose clock is 1 % fast
+
     def sleep(seconds: float) -> None:
-        box.time += seconds
-        box.level = 0 if box.time >= 102.0 else 1000
+        box.time += seconds + 0.01  # what reading back takes
+        box.level = 0 if box.time >= dark_s[0] else 1000
 
     stage.sleep, stage.wall_clock = sleep, lambda: 1.7e9
     with pytest.raises(DeviceError, match="148 s too early"):
         stage.bleach(stage.lights.protocol)
     assert len(box.asked) == 1
+    box.time = 100.0
+    dark_s.pop(0)
+    stage.bleach(stage.lights.protocol)
+    assert box.time == pytest.approx(250.0, abs=0.02)
 
 
 def test_stop_ends_the_bleach(stage: BoxStage, box: RecordingBox) -> None:
