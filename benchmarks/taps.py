@@ -62,10 +62,10 @@ def figures(kind: str, seed: int) -> dict[str, Any]:
             for symbol, truth in _FIGURES.items()
         }
         try:
-            found = [(t.tap.x, t.tap.y, t.tap.width, t.tap.height) for t in rm.characterise(path, taps="find").taps]
+            borders = [(t.tap.x, t.tap.y, t.tap.width, t.tap.height) for t in rm.characterise(path, taps="find").taps]
         except MeasurementError:
-            found = []
-    return {"errors_u": errors, "borders": found == taps.rectangles(_SHAPE)}
+            borders = []
+    return {"errors_u": errors, "borders": borders == taps.rectangles(_SHAPE)}
 
 
 def alone(seed: int) -> dict[str, Any]:

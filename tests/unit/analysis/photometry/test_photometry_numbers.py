@@ -155,7 +155,7 @@ def test_a_scale_by_a_known_source(radiance, u_source, rate, u_rate):
         "reference source": 0.1, **lines,
     }  # fmt: skip
     for wrong in ((-1.0, rate), (radiance, 0.0), (math.nan, rate), (radiance, math.inf)):
-        with pytest.raises(InputError, match="above 0|is outside"):
+        with pytest.raises(InputError, match=r"above 0|is outside"):
             scale_from_radiance(wrong[0], 0.1, wrong[1], 0.1, 4.0)
 
 
