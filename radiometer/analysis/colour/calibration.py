@@ -27,32 +27,18 @@ _SURELY: Final = 2.0  # standard uncertainties beyond the hull of the training s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColourCalibration:
-    """What turns the channels of one camera into X, Y, Z.
+    """What turns the channels of one camera into X, Y, Z."""
 
-    Attributes:
-        channels: Names of the channels, in the order of the matrices' columns.
-        camera: The camera.
-        lens: The lens, with its f-number.
-        unit: Of X, Y, Z: cd·m⁻², or relative where no light of known luminance took part.
-        fits: Matrix by kind of light, or a single one named `ALL`.
-        errors: Covariance of the error over (X + Y + Z)² by kind of light.
-        trained: Kinds of light that the matrices were fitted to.
-        training: The raw readings of known lights, which gave the matrices or their scale; None where there were none.
-        u_rel: Relative standard uncertainty that all known X, Y, Z share.
-        created: ISO 8601 time in UTC.
-        provenance: Method, inputs, assumptions.
-    """
-
-    channels: tuple[str, ...]
+    channels: tuple[str, ...]  # names in the order of the matrices' columns
     camera: CameraDescription
-    lens: LensDescription
-    unit: str
-    fits: Mapping[str, Fit]
-    errors: Mapping[str, Array]
-    trained: tuple[str, ...]
-    training: Training | None
-    u_rel: float = 0.0
-    created: str = field(default_factory=utc_now)
+    lens: LensDescription  # with its f-number
+    unit: str  # of X, Y, Z: cd·m⁻², or relative where no light of known luminance took part
+    fits: Mapping[str, Fit]  # matrix by kind of light, or a single one named `ALL`
+    errors: Mapping[str, Array]  # covariance of the error over (X + Y + Z)² by kind of light
+    trained: tuple[str, ...]  # kinds of light that the matrices were fitted to
+    training: Training | None  # raw readings of known lights, which gave the matrices or their scale
+    u_rel: float = 0.0  # relative standard uncertainty that all known X, Y, Z share
+    created: str = field(default_factory=utc_now)  # ISO 8601 time in UTC
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
 
     def fit(self, kind: str | None) -> Fit:
@@ -94,13 +80,7 @@ class ColourCalibration:
         return xyz, own + size[..., None, None] * self.error(kind) + scale
 
     def is_outside(self, xy: Array, covariance: Array, kind: str | None) -> NDArray[np.bool_]:
-        """Return whether chromaticities are outside the hull of the training set by more than two uncertainties.
-
-        Args:
-            xy: Shape (…, 2).
-            covariance: Shape (…, 2, 2).
-            kind: As for `convert`.
-        """
+        """Return whether chromaticities are outside the hull of the training set by more than two uncertainties."""
         sides = ConvexHull(self.fit(kind).hull).equations
         normal, offset = sides[:, :2], sides[:, 2]
         beyond = xy @ normal.T + offset
@@ -109,7 +89,6 @@ class ColourCalibration:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping that is written to the file."""
-        lights = self.training
         return {
             "format": FORMAT,
             "created": self.created,
@@ -124,19 +103,7 @@ class ColourCalibration:
             },
             "trained": list(self.trained),
             "errors": {kind: one.tolist() for kind, one in self.errors.items()},
-            "training": []
-            if lights is None
-            else [
-                {
-                    "name": name,
-                    "kind": lights.kinds[n],
-                    "signal": lights.signal[n].tolist(),
-                    "u_signal": lights.u_signal[n].tolist(),
-                    "xyz": lights.xyz[n].tolist(),
-                    "u_rel": float(lights.u_rel[n]),
-                }
-                for n, name in enumerate(lights.names)
-            ],
+            "training": [] if self.training is None else self.training.rows(),
             "provenance": self.provenance.to_mapping(),
         }
 

@@ -28,23 +28,14 @@ _COVERED: Final = 0.9545  # of the lights by k = 2, as of a normal distribution
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Training:
-    """Lights of known X, Y, Z and the raw readings of them.
+    """Lights of known X, Y, Z and the raw readings of them."""
 
-    Attributes:
-        names: Name of each light.
-        kinds: Its kind, such as "oled".
-        signal: Channel readings, shape (lights, channels).
-        u_signal: Their standard uncertainties, independent of each other.
-        xyz: X, Y, Z in cd·m⁻², shape (lights, 3).
-        u_rel: Relative standard uncertainty of X, Y, Z of each light, independent of the others.
-    """
-
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
-    signal: Array
-    u_signal: Array
-    xyz: Array
-    u_rel: Array
+    names: tuple[str, ...]  # name of each light
+    kinds: tuple[str, ...]  # its kind, such as "oled"
+    signal: Array  # channel readings, shape (lights, channels)
+    u_signal: Array  # their standard uncertainties, independent of each other
+    xyz: Array  # X, Y, Z in cd·m⁻², shape (lights, 3)
+    u_rel: Array  # relative standard uncertainty of X, Y, Z of each light, independent of the others
 
     def of_kind(self, kind: str | None) -> Training:
         """Return the lights of a kind; all for None."""
@@ -61,18 +52,12 @@ class Fit:
     """A matrix and what is known of its error.
 
     Errors are covariances of X, Y, Z over the square of X + Y + Z, shape (3, 3).
-
-    Attributes:
-        matrix: X, Y, Z per unit of each channel, shape (3, channels).
-        spread: Inverse of the normal matrix, shape (channels, channels): aᵀ·spread·a is the leverage of a light.
-        error: Error for a light that was left out.
-        hull: Corners (x, y) of the hull of the lights that it was fitted to, shape (corners, 2).
     """
 
-    matrix: Array
-    spread: Array
-    error: Array
-    hull: Array
+    matrix: Array  # X, Y, Z per unit of each channel, shape (3, channels)
+    spread: Array  # inverse of the normal matrix, shape (channels, channels): aᵀ·spread·a is the leverage of a light
+    error: Array  # error for a light that was left out
+    hull: Array  # corners (x, y) of the hull of the lights that it was fitted to, shape (corners, 2)
 
     def leverage(self, signal: Array) -> Array:
         """Return the leverage of lights, shape (…): about channels/lights within the training set, more outside."""

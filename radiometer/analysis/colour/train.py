@@ -24,21 +24,14 @@ from radiometer.typing import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColourCamera:
-    """What is known of a camera before its colour calibration.
+    """What is known of a camera before its colour calibration."""
 
-    Attributes:
-        channels: Names of its channels.
-        camera: Its description.
-        lens: Its lens.
-        responsivities: Per watt over the grid of plausible lights, up to a common factor; None where unknown.
-        inputs: Files with their content hashes, for the record.
-    """
-
-    channels: tuple[str, ...]
-    camera: CameraDescription = field(default_factory=lambda: CameraDescription(bit_depth=16))
-    lens: LensDescription = field(default_factory=LensDescription)
+    channels: tuple[str, ...]  # names of its channels
+    camera: CameraDescription = field(default_factory=lambda: CameraDescription(bit_depth=16))  # its description
+    lens: LensDescription = field(default_factory=LensDescription)  # its lens
+    # Per watt over the grid of plausible lights, up to a common factor; None where unknown
     responsivities: Array | None = None
-    inputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()  # files with their content hashes, for the record
 
 
 def train_on_lights(
@@ -47,14 +40,7 @@ def train_on_lights(
     """Return the calibration fitted to readings of known lights.
 
     The error for a kind of light is that of lights left out of the training, and that of plausible lights of the kind;
-    the larger counts.
-
-    Args:
-        known: The camera.
-        training: The lights.
-        powers: Their spectra over the grid of plausible lights; None where unknown.
-        per_kind: Fit a matrix for each kind of light.
-        u_rel: Relative standard uncertainty that all known X, Y, Z share.
+    the larger counts. `powers` are spectra over the grid of plausible lights, `u_rel` is what all known X, Y, Z share.
 
     Raises:
         CalibrationError: If the lights do not determine a matrix.
@@ -105,12 +91,6 @@ def train_on_responsivities(
     known: ColourCamera, scale: Training | None, *, per_kind: bool, u_rel: float
 ) -> ColourCalibration:
     """Return the calibration fitted to plausible lights, through the camera's responsivities.
-
-    Args:
-        known: The camera, its responsivities known.
-        scale: Readings of known lights, which give the scale; None for relative X, Y, Z.
-        per_kind: Fit a matrix for each kind of light that determines one.
-        u_rel: Relative standard uncertainty that all known X, Y, Z share.
 
     Raises:
         CalibrationError: If the responsivities determine no matrix, or a known light has no reading.
