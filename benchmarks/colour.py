@@ -25,7 +25,7 @@ from simulators.cameras.colour_filters import ColourFilters
 
 SEED, DRAWS = 1_500_001, 20
 NOISE_REL = 0.002
-NOISES_REL = (NOISE_REL, 0.0005, 1e-9)  # of readings from which CCT and Duv are found: the last leaves the matrix alone
+NOISES_REL = (NOISE_REL, 0.0005, 0.0)  # of readings that give CCT and Duv: without noise the matrix alone is left
 _DISPLAYS = Path(__file__).resolve().parents[2] / "shared" / "data" / "displays" / "isetbio"
 _LEDS = ("3-LED", "4-LED", "Luxeon", "PHOS", "Phosphor")
 _HELD = {"FL2", "FL4", "FL7", "FL8", "FL10", "FL11", "FL12"}  # that tables of the product hold
