@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -36,6 +36,12 @@ class Training:
     u_signal: Array  # their standard uncertainties, independent of each other
     xyz: Array  # X, Y, Z in cd·m⁻², shape (lights, 3)
     u_rel: Array  # relative standard uncertainty of X, Y, Z of each light, independent of the others
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a mapping of plain values for each light."""
+        values = (one.tolist() for one in (self.signal, self.u_signal, self.xyz, self.u_rel))
+        names = ("name", "kind", "signal", "u_signal", "xyz", "u_rel")
+        return [dict(zip(names, row, strict=True)) for row in zip(self.names, self.kinds, *values, strict=True)]
 
     def of_kind(self, kind: str | None) -> Training:
         """Return the lights of a kind; all for None."""
