@@ -128,12 +128,10 @@ class MapAnalysis(Drawn):
         ]
         more = ", …" if len(self.regions) > _MOST_IN_HEADLINE else ""
         outcome = f"Mean of {', '.join(self._means[:_MOST_IN_HEADLINE])}{more} {unit} (k = 2)"
-        known = {name: str(value) for name, value in self.map.provenance.parameters.get("origin", {}).items()}
+        known = self.map.provenance.parameters.get("origin", {})
         exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
-        origin = Origin(
-            *(known.get(name, "") for name in ("taken", "camera", "lens", "calibration")),
-            further=(("map", self.origin), ("merged", known.get("merged", "")), ("exposure times", exposures)),
-        )
+        further = (("map", self.origin), ("merged", str(known.get("merged", ""))), ("exposure times", exposures))
+        origin = Origin.of_map(known, further=further)
         write_text_atomic(Path(path), page("Figures of a radiance map", outcome, parts, kind="analyse", origin=origin))
 
     @property

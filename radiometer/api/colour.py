@@ -78,7 +78,7 @@ class CalibratedColour(Result):
 
     def u_rel(self, kind: str | None) -> float:
         """Return the relative standard uncertainty of the luminance of white light from the matrix."""
-        return 3.0 * float(np.sqrt(self.calibration.error(kind)[1, 1]))
+        return float(np.sqrt(self.calibration.error(kind, np.ones(3))[1, 1]))
 
     def __str__(self) -> str:
         """Return channels, lights and the error for the kinds of light in one line."""
@@ -175,11 +175,8 @@ class ColourReading(Drawn):
             section("Raw readings, k = 2", table(("channel", "signal"), raw)),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
-        origin = Origin(
-            *(self.origin.get(name, "") for name in ("taken", "camera", "lens")),
-            calibration=f"of colours, {moment(self.calibration.created)}",
-            further=(("source", self.source),),
-        )
+        known = {**self.origin, "calibration": f"of colours, {moment(self.calibration.created)}"}
+        origin = Origin.of_map(known, further=(("source", self.source),))
         write_text_atomic(Path(path), page(f"colour of {self.source}", str(self), parts, kind="colour", origin=origin))
 
     def __str__(self) -> str:

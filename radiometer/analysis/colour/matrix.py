@@ -14,7 +14,13 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.stats import t as student_t
 
-from radiometer.analysis.colour.plausible import plausible_cameras, plausible_lights, tristimulus_of
+from radiometer.analysis.colour.plausible import (
+    display_primaries,
+    plausible_cameras,
+    plausible_lights,
+    tristimulus_of,
+)
+from radiometer.analysis.photometry.photometry import DISPLAY_TYPES
 from radiometer.errors import CalibrationError
 from radiometer.statistics.least_squares import solve
 from radiometer.typing import Array
@@ -169,8 +175,11 @@ def _signal(powers: Array, responsivities: Array) -> Array:
 
 def errors_of_other_lights(
     matrix: Array, training: Training, powers: Array | None, responsivities: Array | None
-) -> dict[str, Array]:
-    """Return the error of a matrix by kind of plausible light, each a covariance over (X + Y + Z)².
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the error of a matrix by kind of plausible light, and as a function of X, Y, Z for types of display.
+
+    The first are covariances over (X + Y + Z)². The light of a display is a mixture of its primaries, so its error is
+    linear in X, Y, Z: e = D·(X, Y, Z). The second are covariances of D over the displays of a type, shape (3, 3, 3, 3).
 
     Args:
         matrix: The matrix, shape (3, channels).
@@ -205,7 +214,23 @@ def errors_of_other_lights(
         shares = _normal(tristimulus_of(one))
         off = np.vstack([_off(fitted, camera, one) for fitted, camera in pairs])
         found[kind] = _covering(off, len(one)) + u_scale**2 * shares.T @ shares / len(shares)
-    return found
+    return found, {kind: _of_displays(kind, pairs, u_scale) for kind in DISPLAY_TYPES}
+
+
+def _of_displays(kind: str, pairs: list[tuple[Array, Array]], u_scale: float) -> Array:
+    """Return the covariance of D, shape (3, 3, 3, 3), over displays of a type and pairs of a matrix and a camera."""
+    displays = display_primaries(kind)
+    off = [
+        np.eye(3) - tristimulus_of(primaries).T @ np.linalg.pinv(fitted @ camera @ primaries.T)
+        for fitted, camera in pairs
+        for primaries in displays
+    ]
+    few = float(student_t.ppf(0.5 + _COVERED / 2.0, len(displays))) / 2.0
+    mean = few**2 * np.mean([np.multiply.outer(one, one) for one in off], axis=0)
+    alike = np.multiply.outer(np.eye(3), np.eye(3))
+    return np.asarray(
+        mean + u_scale**2 * alike + _LEAST_ERROR**2 * np.einsum("ij,ab->iajb", np.eye(3), np.ones((3, 3)))
+    )
 
 
 def _spans(share: Array) -> bool:
