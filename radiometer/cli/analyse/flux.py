@@ -66,7 +66,8 @@ def command(
     _show(found.report)
     if (other := found.driven) is not None:
         flux = other.flux.scaled(1e3, "mW").text(with_k=True)
-        console().print(f"flux at drive {other.drive:g} of {other.channel}: {flux}; its law: {other.law}")
+        where = "emitted" if found.report.emitted else "through the sensor"
+        console().print(f"flux at drive {other.drive:g} of {other.channel}, {where}: {flux}; its law: {other.law}")
 
 
 def _show(report: FluxReport) -> None:
