@@ -152,8 +152,8 @@ def inside(chart: Array, five: Array, rng: np.random.Generator) -> str:
         f"24 patches of a chart under five lamps, one matrix: {share:.1f} % of X, Y, Z are within "
         f"1.5 u. {whites('Whites of a display by its own matrix', of_displays, rng)} "
         f"{whites('Greys under a lamp by the matrix of a chart under it', of_lamps, rng)} "
-        "Noise limits the matrix of a display, for three primaries have an exact one. The matrix itself limits greys: it "
-        "is the best for 24 colours, and no camera's three channels suit all of them (Luther)."
+        "Noise limits the matrix of a display, for three primaries have an exact one. The matrix itself limits greys: "
+        "it is the best for 24 colours, and no camera's three channels suit all of them (Luther)."
     )
 
 
