@@ -159,7 +159,7 @@ def inside(chart: Array, five: Array, rng: np.random.Generator) -> str:
 
 def whites(title: str, pairs: list[tuple[Array, Array]], rng: np.random.Generator) -> str:
     """Return the sentences on CCT and Duv of lights, each by the matrix of its training, of cameras with filters."""
-    said, none = list[str](), np.zeros((3, 3))
+    sentences, none = list[str](), np.zeros((3, 3))
     for noise_rel in NOISES_REL:
         cct, duv = list[Array](), list[Array]()
         for camera in list(cameras().values())[:-1]:
@@ -172,11 +172,11 @@ def whites(title: str, pairs: list[tuple[Array, Array]], rng: np.random.Generato
                 duv.append(np.abs(found.duv - true.duv))
         shares = [100 * np.mean(np.concatenate(one) < limit) for one, limit in ((cct, 0.01), (duv, 0.001))]
         rms = [np.sqrt(np.mean(np.concatenate(one) ** 2)) for one in (cct, duv)]
-        said.append(
-            f"with {100 * noise_rel:g} % noise CCT is within 1 % in {shares[0]:.0f} % (rms {100 * rms[0]:.2f} %), Duv "
-            f"within 0.001 in {shares[1]:.0f} % (rms {rms[1]:.4f})"
+        sentences.append(
+            f"With {100 * noise_rel:g} % noise CCT is within 1 % in {shares[0]:.0f} % (rms {100 * rms[0]:.2f} %), Duv "
+            f"within 0.001 in {shares[1]:.0f} % (rms {rms[1]:.4f})."
         )
-    return f"{title}: {'; '.join(said)}."
+    return f"{title}. {' '.join(sentences)}"
 
 
 def main() -> None:
