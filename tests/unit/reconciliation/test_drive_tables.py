@@ -139,7 +139,7 @@ def diode(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bench = folder / "diode.yaml"
     bench.write_text(
         "format: radiometer-bench/1\n"
-        "camera: {kind: simulated, preset: BFS-U3-19S4M, width: 80, height: 60, black_level_dn: 64}\n"
+        'camera: {kind: simulated, preset: BFS-U3-19S4M, serial: "22500001", width: 80, height: 60}\n'
         "lens: {focal_length_mm: 16, f_number: 4, magnification: 0.05}\n"
         "scene: {kind: led, flux_mW: 0.05, emitter_diameter_mm: 3, half_angle_deg: 60, diameter_px: 33}\n"
     )
@@ -148,7 +148,8 @@ def diode(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "capture"
 
 
-OF_DIODE = {"half_angle": 60, "distance": 336}
+CALIBRATION = Path(__file__).parents[3] / "configs" / "calibrations" / "simulated.yaml"
+OF_DIODE = {"half_angle": 60, "distance": 336, "calibration": CALIBRATION}
 
 
 def test_flux_at_another_drive_is_that_of_the_law_within_its_uncertainty(diode: Path, tmp_path: Path) -> None:
@@ -181,5 +182,5 @@ def test_a_drive_that_the_table_does_not_hold_is_refused(
 ) -> None:
     """Drives outside the table, a channel or a drive left open: exit code 2 and the way out."""
     table = _written(tmp_path / "e.csv", _engine(np.random.default_rng(81), 0.1))
-    assert run(["flux", str(diode), "--drive-table", str(table), *words]) == 2
+    assert run(["flux", str(diode), "--calibration", str(CALIBRATION), "--drive-table", str(table), *words]) == 2
     assert message in capsys.readouterr().err
