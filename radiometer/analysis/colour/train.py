@@ -40,7 +40,7 @@ def train_on_lights(
     """Return the calibration fitted to readings of known lights.
 
     The error for a kind of light is that of lights left out of the training, and that of plausible lights of the kind;
-    the larger counts. Spectra (`powers`) are over the grid of plausible lights; `u_rel` is what all known X, Y, Z share.
+    the larger counts. Spectra (`powers`) are over the grid of plausible lights; all known X, Y, Z share `u_rel`.
 
     Raises:
         CalibrationError: If the lights do not determine a matrix.
