@@ -274,7 +274,12 @@ def calibrate(
     other = next((scale for scale in scales if scale is not chosen), None)
     files = (capture, None if isinstance(response, ResponseCurve) else response, camera_file, flat, model)
     inputs = tuple(Path(path).name for path in files if path)
-    further = (*of_black, *_of_taps(base, seen), *(seen.assumed if seen else ()))
+    further = (
+        *of_black,
+        *_of_taps(base, seen),
+        *(seen.assumed if seen else ()),
+        *_of_dials(settings, exposure_s, f_number),
+    )
     done = make.scaled_calibration(base, chosen, inputs, other, further)
     if out is not None:
         done.write(Path(out))
@@ -428,6 +433,16 @@ def _meter_settings(
         raise UsageError("--f-number and --iso must be above 0")
     printed = MeterSettings(exposure_s, f_number, iso)
     return printed if as_printed else printed.exact()
+
+
+def _of_dials(used: MeterSettings | None, exposure_s: float | None, f_number: float | None) -> tuple[str, ...]:
+    """Return which exact stops are behind the settings of a meter, where they differ from what was given."""
+    if used is None or (used.exposure_s, used.f_number) == (exposure_s, f_number):
+        return ()
+    return (
+        f"settings are printed stops, in truth {1e3 * used.exposure_s:.5g} ms at f/{used.f_number:.4g}; --as-printed "
+        "takes them at face value",
+    )
 
 
 def _certified(path: Path, u_rel: float | None) -> tuple[float, float]:
