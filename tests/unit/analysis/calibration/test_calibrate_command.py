@@ -75,7 +75,7 @@ def test_printed_settings_are_reported_with_the_stops_behind_them(curve, tmp_pat
     for name, more, shown in (("a", [], True), ("b", ["--as-printed"], False)):
         assert run([*command, *more, "-o", str(tmp_path / f"{name}.yaml")]) == 0
         assert ("15.625 ms" in capsys.readouterr().out) == shown
-    assert run(["60" if word == "1/60" else word for word in command]) == 2
+    assert run(["60" if word == "1/60" else word for word in [*command, "-o", str(tmp_path / "c.yaml")]]) == 2
     assert "is 60 s meant, or 1/60 s?" in capsys.readouterr().err
 
 
