@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import ISO_HELP, parse_exposure, parse_measured_iso, parse_patch, parse_radiance
+from radiometer.cli.arguments import (
+    ISO_HELP,
+    parse_exposure,
+    parse_measured_iso,
+    parse_patch,
+    parse_radiance,
+    parse_seconds,
+)
 from radiometer.cli.console import console, note, progress
 from radiometer.cli.options import TapsOption
 from radiometer.cli.outputs import writes
@@ -125,7 +132,7 @@ def _region(word: str) -> tuple[float, ...]:
         raise UsageError(_region_form(word)) from error
     if len(parts) not in (2, 3):
         raise UsageError(_region_form(word))
-    return (number, parse_exposure(parts[1], "--dynamic-range"), *landed)
+    return (number, parse_seconds(parts[1], "--dynamic-range"), *landed)
 
 
 def _region_form(word: str) -> str:
