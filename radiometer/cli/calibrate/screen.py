@@ -61,7 +61,7 @@ def calibrate(
     patch: Annotated[str | None, typer.Option(help="Where the camera sees the patch: X,Y,W,H in pixels.")] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
-    export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal,page.")] = "",
+    export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal,icc,page.")] = "",
     plot: Annotated[Path | None, typer.Option(help="Picture of the curves: .png, .pdf or .svg.")] = None,
     argyll: Annotated[bool, typer.Option("--argyll", help="Print spotread's line for every level measured.")] = False,
     seed: SeedOption = 1,
@@ -217,12 +217,12 @@ def level(
 @writes()
 def export_command(
     calibration: ScreenFile,
-    kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal,page or some of them.")],
+    kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal,icc,page or some of them.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; that of the calibration by default.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Write a calibration in the forms of other programs."""
-    for written in rm.screen_export(calibration, words(kinds), out, force=force):
+    for written in rm.screen_export(calibration, words(kinds), out, force=force, notice=note):
         console().print(f"wrote {written}")
 
 
