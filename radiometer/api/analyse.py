@@ -33,6 +33,7 @@ from radiometer.errors import UsageError
 from radiometer.numbers import unit_text, with_u
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
+from radiometer.reporting.pictures import label
 from radiometer.typing import Array
 
 if TYPE_CHECKING:
@@ -166,7 +167,7 @@ class MapAnalysis(Drawn):
         for one in self.regions:
             corner = (one.patch.x - 0.5, one.patch.y - 0.5)
             where.add_patch(Rectangle(corner, one.patch.width, one.patch.height, fill=False, color="red"))
-            where.annotate(one.name, corner, color="red", va="bottom")
+            where.annotate(label(one.name), corner, color="red", va="bottom")
         return where
 
     def __str__(self) -> str:

@@ -20,6 +20,7 @@ from radiometer.data.drawing import new_axes, own_axes, write_figure
 from radiometer.data.json_text import parsed_json
 from radiometer.errors import UsageError
 from radiometer.numbers import unit_text
+from radiometer.reporting.pictures import label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -100,7 +101,7 @@ class LoggedReadings(Result):
         for place in self.places:
             known = [one for one in place.readings if None not in (one["radiance"]["value"], one["radiance"]["u"])]
             if known:
-                _draw(where, place.name, known)
+                _draw(where, label(place.name), known)
                 drawn += 1
         if not drawn:
             raise UsageError("there is no reading to draw; widen --since and --until")
