@@ -24,7 +24,7 @@ from radiometer.analysis.regions.figures import (
 from radiometer.analysis.regions.glare import glare_of
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.radiance import Radiance
+from radiometer.api.radiance import Radiance, quantity_in_words
 from radiometer.api.result import Drawn
 from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.drawing import new_axes, picture
@@ -33,7 +33,7 @@ from radiometer.errors import UsageError
 from radiometer.numbers import unit_text, with_u
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
-from radiometer.reporting.pictures import label
+from radiometer.reporting.pictures import label, mark
 from radiometer.typing import Array
 
 if TYPE_CHECKING:
@@ -136,15 +136,16 @@ class MapAnalysis(Drawn):
         further += [f"{name}: {with_u(one.value, 2 * one.u)}" for name, one in self.glare_indices]
         exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
         flags = [f"{one.name}: {flag}" for one in self.regions for flag in one.flags]
+        quantity = quantity_in_words(self.map.unit)
         parts = [
-            picture(self.plot, f"{self.origin}, {unit_text(self.map.unit)}"),
-            section(f"Regions in {unit_text(self.map.unit)}, k = 2", table(("region", *_FIGURES), rows, words=(0,))),
+            picture(self.plot, f"{self.origin}: {quantity}"),
+            section(f"Regions: {quantity}, k = 2", table(("region", *_FIGURES), rows, words=(0,))),
             section("Further figures, k = 2", listed(further)),
             section("Flags and assumptions", listed([*flags, *self.assumptions])),
         ]
         more = ", …" if len(self.regions) > _MOST_IN_HEADLINE else ""
         means = [f"{one.name} {with_u(one.mean.value, 2 * one.mean.u)}" for one in self.regions[:_MOST_IN_HEADLINE]]
-        outcome = f"Mean of {', '.join(means)}{more} {unit_text(self.map.unit)} (k = 2)"
+        outcome = f"Mean {quantity}: {', '.join(means)}{more} (k = 2)"
         known = {name: str(value) for name, value in self.map.provenance.parameters.get("origin", {}).items()}
         origin = Origin(
             known.get("taken", ""),
@@ -167,7 +168,7 @@ class MapAnalysis(Drawn):
         for one in self.regions:
             corner = (one.patch.x - 0.5, one.patch.y - 0.5)
             where.add_patch(Rectangle(corner, one.patch.width, one.patch.height, fill=False, color="red"))
-            where.annotate(label(one.name), corner, color="red", va="bottom")
+            mark(where, label(one.name), corner, (0, 2), "red", va="bottom")
         return where
 
     def __str__(self) -> str:

@@ -97,6 +97,8 @@ class LoggedReadings(Result):
         Raises:
             UsageError: If there is no reading with a value.
         """
+        from matplotlib.dates import ConciseDateFormatter
+
         where, drawn = axes if axes is not None else new_axes(), 0
         for place in self.places:
             known = [one for one in place.readings if None not in (one["radiance"]["value"], one["radiance"]["u"])]
@@ -106,10 +108,11 @@ class LoggedReadings(Result):
         if not drawn:
             raise UsageError("there is no reading to draw; widen --since and --until")
         units = sorted({unit_text(one["radiance"]["unit"]) for one in self.readings})
-        where.set_ylabel(f"radiance in {', '.join(units)}")
+        where.set_ylabel(f"radiance in {', '.join(units)}; band: U (95.45 %)")
         where.set_xlabel("time (UTC)")
+        where.xaxis.set_major_formatter(ConciseDateFormatter(where.xaxis.get_major_locator()))  # type: ignore[no-untyped-call]
         where.grid(alpha=0.25)
-        where.legend(frameon=False)
+        where.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
         return where
 
     def write_plot(self, path: PathLike) -> None:
