@@ -421,6 +421,15 @@ def test_two_gains_agree_within_three_times_what_both_leave_open(dark, word):
     assert "(3.0 u)" in text
 
 
+def test_a_saturation_that_is_hardly_known_gives_figures_with_as_large_an_uncertainty():
+    """1000 ± 1700 DN: SNR_max is a root, so that its relative uncertainty is half of 170 %."""
+    found = sensitivity_figures(
+        Quantity(0.5, 0.0, "DN/e-"), Quantity(40.0, 1.0, "DN2"), Quantity(1e3, 1.7e3, "DN"), None
+    )
+    assert found["SNR_max"].value == pytest.approx(math.sqrt(2000.0))
+    assert found["SNR_max"].u_rel == pytest.approx(0.85, rel=0.05)
+
+
 @pytest.mark.parametrize("step_dn", [1, 4])
 def test_noise_below_a_code_is_a_bound_that_grows_with_the_square_of_the_spacing(step_dn):
     """EMVA 1288 takes 0.24 DN² for the least that rounding leaves; in codes 4 DN apart that is 3.84 DN²."""
