@@ -214,7 +214,8 @@ def test_an_even_source_is_one_light_and_no_disagreement(tmp_path: Path) -> None
         "scene": {"kind": "uniform", "radiance_W_per_sr_m2": 1.0},
     }
     write_yaml_atomic(tmp_path / "bench.yaml", bench)
-    rm.bracket(tmp_path / "sphere", bench=tmp_path / "bench.yaml", shortest_s=5e-4, longest_s=0.032, stops=0.5)
+    ladder = {"shortest_s": 5e-4, "longest_s": 0.032, "stops": 0.5, "repeat": 2}
+    rm.bracket(tmp_path / "sphere", bench=tmp_path / "bench.yaml", **ladder)  # type: ignore[arg-type]
     (found,) = rm.recover_response(tmp_path / "sphere").estimates
     assert any("one light" in note for note in found.notes)
     assert not any("differ by more than their noise" in note for note in found.notes)
