@@ -122,7 +122,7 @@ def _tone_curve(curve: ChannelCurve) -> NDArray[np.float64]:
             f"levels 0 to {curve.top_level}. Calibrate the screen with both"
         )
     levels = np.linspace(0.0, 1.0, min(curve.top_level + 1, _ENTRIES))
-    return (curve.table.at(levels) - black) / (white - black)
+    return np.asarray((curve.table.at(levels) - black) / (white - black), dtype=np.float64)
 
 
 def _u_of_white(curve: ChannelCurve) -> float:
