@@ -24,15 +24,15 @@ from radiometer.analysis.regions.figures import (
 from radiometer.analysis.regions.glare import glare_of
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.radiance import Radiance
+from radiometer.api.radiance import Radiance, quantity_in_words
 from radiometer.api.result import Drawn
 from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
-from radiometer.numbers import unit_text
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
+from radiometer.reporting.pictures import label, mark
 from radiometer.typing import Array
 
 if TYPE_CHECKING:
@@ -116,18 +116,18 @@ class MapAnalysis(Drawn):
 
     def write_report(self, path: PathLike) -> None:
         """Write a self-contained page. Raises OutputError if it cannot be written."""
-        unit = unit_text(self.map.unit)
+        quantity = quantity_in_words(self.map.unit)
         rows = [(one.name, *(getattr(one, name).text(bare=True) for name in _FIGURES)) for one in self.regions]
         parts = [
-            picture(self.plot, f"{self.origin}, {unit}"),
-            section(f"Regions in {unit}, k = 2", table(("region", *_FIGURES), rows, words=(0,))),
+            picture(self.plot, f"{self.origin}: {quantity}"),
+            section(f"Regions: {quantity}, k = 2", table(("region", *_FIGURES), rows, words=(0,))),
             section(
                 "Further figures, k = 2", listed([f"{name}: {one.text()}" for name, one in self.of_picture.items()])
             ),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
         more = ", …" if len(self.regions) > _MOST_IN_HEADLINE else ""
-        outcome = f"Mean of {', '.join(self._means[:_MOST_IN_HEADLINE])}{more} {unit} (k = 2)"
+        outcome = f"Mean {quantity}: {', '.join(self._means[:_MOST_IN_HEADLINE])}{more} (k = 2)"
         known = self.map.provenance.parameters.get("origin", {})
         exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
         further = (("map", self.origin), ("merged", str(known.get("merged", ""))), ("exposure times", exposures))
@@ -146,7 +146,7 @@ class MapAnalysis(Drawn):
         for one in self.regions:
             corner = (one.patch.x - 0.5, one.patch.y - 0.5)
             where.add_patch(Rectangle(corner, one.patch.width, one.patch.height, fill=False, color="red"))
-            where.annotate(one.name, corner, color="red", va="bottom")
+            mark(where, label(one.name), corner, (0, 2), "red", va="bottom")
         return where
 
     def __str__(self) -> str:

@@ -23,7 +23,7 @@ from radiometer.reporting.page import listed, page, section, table
 _RELATIVE: Final = "a relative value has no SI unit and cannot be certified; calibrate the camera first"
 _READING_METHOD: Final = (
     "An imaging sensor reads the patch at several exposures. Its response, black level and absolute scale come from "
-    "the calibration that is named as equipment. The uncertainty follows the GUM; its budget is given.",
+    "the calibration that is named as equipment. The uncertainty follows the GUM.",
 )
 _K: Final = 2.0  # of a calibration's scale
 
@@ -58,7 +58,7 @@ class Certificate(Result):
             ("serial number", content.item.serial),
             ("laboratory", f"{laboratory.laboratory.name}, {laboratory.laboratory.city}"),
             ("customer", f"{laboratory.customer.name}, {laboratory.customer.city}"),
-            ("responsible", " ".join(filter(None, (laboratory.responsible.name, laboratory.responsible.role)))),
+            ("responsible", ", ".join(filter(None, (laboratory.responsible.name, laboratory.responsible.role)))),
             *content.conditions,
         ]
         budget = [(line.name, line.kind, f"{100 * line.u_rel:.2g} %") for line in content.budget]
@@ -150,6 +150,15 @@ def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory,
         raise InputError(f"{path}: is neither the JSON of a reading nor the YAML of a calibration ({error})") from error
 
 
+def _calibration_of(content: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the calibration that a reading was made with as equipment; nothing where the reading does not state it."""
+    stated = content.get("calibration")
+    if not isinstance(stated, dict):
+        return []
+    words = (Path(str(stated.get("file") or "")).name, str(stated.get("created", ""))[:10], stated.get("reference"))
+    return [("calibration", ", ".join(str(word) for word in words if word))]
+
+
 def _of_reading(
     content: dict[str, Any], budget: tuple[Contribution, ...], laboratory: Laboratory, identifier: str
 ) -> Certified:
@@ -177,7 +186,7 @@ def _of_reading(
         date=_day(str(content["time"])),
         method=_READING_METHOD,
         item=laboratory.item,
-        equipment=(("camera", str(content["instrument"])),),
+        equipment=(("camera", str(content["instrument"])), *_calibration_of(content)),
         conditions=tuple(conditions),
         results=results,
         budget=budget,

@@ -112,7 +112,7 @@ def measure_photographs(
     if calibration is not None and known is not None:
         file = None if isinstance(calibration, Calibration) else str(calibration)
         stated = {"file": file, "created": known.created, "reference": known.scale.reference}
-    reading = replace(reading, more={**reading.more, "calibration": stated})
+    reading = replace(reading, more={**reading.more, "calibration": stated, "budget": reading.budget_lines})
     if report is not None:
         write_reading_page(reading_record(reading, bracket, camera, lens), Path(report))
     return reading

@@ -63,6 +63,13 @@ if TYPE_CHECKING:
 ResponseLike = Response | ResponseCurve | PathLike | Sequence[ResponseCurve | PathLike]
 
 
+def quantity_in_words(unit: str) -> str:
+    """Return what a map of a unit holds, such as "radiance in W·sr⁻¹·m⁻²", for axes and headings."""
+    if unit in ("1", "relative"):
+        return "relative radiance"
+    return f"{'luminance' if unit == 'cd m-2' else 'radiance'} in {unit_text(unit)}"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Radiance(Drawn):
     """Radiance per pixel: one map, or one for each colour of photographs.
@@ -220,7 +227,7 @@ class Radiance(Drawn):
         low, high = (float(shown.min()), float(shown.max())) if shown.count() else (None, None)
         drawn = where.imshow(shown, norm=LogNorm(low, high), cmap="viridis")
         figure: Any = where.figure
-        figure.colorbar(drawn, ax=where, label=f"radiance in {unit_text(self.unit)}")
+        figure.colorbar(drawn, ax=where, label=quantity_in_words(self.unit))
         return where
 
     def __repr__(self) -> str:

@@ -25,8 +25,9 @@ from radiometer.reporting.origin import moment
 from radiometer.reporting.pictures import label
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen
-from radiometer.screen.exports import EXPORTS, write_export
+from radiometer.screen.exports import EXPORTS, NOTES, write_export
 from radiometer.screen.exports.chromaticity import argyll_line
+from radiometer.screen.exports.icc import check_profile
 from radiometer.screen.exports.report_page import draw_curves
 from radiometer.screen.measured_elsewhere import METER_U_REL, chromaticities_in, imported, read_screen_readings
 from radiometer.screen.plan import parse_levels
@@ -202,6 +203,8 @@ def screen_calibrate(
         check_plot_name(Path(plot))
     target = Path(out) if out is not None else None
     known_xy = _known_chromaticities(chromaticities, target, name or display, notice)
+    if "icc" in kinds:
+        check_profile(name or display, known_xy)
     options = Options(
         name=name or display, levels=parse_levels("quick" if quick else levels), channels=tuple(channels),
         repeats=repeats, patch_size=size, warm_up_limit_s=warm_up_s, seed=seed, pixel_mm=pixel_mm,
@@ -220,7 +223,7 @@ def screen_calibrate(
             found = replace(found, instrument=serial, measured_with=opened.measured_with)
             if target is not None:
                 found.write(target)
-                _exports(found, kinds, target)
+                _exports(found, kinds, target, notice)
     done = CalibratedScreen(found, target)
     if plot is not None:
         done.write_plot(plot)
@@ -444,7 +447,12 @@ def screen_level(
 
 
 def screen_export(
-    calibration: PathLike, kinds: Sequence[str], out: PathLike | None = None, *, force: bool = False
+    calibration: PathLike,
+    kinds: Sequence[str],
+    out: PathLike | None = None,
+    *,
+    force: bool = False,
+    notice: Notice = unheard,
 ) -> list[Path]:
     """Write a screen calibration in the forms of other programs, and return the files.
 
@@ -456,12 +464,15 @@ def screen_export(
 
     Args:
         calibration: Screen calibration file.
-        kinds: "psychopy", "ti3", "csv", "inverse", "vcgt", "cal", "page" or some of them.
+        kinds: "psychopy", "ti3", "csv", "inverse", "vcgt", "cal", "icc", "page" or some of them.
         out: Folder; where the calibration is by default.
         force: Replace files that exist.
+        notice: Gets what a form assumes and cannot hold itself.
 
     Raises:
         UsageError: If no form is named, or one that is unknown.
+        CalibrationError: If an ICC profile is asked for and a chromaticity is unknown.
+        MissingLibrary: If an ICC profile is asked for and imagecodecs is not installed.
         OutputError: If a file cannot be written.
     """
     chosen = _kinds(kinds)
@@ -470,7 +481,7 @@ def screen_export(
     file = Path(calibration)
     base = Path(out or file.parent) / file.name
     check_outputs(*_export_files(chosen, base), force=force)
-    return _exports(ScreenCalibration.read(file), chosen, base)
+    return _exports(ScreenCalibration.read(file), chosen, base, notice)
 
 
 def screen_import(
@@ -527,10 +538,12 @@ def _kinds(names: Sequence[str]) -> list[str]:
     return list(names)
 
 
-def _exports(calibration: ScreenCalibration, kinds: list[str], next_to: Path) -> list[Path]:
+def _exports(calibration: ScreenCalibration, kinds: list[str], next_to: Path, notice: Notice) -> list[Path]:
     files = _export_files(kinds, next_to)
     for kind, path in zip(kinds, files, strict=True):
         write_export(calibration, kind, path)
+        for line in NOTES[kind](calibration) if kind in NOTES else ():
+            notice(line)
     return files
 
 

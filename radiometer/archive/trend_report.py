@@ -271,7 +271,10 @@ def _history(axes: Axes, trend: Trend, *, narrow: bool) -> None:
     for number, change in enumerate(trend.changes_s):
         text = "other calibration or settings" if not number else None
         axes.axvline(_dates(np.array([change]))[0], color=MARK, lw=1.2, ls="--", label=text)
-    locator = AutoDateLocator(maxticks=5 if narrow else 10)  # type: ignore[no-untyped-call]
+    most = 5 if narrow else 10
+    # Half a day is the coarsest step of hours, and half an hour that of minutes: with (most - 1)/2 ticks at least, the
+    # locator goes to days before half-days are too many.
+    locator = AutoDateLocator(minticks=(most - 1) // 2, maxticks=most)  # type: ignore[no-untyped-call]
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     name = shortened(trend.patch, 24 if narrow else 60)

@@ -165,7 +165,7 @@ class Instrument:
         return read_patch(bracket, self.patch, self.setup, sequence=sequence)
 
     def with_origin(self, reading: Reading) -> Reading:
-        """Return a reading with its assumptions and its calibration (file, date, reference) in `more`."""
+        """Return a reading with its assumptions, its calibration (file, date, reference) and its budget in `more`."""
         known = self.calibration
         assumed = () if reading.provenance is None else reading.provenance.assumptions
         of_calibration = () if known is None or known.provenance is None else known.provenance.assumptions
@@ -174,7 +174,7 @@ class Instrument:
             file = None if self.calibration_file is None else str(self.calibration_file)
             calibration = {"file": file, "created": known.created, "reference": known.scale.reference}
         origin = {"assumptions": list(dict.fromkeys((*of_calibration, *assumed))), "calibration": calibration}
-        return replace(reading, more={**reading.more, **origin})
+        return replace(reading, more={**reading.more, **origin, "budget": reading.budget_lines})
 
     def situation(self, bracket: Bracket) -> PatchSituation:
         """Return what a reading of frames is made from. Raises CalibrationError if the calibration does not fit."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from radiometer import Patch
 
 _LONGEST_BARE_EXPOSURE_S: Final = 30.0  # the longest time that shutters offer; 60 and more are meant as 1/60 …
+_LARGEST_BARE_F_NUMBER: Final = 90.0  # the smallest aperture of lenses of large-format cameras
 
 
 @overload
@@ -117,23 +118,27 @@ def parse_relative(text: str | float | None, option: str) -> float | None:
 
 
 def parse_f_number(text: str | float | None, option: str) -> float | None:
-    """Return an f-number from "4" or "f/4"; None where nothing is given.
+    """Return an f-number from "4" or "f/4"; None where nothing is given. A bare number above 90 is refused.
 
     Raises:
-        UsageError: If it is no number that a lens can have.
+        UsageError: If it is no number that a lens can have, or may be an exposure time.
     """
     if text is None or isinstance(text, float):
         return text
     low, high = PLAUSIBLE["f_number"].low, PLAUSIBLE["f_number"].high
+    bare = text.strip().lower().removeprefix("f/")
     try:
-        number = float(text.strip().lower().removeprefix("f/"))
+        number = float(bare)
     except ValueError as error:
-        raise UsageError(f"{option} {text!r}: expected an f-number such as 4 or f/4") from error
+        hint = "; is it the exposure time?" if "/" in bare else ""
+        raise UsageError(f"{option} {text!r}: expected an f-number such as 4 or f/4{hint}") from error
     if number <= 0:
         raise UsageError(f"{option} {text.strip()}: must be above 0")
     if not low <= number <= high:
         hint = "is it the exposure time?" if number < low else "write the aperture's number alone"
         raise UsageError(f"{option} {text.strip()}: f-numbers go from {low:g} to {high:g}; {hint}")
+    if number > _LARGEST_BARE_F_NUMBER and bare == text.strip().lower():
+        raise UsageError(f"{option} {bare}: is f/{bare} meant, or the exposure time? Write f/{bare}, or correct both")
     return number
 
 

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from radiometer.cli.arguments import parse_f_number, parse_relative
+
+
+def relative_option(name: str, text: str) -> Any:
+    """Return a typer option of a relative quantity below 1, as a fraction or in per cent."""
+    return typer.Option(
+        name, parser=lambda word: parse_relative(word, name), metavar="FRACTION", help=f"{text}: 0.01 or 1%."
+    )
+
 
 _CAMERA = "sim, a GenICam id, serial number or address, or v4l2:, picamera:, gphoto2:."
 
@@ -33,15 +41,7 @@ PrimariesOption = Annotated[
     str | None,
     typer.Option("--primaries", help="Spectra of red, green, blue: led_lcd, ccfl_lcd, oled, crt, or a CSV of them."),
 ]
-URelOption = Annotated[
-    float | None,
-    typer.Option(
-        "--u-rel",
-        parser=lambda text: parse_relative(text, "--u-rel"),
-        metavar="FRACTION",
-        help="Repeat until noise is below this relative u (k = 1): 0.01 or 1%.",
-    ),
-]
+URelOption = Annotated[float | None, relative_option("--u-rel", "Repeat until noise is below this relative u (k = 1)")]
 FNumberOption = Annotated[
     float | None,
     typer.Option(

@@ -20,6 +20,7 @@ from radiometer.data.drawing import new_axes, own_axes, write_figure
 from radiometer.data.json_text import parsed_json
 from radiometer.errors import UsageError
 from radiometer.numbers import unit_text
+from radiometer.reporting.pictures import label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,19 +97,22 @@ class LoggedReadings(Result):
         Raises:
             UsageError: If there is no reading with a value.
         """
+        from matplotlib.dates import ConciseDateFormatter
+
         where, drawn = axes if axes is not None else new_axes(), 0
         for place in self.places:
             known = [one for one in place.readings if None not in (one["radiance"]["value"], one["radiance"]["u"])]
             if known:
-                _draw(where, place.name, known)
+                _draw(where, label(place.name), known)
                 drawn += 1
         if not drawn:
             raise UsageError("there is no reading to draw; widen --since and --until")
         units = sorted({unit_text(one["radiance"]["unit"]) for one in self.readings})
-        where.set_ylabel(f"radiance in {', '.join(units)}")
+        where.set_ylabel(f"radiance in {', '.join(units)}; band: U (95.45 %)")
         where.set_xlabel("time (UTC)")
+        where.xaxis.set_major_formatter(ConciseDateFormatter(where.xaxis.get_major_locator()))  # type: ignore[no-untyped-call]
         where.grid(alpha=0.25)
-        where.legend(frameon=False)
+        where.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
         return where
 
     def write_plot(self, path: PathLike) -> None:

@@ -195,6 +195,12 @@ class Reading:
         """Return the expanded relative uncertainty U_rel = k·u/|value|."""
         return self.coverage_factor * self.radiance.u_rel
 
+    @property
+    def budget_lines(self) -> list[dict[str, Any]]:
+        """Return the budget in plain values, the largest contribution first."""
+        ordered = sorted(self.budget, key=lambda line: -line.u_rel)
+        return [{"name": line.name, "kind": line.kind, "u_rel": line.u_rel} for line in ordered]
+
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the documented JSON form; what is not finite becomes null."""
         mapping: dict[str, Any] = {

@@ -94,10 +94,11 @@ def escaped(text: str) -> str:
 
 
 def prose(text: str) -> str:
-    """Return running text as HTML: signs as printed, and a number stays with its ± and its %."""
+    """Return running text as HTML: signs as printed, and a number stays with its ±, its % and a short unit."""
     text = re.sub(r"(?<![\w.,-])-(?=\d)", "\u2212", text)
     text = re.sub(r"\be-(?!\w)", "e⁻", text)
     kept = escaped(text).replace(" %", "\u00a0%").replace("± ", "±\u00a0").replace(" ±", "\u00a0±")
+    kept = re.sub(r"(±\u00a0[\d.]+) (?=(?:K|s|ms|nm|DN|°C)\b)", "\\1\u00a0", kept)
     return kept.replace("k = ", "k\u00a0=\u00a0")
 
 

@@ -7,6 +7,7 @@ import io
 import re
 import warnings
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
@@ -49,8 +50,16 @@ def picture(draw: Draw, caption: str, wide: tuple[float, float], narrow: tuple[f
 
 
 def label(text: str) -> str:
-    """Return text as a label that shows just this text: no formulas, no characters that a picture cannot hold."""
-    return "".join(c if c.isprintable() else "\ufffd" for c in text).replace("$", r"\$")
+    """Return text as a label that shows just this text: no formulas, and � for characters that the font lacks."""
+    shown = (c if c == "\n" or (c.isprintable() and _is_in_font(c)) else "\ufffd" for c in text)
+    return "".join(shown).replace("$", r"\$")
+
+
+@cache
+def _is_in_font(character: str) -> bool:
+    from matplotlib.font_manager import FontProperties, findfont, get_font
+
+    return bool(get_font(findfont(FontProperties())).get_char_index(ord(character)))
 
 
 def shortened(text: str, most: int) -> str:
@@ -125,8 +134,6 @@ def _address(draw: Draw, size: tuple[float, float], *, narrow: bool) -> str:
     from matplotlib.figure import Figure
 
     with rc_context({"svg.hashsalt": "radiometer", "font.size": _SMALLEST_PT}), warnings.catch_warnings():
-        # A name in a script that the font lacks is no reason to say anything: the page's text shows it.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from")
         # Words too long for their plot overlap; that is seen, and nothing for the terminal.
         warnings.filterwarnings("ignore", message="constrained_layout not applied")
         figure = Figure(figsize=size, layout="constrained", dpi=160)

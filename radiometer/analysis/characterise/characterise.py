@@ -20,6 +20,7 @@ from radiometer.analysis.characterise.partial import (
     bent,
     disagreeing_gains,
     partial_characterisation,
+    scattered,
     stated_gain_doubt,
 )
 from radiometer.analysis.characterise.photon_transfer import (
@@ -290,8 +291,4 @@ class _Work:
         notes += stated_gain_doubt(self.subject.camera.conversion_gain_e_per_dn, self.at.transfer.K, self.at.gain_db)
         if self.at.transfer.bend_u > 0:
             notes.append(bent(self.at.transfer))
-        if self.at.transfer.line.birge_ratio > 1.5:
-            notes.append(
-                f"the photon transfer scatters {self.at.transfer.line.birge_ratio:.1f} times more than noise alone "
-                "(unsteady light or a sensor that is not linear); the uncertainty of K is widened by that"
-            )
+        notes += scattered(self.at.transfer)

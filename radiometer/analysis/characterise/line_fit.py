@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiometer.statistics.chances import chi2_beyond
 from radiometer.statistics.least_squares import chi_square
 from radiometer.statistics.model_choice import THREE_SIGMA, is_supported
+
+_BY_CHANCE: Final = chi2_beyond(THREE_SIGMA.gain, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +26,12 @@ class Line:
     u_intercept: float  # standard uncertainty of the intercept
     birge_ratio: float  # root of the reduced chi-square; where it is above 1 the uncertainties hold that factor
     degrees_of_freedom: int  # points less parameters
+
+    @property
+    def scatters(self) -> bool:
+        """Return whether the points scatter more than noise makes them by chance in 0.3 % of such lines."""
+        chi2 = self.birge_ratio**2 * self.degrees_of_freedom
+        return self.degrees_of_freedom > 0 and chi2_beyond(chi2, self.degrees_of_freedom) < _BY_CHANCE
 
 
 def fit_line(x: ArrayLike, y: ArrayLike, u_y: ArrayLike, *, through_origin: bool = False) -> Line:

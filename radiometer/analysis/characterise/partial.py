@@ -28,9 +28,8 @@ from radiometer.analysis.characterise.steps import SignalStep, make_steps
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
+from radiometer.statistics.model_choice import THREE_SIGMA, is_supported
 from radiometer.units import gain_factor
-
-_DOUBTFUL_SIGMAS = 2.0  # 95 %: two figures of one thing rarely differ by more
 
 
 def partial_characterisation(
@@ -98,12 +97,22 @@ def bent(transfer: PhotonTransfer) -> str:
     )
 
 
+def scattered(transfer: PhotonTransfer) -> list[str]:
+    """Return a note where the points of a photon transfer scatter by more than their noise."""
+    if not transfer.line.scatters:
+        return []
+    return [
+        f"the photon transfer scatters {transfer.line.birge_ratio:.1f} times more than noise alone (unsteady light or "
+        "a sensor that is not linear); the uncertainty of K is widened by that"
+    ]
+
+
 def disagreeing_gains(K: Quantity | None, K_dark: Quantity) -> list[str]:
     """Return a note on how the gain from darks compares with that from light; none where there is no light."""
     if K is None:
         return ["the gain is that of the dark current's shot noise: there are no pairs of bright frames"]
     distance = abs(K.value - K_dark.value) / math.hypot(K.u, K_dark.u)
-    word = "agrees with" if distance <= _DOUBTFUL_SIGMAS else "differs from"
+    word = "differs from" if is_supported(distance**2, THREE_SIGMA) else "agrees with"
     return [
         f"the gain from dark frames, {K_dark.value:.4g} ± {K_dark.u:.2g} DN/e⁻, {word} that from light, "
         f"{K.value:.4g} ± {K.u:.2g} DN/e⁻ ({distance:.1f} u)"
@@ -111,11 +120,11 @@ def disagreeing_gains(K: Quantity | None, K_dark: Quantity) -> list[str]:
 
 
 def stated_gain_doubt(stated_e_per_dn: float | None, K: Quantity, gain_db: float) -> list[str]:
-    """Return a note where the conversion gain that a header or description states is off by more than 2 u."""
+    """Return a note where the conversion gain that a header or description states is off by 3 u or more."""
     if stated_e_per_dn is None:
         return []
     measured, u = gain_factor(gain_db) / K.value, gain_factor(gain_db) / K.value * K.u_rel
-    if abs(stated_e_per_dn - measured) <= _DOUBTFUL_SIGMAS * u:
+    if not is_supported(((stated_e_per_dn - measured) / u) ** 2, THREE_SIGMA):
         return []
     off = 100.0 * (stated_e_per_dn / measured - 1.0)
     return [
@@ -178,11 +187,7 @@ def _without_darks(
         "no dark frames: the gain is the slope of a free line, and black level, read noise and saturation capacity "
         "do not follow from it"
     )
-    if transfer.line.birge_ratio > 1.5:
-        notes.append(
-            f"the photon transfer scatters {transfer.line.birge_ratio:.1f} times more than noise alone (unsteady light "
-            "or a sensor that is not linear); the uncertainty of K is widened by that"
-        )
+    notes += scattered(transfer)
     if transfer.bend_u > 0:
         notes.append(bent(transfer))
     full = [s for s in steps if s.bright.clipped_share > CLIPPED_SHARE]

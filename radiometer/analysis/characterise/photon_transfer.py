@@ -149,7 +149,12 @@ def _is_in_range(step: SignalStep, saturation_dn: float) -> bool:
 
 
 def _predicted_u(step: SignalStep, slope: float) -> float:
-    """Return the uncertainty of a step's variance difference that a given K predicts, errors of the signal included."""
+    """Return the uncertainty of a step's variance difference that a given K predicts, errors of the signal included.
+
+    Each pixel's variance is known to √(2/ν) of itself. Where the light is uneven, bright pixels have more of it: the
+    mean square of the variances is that of the mean and K² times the variance of the light over the pixels.
+    """
     total = slope * step.signal_dn + max(step.dark_variance_dn2, 1 / 12)
-    u_bright = total * math.sqrt(2.0 / step.bright.degrees_of_freedom)
+    uneven = slope * math.sqrt(max(step.bright.spatial_variance_dn2, 0.0))
+    u_bright = math.hypot(total, uneven) * math.sqrt(2.0 / step.bright.degrees_of_freedom)
     return math.hypot(u_bright, step.u_dark_variance_dn2, slope * step.u_signal_dn)

@@ -118,15 +118,18 @@ def responsivity(steps: Sequence[SignalStep], saturation: Saturation, photons_u_
 def propagated(function: Callable[..., float], unit: str, *inputs: Quantity) -> Quantity:
     """Return a function of independent quantities with its standard uncertainty by linear propagation.
 
-    Source: JCGM 100:2008, equation (10), with differences over one standard uncertainty.
+    Source: JCGM 100:2008, equation (10), with differences over one standard uncertainty. They reach over half of the
+    value at most: logarithms and roots have no value beyond zero.
     """
     values = [q.value for q in inputs]
     centre = function(*values)
     total = 0.0
     for index, entry in enumerate(inputs):
         above, below = list(values), list(values)
-        above[index], below[index] = entry.value + entry.u, entry.value - entry.u
-        total += ((function(*above) - function(*below)) / 2) ** 2
+        step = min(entry.u, 0.5 * abs(entry.value)) or entry.u
+        above[index], below[index] = entry.value + step, entry.value - step
+        if step:
+            total += ((function(*above) - function(*below)) / 2 * entry.u / step) ** 2
     return Quantity(centre, math.sqrt(total), unit)
 
 

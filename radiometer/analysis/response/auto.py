@@ -14,7 +14,7 @@ from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import Agreement, ResponseEstimate, inner_range, spread_rms
 from radiometer.analysis.response.fit import ResponseFit
 from radiometer.analysis.response.left_out import dial_step_dn, error_dn, follow_no_curve, prediction_error_dn
-from radiometer.analysis.response.noise import ASSUMPTION
+from radiometer.analysis.response.noise import ASSUMPTION, group_residual, slope_at, value_at
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import Choices, FittedResponse, error_of_quadrants, fit_with, refit, settle
@@ -42,6 +42,10 @@ MANY_AS_ONE: Final = 3.0
 _FEW_ROWS: Final = 2.0
 _FACTORS_OF_FEW: Final = (*_FACTORS, 1e4, 1e6)
 METHOD = "auto"
+_ONE_LIGHT: Final = (
+    "all pixels show one light within their noise: the curve follows from the exposure times alone. A scene with dark "
+    "and bright parts gives a curve that is known better"
+)
 _AS_STATED = "exposure times as stated"
 # Times are freed only where the error of predicting left-out quadrants falls to this part.
 _LEAST_GAIN_OF_TIMES = 0.9
@@ -424,8 +428,21 @@ def _notes(
     if (doubt := _no_curve(result)) is not None:
         notes.append(doubt)
     elif result.choices.inflation > MANY_AS_ONE:
-        notes.append(_note_on_disagreement(result, parts))
+        notes.append(_ONE_LIGHT if _shows_one_light(result) else _note_on_disagreement(result, parts))
     return tuple(notes)
+
+
+def _shows_one_light(result: FittedResponse) -> bool:
+    """Return whether the groups' exposures spread by less than the noise of a pixel.
+
+    Noise then decides to which group a pixel belongs, and the residuals of neighbouring groups are alike without any
+    disagreement of the frames.
+    """
+    rows, g = result.samples, result.log_exposure
+    log_h = value_at(g, rows.dn)
+    log_radiance = log_h - rows.log_time - group_residual(rows, log_h, rows.pixels)[0]
+    low, high = np.quantile(log_radiance, (0.05, 0.95))
+    return bool(high - low < np.median(np.sqrt(rows.variance) * slope_at(g, rows.dn, rows)))
 
 
 def _no_curve(result: FittedResponse) -> str | None:

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import parse_relative, parse_size
+from radiometer.cli.arguments import parse_size
 from radiometer.cli.console import show_remarks, show_table
-from radiometer.cli.options import JsonOption
+from radiometer.cli.options import JsonOption, relative_option
 from radiometer.cli.outputs import writes
 from radiometer.numbers import unit_text
 
@@ -29,11 +29,8 @@ def command(
     ] = None,
     spectrum_u_rel: Annotated[
         float,
-        typer.Option(
-            "--spectrum-u-rel",
-            parser=lambda text: parse_relative(text, "--spectrum-u-rel"),
-            metavar="FRACTION",
-            help="Relative u (k = 1) of each entry of the spectrum, independent of the others: 0.02 or 2%.",
+        relative_option(
+            "--spectrum-u-rel", "Relative u (k = 1) of each entry of the spectrum, independent of the others"
         ),
     ] = 0.0,
     wavelength_u: Annotated[float, typer.Option(min=0.0, help="u (k = 1) of the spectrum's wavelengths in nm.")] = 0.0,

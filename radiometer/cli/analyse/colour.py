@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import parse_patch, parse_relative
+from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress, show_remarks, show_table
-from radiometer.cli.options import JsonOption, PatchOption, ReportOption, command_group
+from radiometer.cli.options import JsonOption, PatchOption, ReportOption, command_group, relative_option
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 from radiometer.numbers import unit_text
@@ -53,15 +53,7 @@ def calibrate(
         str | None, typer.Option(help="Kind of the lights, such as oled, surfaces, or your own word.")
     ] = None,
     per_kind: Annotated[bool, typer.Option("--per-kind", help="A matrix for each kind of light.")] = False,
-    u_rel: Annotated[
-        float,
-        typer.Option(
-            "--u-rel",
-            parser=lambda text: parse_relative(text, "--u-rel"),
-            metavar="FRACTION",
-            help="Relative u (k = 1) that all known X, Y, Z share: 0.01 or 1%.",
-        ),
-    ] = 0.0,
+    u_rel: Annotated[float, relative_option("--u-rel", "Relative u (k = 1) that all known X, Y, Z share")] = 0.0,
     filters: FilterOption = None,
     linear: LinearOption = False,
     response: ResponseOption = None,

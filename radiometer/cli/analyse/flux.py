@@ -10,7 +10,7 @@ import typer
 import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch
 from radiometer.cli.console import console, note, show_remarks, show_table
-from radiometer.cli.options import JsonOption
+from radiometer.cli.options import JsonOption, relative_option
 
 if TYPE_CHECKING:
     from radiometer.api.led_flux import FluxReport, Quantity
@@ -33,9 +33,7 @@ def command(
     diameter_u: Annotated[float, typer.Option(min=0.0, help="Its standard uncertainty in mm.")] = 0.05,
     distance: Annotated[float | None, typer.Option(help="From emitter to the lens's entrance pupil in mm.")] = None,
     distance_u: Annotated[float, typer.Option(min=0.0, help="Its standard uncertainty in mm.")] = 0.5,
-    f_number_u_rel: Annotated[
-        float, typer.Option(min=0.0, help="Relative standard uncertainty of the f-number.")
-    ] = 0.02,
+    f_number_u_rel: Annotated[float, relative_option("--f-number-u-rel", "Relative u (k = 1) of the f-number")] = 0.02,
     datasheet_mw: Annotated[float | None, typer.Option(help="Flux that the datasheet states, in mW.")] = None,
     channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import parse_patch, parse_relative
+from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import asker, console, note, progress
-from radiometer.cli.options import BenchOption, CameraOption, JsonOption, PatchOption, command_group
+from radiometer.cli.options import BenchOption, CameraOption, JsonOption, PatchOption, command_group, relative_option
 from radiometer.cli.outputs import writes
 
 app = command_group(
@@ -73,8 +73,8 @@ def report(
     ] = None,
     patch: PatchOption = None,
     source_u_rel: Annotated[
-        str, typer.Option(help="Relative u (k = 1) of the source's steadiness between steps: 0.001 or 0.1%.")
-    ] = "0.001",
+        float, relative_option("--source-u-rel", "Relative u (k = 1) of the source's steadiness between steps")
+    ] = 0.001,
     spectral_response: Annotated[
         Path | None, typer.Option(help="CSV of wavelength in nm and relative responsivity per watt; for f1′.")
     ] = None,
@@ -85,7 +85,7 @@ def report(
     with progress(shown=not json) as shown:
         found = rm.quality_report(
             session, calibration=calibration, patch=parse_patch(patch),
-            source_u_rel=parse_relative(source_u_rel, "--source-u-rel") or 0.0, spectral_response=spectral_response,
+            source_u_rel=source_u_rel, spectral_response=spectral_response,
             progress=shown,
         )  # fmt: skip
     if out is not None:

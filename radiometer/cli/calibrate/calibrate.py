@@ -11,13 +11,14 @@ import radiometer as rm
 from radiometer.cli.arguments import (
     ISO_HELP,
     parse_exposure,
+    parse_f_number,
     parse_measured_iso,
     parse_patch,
     parse_radiance,
     parse_seconds,
 )
 from radiometer.cli.console import console, note, progress
-from radiometer.cli.options import TapsOption
+from radiometer.cli.options import TapsOption, relative_option
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 from radiometer.numbers import with_u
@@ -38,15 +39,21 @@ def command(
         str | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻², or its calibration certificate (DCC, .xml).")
     ] = None,
     luminance: Annotated[float | None, typer.Option(help="Its luminance in cd·m⁻², instead of the radiance.")] = None,
-    u_rel: Annotated[float | None, typer.Option(min=0.0, help="Its relative standard uncertainty (k = 1).")] = None,
+    u_rel: Annotated[float | None, relative_option("--u-rel", "Its relative u (k = 1)")] = None,
     meter_k: Annotated[
         float | None, typer.Option("--luminance-meter-k", help="Constant K of the camera's light meter (ISO 2720).")
     ] = None,
     k_u_rel: Annotated[
-        float | None, typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720).")
+        float | None,
+        relative_option("--k-u-rel", "Relative u (k = 1) of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720)"),
     ] = None,
     f_number: Annotated[
-        float | None, typer.Option(help="f-number of the reference photograph, or of frames that do not state theirs.")
+        float | None,
+        typer.Option(
+            parser=lambda text: parse_f_number(text, "--f-number"),
+            metavar="N",
+            help="f-number of the reference photograph, or of frames that do not state theirs.",
+        ),
     ] = None,
     exposure: Annotated[str | None, typer.Option(help="Its exposure time, such as 1/125.")] = None,
     iso: Annotated[
@@ -78,7 +85,7 @@ def command(
         Path | None, typer.Option(help="CSV of wavelength in nm and relative response per watt of the camera.")
     ] = None,
     flat: Annotated[Path | None, typer.Option(help="Capture set of an evenly bright source: the flat field.")] = None,
-    flat_u_rel: Annotated[float, typer.Option(min=0.0, help="Relative u of that source's evenness (k = 1).")] = 0.0,
+    flat_u_rel: Annotated[float, relative_option("--flat-u-rel", "Relative u (k = 1) of that source's evenness")] = 0.0,
     camera: Annotated[str | None, typer.Option(help="Capture now with this camera: sim, id, serial, address.")] = None,
     bench: Annotated[Path | None, typer.Option(help="Bench file for --camera.")] = None,
     taps: TapsOption = None,

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import parse_patch, parse_relative
+from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import asker, console, note, progress
-from radiometer.cli.options import BenchOption, ReportOption, TapsOption
+from radiometer.cli.options import BenchOption, ReportOption, TapsOption, relative_option
 from radiometer.cli.outputs import writes
 from radiometer.numbers import with_u
 
@@ -33,7 +33,7 @@ def command(
         float | None,
         typer.Option(min=0.0, help="Known radiance of the region in W/(sr m2), for the quantum efficiency."),
     ] = None,
-    radiance_u_rel: Annotated[str, typer.Option(help="Its relative standard uncertainty: 0.01 or 1%.")] = "0",
+    radiance_u_rel: Annotated[float, relative_option("--radiance-u-rel", "Its relative u (k = 1)")] = 0.0,
     steps: Annotated[int, typer.Option(min=6, help="With --camera: exposures from darkness to saturation.")] = 30,
     keep: Annotated[Path | None, typer.Option(help="With --camera: keep the frames as a capture set here.")] = None,
     report: ReportOption = None,
@@ -51,7 +51,7 @@ def command(
     with progress(shown=not json) as shown:
         found = rm.characterise(
             capture, parse_patch(patch), camera=camera, bench=bench, radiance=radiance,
-            radiance_u_rel=parse_relative(radiance_u_rel, "--radiance-u-rel") or 0.0, steps=steps, keep=keep,
+            radiance_u_rel=radiance_u_rel, steps=steps, keep=keep,
             emva_descriptor=emva_descriptor, taps=taps, ask=asker(), progress=shown,
         )  # fmt: skip
     for remark in found.remarks:

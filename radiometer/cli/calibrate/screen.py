@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import parse_patch, parse_relative
+from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import (
     BenchOption,
@@ -20,6 +20,7 @@ from radiometer.cli.options import (
     SeedOption,
     WhiteOption,
     command_group,
+    relative_option,
     words,
 )
 from radiometer.cli.outputs import writes
@@ -61,7 +62,7 @@ def calibrate(
     patch: Annotated[str | None, typer.Option(help="Where the camera sees the patch: X,Y,W,H in pixels.")] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
-    export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal,page.")] = "",
+    export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal,icc,page.")] = "",
     plot: Annotated[Path | None, typer.Option(help="Picture of the curves: .png, .pdf or .svg.")] = None,
     argyll: Annotated[bool, typer.Option("--argyll", help="Print spotread's line for every level measured.")] = False,
     seed: SeedOption = 1,
@@ -217,12 +218,12 @@ def level(
 @writes()
 def export_command(
     calibration: ScreenFile,
-    kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal,page or some of them.")],
+    kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal,icc,page or some of them.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; that of the calibration by default.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Write a calibration in the forms of other programs."""
-    for written in rm.screen_export(calibration, words(kinds), out, force=force):
+    for written in rm.screen_export(calibration, words(kinds), out, force=force, notice=note):
         console().print(f"wrote {written}")
 
 
@@ -234,9 +235,7 @@ def import_command(
     name: Annotated[str | None, typer.Option(help="What the screen is called; as the file says by default.")] = None,
     white: WhiteOption = "white_led",
     primaries: PrimariesOption = None,
-    meter_u_rel: Annotated[
-        str, typer.Option(help="Relative standard uncertainty of the meter's scale: 0.04 or 4%.")
-    ] = "0.04",
+    meter_u_rel: Annotated[float, relative_option("--meter-u-rel", "Relative u (k = 1) of the meter's scale")] = 0.04,
     white_luminance: Annotated[
         float | None, typer.Option(min=1e-6, help="Luminance of white in cd·m⁻², which a .cal does not hold.")
     ] = None,
@@ -252,7 +251,7 @@ def import_command(
     """Make a screen calibration of measurements made elsewhere, with their uncertainty."""
     found = rm.screen_import(
         file, out, name=name, white=white, primaries=primaries,
-        meter_u_rel=parse_relative(meter_u_rel, "--meter-u-rel") or 0.0, white_luminance=white_luminance, gamma=gamma,
+        meter_u_rel=meter_u_rel, white_luminance=white_luminance, gamma=gamma,
         mapped=mapped or (),
     )  # fmt: skip
     if json:

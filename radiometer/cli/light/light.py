@@ -8,9 +8,17 @@ from typing import Annotated, Any
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import parse_patch, parse_relative, parse_seconds
+from radiometer.cli.arguments import parse_patch, parse_seconds
 from radiometer.cli.console import console, note, progress
-from radiometer.cli.options import BenchOption, BoxOption, BoxPresetOption, CameraOption, JsonOption, command_group
+from radiometer.cli.options import (
+    BenchOption,
+    BoxOption,
+    BoxPresetOption,
+    CameraOption,
+    JsonOption,
+    command_group,
+    relative_option,
+)
 from radiometer.cli.outputs import writes
 from radiometer.numbers import with_u
 
@@ -155,7 +163,7 @@ def calibrate(
         Path | None, typer.Option(help="CSV wavelength_nm,responsivity (per W) of the camera; flat QE without.")
     ] = None,
     spectral_u_rel: Annotated[
-        str | None, typer.Option(help="Relative u of the spectral correction (k = 1): 0.02 or 2%.")
+        float | None, relative_option("--spectral-u-rel", "Relative u (k = 1) of the spectral correction")
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Makes the random order of the levels.")] = None,
     preset: BoxPresetOption = None,
@@ -172,7 +180,7 @@ def calibrate(
         found = rm.light_calibrate(
             channel, box=box, camera=camera, bench=bench, patch=parse_patch(patch),
             camera_calibration=camera_calibration, points_per_decade=points_per_decade, responsivity=responsivity,
-            spectral_u_rel=parse_relative(spectral_u_rel, "--spectral-u-rel"), seed=seed, preset=preset, out=out,
+            spectral_u_rel=spectral_u_rel, seed=seed, preset=preset, out=out,
             force=force, notice=note, progress=shown,
         )  # fmt: skip
     if json:

@@ -10,6 +10,7 @@ from radiometer.data.storage import write_bytes_atomic, write_text_atomic
 from radiometer.errors import UsageError
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.exports.cgats import to_ti3
+from radiometer.screen.exports.icc import profile_notes, to_icc
 from radiometer.screen.exports.psychopy import to_psychopy_json
 from radiometer.screen.exports.report_page import to_page
 from radiometer.screen.exports.tables import to_csv, to_inverse_csv
@@ -23,8 +24,11 @@ EXPORTS: Final[dict[str, tuple[Callable[[ScreenCalibration], str | bytes], str]]
     "inverse": (to_inverse_csv, ".inverse.csv"),
     "vcgt": (to_vcgt, ".vcgt"),
     "cal": (to_cal, ".cal"),
+    "icc": (to_icc, ".icc"),
     "page": (to_page, ".html"),
 }
+# What a form assumes and cannot hold itself, a line each.
+NOTES: Final[dict[str, Callable[[ScreenCalibration], list[str]]]] = {"icc": profile_notes}
 
 
 def write_export(calibration: ScreenCalibration, kind: str, path: Path) -> None:
@@ -38,4 +42,4 @@ def write_export(calibration: ScreenCalibration, kind: str, path: Path) -> None:
         write_text_atomic(path, content)
 
 
-__all__ = ["EXPORTS", "write_export"]
+__all__ = ["EXPORTS", "NOTES", "write_export"]

@@ -369,6 +369,14 @@ def test_gaps_are_found():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("span_h", [1.9, 60.0, 112.0])
+def test_a_report_of_any_span_finds_ticks_of_its_time_axis(span_h: float):
+    """Spans that half-hours, half-days or days divide into too many ticks: no warning of matplotlib, an error here."""
+    time_s = _START_S + 3600 * np.linspace(0.0, span_h, 30)
+    trend_report([fit_trend(time_s, 1 + 1e-3 * np.sin(time_s), np.full(30, 0.01), patch="p", quantity="q")], "t")
+
+
+@pytest.mark.slow
 def test_no_name_of_a_patch_is_markup_or_a_formula():
     """A hostile name is shown, in the page and in the picture."""
     page = trend_report([replace(_history("x", -0.01), patch=HOSTILE)], HOSTILE)

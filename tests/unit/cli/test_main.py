@@ -13,6 +13,7 @@ import termios
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import structlog
@@ -31,6 +32,7 @@ from radiometer.cli.commands import COMMANDS
 from radiometer.cli.light.adapt import listening
 from radiometer.cli.logging_setup import configure_logging
 from radiometer.cli.main import run
+from radiometer.cli.tree import application
 from radiometer.daemon.journal import Journal
 from radiometer.errors import UsageError
 from testing.patience import within
@@ -122,7 +124,7 @@ def test_an_f_number_as_it_is_written(text, number):
 @pytest.mark.parametrize(
     ("parse", "taken", "refused"),
     [
-        (parse_f_number, ["0.5", "1000"], ["0.49", "1000.1", "0", "f/"]),
+        (parse_f_number, ["0.5", "90", "f/1000"], ["0.49", "90.1", "f/1000.1", "0", "f/"]),
         (parse_relative, ["0", "0.999", "99.9%"], ["-1e-9", "1", "100%", "nan", "inf%"]),
         (parse_exposure, ["30", "30.1s", "1e-9"], ["30.1", "0", "-1ms", "8 kg"]),
         (parse_bounds, ["1e-9,2e-9"], ["0,1", "1,1", "2,1", "1,inf", "1"]),
@@ -147,11 +149,10 @@ def test_each_bound_is_taken_and_one_step_beyond_is_misuse(parse, taken, refused
         ("measure --u-rel 5", "is 500 %; write 5%, or a fraction below 1"),
         ("measure --u-rel 120%", "must be below 100 %"),
         ("measure --u-rel -0.01", "must be 0 or more"),
-        ("quality report s --source-u-rel 2", "write 2%"),
-        ("screen import s.csv --meter-u-rel 4", "write 4%"),
-        ("light calibrate --box sim --spectral-u-rel 3", "write 3%"),
-        ("characterise c --radiance 1 --radiance-u-rel 1", "write 1%"),
         ("bracket out --from 1/1000 --to 125", "is 125 s meant, or 1/125 s? Write 125s or 1/125"),
+        ("calibrate -o c --iso 100 --exposure 125", "is 125 s meant, or 1/125 s? Write 125s or 1/125"),
+        ("calibrate -o c --exposure 16 --f-number 125", "is f/125 meant, or the exposure time? Write f/125"),
+        ("calibrate -o c --exposure 16 --f-number 1/125", "is it the exposure time?"),
         ("measure --f-number 0.008", "f-numbers go from 0.5 to 1000; is it the exposure time?"),
         ("new-bench b.yaml --camera sim --focal-length 16 --f-number 1/125", "expected an f-number such as 4 or f/4"),
     ],
@@ -163,6 +164,24 @@ def test_what_is_implausible_is_misuse(words, way_out, capsys, tmp_path, monkeyp
     printed = " ".join(capsys.readouterr().err.split())
     assert words.split()[-2] in printed
     assert way_out in printed
+    assert not list(tmp_path.iterdir())
+
+
+def _options(command: Any, *path: str) -> Iterator[tuple[str, ...]]:
+    """Yield each option of a command and of those below it, after the words of its command."""
+    yield from ((*path, option.opts[0]) for option in command.params)
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _options(inner, *path, name)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_relative_quantity_of_five_is_misuse(name, capsys, tmp_path, monkeypatch):
+    """5 may be 500 % or 5 %: whatever the command, the message says what to write."""
+    monkeypatch.chdir(tmp_path)
+    for words in _options(application(name), name):
+        if words[-1].endswith("-u-rel"):
+            assert run([*words, "5"]) == 2, words
+            assert f"{words[-1]} 5: is 500 %; write 5%" in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.iterdir())
 
 

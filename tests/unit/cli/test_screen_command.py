@@ -56,7 +56,7 @@ def test_export_names_what_it_wrote(calibration: Path, tmp_path: Path, capsys: p
     [
         ["screen", "calibrate", "--display", "plasma"],
         ["screen", "calibrate", "--display", "oled", "--levels", "few"],
-        ["screen", "calibrate", "--display", "oled", "--export", "icc"],
+        ["screen", "calibrate", "--display", "oled", "--export", "xlsx"],
         ["screen", "calibrate", "--display", "oled", "--channels", "gray"],
     ],
 )

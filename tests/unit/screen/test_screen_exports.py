@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import ImageCms
 
 import radiometer as rm
-from radiometer.errors import UsageError
+from radiometer.errors import CalibrationError, UsageError
 from radiometer.screen import ScreenCalibration
 from radiometer.screen.calibration import LUMINANCE
 from radiometer.screen.exports import EXPORTS, write_export
@@ -19,19 +20,24 @@ from radiometer.screen.exports.chromaticity import argyll_line
 from radiometer.screen.exports.tables import to_csv, to_inverse_csv
 from radiometer.screen.exports.video_lut import correction
 
+# ITU-R BT.709 and D65, the chromaticities of sRGB.
+SRGB = {"grey": (0.3127, 0.3290), "red": (0.64, 0.33), "green": (0.30, 0.60), "blue": (0.15, 0.06)}
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", EXPORTS)
 def test_every_export_is_written(kind: str, screen: ScreenCalibration, tmp_path: Path) -> None:
     """Each kind makes a file with content."""
-    write_export(screen, kind, tmp_path / "x")
+    if kind == "icc":
+        pytest.importorskip("imagecodecs")
+    write_export(replace(screen, chromaticities=SRGB), kind, tmp_path / "x")
     assert (tmp_path / "x").stat().st_size > 100
 
 
 def test_unknown_export_is_refused(screen: ScreenCalibration, tmp_path: Path) -> None:
     """The message lists what there is."""
     with pytest.raises(UsageError, match="psychopy, ti3, csv"):
-        write_export(screen, "icc", tmp_path / "x")
+        write_export(screen, "xlsx", tmp_path / "x")
 
 
 def test_psychopy_grid_reproduces_the_luminance_by_psychopys_own_formula(screen: ScreenCalibration) -> None:
@@ -120,6 +126,77 @@ def test_argyll_line_is_spotreads(screen: ScreenCalibration) -> None:
     """The words are those of spotread's printf; Y stands twice; X of D65 white is 0.9505 Y."""
     line = argyll_line(screen, "grey", 100.0)
     assert line == " Result is XYZ: 95.045593 100.000000 108.905775, Yxy: 100.000000 0.312700 0.329000"
+
+
+def _icc_tags(content: bytes) -> dict[str, bytes]:
+    """Return the tags of an ICC profile by signature (ICC.1:2022, 7.3)."""
+    count = int.from_bytes(content[128:132], "big")
+    rows = [struct.unpack(">4sII", content[132 + 12 * n : 144 + 12 * n]) for n in range(count)]
+    return {signature.decode(): content[start : start + size] for signature, start, size in rows}
+
+
+def test_icc_profile_states_white_primaries_and_tone_curves(screen: ScreenCalibration, tmp_path: Path) -> None:
+    """A screen of sRGB's chromaticities has the colorants of the ICC's sRGB profile; its curve is the screen's 2.2."""
+    pytest.importorskip("imagecodecs")
+    notes: list[str] = []
+    replace(screen, chromaticities=SRGB).write(tmp_path / "desk.yaml")
+    (file,) = rm.screen_export(tmp_path / "desk.yaml", ["icc"], notice=notes.append)
+    profile = ImageCms.getOpenProfile(str(file)).profile
+    for colorant, expected in (
+        (profile.red_colorant, (0.4361, 0.2225, 0.0139)),
+        (profile.green_colorant, (0.3851, 0.7169, 0.0971)),
+        (profile.blue_colorant, (0.1431, 0.0606, 0.7141)),
+    ):
+        assert colorant[0] == pytest.approx(expected, abs=3e-4)
+    white = np.linalg.solve(profile.chromatic_adaptation[0], (0.9642, 1.0, 0.8249))  # D50 back to the screen's white
+    assert white[:2] / white.sum() == pytest.approx(SRGB["grey"], abs=2e-4)
+    for name in ("rTRC", "gTRC", "bTRC"):
+        curve = _icc_tags(file.read_bytes())[name]
+        assert struct.unpack(">4s4xI", curve[:12]) == (b"curv", 256)
+        shares = np.frombuffer(curve[12 : 12 + 512], ">u2") / 65535
+        assert shares[list(screen.channel().levels)] == pytest.approx(
+            (np.array(screen.channel().levels) / 255) ** 2.2, abs=1e-5
+        )
+    assert any("(k = 2)" in line for line in notes)
+    assert any("red, green, blue was not measured" in line for line in notes)
+
+
+def test_icc_profile_names_the_primary_that_contradicts_its_chromaticity(
+    screen: ScreenCalibration, tmp_path: Path
+) -> None:
+    """By sRGB red has 21 % of white's luminance; a red as bright as 30 % of white is named, the others are not."""
+    pytest.importorskip("imagecodecs")
+    grey, notes = screen.channel(), list[str]()
+    parts = {"red": 0.30, "green": 0.7152, "blue": 0.0722}
+    primaries = {
+        name: replace(grey, name=name, radiance=tuple(part * value for value in grey.radiance))
+        for name, part in parts.items()
+    }
+    replace(screen, channels={"grey": grey, **primaries}, chromaticities=SRGB).write(tmp_path / "desk.yaml")
+    rm.screen_export(tmp_path / "desk.yaml", ["icc"], notice=notes.append)
+    doubted = [line for line in notes if "Check chromaticities" in line]
+    assert len(doubted) == 1
+    assert "red 21.3 %" in doubted[0]
+
+
+@pytest.mark.parametrize(
+    ("chromaticities", "why"),
+    [
+        ({name: SRGB[name] for name in ("grey", "red")}, "green, blue has none"),
+        (SRGB | {"grey": (0.6, 0.3)}, "together has the chromaticity of grey"),
+        (SRGB | {"blue": SRGB["red"]}, "together has the chromaticity of grey"),
+    ],
+)
+def test_icc_profile_of_unknown_colours_is_refused(
+    chromaticities: dict[str, tuple[float, float]], why: str, screen: ScreenCalibration, tmp_path: Path
+) -> None:
+    """Nothing is assumed: a chromaticity that is unknown, or that makes no white, writes no file, and measures none."""
+    replace(screen, name="lcd", chromaticities=chromaticities).write(tmp_path / "desk.yaml")
+    with pytest.raises(CalibrationError, match=why):
+        rm.screen_export(tmp_path / "desk.yaml", ["icc"])
+    with pytest.raises(CalibrationError, match=why):
+        rm.screen_calibrate(tmp_path / "desk.yaml", "lcd", levels="3", export=["icc"], force=True)
+    assert not (tmp_path / "desk.icc").exists()
 
 
 def test_known_chromaticities_replace_those_of_srgb(screen: ScreenCalibration) -> None:

@@ -106,6 +106,22 @@ def test_every_gain_has_its_own_system_gain(tmp_path: Path) -> None:
         assert K.value == pytest.approx(10 ** (gain_db / 20) / 2.6, abs=4 * K.u)
 
 
+@pytest.mark.parametrize(
+    "scene",
+    [
+        UniformScene(radiance_W_per_sr_m2=0.14),
+        StepChartScene(radiances_W_per_sr_m2=tuple(0.14 * 0.75**k for k in range(16))),
+    ],
+)
+def test_an_ideal_sensor_raises_no_alarm_whatever_it_looks_at(
+    scene: UniformScene | StepChartScene, tmp_path: Path
+) -> None:
+    """Even or not, the light of the whole frame scatters by its noise: no note blames light, sensor or header."""
+    capture = _capture(tmp_path / "set", _plan(), scene=scene)
+    notes = characterise(subject_of_capture(capture, Patch(0, 0, 96, 72))).notes
+    assert not re.search("scatters|bends|differs from|conversion_gain_error", " ".join(notes))
+
+
 def test_patches_of_a_chart_all_take_part_in_the_photon_transfer(tmp_path: Path) -> None:
     """Six patches give six times the steps, and K agrees with the truth within 4 standard deviations."""
     chart = StepChartScene(radiances_W_per_sr_m2=(0.02, 0.05, 0.08, 0.1, 0.12, 0.14))

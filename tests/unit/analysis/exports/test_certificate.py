@@ -65,6 +65,15 @@ def test_a_certificate_states_value_uncertainty_budget_item_and_conditions(tmp_p
     assert made.to_mapping()["results"]["radiance"]["coverage_factor"] == 2.13
 
 
+@pytest.mark.slow
+def test_a_printed_reading_is_certified_with_its_budget_and_calibration(tmp_path: Path, laboratory: Path) -> None:
+    """What `measure --json` prints names every contribution, and the calibration that the reading rests on."""
+    (tmp_path / "reading.json").write_text(rm.measure().to_json(), encoding="utf-8")
+    made = rm.certificate(tmp_path / "reading.json", tmp_path / "c.xml", laboratory=laboratory, identifier="3")
+    assert made.content.budget[0].name == "scale"
+    assert "calibration</dt><dd>simulated.yaml, 2026-11-21" in (tmp_path / "c.html").read_text(encoding="utf-8")
+
+
 def test_a_certified_source_gives_a_calibration_its_value_and_uncertainty(tmp_path: Path, laboratory: Path) -> None:
     """A certified source gives a calibration its value and uncertainty."""
     rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="1")

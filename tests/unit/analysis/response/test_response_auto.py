@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import radiometer as rm
 from radiometer.analysis.response.auto import recover_response_auto
 from radiometer.data import Bracket
+from radiometer.data.storage import write_yaml_atomic
 
 
 @pytest.mark.slow
@@ -199,3 +202,20 @@ def test_a_date_stamped_into_every_frame_is_no_exposure(make_stack):
     u = np.hypot(found.u_log_exposure, clean.u_log_exposure)[inside]
     assert np.sqrt(np.mean((gap - gap.mean()) ** 2)) < 1.5 * np.sqrt(np.mean(u**2))
     assert np.sqrt(np.mean(u**2)) < 0.02
+
+
+@pytest.mark.slow
+def test_an_even_source_is_one_light_and_no_disagreement(tmp_path: Path) -> None:
+    """A sphere: noise alone decides which pixel is the brighter, and no note blames movement, flare or processing."""
+    bench = {
+        "format": "radiometer-bench/1",
+        "camera": {"kind": "simulated", "preset": "BFS-U3-19S4M", "width": 160, "height": 120, "black_level_dn": 64},
+        "lens": {"focal_length_mm": 16, "f_number": 4},
+        "scene": {"kind": "uniform", "radiance_W_per_sr_m2": 1.0},
+    }
+    write_yaml_atomic(tmp_path / "bench.yaml", bench)
+    ladder = {"shortest_s": 5e-4, "longest_s": 0.032, "stops": 0.5, "repeat": 2}
+    rm.bracket(tmp_path / "sphere", bench=tmp_path / "bench.yaml", **ladder)  # type: ignore[arg-type]
+    (found,) = rm.recover_response(tmp_path / "sphere").estimates
+    assert any("one light" in note for note in found.notes)
+    assert not any("differ by more than their noise" in note for note in found.notes)
