@@ -26,7 +26,7 @@ from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of, visit_at, visit_in, visits_html
+from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of_visit, visit_at, visit_in, visits_html
 from radiometer.api.files import PathLike
 from radiometer.api.result import Notice, Result, require_other, unheard
 from radiometer.data.event_journal import Event
@@ -188,7 +188,8 @@ def adapt_run(
         simulate=simulate, screen=screens, display=display or "browser", port=port, age_years=age, pupil_mm=pupil,
         practice=practice,
     )  # fmt: skip
-    moment = dt.datetime.now(dt.UTC) if visit is None else moment_of(visit)
+    now = dt.datetime.now(dt.UTC)
+    moment = now if visit is None else moment_of_visit(visit, now)
     found = visit_at(Path(out), asked, moment) if out else visit_in(Path(), asked, moment)
     request, journal, resumed = found.request, found.journal, found.resumed
     for remark in (*found.remarks, request.smaller_pupil()):

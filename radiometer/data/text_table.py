@@ -19,6 +19,7 @@ from typing import Final
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import FACTS, Place, Statement, StatementMap, is_unknown, value_of
 from radiometer.errors import InputError, UnsettledError
+from radiometer.moments import moment_of
 from radiometer.units import heading_parts, plain_name, unit_of
 
 _SEPARATORS: Final = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
@@ -392,16 +393,15 @@ def stamp_s(text: str) -> float:
     if _is_number(cleaned):
         return float(cleaned)
     try:
-        moment = datetime.fromisoformat(cleaned)
+        return moment_of(cleaned).timestamp()
     except ValueError:
-        moment = _other_form(cleaned)
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+        return _other_form(cleaned).timestamp()
 
 
 def _other_form(text: str) -> datetime:
     for form in _STAMP_FORMS:
         try:
-            return datetime.strptime(text, form)
+            return datetime.strptime(text, form).replace(tzinfo=UTC)
         except ValueError:
             continue
     raise ValueError(f"{text!r} is no time; write 2026-11-20T22:15:00, or s since 1970")

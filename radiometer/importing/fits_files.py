@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,6 +34,7 @@ from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import DARK_FLAT, claims_of, contradictions
 from radiometer.importing.fits_sections import Mosaic, taps_of
 from radiometer.importing.found import FoundFrame
+from radiometer.moments import moment_of
 from radiometer.units import BASE_ISO, read_number, unit_in_words
 
 Header = Mapping[str, Statement]
@@ -549,11 +549,11 @@ def _timestamp(header: Header, mapped: StatementMap, taken: dict[str, str]) -> f
     if "T" not in text and clock:
         text = f"{text}T{clock}"
     try:
-        moment = datetime.fromisoformat(text)
+        moment = moment_of(text)
     except ValueError:
         return None
     taken["timestamp_s"] = key
-    return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
+    return moment.timestamp()
 
 
 def _camera(

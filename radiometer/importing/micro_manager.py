@@ -11,7 +11,6 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +18,7 @@ from radiometer.data.json_text import RepeatedKey, parsed_json
 from radiometer.data.statements import Statement, StatementMap, value_of
 from radiometer.errors import CaptureError
 from radiometer.importing.found import FoundFrame
+from radiometer.moments import moment_of
 from radiometer.units import heading_parts
 
 TAG: Final = 51123  # MicroManagerMetadata; also in the TIFF tag tables of ImageJ and tifffile
@@ -375,12 +375,11 @@ def _bits(value: Any) -> int | None:
 
 
 def _stamp(text: Any) -> float | None:
-    """Return a time in s since 1970; one without a zone is UTC, whatever the zone of this machine."""
+    """Return a time in s since 1970; None where it is none."""
     try:
-        moment = datetime.fromisoformat(str(text).strip())
+        return moment_of(str(text)).timestamp()
     except ValueError:
         return None
-    return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
 
 
 def _json(text: str, where: str) -> Any:

@@ -60,7 +60,7 @@ def run(
     ] = "right",
     age: Annotated[float | None, typer.Option(min=0.0, max=120.0, help="Age of the subject in years.")] = None,
     pupil: Annotated[float | None, typer.Option(min=1.0, max=9.0, help="Measured diameter of the pupil in mm.")] = None,
-    visit: Annotated[str | None, typer.Option(help="Date and time of the visit (ISO 8601); now by default.")] = None,
+    visit: Annotated[str | None, typer.Option(help="Date and time of the visit (ISO 8601, UTC without a zone).")] = None,
     practice: Annotated[
         bool, typer.Option("--practice", help="Three minutes without a bleach, to learn the task.")
     ] = False,

@@ -1,0 +1,15 @@
+"""The one rule for times in files and options: ISO 8601, and UTC where no zone is stated."""
+
+from __future__ import annotations
+
+import datetime as dt
+
+
+def moment_of(text: str) -> dt.datetime:
+    """Return the moment of an ISO 8601 time, with its zone; a time without a zone is UTC, wherever it is read.
+
+    Raises:
+        ValueError: If it is no such time.
+    """
+    moment = dt.datetime.fromisoformat(text.strip())
+    return moment if moment.tzinfo is not None else moment.replace(tzinfo=dt.UTC)
