@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import datetime as dt
+from typing import Final
+
+UNIX_S: Final = (1e9, 1e11)  # s since 1970 from 2001 on; as ms or days they would be before 1971 or after 5000
 
 
 def moment_of(text: str) -> dt.datetime:

@@ -293,6 +293,7 @@ def _r_lists(path: Path, text: str) -> tuple[list[str], list[str]] | None:
 def _cells(path: Path, text: str) -> tuple[list[str], list[tuple[int, list[str]]], dict[str, str], list[str]]:
     """Return header (empty where there is none), rows of cells with their line numbers, facts and what was taken."""
     table = text_table.read_table(path, "columns time_min,log10_threshold", text)
+    table.refuse_mixed()
     rows = [(number, list(cells)) for number, cells in table.rows]
     return list(table.header), rows, _facts(table.comments), [table.how]
 
@@ -343,7 +344,8 @@ def _taken(
     if table.shape[1] == 3:
         if np.any(table[:, 2] <= 0):
             raise InputError(f"{path}: a standard deviation must be above 0")
-        taken.append(table[order, 2] * slope)
+        is_log = bool(header) and "log" in header[used[2]].lower()  # such as u_log10_threshold
+        taken.append(table[order, 2] * (1.0 if is_log else slope))
     return TakenTable(np.column_stack(taken), facts, (*how, time_note, level_note))
 
 

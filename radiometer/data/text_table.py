@@ -35,6 +35,27 @@ _GROUPED_POINT: Final = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+\.\d+")
 # Signs that part thousands and are nothing else between digits: no-break blanks and the Swiss apostrophe.
 _GROUP_SIGN: Final = re.compile("(?<=\\d)[\u00a0\u202f'\u2019](?=\\d{3}(?!\\d))")
 _STAMP_FORMS: Final = ("%Y/%m/%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%Y-%m-%d_%H:%M:%S")
+# What rows may be of: to pool them is to mix curves or scenes.
+_OF_WHAT: Final = (
+    "subject",
+    "participant",
+    "patient",
+    "person",
+    "eye",
+    "visit",
+    "channel",
+    "filter",
+    "camera",
+    "serial",
+    "sensor",
+    "display",
+    "monitor",
+    "screen",
+    "device",
+    "lamp",
+    "colour_channel",
+    "bayer",
+)
 # A running number says nothing of what was measured.
 _INDEX_NAMES: Final = ("no", "nr", "number", "index", "row", "sample", "sample_id", "id", "n", "i", "patch", "step", "")
 
@@ -156,6 +177,22 @@ class TextTable:
         """Return a line that names the columns that are not among those used; nothing where all are."""
         left = [self.header[n] for n in range(len(self.header)) if n not in used]
         return [f"columns {', '.join(left)}"] if left else []
+
+    def refuse_mixed(self, used: Sequence[int | None] = ()) -> None:
+        """Refuse a table whose rows are of several things, such as the curves of two eyes, by a column of their names.
+
+        Args:
+            used: Columns that the reader uses; what they state is known.
+
+        Raises:
+            InputError: If one of the other columns holds several names.
+        """
+        for at, name in enumerate(self.plain):
+            values = list(dict.fromkeys(cells[at].strip() for _, cells in self.rows if not is_unknown(cells[at])))
+            if at not in used and name in _OF_WHAT and len(values) > 1:
+                raise InputError(
+                    f"{self.path}: its rows are of several ({name}: {', '.join(values[:4])}); write a table of each"
+                )
 
     def is_index(self, at: int) -> bool:
         """Return whether a column is a running number by its name."""

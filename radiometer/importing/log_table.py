@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import UNKNOWN, StatementMap, Unknown
 from radiometer.data.text_table import TextTable, read_table, stamp_s
-from radiometer.errors import InputError
+from radiometer.errors import InputError, UnsettledError
+from radiometer.moments import UNIX_S
 from radiometer.typing import Array
 from radiometer.units import CD_M2_AT_0_MAG, heading_parts, read_number, unit_of
 
@@ -47,8 +48,8 @@ _NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "black_level": ("black", "black_dn", "black_level_dn", "bias"),
     "u_reference": ("u_reference", "u_mag"),
 }  # fmt: skip
+_ZONE: Final = re.compile(r"(?!UTC?$|GMT$|ISO)[A-Z]{2,5}")  # of letters, such as CET or PST
 _PROPORTIONAL: Final = ("luminance", "radiance", "irradiance", "illuminance")  # linear by their name, in any unit
-_UNIX_S: Final = (1e9, 1e11)  # s since 1970: from 2001 on
 _SATURATED_FROM_BITS: Final = range(8, 17)  # converters whose highest code the values may end at
 
 
@@ -105,6 +106,7 @@ def read_log(
     table = read_table(path, _NEEDS, named=True)
     needed = ("value", "exposure", *(() if reference else ("reference",)))
     places = _places(table, known, needed, without=("reference",) if reference else ())
+    table.refuse_mixed(list(places.values()))
     assumed: list[str] = []
     columns = {fact: _column(table, at, fact, known) for fact, at in places.items()}
     table, columns = _usable(table, columns, assumed)
@@ -153,6 +155,11 @@ def _column(table: TextTable, at: int, fact: str, mapped: StatementMap) -> _Colu
     name = table.plain[at]
     if fact == "night":
         return _Column([cells[at] for _, cells in table.rows], name)
+    if fact == "timestamp" and _is_local(table.header[at]):
+        raise UnsettledError(
+            f"{table.path}: {table.header[at]!r} states a zone that its times do not: write them as "
+            "2026-11-20T22:15:00+01:00, or in UTC"
+        )
     stamped = fact == "timestamp" and any(_is_stamp(cells[at]) for _, cells in table.rows)
     written = [_read(table, line, cells[at], at, stamp_s if stamped else _number) for line, cells in table.rows]
     if stamped or fact in ("value", "colour", "black_level"):
@@ -160,7 +167,7 @@ def _column(table: TextTable, at: int, fact: str, mapped: StatementMap) -> _Colu
     said = any(place.unit for place in mapped.places.get(fact, ()))
     if fact == "reference" and not said and name in _PROPORTIONAL:
         return _Column(written, name, "linear")
-    if fact == "timestamp" and not said and all(_UNIX_S[0] < one < _UNIX_S[1] for one in written):
+    if fact == "timestamp" and not said and all(UNIX_S[0] < one < UNIX_S[1] for one in written):
         return _Column(written, name)  # the documented form; as ms or days they would be before 1971 or after 5000
     if fact == "gain" and len(set(written)) == 1 and heading_parts(table.header[at], fact)[1] is None:
         return _Column([0.0] * len(written), name)  # a gain that never changes is part of the responsivity
@@ -171,6 +178,12 @@ def _column(table: TextTable, at: int, fact: str, mapped: StatementMap) -> _Colu
         for own, one in zip(written, base, strict=True)
     ]
     return _Column(cells, name, unit.name)
+
+
+def _is_local(heading: str) -> bool:
+    """Return whether a heading states another zone than UTC: in words, or in brackets as a unit would be."""
+    _, unit, spelling = heading_parts(heading, "time")
+    return "local" in heading.lower() or (unit is None and bool(_ZONE.fullmatch(spelling)))
 
 
 def _is_stamp(cell: str) -> bool:

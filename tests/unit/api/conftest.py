@@ -114,4 +114,4 @@ def _write_tables(folder: Path) -> None:
     np.savetxt(folder / "lamp.csv", np.transpose([seconds, light]), "%.6f", ",", header="time_s,light", comments="")
     times = np.arange(0.5, 30, 0.5)
     found = [f"{t},{SubjectCurve().threshold(t) + rng.normal(0, 0.05):.4f}" for t in times]
-    (folder / "thresholds.csv").write_text("\n".join(["minutes,threshold", *found]) + "\n", encoding="utf-8")
+    (folder / "thresholds.csv").write_text("\n".join(["minutes,log10_threshold", *found]) + "\n", encoding="utf-8")

@@ -14,6 +14,7 @@ import yaml
 import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.data import Patch
+from radiometer.data.statements import StatementMap
 from radiometer.errors import CaptureError
 from radiometer.importing import ImportOptions, import_sources, imported_of, is_foreign, open_capture
 from radiometer.importing.maker_models import FallOff, RowExposure, corners_of_plane
@@ -273,6 +274,29 @@ def test_channels_of_other_wavelengths_are_never_one_bracket(tmp_path, second):
     sets = import_sources([path], ImportOptions())
     assert len(sets) == (1 if second == "461" else 2)
     assert sorted(len(one.header.frames) for one in sets) == ([4] if second == "461" else [2, 2])
+
+
+@pytest.mark.parametrize("names", [(' Name="Pos0 sample A"', ' Name="Pos1 sample B"'), (' Name="a"',) * 2, ("", "")])
+@pytest.mark.parametrize("stated", [True, False])
+def test_images_of_one_file_are_never_one_bracket(tmp_path, names, stated):
+    """Each image (a position, a series) is a set by itself, whether its planes are described or not."""
+    plane = '<Plane TheZ="0" TheT="{t}" TheC="0" ExposureTime="{ms}" ExposureTimeUnit="ms"/>'
+    images = "".join(
+        f'<Image ID="Image:{n}"{name}><Pixels ID="Pixels:{n}" DimensionOrder="XYCTZ" Type="uint16" '
+        'SizeX="16" SizeY="12" SizeZ="1" SizeC="1" SizeT="2">'
+        f'<TiffData IFD="{2 * n}" PlaneCount="2"/>'
+        + "".join(plane.format(t=t, ms=10**n * (t + 1)) for t in (0, 1) if stated)
+        + "</Pixels></Image>"
+        for n, name in enumerate(names)
+    )
+    xml = f'<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">{images}</OME>'
+    path = tmp_path / "p.ome.tif"
+    tifffile.imwrite(path, np.stack([STACK_PICTURE] * 4), description=xml, metadata=None, photometric="minisblack")
+    mapped = StatementMap() if stated else StatementMap.parse(["exposure=10:ms"])
+    sets = import_sources([path], ImportOptions(mapped=mapped))
+    assert [[entry.file for entry in one.header.frames] for one in sets] == [
+        ["p.ome.tif#0", "p.ome.tif#1"], ["p.ome.tif#2", "p.ome.tif#3"],
+    ]  # fmt: skip
 
 
 def test_a_mask_is_no_frame(tmp_path):
