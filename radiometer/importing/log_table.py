@@ -211,7 +211,7 @@ def _usable(
     full = top in {2.0**bits - 1.0 for bits in _SATURATED_FROM_BITS} and np.count_nonzero(value == top) > 1
     reasons = {f"{top:g} DN is saturated": (value == top) & full}
     meter = columns.get("reference")
-    if meter is not None and unit_of(meter.unit, "reference") and _is_magnitude(meter.unit):
+    if meter is not None and _is_magnitude(meter.unit):
         reasons[f"a reference of {_NO_READING}"] = ~_is_reading(np.array(meter.cells, dtype=np.float64))
     for fact in ("exposure", "gain", "temperature"):
         if fact in columns:
@@ -237,7 +237,8 @@ def _is_magnitude(unit: str) -> bool:
 
 def _is_reading(luminance_cd_m2: Array) -> NDArray[np.bool_]:
     """Return which readings of a sky meter are any: above 0 mag/arcsec² and below the darkest sky."""
-    magnitudes = -2.5 * np.log10(luminance_cd_m2 / CD_M2_AT_0_MAG)
+    with np.errstate(divide="ignore"):  # of 999 mag nothing remains
+        magnitudes = -2.5 * np.log10(luminance_cd_m2 / CD_M2_AT_0_MAG)
     return np.asarray((magnitudes > _LEAST_MAG) & (magnitudes <= _DARKEST_MAG))
 
 

@@ -445,6 +445,28 @@ def test_one_filter_of_several_is_a_pattern(write_fits):
     assert patterns == {"a.fits": "R", "b.fits": "V", "c.fits": "default"}
 
 
+@pytest.mark.parametrize(
+    ("keys", "first", "second"),
+    [
+        (("FILTER1", "FILTER2"), ("clear", "R"), ("clear", "V")), (("FILTNAM",), ("R",), ("V",)),
+        (("FILTER", "FILTER2"), ("R", "ND0"), ("R", "ND2")), (("INSFILTE",), ("R",), ("V",)),
+    ],
+)  # fmt: skip
+def test_filters_of_every_wheel_part_the_frames(write_fits, keys, first, second):
+    """Two frames that differ in one of the filters are two patterns, whatever the keywords are called."""
+    write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="flat", **dict(zip(keys, first, strict=True)))
+    folder = write_fits("s/b.fits", FITS_PICTURE, EXPTIME=2.0, IMAGETYP="flat", **dict(zip(keys, second, strict=True)))
+    assert len({entry.pattern for entry in open_capture(folder.parent).header.frames}) == 2
+
+
+@pytest.mark.parametrize("binned", [{"XBINNING": 2}, {"CCDSUM": "2 2"}, {"BINNING": "2x2"}, {"CCDXBIN": 2}])
+def test_binned_frames_are_another_set(write_fits, binned):
+    """Four pixels in one have another gain, though a window of the sensor has the same size."""
+    write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0)
+    write_fits("s/b.fits", FITS_PICTURE, EXPTIME=1.0, **binned)
+    assert len(import_sources([write_fits("s/c.fits", FITS_PICTURE, EXPTIME=2.0).parent], ImportOptions())) == 2
+
+
 def test_two_cameras_are_not_mixed(write_fits):
     """Frames of two sizes are refused as one set, each named."""
     write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, INSTRUME="one")
