@@ -15,7 +15,7 @@ import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.data import Patch
 from radiometer.data.statements import StatementMap
-from radiometer.errors import CaptureError
+from radiometer.errors import CaptureError, UnsettledError
 from radiometer.importing import ImportOptions, import_sources, imported_of, is_foreign, open_capture
 from radiometer.importing.maker_models import FallOff, RowExposure, corners_of_plane
 from radiometer.importing.xmp import numbers, read_xmp
@@ -335,11 +335,12 @@ def test_darkness_is_recognised_by_imagetyp(write_fits, message):
 
 
 def test_a_temperature_in_kelvins(write_fits):
-    """268.15 in a header can only be kelvins: -5 °C."""
-    entry = open_capture(
-        write_fits("a.fit", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DET_TEMP=268.15)
-    ).header.frames[0]
-    assert entry.temperature_C == pytest.approx(-5.0)
+    """268.15 is −5 °C where the user states K; without a unit it stops the import, for no sensor has so many °C."""
+    path = write_fits("a.fit", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DET_TEMP=268.15)
+    with pytest.raises(UnsettledError, match="--map temperature=DET-TEMP:UNIT"):
+        open_capture(path)
+    (found,) = import_sources([path], ImportOptions(mapped=StatementMap.parse(["temperature=DET-TEMP:K"])))
+    assert found.header.frames[0].temperature_C == pytest.approx(-5.0)
 
 
 def test_frames_stand_in_the_order_they_were_taken(write_fits):

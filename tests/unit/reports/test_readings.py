@@ -279,7 +279,7 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
         ome_of([of_uuid(0, "urn:a") + of_uuid(1, "urn:b") + plane(0.5) + plane(2.0, 1)], UUID="urn:b"), {"s": 2.0}, ""),
     "ome/bioformats/pull/1839": (
         ome_of(['<TiffData IFD="1" PlaneCount="1"/>' + plane(2.0), '<TiffData IFD="0" PlaneCount="1"/>' + plane(0.5)],
-               pages=2), {}, "refused: Image_0, Image_1"),
+               pages=2), {}, "refused: images .Image_1, Image_0"),
     "a temperature of the air": (in_fits({"TEMP": (31.0, "[C] ambient temperature")}), {"C": None}, ""),
     "a stack of another program": (in_fits({"NSTACK": 16}), {}, "16 frames were combined"),
     "ilastik/ilastik/issues/3092": (in_ome('ExposureTime="500" ExposureTimeUnit=""'), {}, "refused: exposure"),
