@@ -471,7 +471,7 @@ def _drives(table: TextTable, at: int | None, doubts: list[str], mapped: Stateme
         return [round(FULL * share, 6) for share in known]
     raw = finite(table.values(at, "number", doubts), table, at)
     if min(raw) < 0 or max(raw) != FULL or not all(v.is_integer() for v in raw):
-        settled = "--map level=COLUMN:UNIT" if heading else "a heading such as level_8bit or --map level=COLUMN:UNIT"
+        settled = f"--map level={heading}:UNIT" if heading else "a heading such as `level [UNIT],luminance`"
         raise UnsettledError(
             f"{table.path}: levels from {min(raw):g} to {max(raw):g} without a unit in "
             f"{heading or 'the first column'}; only whole ones up to 255 need none. State it by {settled} (UNIT: 8bit, "
