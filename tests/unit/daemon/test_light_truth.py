@@ -61,7 +61,7 @@ async def test_a_stated_limit_is_accepted_with_what_is_lit_already(tmp_path: Pat
     async with box_station(tmp_path) as (station, _, _):
         await seconds_until(lambda: station.status()["light_limits"])
         before = station.status()["light_limits"]
-        for channel in ("bleach", "spot"):
+        for channel in ("field", "spot", "fixation"):
             limit = station.status()["light_limits"][channel]
             assert await station.light.set_level(channel, limit) == pytest.approx(limit, abs=1e-4)
         assert station.status()["light_limits"]["spot"] < before["spot"]
