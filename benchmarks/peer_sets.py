@@ -114,8 +114,8 @@ def page(data: Path, python: str, names: Sequence[str]) -> str:
         print(lines[-1], flush=True)
     return "\n".join(lines) + (
         "\n\nThe package weighs all exposures alike, and subtracts dark frames of the same exposure, or here biases."
-        " This program weighs by noise, and all dark frames take part in its line. The package gets the first two biases of"
-        " the STL-1001E. Their black level is the lowest of five, which wander by 0.5 DN (standard deviation)."
+        " This program weighs by noise, and all dark frames take part in its line. The package gets the first two"
+        " biases of the STL-1001E. Their black level is the lowest of five, which wander by 0.5 DN (standard deviation)."
         " A later one holds tracks of cosmic rays, which raise the noise of all five; its U contains them."
     )
 
