@@ -115,7 +115,7 @@ def page(data: Path, python: str, names: Sequence[str]) -> str:
     return "\n".join(lines) + (
         "\n\nThe package weighs all exposures alike, and subtracts dark frames of the same exposure, or here biases."
         " This program weighs by noise, and all dark frames take part in its line. The package gets the first two"
-        " biases of the STL-1001E. Their black level is the lowest of five, which wander by 0.5 DN (standard deviation)."
+        " biases of the STL-1001E. Their black level is the lowest of five, which wander by 0.5 DN (one sigma)."
         " A later one holds tracks of cosmic rays, which raise the noise of all five; its U contains them."
     )
 

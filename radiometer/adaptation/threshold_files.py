@@ -463,14 +463,15 @@ def _log10(
             path, "threshold", heading, f"has {levels.min():g} to {levels.max():g}", offered, "log10_threshold"
         )
     zero = math.log10(brightest) if spelling == "dB attenuation" and brightest is not None else 0.0
-    step = 1e-6 * np.where(levels != 0.0, np.abs(levels), 1.0)
-    taken, above, below = (
-        np.array([unit.to_base(float(v)) for v in x]) for x in (levels, levels + step, levels - step)
-    )
+    taken = np.array([unit.to_base(float(v)) for v in levels])
     if not np.isfinite(taken).all():
         raise InputError(f"{path}: a threshold of {levels.min():g} in linear units; they must be above 0")
+    is_linear = math.isnan(unit.to_base(-1.0))  # which has no logarithm
+    slope = (
+        1.0 / (levels * math.log(10.0)) if is_linear else np.full(levels.shape, unit.to_base(1.0) - unit.to_base(0.0))
+    )
     of = f"0 dB = {brightest:.5g} cd·m⁻², " if zero else ""
-    return taken + zero, np.abs(above - below) / (2.0 * step), f"thresholds in {spelling}, {of}{why}: log₁₀ taken"
+    return taken + zero, np.abs(slope), f"thresholds in {spelling}, {of}{why}: log₁₀ taken"
 
 
 def _threshold_unit(heading: str, facts: Mapping[str, str]) -> str:
@@ -490,7 +491,7 @@ _LAWS: Final = {"log.*": "log10", "ln": "ln"}  # by words of a heading: `log thr
 
 def _is_dark(header: Sequence[str]) -> bool:
     """Return whether a table is a list of R's package Dark: minutes in `time`, log10 thresholds in `thrs`."""
-    return {"time", "thrs"} <= set(header)
+    return {"time", "thrs"} <= {_word(name) for name in header}
 
 
 def _unsettled(path: Path, fact: str, heading: str, problem: str, units: str, example: str) -> UnsettledError:

@@ -117,4 +117,4 @@ def most_dark_e_per_s(camera: CameraDescription, temperature_c: float | None) ->
     reference_k = _MOST_DARK_REFERENCE_C + ZERO_CELSIUS_K
     kelvin = reference_k if temperature_c is None else temperature_c + ZERO_CELSIUS_K
     warmer = (kelvin / reference_k) ** 1.5 * math.exp(_HALF_GAP_K * (1.0 / reference_k - 1.0 / kelvin))
-    return _MOST_DARK_A_PER_M2 * area_m2 / ELEMENTARY_CHARGE_C * warmer
+    return float(_MOST_DARK_A_PER_M2 * area_m2 / ELEMENTARY_CHARGE_C * warmer)

@@ -177,7 +177,7 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
     device, camera = _devices(root, path)
     found: dict[int, PlaneFacts | None] = {}
     images = list(root.iterfind(".//{*}Image"))
-    names = [image.get("Name") or image.get("ID", "") for image in images]
+    names = [str(image.get("Name") or image.get("ID", "")) for image in images]
     for number, image in enumerate(images):
         pixels = image.find("{*}Pixels")
         if pixels is None:

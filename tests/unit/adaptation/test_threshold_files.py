@@ -283,8 +283,8 @@ def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path: Path) -> None
     ("text", "message"),
     [
         ("level,seen,time\n1,TRUE,400\n0.9,FALSE,-1\n0.8,TRUE,350\n", "reaction time"),
-        ("onset_s,level,seen\n0,1,maybe\n2,2,TRUE\n", "neither TRUE nor FALSE"),
-        ("onset_s,level,seen\n0,1,TRUE\n2,2,TRUE\n", "never changes"),
+        ("onset_s,log10_level,seen\n0,1,maybe\n2,2,TRUE\n", "neither TRUE nor FALSE"),
+        ("onset_s,log10_level,seen\n0,1,TRUE\n2,2,TRUE\n", "never changes"),
         ("onset_s,colour,seen\n0,1,TRUE\n2,2,FALSE\n", "without a column `level`"),
     ],
 )
