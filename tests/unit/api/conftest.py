@@ -28,7 +28,7 @@ calibration: calibration.yaml
 UNIFORM = "scene: {kind: uniform, radiance_W_per_sr_m2: 0.3}"
 CHART = "scene: {kind: step_chart, steps: {count: 24, lowest: 0.02, highest: 1.2}, scramble_seed: 5}"
 METER = (
-    "screen,luminance,f_number,time,iso\nscreen,250,16,1/60,100\nscreen,500,16,1/125,100\nscreen,1000,16,1/250,100\n"
+    "screen,luminance,f_number,time,iso\nscreen,250,5.6,1/60,100\nscreen,500,5.6,1/125,100\nscreen,1000,5.6,1/250,100\n"
 )
 
 
