@@ -47,7 +47,7 @@ def moment_of_visit(text: str, now: dt.datetime) -> dt.datetime:
     """Return the moment that an option states in UTC.
 
     Raises:
-        UsageError: If it is none, or lies in the future.
+        UsageError: If it is none, or is in the future.
     """
     try:
         moment = moment_of(text).astimezone(dt.UTC)

@@ -164,10 +164,10 @@ def _column(table: TextTable, at: int, fact: str, mapped: StatementMap) -> _Colu
     written = [_read(table, line, cells[at], at, stamp_s if stamped else _number) for line, cells in table.rows]
     if stamped or fact in ("value", "colour", "black_level"):
         return _Column(written, name)
-    said = any(place.unit for place in mapped.places.get(fact, ()))
-    if fact == "reference" and not said and name in _PROPORTIONAL:
+    is_stated = any(place.unit for place in mapped.places.get(fact, ()))
+    if fact == "reference" and not is_stated and name in _PROPORTIONAL:
         return _Column(written, name, "linear")
-    if fact == "timestamp" and not said and all(UNIX_S[0] < one < UNIX_S[1] for one in written):
+    if fact == "timestamp" and not is_stated and all(UNIX_S[0] < one < UNIX_S[1] for one in written):
         return _Column(written, name)  # the documented form; as ms or days they would be before 1971 or after 5000
     if fact == "gain" and len(set(written)) == 1 and heading_parts(table.header[at], fact)[1] is None:
         return _Column([0.0] * len(written), name)  # a gain that never changes is part of the responsivity
