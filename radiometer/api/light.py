@@ -19,7 +19,7 @@ from radiometer.bench.boxes import (
     ExposureReport,
     OpenedBox,
     calibration_file,
-    confirm_no_exposure,
+    confirm_unexposed,
     darken,
     exposure_reports,
     nothing_answers,
@@ -432,7 +432,7 @@ def light_account(box: str | None = None, *, confirm_no_exposure: bool = False) 
     if box is not None or confirm_no_exposure:
         box = require_known_box(box)
     if confirm_no_exposure:
-        confirm_no_exposure(box)
+        confirm_unexposed(box)
     reports, wrong = exposure_reports()
     consequence = "what it held is lost; each box counts as used up for 10⁴ s from its next opening"
     notes = (f"{wrong}; {consequence}: radiometer light status",) if wrong else ()
