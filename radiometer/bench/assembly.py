@@ -81,8 +81,9 @@ def stated_source(config: BenchConfig) -> SourceDescription | None:
 
 
 def states_spectrum(config: BenchConfig, spectrum: str | None) -> bool:
-    """Return whether bench file or user state the light's spectrum; that of a simulated bench is as it is assumed."""
-    return bool(spectrum or config.spectrum) or isinstance(config.camera, SimulatedCameraConfig)
+    """Return whether bench file or user name the spectrum; simulated light without a wavelength is as is assumed."""
+    assumed = isinstance(config.camera, SimulatedCameraConfig) and config.source.wavelength_nm is None
+    return bool(spectrum or config.spectrum) or assumed
 
 
 def _set_by_hand(config: BenchConfig, f_number: float | None) -> float | None:

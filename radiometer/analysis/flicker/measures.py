@@ -174,9 +174,6 @@ def _shape(waveform: Waveform, period: Period | None) -> tuple[ShapeMeasures, st
 def svm_threshold(frequency_hz: Array) -> Array:
     """Return the modulation depth at which an average observer just sees the stroboscopic effect of a sinusoid.
 
-    Args:
-        frequency_hz: Frequencies, any shape.
-
     Source: CIE TN 006:2016, T = 1/(1 + exp(−0.00518·(f/Hz − 306.6))) + 20·exp(−f/10 Hz). The SVM meter of Aalto
     University has the same constants, and agrees with the verification waveforms of IEC TR 63158:2018 (Mantela et al.
     2023, Lighting Res. Technol., doi 10.1177/14771535231212404).
@@ -187,9 +184,6 @@ def svm_threshold(frequency_hz: Array) -> Array:
 
 def power_law_threshold(frequency_hz: Array) -> Array:
     """Return a later fit of that threshold: 1.4 % above at 100 Hz, 16 % below at 400 Hz, and above 1 from 750 Hz.
-
-    Args:
-        frequency_hz: Frequencies, any shape.
 
     Source: Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225.
     """
