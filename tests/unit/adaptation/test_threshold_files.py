@@ -152,7 +152,7 @@ def test_fit_reads_seconds_and_decibels_and_finds_the_break(tmp_path, capsys):
     printed = capsys.readouterr()
     assert "rod–cone break at 9." in printed.out or "rod–cone break at 8.9" in printed.out
     assert "S2 slope -0.24" in printed.out or "S2 slope -0.23" in printed.out
-    assert "dB of attenuation" in printed.err
+    assert "dB attenuation" in printed.err
 
 
 def test_two_thresholds_of_one_minute_are_both_kept():
