@@ -67,12 +67,13 @@ class UnsettledError(InputError):
             written: What stands there.
             unit: The unit as written; "" where there is none.
             fact: What is stated, such as "exposure".
-            offered: Units that are known.
+            offered: Units that --map takes; none where the command has no such option.
         """
         has = f"in {unit}, which is not one known unit" if unit else "without a unit"
+        option = f", or read it with --map {fact}={place}:UNIT (UNIT: {', '.join(offered)})" if offered else ""
         return cls(
             f"{where}{': ' if where else ''}{place} states {str(written).strip()[:40]} {has}. State the unit in the "
-            f"file, or import it with --map {fact}={place}:UNIT (UNIT: {', '.join(offered)})"
+            f"file{option}"
         )
 
 

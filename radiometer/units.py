@@ -147,6 +147,54 @@ _WAVELENGTH: Final = {
     **_all("Å|A|angstrom|angstroms|ångström", _times(0.1)),
     **_all("m", _times(1e9)),
 }
+CD_M2_AT_0_MAG: Final = 10.8e4
+"""Luminance in cd·m⁻² of 0 mag/arcsec².
+
+Source: Unihedron, "Convert visual mags/arcsecond² to cd/m²" (unihedron.com/projects/darksky/magconv.php): after
+discussions of 2005, uncertain by at least 1 %; a constant factor, which a camera's responsivity takes up.
+"""
+MAGNITUDE: Final = _all(
+    "mag|mag/arcsec2|mag arcsec2|mag/arcsec^2|mag arcsec-2|mag per arcsec2|mpsas|msas|sqm",
+    lambda value: CD_M2_AT_0_MAG * 10.0 ** min(-0.4 * value, 300.0),  # beyond it numbers of floating point end
+)
+"""Magnitudes per square arcsecond, as sky quality meters give them, in cd·m⁻²."""
+# A trusted meter's readings: only their proportions count, unless they are logarithms.
+_REFERENCE: Final = {
+    **MAGNITUDE,
+    **_LUMINANCE,
+    **_all("lx|lux", _times(1.0)),
+    **_all("klx", _times(1e3)),
+    **_all("W/m2|W/m^2|W m-2|W/sr/m2|W sr-1 m-2|1|linear", _times(1.0)),
+}
+# Relative standard uncertainties; of magnitudes in proportion to the light.
+_RELATIVE: Final = {
+    **_all("rel|relative|share|1", _times(1.0)),
+    **_all("%|percent|per cent", _times(0.01)),
+    **_all("mag", _times(0.4 * math.log(10.0))),
+}
+
+
+def _logarithms() -> dict[str, Callable[[float], float]]:
+    """Return thresholds by spelling as log10 of the linear unit, luminances as that of cd·m⁻²."""
+
+    def of_linear(convert: Callable[[float], float]) -> Callable[[float], float]:
+        return lambda value: math.log10(convert(value)) if value > 0.0 else math.nan
+
+    per_e = 1.0 / math.log(10.0)
+    found = {
+        **_all("log10|log|log units|log10 units", _times(1.0)),
+        **_all("ln|loge", _times(per_e)),
+        # Perimeters' decibels: 10 per log10 unit of luminance. Attenuation grows while the threshold falls.
+        **_all("dB|decibel|decibels", _times(0.1)),
+        **_all("dB attenuation|dB sensitivity|dB of attenuation", _times(-0.1)),
+    }
+    for name, convert in {**_LUMINANCE, **_all("td|troland|trolands|linear", _times(1.0))}.items():
+        found[name] = of_linear(convert)
+        found[f"log10 {name}"] = found[f"log {name}"] = _times(1.0, math.log10(convert(1.0)))
+        found[f"ln {name}"] = _times(per_e, math.log10(convert(1.0)))
+    return found
+
+
 # Drive levels of a screen as a share of full drive.
 _LEVEL: Final = {
     **_all("8bit|8 bit|8-bit|0-255|0 255|of 255|/255", _times(1.0 / 255.0)),
@@ -167,10 +215,16 @@ SPELLINGS: Final[Mapping[str, Mapping[str, Callable[[float], float]]]] = {
     "luminance": _LUMINANCE,
     "wavelength": _WAVELENGTH,
     "level": _LEVEL,
+    "reference": _REFERENCE,
+    "u_relative": _RELATIVE,
+    "threshold": _logarithms(),
     "number": {"1": _times(1.0)},
     "text": {},
 }
-"""Functions into the base unit by quantity and spelling; base units are s, degC, dB, ISO, e-/DN, e-, DN, cd/m2, nm."""
+"""Functions into the base unit by quantity and spelling.
+
+Base units are s, degC, dB, ISO, e-/DN, e-, DN, cd/m2, nm, and log10 of a threshold.
+"""
 _NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _WRITTEN: Final = re.compile(rf"(?P<prefix>f/)?(?P<number>{_NUMBER}(?:\s*/\s*{_NUMBER})?)\s*(?P<unit>[^\d\s].*)?")
 _COUNTED_UNIT: Final = re.compile(rf"(?P<count>{_NUMBER})\s*(?P<unit>[^\d\s.].*)")

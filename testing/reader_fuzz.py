@@ -165,7 +165,7 @@ def _records(root: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
         "box.yaml": (yaml.safe_dump(box).encode(), LightCalibration.read),
         "preset.yaml": ((root / "configs/light_boxes/reference.yaml").read_bytes(), read_preset),
         "run.jsonl": (b"".join(event % n for n in range(5)), read_events),
-        "meter.csv": (b"luminance,f_number,time,iso\n100,8,1/125,100\n200,8,1/250,100\n", read_meter_table),
+        "meter.csv": (b"luminance,f_number,time,iso\n1000,8,1/125,100\n2000,8,1/250,100\n", read_meter_table),
         "log.csv": (log.encode(), read_log),
     }
 

@@ -14,6 +14,7 @@ from radiometer.bench.assembly import open_instrument
 from radiometer.bench.instrument import Instrument
 from radiometer.data.provenance import is_out_of_date
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError
+from radiometer.moments import moment_of
 from radiometer.numbers import with_u
 
 COVERAGE: Final = 2.0  # k for 95 %: the room must be dark enough with its uncertainty
@@ -41,7 +42,7 @@ def judge_age(
         accept_stale: Go on with an old one; the journal says so.
     """
     try:
-        age_days = (now - dt.datetime.fromisoformat(created)).total_seconds() / 86400.0
+        age_days = (now - moment_of(created)).total_seconds() / 86400.0
     except (ValueError, TypeError):
         message = f"the calibration of {what} says {created!r} for when it was made; calibrate again"
         return Finding("check", {"what": "calibration", "of": what}, CalibrationError(message))

@@ -1,7 +1,7 @@
 """Reads thresholds as people have them: tables of many forms, R's `Dark`, OPI; and says what it took.
 
-Decibels are those of luminance, 10·log10: 1 dB is 0.1 log10 unit. Attenuation or sensitivity in dB grows while the
-threshold falls; 0 dB is 10 000/π cd·m⁻² in OPI's tables (its `dbTocd`).
+Units are those that the file or the user states. Decibels are 10·log10 of luminance; 0 dB of attenuation is
+10 000/π cd·m⁻² in OPI's tables (its `dbTocd`).
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from radiometer.adaptation.journal import DEVICE_FACTS
 from radiometer.data import text_table
 from radiometer.data.event_journal import is_journal, read_events
 from radiometer.data.reader_limits import bounded_reader, unpacked
-from radiometer.errors import InputError
-from radiometer.units import heading_parts, unit_of
+from radiometer.data.statements import StatementMap
+from radiometer.errors import InputError, UnsettledError
+from radiometer.units import heading_parts, plain_name, unit_of
 
 TIME_WORDS: Final = ("time", "t", "minutes", "min", "minute", "seconds", "sec", "s", "elapsed", "x", "zeit")
 THRESHOLD_WORDS: Final = (
@@ -33,11 +34,8 @@ LEVEL_WORDS: Final = (*THRESHOLD_WORDS, "level", "stim", "intensity", "db", "log
 SIGMA_WORDS: Final = ("sigma", "u", "sd", "se", "u_log", "u_threshold", "u_log10_threshold", "u_log10", "stderr")
 MISSING: Final = ("", "na", "nan", "null", "none", "inf", "-inf", "-")
 OPI_BRIGHTEST_CD_M2: Final = 10_000.0 / math.pi  # 0 dB of the Humphrey Field Analyzer: 10 000 asb
-DB_PER_LOG10: Final = 10.0  # perimeters' decibels: 10 per log10 unit of luminance
 _MOST_ROWS: Final = 1_000_000  # a run of one threshold per second for eleven days
-SECONDS_FROM: Final = 121.0  # no test lasts so many minutes; greater times without a unit are seconds
-MILLISECONDS_FROM: Final = 36_000.0  # 36 s as ms; as s it would be ten hours, as min 25 days
-LINEAR_RATIO: Final = 30.0  # all above 0, and the greatest so many times the least: no logarithms
+NO_MINUTES_FROM: Final = 121.0  # no test lasts so many minutes
 
 # gzip, bzip2 and xz, in which R packs; its own binary and ASCII forms, with and without the head of `save`.
 _BEGINNINGS: Final = (
@@ -185,7 +183,7 @@ class TakenTable:
 
 
 @bounded_reader(error=InputError)
-def read_table(path: Path) -> TakenTable:
+def read_table(path: Path, mapped: StatementMap | None = None) -> TakenTable:
     """Return the thresholds in a file.
 
     Args:
@@ -193,9 +191,11 @@ def read_table(path: Path) -> TakenTable:
             comma in numbers), with or without header and # lines. Files that R writes of a `Dark` list by
             `write.csv`, `write.table`, `dput`, `save` or `saveRDS`. A list of trials, as OPI has them: when, which
             level, seen or not.
+        mapped: Where the user states that `time` and `threshold` are, and in which unit.
 
     Raises:
         InputError: If the file cannot be read or no time and threshold are found in it.
+        UnsettledError: If a unit is not stated.
     """
     raw = _raw(path)
     if is_journal(raw):
@@ -204,7 +204,7 @@ def read_table(path: Path) -> TakenTable:
         name, *numbers = read_r_lists(path)
         rows = [[str(value) for value in pair] for pair in zip(*numbers, strict=True)]
         how = [f"a file of R: time and thrs of {name}"]
-        return _taken(path, ["time", "thrs"], list(enumerate(rows, 1)), {}, how)
+        return _taken(path, ["time", "thrs"], list(enumerate(rows, 1)), {}, how, {})
     text = text_table.decode_export(raw)
     lists = _r_lists(path, text)
     facts: dict[str, str] = {}
@@ -216,7 +216,27 @@ def read_table(path: Path) -> TakenTable:
         numbered = list(enumerate(rows, 1))
     else:
         header, numbered, facts, how = _cells(path, text)
-    return _taken(path, header, numbered, facts, how)
+    chosen = _settled(path, header, mapped or StatementMap())
+    return _taken(path, header, numbered, facts, how, chosen)
+
+
+def _settled(path: Path, header: list[str], mapped: StatementMap) -> dict[str, int]:
+    """Return the columns that the user names, and write the units that the user states into their headings.
+
+    Raises:
+        UnsettledError: If the table has no such column.
+    """
+    chosen = {}
+    for fact in ("time", "threshold"):
+        for place in mapped.places.get(fact, ())[:1]:
+            names = [(name.lower(), plain_name(name)) for name in header]
+            at = next((n for n, name in enumerate(names) if place.name.lower() in name), None)
+            if at is None:
+                has = ", ".join(header) or "no heading"
+                raise UnsettledError(f"{path}: has no column {place.name!r}, which --map {fact} names; it has {has}")
+            chosen[fact] = at
+            header[at] = f"{fact} ({place.unit})" if place.unit else header[at]
+    return chosen
 
 
 def _of_journal(path: Path) -> TakenTable:
@@ -273,6 +293,7 @@ def _r_lists(path: Path, text: str) -> tuple[list[str], list[str]] | None:
 def _cells(path: Path, text: str) -> tuple[list[str], list[tuple[int, list[str]]], dict[str, str], list[str]]:
     """Return header (empty where there is none), rows of cells with their line numbers, facts and what was taken."""
     table = text_table.read_table(path, "columns time_min,log10_threshold", text)
+    table.refuse_mixed()
     rows = [(number, list(cells)) for number, cells in table.rows]
     return list(table.header), rows, _facts(table.comments), [table.how]
 
@@ -291,12 +312,13 @@ def _number(cell: str) -> float | None:
 
 
 def _taken(
-    path: Path, header: list[str], body: list[tuple[int, list[str]]], facts: dict[str, str], how: list[str]
-) -> TakenTable:
+    path: Path, header: list[str], body: list[tuple[int, list[str]]], facts: dict[str, str], how: list[str],
+    chosen: Mapping[str, int],
+) -> TakenTable:  # fmt: skip
     seen = column_of_answers(header)
     if seen is not None:
-        return _of_trials(path, header, body, facts, how, seen)
-    columns = _columns(path, header, body)
+        return _of_trials(path, header, body, facts, how, seen, chosen)
+    columns = _columns(path, header, body, chosen)
     used = [column for column in columns if column is not None]
     rows, left_out = [], 0
     for number, row in body:
@@ -315,29 +337,37 @@ def _taken(
     if not rows:
         raise InputError(f"{path} holds no thresholds")
     table = np.array(rows, dtype=np.float64)
-    time_word = header[used[0]] if header else ""
-    level_word = header[used[1]] if header else ""
-    minutes, time_note = _minutes(table[:, 0], time_word, facts)
+    minutes, time_note = _minutes(path, table[:, 0], header, used[0], facts)
     order = np.argsort(minutes, kind="stable")
-    levels, factor, level_note = _log10(path, table[order, 1], level_word, " ".join(header).lower(), facts)
+    levels, slope, level_note = _log10(path, table[order, 1], header, used[1], facts)
     taken = [minutes[order], levels]
     if table.shape[1] == 3:
         if np.any(table[:, 2] <= 0):
             raise InputError(f"{path}: a standard deviation must be above 0")
-        taken.append(_u_log10(table[order, 2], table[order, 1], factor))
+        is_log = bool(header) and "log" in header[used[2]].lower()  # such as u_log10_threshold
+        taken.append(table[order, 2] * (1.0 if is_log else slope))
     return TakenTable(np.column_stack(taken), facts, (*how, time_note, level_note))
 
 
 def _of_trials(
-    path: Path, header: list[str], body: list[tuple[int, list[str]]], facts: dict[str, str], how: list[str], seen: int
-) -> TakenTable:
+    path: Path, header: list[str], body: list[tuple[int, list[str]]], facts: dict[str, str], how: list[str], seen: int,
+    chosen: Mapping[str, int],
+) -> TakenTable:  # fmt: skip
     """Return the thresholds of a list of trials: where the answer changes between two levels."""
-    when = column_of_onsets(path, header, [row for _, row in body], without=seen)
-    level = _position([_word(cell) for cell in header], (*LEVEL_WORDS, *THRESHOLD_WORDS), without=(when, seen))
+    when = chosen.get("time")
+    if when is None:
+        when = column_of_onsets(path, header, [row for _, row in body], without=seen)
+    level = chosen.get("threshold")
+    level = (
+        level
+        if level is not None
+        else _position([_word(cell) for cell in header], (*LEVEL_WORDS, *THRESHOLD_WORDS), without=(when, seen))
+    )
     if level is None:
         raise InputError(f"{path}: a list of trials without a column `level` in its header ({', '.join(header)})")
     kept = [(number, [row[when], row[level]]) for number, row in body]
-    trials = _taken(path, [f"time {header[when]}", header[level]], kept, facts, how)
+    named = [f"time {header[when]}", header[level]]
+    trials = _taken(path, named, kept, facts, how, {"time": 0, "threshold": 1})
     if len(trials.rows) != len(body):
         raise InputError(f"{path}: a trial without time or level")
     order = np.argsort([float(row[when]) for _, row in body], kind="stable")
@@ -346,7 +376,9 @@ def _of_trials(
     return TakenTable(rows, facts, (*trials.taken, note))
 
 
-def _columns(path: Path, header: list[str], body: list[tuple[int, list[str]]]) -> tuple[int | None, ...]:
+def _columns(
+    path: Path, header: list[str], body: list[tuple[int, list[str]]], chosen: Mapping[str, int]
+) -> tuple[int | None, ...]:
     """Return the positions of time, threshold and its u (None where there is none)."""
     width = len(body[0][1]) if body else len(header)
     if not header:
@@ -354,9 +386,9 @@ def _columns(path: Path, header: list[str], body: list[tuple[int, list[str]]]) -
             raise InputError(f"{path}: expected columns time_min,log10_threshold")
         return (0, 1, 2) if width > 2 else (0, 1, None)
     words = [_word(cell) for cell in header]
-    time = _position(words, TIME_WORDS)
-    sigma = _position(words, SIGMA_WORDS)
-    level = _position(words, LEVEL_WORDS, without=(time, sigma))
+    time = chosen.get("time", _position(words, TIME_WORDS, without=tuple(chosen.values())))
+    sigma = _position(words, SIGMA_WORDS, without=tuple(chosen.values()))
+    level = chosen.get("threshold", _position(words, LEVEL_WORDS, without=(time, sigma)))
     for found, name in ((time, "time_min"), (level, "log10_threshold")):
         if found is None:
             raise InputError(f"{path}: no column {name} in its header ({', '.join(header)})")
@@ -380,70 +412,90 @@ def _position(words: Sequence[str], known: Sequence[str], without: Sequence[int 
     return None
 
 
-def _minutes(times: np.ndarray, word: str, facts: dict[str, str]) -> tuple[np.ndarray, str]:
-    stated = heading_parts(word, "exposure")[1]
+def _minutes(
+    path: Path, times: NDArray[np.float64], header: Sequence[str], at: int, facts: Mapping[str, str]
+) -> tuple[NDArray[np.float64], str]:
+    """Return times in min by the unit that the heading or a # line states, and how they were taken.
+
+    Raises:
+        UnsettledError: If neither does.
+    """
+    heading = header[at] if header else ""
+    words = re.sub(r"[^a-z]+", " ", f"{heading} {facts.get('time unit', facts.get('time', ''))}".lower()).split()
+    stated = heading_parts(heading, "time")[1] or next((u for w in words if (u := unit_of(w, "time"))), None)
     if stated is not None:
         return times * stated.to_base(1.0) / 60.0, f"time in {stated.name}, as its header states"
-    words_of_unit = re.sub(r"[^a-z]+", " ", f"{word} {facts.get('time unit', facts.get('time', ''))}".lower()).split()
-    unit = next((unit for w in words_of_unit if (unit := unit_of(w, "exposure")) is not None), None)
-    if unit is not None:
-        return times * unit.to_base(1.0) / 60.0, f"time in {unit.name}, as its header states"
-    longest = float(times.max())
-    if longest >= MILLISECONDS_FROM:
-        return times / 60_000.0, f"time in milliseconds, for it goes to {longest:g}"
-    if longest >= SECONDS_FROM:
-        return times / 60.0, f"time in seconds, for it goes to {longest:g}"
-    return times, f"time in minutes, for it goes to {longest:g}"
+    documented = "the documented order" if not header else "as in lists of R's package Dark" if _is_dark(header) else ""
+    if not documented or float(times.max()) >= NO_MINUTES_FROM:
+        raise _unsettled(path, "time", heading, f"goes to {times.max():g}", "min, s, ms or h", "time_min")
+    return times, f"time in min, {documented}"
 
 
 def _log10(
-    path: Path, levels: np.ndarray, word: str, header: str, facts: dict[str, str]
-) -> tuple[np.ndarray, float | None, str]:
-    """Return log10 thresholds, log10 units per unit of the file (None where it is linear), and what was taken."""
-    unit_text = f"{word} {facts.get('threshold unit', facts.get('unit', facts.get('units', '')))}".lower()
-    words = re.sub(r"[^a-z0-9]+", " ", unit_text).split()
-    if any(w in ("db", "decibel", "decibels") for w in words):
-        return _from_db(levels, unit_text, header, facts)
-    unit = heading_parts(word, "luminance")[1]
-    shift, of_unit = (0.0, "") if unit is None else (math.log10(unit.to_base(1.0)), f" of {unit.name}, given in cd·m⁻²")
-    if any(w in ("ln", "loge", "log_e") for w in words):
-        per_e = 1.0 / math.log(10.0)
-        return levels * per_e + shift, per_e, f"thresholds in natural logarithms{of_unit}, as its header says"
-    if any(w.startswith("log") for w in words):
-        return levels + shift, 1.0, f"thresholds in log₁₀ units{of_unit}, as its header says"
-    linear = any(
-        w in ("cd", "td", "cdm2", "nits", "w", "apostilb", "asb", "linear", "troland", "trolands") for w in words
-    )
-    spans = bool(np.all(levels > 0)) and float(levels.max() / levels.min()) > LINEAR_RATIO
-    linear = linear or unit is not None
-    if linear or spans:
-        if np.any(levels <= 0):
-            raise InputError(f"{path}: a threshold of {levels.min():g} in linear units; they must be above 0")
-        why = "as its header says" if linear else f"for all are above 0 and span {levels.max() / levels.min():.0f} : 1"
-        return np.log10(levels) + shift, None, f"thresholds in linear units{of_unit}, {why}: their log10 taken"
-    return levels, 1.0, "thresholds in log₁₀ units"
+    path: Path, levels: NDArray[np.float64], header: Sequence[str], at: int, facts: Mapping[str, str]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], str]:
+    """Return log10 thresholds, their slope per unit of the file, and how they were taken.
 
-
-def _from_db(
-    levels: np.ndarray, unit_text: str, header: str, facts: dict[str, str]
-) -> tuple[np.ndarray, float | None, str]:
-    """Return log10 thresholds of decibels: attenuation, or sensitivity, which rise while the threshold falls."""
-    edge = max(1, levels.size // 4)
-    rises = float(np.median(levels[-edge:])) > float(np.median(levels[:edge]))
+    Raises:
+        UnsettledError: If no heading and no # line states the unit, or decibels rise that are not of attenuation.
+        InputError: If a linear threshold is not above 0.
+    """
+    heading = header[at] if header else ""
+    spelling = _threshold_unit(heading, facts)
     brightest = _number(facts.get("max_cd_m2", facts.get("0 db", "")).split(" ")[0])
-    if brightest is None and ("opi" in " ".join([*facts, *facts.values()]).lower() or "opi" in header.split()):
+    if brightest is None and "opi" in " ".join([*facts, *facts.values(), *header]).lower().split():
         brightest = OPI_BRIGHTEST_CD_M2
-    if rises or brightest is not None or "sensitivity" in unit_text or "attenuation" in unit_text:
-        zero = 0.0 if brightest is None else math.log10(brightest)
-        of = "relative to 0 dB" if brightest is None else f"0 dB = {brightest:.5g} cd·m⁻²"
-        return (
-            zero - levels / DB_PER_LOG10,
-            1 / DB_PER_LOG10,
-            f"thresholds in dB of attenuation, {of}: −0.1 log₁₀ per dB",
+    of_attenuation = bool(re.search("sensitivity|attenuation", heading.lower())) or brightest is not None
+    why = "as its header states"
+    if spelling.lower() in ("db", "decibel", "decibels"):
+        edge = max(1, levels.size // 4)
+        rises = float(np.median(levels[-edge:])) > float(np.median(levels[:edge]))
+        if not of_attenuation and (rises or heading_parts(heading, "threshold")[0] == ""):
+            problem = f"is in dB, of attenuation or of luminance, and {'rises' if rises else 'falls'}"
+            raise _unsettled(path, "threshold", heading, problem, "dB or 'dB attenuation'", "attenuation_dB")
+        spelling = "dB attenuation" if of_attenuation else "dB"
+    elif not spelling and (not header or _is_dark(header)):
+        spelling, why = "log10", "the documented order" if not header else "as in lists of R's package Dark"
+    unit = unit_of(spelling, "threshold") if spelling else None
+    if unit is None:
+        offered = "log10, ln, dB, 'dB attenuation', cd/m2, td or 'log10 mcd/m2'"
+        raise _unsettled(
+            path, "threshold", heading, f"has {levels.min():g} to {levels.max():g}", offered, "log10_threshold"
         )
-    return levels / DB_PER_LOG10, 1 / DB_PER_LOG10, "thresholds in dB: 0.1 log₁₀ per dB"
+    zero = math.log10(brightest) if spelling == "dB attenuation" and brightest is not None else 0.0
+    taken = np.array([unit.to_base(float(v)) for v in levels])
+    if not np.isfinite(taken).all():
+        raise InputError(f"{path}: a threshold of {levels.min():g} in linear units; they must be above 0")
+    is_linear = math.isnan(unit.to_base(-1.0))  # which has no logarithm
+    slope = (
+        1.0 / (levels * math.log(10.0)) if is_linear else np.full(levels.shape, unit.to_base(1.0) - unit.to_base(0.0))
+    )
+    of = f"0 dB = {brightest:.5g} cd·m⁻², " if zero else ""
+    return taken + zero, np.abs(slope), f"thresholds in {spelling}, {of}{why}: log₁₀ taken"
 
 
-def _u_log10(u: np.ndarray, levels: np.ndarray, factor: float | None) -> np.ndarray:
-    """Return standard deviations in log10 units: of the file's unit, or relative to linear levels."""
-    return u * factor if factor is not None else u / levels / math.log(10.0)
+def _threshold_unit(heading: str, facts: Mapping[str, str]) -> str:
+    """Return the unit of thresholds as a spelling of `units.SPELLINGS`; "" where heading and # lines state none."""
+    name, unit, spelling = heading_parts(heading, "threshold")
+    if unit is None:
+        noted = facts.get("threshold unit", facts.get("unit", facts.get("units", "")))
+        spelling = noted if unit_of(noted, "threshold") else ""
+    law = next((law for word in name.split("_") for sign, law in _LAWS.items() if re.fullmatch(sign, word)), "")
+    if law and spelling and unit_of(f"{law} {spelling}", "threshold"):
+        return f"{law} {spelling}"
+    return spelling or law
+
+
+_LAWS: Final = {"log.*": "log10", "ln": "ln"}  # by words of a heading: `log threshold (mcd/m2)`
+
+
+def _is_dark(header: Sequence[str]) -> bool:
+    """Return whether a table is a list of R's package Dark: minutes in `time`, log10 thresholds in `thrs`."""
+    return {"time", "thrs"} <= {_word(name) for name in header}
+
+
+def _unsettled(path: Path, fact: str, heading: str, problem: str, units: str, example: str) -> UnsettledError:
+    way_out = f"call the column {example}, or read it with --map {fact}={heading}:UNIT (UNIT: {units})"
+    if not heading:
+        way_out = f"write a heading, such as {example}"
+    return UnsettledError(f"{path}: the column of the {fact} {heading!r} states no unit and {problem}: {way_out}")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.data.reader_limits import bounded_reader
+from radiometer.data.statements import StatementMap
 from radiometer.errors import InputError, MeasurementError
 from radiometer.plausible import PLAUSIBLE
 from radiometer.statistics.scale import MEDIAN_U, neighbour_sigma
@@ -51,13 +52,18 @@ class ThresholdSeries:
 
     @classmethod
     @bounded_reader(error=InputError)
-    def read(cls, path: Path) -> ThresholdSeries:
+    def read(cls, path: Path, mapped: StatementMap | None = None) -> ThresholdSeries:
         """Return the series in a file of any form that `read_table` knows.
+
+        Args:
+            path: The file.
+            mapped: Where the user states that `time` and `threshold` are, and in which unit.
 
         Raises:
             InputError: If the file is missing or not of that form.
+            UnsettledError: If a unit is not stated.
         """
-        table = read_table(path)
+        table = read_table(path, mapped)
         rows = table.rows
         for time, threshold in rows[:, :2]:
             PLAUSIBLE["time_in_dark"].check(f"{path}: time", time)

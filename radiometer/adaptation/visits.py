@@ -15,7 +15,9 @@ from radiometer.adaptation.report import label_of, origin_of, short
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.data.event_journal import Event, read_events
+from radiometer.data.provenance import FUTURE_DAYS
 from radiometer.errors import InputError, UsageError
+from radiometer.moments import moment_of
 from radiometer.numbers import unit_text
 from radiometer.reporting.page import page, paragraph, section, table
 from radiometer.reporting.pictures import dress, label, legend, picture
@@ -41,12 +43,19 @@ def iso_utc(moment: dt.datetime) -> str:
     return moment.astimezone(dt.UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
-def moment_of(text: str) -> dt.datetime:
-    """Return the moment that a text states; without a zone it is local time. Raises UsageError."""
+def moment_of_visit(text: str, now: dt.datetime) -> dt.datetime:
+    """Return the moment that an option states in UTC.
+
+    Raises:
+        UsageError: If it is none, or is in the future.
+    """
     try:
-        return dt.datetime.fromisoformat(text).astimezone(dt.UTC)
+        moment = moment_of(text).astimezone(dt.UTC)
     except (ValueError, OverflowError) as error:
-        raise UsageError(f"--visit {text}: not a date and time; write it as 2026-03-02T14:30") from error
+        raise UsageError(f"--visit {text}: not a date and time; write it as 2026-03-02T14:30Z") from error
+    if moment > now + dt.timedelta(days=FUTURE_DAYS):
+        raise UsageError(f"--visit {text} is in the future; correct the date, or the clock of this computer")
+    return moment
 
 
 def visit_at(journal: Path, request: RunRequest, now: dt.datetime) -> Visit:

@@ -26,12 +26,13 @@ from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of, visit_at, visit_in, visits_html
+from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of_visit, visit_at, visit_in, visits_html
 from radiometer.api.files import PathLike
 from radiometer.api.result import Notice, Result, require_other, unheard
 from radiometer.data.event_journal import Event
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
+from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.numbers import rounded, unit_text
@@ -153,7 +154,7 @@ def adapt_run(
         age: Age of the subject in years, for the head of journal and table.
         pupil: Diameter of the pupil in mm as measured, for the same, and to warn where it is below the protocol's.
         practice: Three minutes without a bleach, to learn the task; nothing of it is fitted.
-        visit: Date and time of the visit, ISO 8601, local where no zone is stated; now by default.
+        visit: Date and time of the visit, ISO 8601, UTC where no zone is stated; now by default.
         preset: Light-box preset: bounds and places of its channels.
         screen: Calibration of the screen that shows the spot.
         display: That screen: "browser" (the default), or a simulated one: "lcd", "pwm_lcd", "oled".
@@ -188,7 +189,8 @@ def adapt_run(
         simulate=simulate, screen=screens, display=display or "browser", port=port, age_years=age, pupil_mm=pupil,
         practice=practice,
     )  # fmt: skip
-    moment = dt.datetime.now(dt.UTC) if visit is None else moment_of(visit)
+    now = dt.datetime.now(dt.UTC)
+    moment = now if visit is None else moment_of_visit(visit, now)
     found = visit_at(Path(out), asked, moment) if out else visit_in(Path(), asked, moment)
     request, journal, resumed = found.request, found.journal, found.resumed
     for remark in (*found.remarks, request.smaller_pupil()):
@@ -302,6 +304,7 @@ def adapt_fit(
     stimulus_u_log10: float | None = None,
     bootstrap: int = 200,
     seed: int = 1,
+    mapped: StatementMap | Sequence[str] = (),
     progress: Progress = unseen,
 ) -> AdaptationCurve:
     """Fit cone and rod branches to thresholds: plateau, rod–cone break, S2, rod intercept, final threshold.
@@ -318,13 +321,15 @@ def adapt_fit(
         stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units; the table's own by default.
         bootstrap: Bootstrap redraws; 0 for none.
         seed: Makes the redraws.
+        mapped: Columns and units where the table does not state them, such as ["time=t:s", "threshold=thr:log10"].
         progress: Called after every redraw.
 
     Raises:
         InputError: If the table cannot be read.
+        UnsettledError: If it states no unit of time or threshold, and `mapped` neither.
         MeasurementError: If the thresholds determine no branch.
     """
-    series = ThresholdSeries.read(Path(data))
+    series = ThresholdSeries.read(Path(data), StatementMap.of(mapped))
     if stimulus_u_log10 is None:
         stimulus_u_log10 = number_of(series.facts, "u_scale_log10") or 0.0
     rule = intercept_of(series.facts) if criterion is None else None
@@ -366,7 +371,7 @@ class Retest(Result):
         return ", ".join(f"{LABELS[one.name]}: {len(one.visits)} pairs" for one in self.comparisons)
 
 
-def adapt_retest(visits: Sequence[PathLike]) -> Retest:
+def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[str] = ()) -> Retest:
     """Find how well repeated visits agree: differences of break, S2, rod intercept and plateau.
 
     Examples:
@@ -377,6 +382,7 @@ def adapt_retest(visits: Sequence[PathLike]) -> Retest:
 
     Args:
         visits: Tables of thresholds: first and second visit of each subject, in turn.
+        mapped: Columns and units, as for `adapt_fit`.
 
     Raises:
         UsageError: If their number is odd.
@@ -384,12 +390,13 @@ def adapt_retest(visits: Sequence[PathLike]) -> Retest:
     """
     if len(visits) % 2:
         raise UsageError(f"{len(visits)} tables: give two for each subject, first and second visit")
-    fits = [_fitted(Path(one)).fit for one in visits]
+    known = StatementMap.of(mapped)
+    fits = [_fitted(Path(one), known).fit for one in visits]
     return Retest(tuple(compare_visits(list(zip(fits[::2], fits[1::2], strict=True)))))
 
 
-def _fitted(file: Path) -> AdaptationCurve:
-    series = ThresholdSeries.read(file)
+def _fitted(file: Path, mapped: StatementMap) -> AdaptationCurve:
+    series = ThresholdSeries.read(file, mapped)
     request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
     try:
         return AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, file.stem)
@@ -505,7 +512,9 @@ class Visits(Result):
         return ", ".join(label_of_visit(one.series, one.name) for one in self.curves)
 
 
-def adapt_visits(visits: Sequence[PathLike], *, report: PathLike | None = None) -> Visits:
+def adapt_visits(
+    visits: Sequence[PathLike], *, report: PathLike | None = None, mapped: StatementMap | Sequence[str] = ()
+) -> Visits:
     """Fit the thresholds of several visits and lay their curves over each other.
 
     Examples:
@@ -516,6 +525,7 @@ def adapt_visits(visits: Sequence[PathLike], *, report: PathLike | None = None) 
     Args:
         visits: Tables or journals, in the order of the visits.
         report: Page to write, with all curves in one picture.
+        mapped: Columns and units, as for `adapt_fit`.
 
     Raises:
         UsageError: If there are fewer than two.
@@ -524,7 +534,8 @@ def adapt_visits(visits: Sequence[PathLike], *, report: PathLike | None = None) 
     """
     if len(visits) < 2:
         raise UsageError(f"{len(visits)} visit: name two at least")
-    found = Visits(tuple(_fitted(Path(one)) for one in visits))
+    known = StatementMap.of(mapped)
+    found = Visits(tuple(_fitted(Path(one), known) for one in visits))
     if report is not None:
         found.write_report(report)
     return found

@@ -16,6 +16,7 @@ from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import check_outputs, read_text, write_text_atomic
 from radiometer.errors import InputError, UsageError
+from radiometer.moments import moment_of
 from radiometer.plausible import PLAUSIBLE
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
@@ -208,10 +209,9 @@ def _result(name: str, stated: dict[str, Any]) -> Quantity:
 def _day(time: str) -> str:
     """Return the day of a time in ISO 8601. Raises InputError if it is none, or in the future."""
     try:
-        moment = datetime.fromisoformat(time)
+        moment = moment_of(time)
     except ValueError as error:
         raise InputError(f"time {time[:40]!r} is none of ISO 8601") from error
-    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
     if moment > datetime.now(UTC) + timedelta(days=1):
         raise InputError(f"time {time[:40]} is in the future; correct the clock or the file")
     return moment.date().isoformat()

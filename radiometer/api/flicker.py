@@ -159,7 +159,7 @@ def flicker(
             raise UsageError(f"{', '.join(given)}: of a frame only; {path} is a table")
         if exposure is not None and not exposure > 0.0:
             raise UsageError(f"--exposure {exposure:g}: must be above 0 s")
-        known = mapped if isinstance(mapped, StatementMap) else StatementMap.parse(mapped)
+        known = StatementMap.of(mapped)
         waveform, reported = read_waveform(path, dark, u_dark, known, exposure or 0.0)
         for line in reported:
             notice(f"{path.name}: {line}")

@@ -74,7 +74,7 @@ def import_capture(
         OutputError: If the folder is not empty or cannot be written.
     """
     several = [sources] if isinstance(sources, str | os.PathLike) else sources
-    stated = mapped if isinstance(mapped, StatementMap) else StatementMap.parse(mapped)
+    stated = StatementMap.of(mapped)
     options = ImportOptions(as_patch(crop), sample, full_scale, pedestal, stated)
     report = counted(progress, "reading headers")
     return Imported(tuple(import_into([Path(one) for one in several], Path(output), options, report)))

@@ -20,7 +20,7 @@ from radiometer.bench.boxes import (
     ExposureReport,
     OpenedBox,
     calibration_file,
-    confirm_no_exposure,
+    confirm_unexposed,
     darken,
     exposure_reports,
     nothing_answers,
@@ -409,11 +409,11 @@ def _account_line(one: ExposureReport) -> str:
     return f"{one.name}: {100 * one.blue_light:.3g} % of the blue-light limit within 10⁴ s{free}"
 
 
-def light_account(box: str | None = None, *, confirm_unexposed: bool = False) -> ExposureAccount:
+def light_account(box: str | None = None, *, confirm_no_exposure: bool = False) -> ExposureAccount:
     """Return how much of the blue-light limit boxes and eyes have used up within 10⁴ s.
 
     A box without a history on this computer counts as used up, and so does every box where the account was lost,
-    damaged or from the future. That ends after 10⁴ s, or with `confirm_unexposed`.
+    damaged or from the future. That ends after 10⁴ s, or with `confirm_no_exposure`.
 
     Examples:
         >>> import radiometer as rm
@@ -422,17 +422,17 @@ def light_account(box: str | None = None, *, confirm_unexposed: bool = False) ->
 
     Args:
         box: Serial number of a light box; all by default.
-        confirm_unexposed: State that no eye that will look into the box saw its light, or another light as bright, in
+        confirm_no_exposure: State that no eye that will look into the box saw its light, or another light as bright, in
             the last 10⁴ s.
 
     Raises:
         UsageError: If the account does not know the box, or none is named to confirm.
         UnsafeStimulus: If the account cannot be read or stored.
     """
-    if box is not None or confirm_unexposed:
+    if box is not None or confirm_no_exposure:
         box = require_known_box(box)
-    if confirm_unexposed:
-        confirm_no_exposure(box)
+    if confirm_no_exposure:
+        confirm_unexposed(box)
     reports, wrong = exposure_reports()
     consequence = "what it held is lost; each box counts as used up for 10⁴ s from its next opening"
     notes = (f"{wrong}; {consequence}: radiometer light status",) if wrong else ()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
-from radiometer.importing.log_table import LogColumns, read_log
+from radiometer.data.statements import StatementMap
+from radiometer.importing.log_table import read_log
 from radiometer.reconciliation.logs.log_fit import LogFit, fit_log
 from radiometer.reconciliation.result import ReconcileResult
 
@@ -57,13 +59,7 @@ def log_fit(
     table: PathLike,
     reference_file: PathLike | None = None,
     *,
-    value: str | None = None,
-    reference: str | None = None,
-    exposure: str | None = None,
-    gain: str | None = None,
-    temperature: str | None = None,
-    colour: str | None = None,
-    gain_unit: str | None = None,
+    mapped: StatementMap | Sequence[str] = (),
     black: float = 0.0,
     control: bool = True,
 ) -> LogFinding:
@@ -78,24 +74,15 @@ def log_fit(
     Args:
         table: CSV of the camera's value and exposure, a reference, and perhaps gain, temperature, time, colour.
         reference_file: File of the reference meter with separate times, where it is not a column.
-        value: Column of the camera's value in DN.
-        reference: Column of the reference.
-        exposure: Column of the exposure time.
-        gain: Column of the gain.
-        temperature: Column of the sensor temperature.
-        colour: Column of the light's colour.
-        gain_unit: "db", "0.1db", "x" or "iso", where the column's name leaves it open.
+        mapped: Columns and units that the table does not state, such as ["value=roi", "exposure=t:ms", "gain=g:0.1dB"].
         black: Black level in DN to take off the value.
         control: Do the same search over values that lack nothing, as a negative control.
 
     Raises:
         InputError: If the table cannot be read or a column is missing.
+        UnsettledError: If a column's unit is not stated, and `mapped` does not state it.
         MeasurementError: If it holds too few nights.
     """
-    named = {
-        "value": value, "reference": reference, "exposure": exposure, "gain": gain, "temperature": temperature,
-        "colour": colour,
-    }  # fmt: skip
-    chosen = {key: column for key, column in named.items() if column is not None}
-    log = read_log(Path(table), LogColumns(chosen, gain_unit, black), Path(reference_file) if reference_file else None)
+    meter = Path(reference_file) if reference_file else None
+    log = read_log(Path(table), StatementMap.of(mapped), meter, black_dn=black)
     return LogFinding(fit_log(log, control=control))

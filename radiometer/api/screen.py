@@ -519,7 +519,7 @@ def screen_import(
         InputError: If the file cannot be read or holds too few levels.
         OutputError: If the calibration cannot be written.
     """
-    stated = mapped if isinstance(mapped, StatementMap) else StatementMap.parse(mapped)
+    stated = StatementMap.of(mapped)
     readings = read_screen_readings(Path(file), white_luminance, gamma, stated)
     if name is not None:
         readings = replace(readings, name=name)

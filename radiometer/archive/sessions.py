@@ -20,6 +20,7 @@ from radiometer.errors import InputError, MeasurementError, RadiometerError, Uns
 from radiometer.importing import import_sources
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME
 from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
+from radiometer.moments import moment_of
 
 _FEWEST_OF_A_SERIES: Final = 3  # two frames are a pair; a course needs a third
 
@@ -190,10 +191,9 @@ def _identity(capture: CaptureSet) -> tuple[str, ...]:
 def _taken(capture: CaptureSet) -> dt.datetime | None:
     created = capture.header.created
     try:
-        moment = created if isinstance(created, dt.datetime) else dt.datetime.fromisoformat(str(created))
+        return moment_of(str(created))
     except ValueError:
         return None
-    return moment.replace(tzinfo=moment.tzinfo or dt.UTC)
 
 
 def _series(capture: CaptureSet, black_dn: float) -> list[LightSeries]:

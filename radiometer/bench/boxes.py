@@ -334,7 +334,7 @@ def exposure_store() -> FileStore:
     return FileStore(Path.home() / (os.environ.get(STATE_VARIABLE) or state_folder()))
 
 
-def confirm_no_exposure(serial: str | None) -> None:
+def confirm_unexposed(serial: str | None) -> None:
     """Take a person's word that no eye that will look into a light box was exposed in the last 10⁴ s.
 
     It ends the time for which a box without a history counts as used up. What the account knows to be given stays.

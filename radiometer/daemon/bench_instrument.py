@@ -365,7 +365,7 @@ class BenchLight:
         """Ask the box for temperature, counts and what each channel really does. Raises DeviceError."""
         box = self._opened()
         status, levels = box.status(), {name: _level(box.read_channel(name)) for name in self._channels}
-        self._limits = {name: _highest(box, name) for name in self._channels}
+        self._look_at_limits(box)
         counts = {"damaged_lines": status.damaged_lines, "lost_bytes": status.lost_bytes, "darkened": status.darkened}
         return DeviceReport(status.temperature_celsius, counts, levels)
 
@@ -376,7 +376,11 @@ class BenchLight:
             box.off(channel)
             return 0.0
         state = box.set_level(channel, DriveLevel(max(1, round(level * FULL_LEVEL)), CurrentRange.HIGH))
+        self._look_at_limits(box)  # this light counts towards what the other channels may give
         return _level(state)
+
+    def _look_at_limits(self, box: LightBox) -> None:
+        self._limits = {name: _highest(box, name) for name in self._channels}
 
     def _opened(self) -> LightBox:
         if self._box is None:

@@ -10,7 +10,6 @@ import asyncio
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any, Final
 
 import structlog
@@ -21,6 +20,7 @@ from radiometer.daemon.patches import MAIN
 from radiometer.daemon.station import Station
 from radiometer.data import Reading
 from radiometer.errors import MissingLibrary, UsageError
+from radiometer.moments import moment_of
 
 _log = structlog.get_logger(__name__)
 _QUEUED_EVENTS: Final = 1000  # a quarter of an hour of readings, once a second
@@ -202,7 +202,7 @@ class _Watching:
 
 
 def _time_stamp(reading: Reading) -> dict[str, int]:
-    moment = datetime.fromisoformat(reading.time)
+    moment = moment_of(reading.time)
     seconds = int(moment.timestamp())
     return {"secondsPastEpoch": seconds, "nanoseconds": moment.microsecond * 1000, "userTag": reading.sequence}
 

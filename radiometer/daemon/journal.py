@@ -22,7 +22,7 @@ from radiometer.daemon.timestamps import microseconds, now_us
 from radiometer.data import Reading
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import state_folder
-from radiometer.errors import OutputError
+from radiometer.errors import OutputError, RadiometerError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": identifies a radiometer journal to `file` and to us
 SCHEMA_VERSION: Final = 2  # 1 had no streams
@@ -86,6 +86,18 @@ INSERT INTO counters VALUES ('last_sequence', 0);
 {_TREND}
 PRAGMA user_version = {SCHEMA_VERSION};
 """
+
+
+def refuse_foreign_objects(connection: sqlite3.Connection, path: Path, error: type[RadiometerError]) -> None:
+    """Refuse a journal that holds a view, a trigger or a virtual table: a query of it has no bound."""
+    foreign = connection.execute(
+        "SELECT type, name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'"
+    ).fetchone()
+    if foreign is not None:
+        raise error(
+            f"{path}: holds the {foreign[0]} {foreign[1][:40]!r}, which no journal has: another program changed it;"
+            " use a copy from before"
+        )
 
 
 class JournalError(OutputError):
@@ -266,6 +278,7 @@ class Journal:
             raise OutputError(
                 f"{self.path} is an SQLite file but not a radiometer journal; name another with --journal"
             )
+        refuse_foreign_objects(connection, self.path, OutputError)
         if version > SCHEMA_VERSION:
             raise OutputError(f"{self.path} was written by a newer radiometer (form {version}); update this one")
         if not tables:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US
+from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US, refuse_foreign_objects
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data.json_text import parsed_json
 from radiometer.data.reader_limits import refuse_endless
@@ -199,10 +199,15 @@ class JournalReader:
                 (application_id,) = connection.execute("PRAGMA application_id").fetchone()
                 if application_id != APPLICATION_ID:
                     raise InputError(f"{self._path} is an SQLite file but not a radiometer journal")
+                refuse_foreign_objects(connection, self._path, InputError)
                 yield connection
             finally:
                 connection.close()
         except sqlite3.Error as error:
+            if time.monotonic() > give_up_at:
+                raise InputError(
+                    f"{self._path}: the query takes more than {max(self._deadline_s, 0.0):g} s; ask for a shorter time"
+                ) from error
             raise InputError(f"cannot read the journal {self._path}: {error}") from error
 
 

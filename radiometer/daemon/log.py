@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import math
 import statistics
 from collections.abc import Mapping, Sequence
@@ -19,6 +18,7 @@ from radiometer.daemon.timestamps import parse_moment
 from radiometer.data.drawing import new_axes, own_axes, write_figure
 from radiometer.data.json_text import parsed_json
 from radiometer.errors import UsageError
+from radiometer.moments import moment_of
 from radiometer.numbers import unit_text
 from radiometer.reporting.pictures import label
 
@@ -133,7 +133,7 @@ def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Seque
 
 
 def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]]) -> None:
-    times: Any = [dt.datetime.fromisoformat(one["time"]) for one in readings]
+    times: Any = [moment_of(one["time"]) for one in readings]
     values = [one["radiance"]["value"] for one in readings]
     spread = [one["radiance"]["u"] * one["coverage_factor"] for one in readings]
     (line,) = axes.plot(times, values, "-" if len(values) > 1 else "o", linewidth=1.2, label=name)

@@ -7,6 +7,7 @@ import re
 import time
 
 from radiometer.errors import UsageError
+from radiometer.moments import moment_of
 
 _UNITS_S = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400, "w": 604800}
 _AGO = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|m|h|d|w)")
@@ -19,10 +20,7 @@ def now_us() -> int:
 
 def microseconds(iso: str) -> int:
     """Return an ISO 8601 time in µs since 1970; a time without zone is UTC. Raises ValueError."""
-    moment = dt.datetime.fromisoformat(iso)
-    if moment.tzinfo is None:
-        moment = moment.replace(tzinfo=dt.UTC)
-    return (moment - dt.datetime(1970, 1, 1, tzinfo=dt.UTC)) // dt.timedelta(microseconds=1)
+    return (moment_of(iso) - dt.datetime(1970, 1, 1, tzinfo=dt.UTC)) // dt.timedelta(microseconds=1)
 
 
 def parse_moment(text: str, now: int | None = None) -> int:

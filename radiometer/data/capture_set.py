@@ -34,6 +34,7 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import check_new_folder, dump_yaml, read_yaml, state_folder, write_bytes_atomic
 from radiometer.data.validation import FileSection, validate, within
 from radiometer.errors import CaptureError, OutputError, OutputRefused, UsageError
+from radiometer.moments import UNIX_S, moment_of
 
 FORMAT = "radiometer-capture/1"
 HEADER_NAME = "capture.yaml"
@@ -136,12 +137,11 @@ class CaptureHeader(FileSection):
         """
         if self.created is not None:
             try:
-                moment = dt.datetime.fromisoformat(self.created)
+                return moment_of(self.created)
             except ValueError:
                 return None
-            return moment.replace(tzinfo=moment.tzinfo or dt.UTC)
         stamp = self.frames[0].timestamp_s if self.frames else None
-        return dt.datetime.fromtimestamp(stamp, dt.UTC) if stamp is not None and 1e9 < stamp < 1e11 else None
+        return dt.datetime.fromtimestamp(stamp, dt.UTC) if stamp is not None and UNIX_S[0] < stamp < UNIX_S[1] else None
 
     @model_validator(mode="after")
     def _refuse_nothing(self) -> Self:

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import radiometer
 from radiometer.errors import InputError
+from radiometer.moments import moment_of
 
 FUTURE_DAYS: Final = 1.0  # time zones that were mistaken, and clocks that drift, make less
 
@@ -31,7 +32,7 @@ def is_out_of_date(created: str, validity_days: float, now: dt.datetime) -> bool
         validity_days: How long it is valid in days.
         now: The present, with its zone.
     """
-    age_days = (now - dt.datetime.fromisoformat(created)).total_seconds() / 86400.0
+    age_days = (now - moment_of(created)).total_seconds() / 86400.0
     return not -FUTURE_DAYS <= age_days <= validity_days
 
 

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiometer.data.capture_header import CameraDescription
-from radiometer.units import ELEMENTARY_CHARGE_C, gain_factor
+from radiometer.units import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C, ZERO_CELSIUS_K, gain_factor
 
 # Stand in where a datasheet says nothing; chosen for a small-pixel machine-vision sensor, and printed as assumed.
 _TYPICAL_FULL_WELL_E = 10_000.0
 _TYPICAL_READ_NOISE_E = 3.0
-# Greatest dark current of a camera that states none: 1 nA/cm² at 25 °C, the surface current of a CCD without pinning
-# (J. R. Janesick, Scientific Charge-Coupled Devices, SPIE 2001, chapter 7). Pinned pixels have a hundredth of it.
+# Greatest dark current of a camera that states none: 1 nA/cm² at 25 °C. Models of unpinned silicon sensors take 0.5
+# (M. Konnik and J. Welsh, arXiv:1412.4031, high-level numerical simulations of noise in CCD and CMOS photosensors) to
+# 1 nA/cm² at 300 K (ESA's Pyxel, charge generation). Pinned pixels have a twentieth or less (Princeton Instruments).
 _MOST_DARK_A_PER_M2 = 1e-5
+# That current is generated through states in the middle of the band gap: T^1.5·exp(−E_g/2kT), E_g = 1.12 eV.
+# Source: J. R. Janesick, Scientific Charge-Coupled Devices, SPIE 2001, p. 622, as the models above quote it.
+_HALF_GAP_K = 1.12 * ELEMENTARY_CHARGE_C / (2.0 * BOLTZMANN_J_K)
 _LARGEST_PITCH_UM = 24.0  # of the pixels of scientific CCDs; counts where the pitch is not stated either
 _MOST_DARK_REFERENCE_C = 25.0
 _DARK_DOUBLING_K = 7.0  # silicon: 6 to 8 K near room temperature
@@ -109,5 +114,7 @@ def most_dark_e_per_s(camera: CameraDescription, temperature_c: float | None) ->
         temperature_c: Temperature of the sensor in °C; None counts as 25 °C.
     """
     area_m2 = ((camera.pixel_pitch_um or _LARGEST_PITCH_UM) * 1e-6) ** 2
-    warmer_k = 0.0 if temperature_c is None else temperature_c - _MOST_DARK_REFERENCE_C
-    return float(_MOST_DARK_A_PER_M2 * area_m2 / ELEMENTARY_CHARGE_C * 2.0 ** (warmer_k / _DARK_DOUBLING_K))
+    reference_k = _MOST_DARK_REFERENCE_C + ZERO_CELSIUS_K
+    kelvin = reference_k if temperature_c is None else temperature_c + ZERO_CELSIUS_K
+    warmer = (kelvin / reference_k) ** 1.5 * math.exp(_HALF_GAP_K * (1.0 / reference_k - 1.0 / kelvin))
+    return float(_MOST_DARK_A_PER_M2 * area_m2 / ELEMENTARY_CHARGE_C * warmer)

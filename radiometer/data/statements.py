@@ -65,7 +65,13 @@ FACTS: Final[Mapping[str, str]] = {
     **dict.fromkeys(
         ("power", "number", "mean", "variance", "sigma", "frames", "pixels", "photons", "source_level"), "number"
     ),
-    "timestamp": "time",
+    **dict.fromkeys(("timestamp", "time"), "time"),
+    # Of thresholds over time, and of logs with a reference meter.
+    "threshold": "threshold",
+    "reference": "reference",
+    **dict.fromkeys(("value", "colour"), "number"),
+    "night": "text",
+    "u_reference": "u_relative",
 }
 _MISSING: Final = frozenset(
     {"", "-", "--", "?", "n/a", "na", "nan", "none", "null", "unknown", "undef", "undefined", "#n/a", "inf", "-inf"}
@@ -103,6 +109,7 @@ def value_of(
     *,
     defined: str = "",
     where: str = "",
+    has_option: bool = True,
 ) -> float | None:
     """Return what a file states of a fact in the base unit of its quantity; None where it is unknown.
 
@@ -110,9 +117,10 @@ def value_of(
         fact: Name of the fact, a key of `FACTS`.
         doubts: Lines to which is added what is reported.
         defined: Unit that the format's definition gives where the file states none; "" where it gives none.
+        has_option: Whether the command of this reader has the option --map.
 
     Raises:
-        UnsettledError: If the unit is missing, not known, or contradicts itself; the message names the option.
+        UnsettledError: If the unit is missing, not known, or contradicts itself; the message names the way out.
     """
     quantity = FACTS.get(fact, fact)
     if is_unknown(statement.written):
@@ -124,7 +132,7 @@ def value_of(
             f"{place} states {str(statement.written).strip()!r}, which is no number ({error}): {fact} unknown"
         )
         return None
-    unit = _unit_stated(statement, own_unit, quantity, fact, place, defined, where)
+    unit = unit_stated(statement, own_unit, fact, place, defined, where, has_option=has_option)
     base = unit.to_base(value)
     limits = UNKNOWN.get(quantity, Unknown())
     if value in limits.numbers or not math.isfinite(base) or not limits.low <= base <= limits.high:
@@ -137,32 +145,49 @@ def _of_unit(unit: Unit) -> str:
     return f" {unit.name}" if unit.name not in ("", "1") else ""
 
 
-def _unit_stated(
-    statement: Statement, own_unit: str, quantity: str, fact: str, place: str, defined: str, where: str
+def unit_stated(
+    statement: Statement,
+    own_unit: str,
+    fact: str,
+    place: str,
+    defined: str = "",
+    where: str = "",
+    *,
+    has_option: bool = True,
 ) -> Unit:
-    """Return the one unit that number, header and comment name, else the defined one."""
+    """Return the one unit that number, header and comment name, else the defined one.
+
+    Raises:
+        UnsettledError: If there is none, or several.
+    """
+    quantity = FACTS.get(fact, fact)
+
+    def unsettled(spelling: str) -> UnsettledError:
+        offered = tuple(unit_names(quantity)) if has_option else ()
+        return UnsettledError.of_unit(where, place, statement.written, spelling, fact, offered)
+
     stated: dict[str, Unit] = {}
     for spelling in filter(None, (own_unit, statement.unit)):
         unit = unit_of(spelling, quantity)
         if unit is None:
-            raise UnsettledError.of_unit(where, place, statement.written, spelling, fact, tuple(unit_names(quantity)))
+            raise unsettled(spelling)
         stated[spelling] = unit
     unit, spelling = unit_in_words(statement.comment, quantity) if statement.comment else (None, "")
     if unit is not None:
         stated[spelling] = unit
     elif spelling:
-        raise UnsettledError.of_unit(where, place, statement.written, spelling, fact, tuple(unit_names(quantity)))
+        raise unsettled(spelling)
     probe = 1.0 if quantity != "conversion_gain" else 2.0
     if len({round(u.to_base(probe), 12) for u in stated.values()}) > 1:
         both = " and ".join(map(repr, stated))
-        raise UnsettledError.of_unit(where, place, statement.written, both, fact, tuple(unit_names(quantity)))
+        raise unsettled(both)
     if stated:
         return next(iter(stated.values()))
     if quantity == "number":
         defined = "1"
     named = unit_of(defined, quantity) if defined else None
     if named is None:
-        raise UnsettledError.of_unit(where, place, statement.written, "", fact, tuple(unit_names(quantity)))
+        raise unsettled("")
     return named
 
 
@@ -222,6 +247,11 @@ class StatementMap:
             places[fact.strip()] = (_checked(fact.strip(), place, f"--map {text!r}"),)
             demanded.add(fact.strip())
         return cls(places, frozenset(demanded))
+
+    @classmethod
+    def of(cls, mapped: StatementMap | Sequence[str]) -> StatementMap:
+        """Return a map, or that of words. Raises as `parse`."""
+        return mapped if isinstance(mapped, StatementMap) else cls.parse(mapped)
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the map as a file of it holds it: what `--map FILE` reads again."""

@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Final
 
 from radiometer.data.reader_limits import bounded_reader
-from radiometer.data.statements import FACTS, Place, Statement, StatementMap, is_unknown, value_of
+from radiometer.data.statements import FACTS, Place, Statement, StatementMap, is_unknown, unit_stated, value_of
 from radiometer.errors import InputError, UnsettledError
-from radiometer.units import heading_parts, plain_name, unit_of
+from radiometer.moments import moment_of
+from radiometer.units import Unit, heading_parts, plain_name, unit_of
 
 _SEPARATORS: Final = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
 _LONGEST_LINE: Final = 100_000  # Python's csv takes cells of up to 131 072 characters
@@ -34,6 +35,27 @@ _GROUPED_POINT: Final = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+\.\d+")
 # Signs that part thousands and are nothing else between digits: no-break blanks and the Swiss apostrophe.
 _GROUP_SIGN: Final = re.compile("(?<=\\d)[\u00a0\u202f'\u2019](?=\\d{3}(?!\\d))")
 _STAMP_FORMS: Final = ("%Y/%m/%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%Y-%m-%d_%H:%M:%S")
+# What rows may be of: to pool them is to mix curves or scenes.
+_OF_WHAT: Final = (
+    "subject",
+    "participant",
+    "patient",
+    "person",
+    "eye",
+    "visit",
+    "channel",
+    "filter",
+    "camera",
+    "serial",
+    "sensor",
+    "display",
+    "monitor",
+    "screen",
+    "device",
+    "lamp",
+    "colour_channel",
+    "bayer",
+)
 # A running number says nothing of what was measured.
 _INDEX_NAMES: Final = ("no", "nr", "number", "index", "row", "sample", "sample_id", "id", "n", "i", "patch", "step", "")
 
@@ -66,13 +88,16 @@ class TextTable:
                 return self.plain.index(name)
         return None
 
-    def find_fact(self, fact: str, names: Sequence[str], mapped: StatementMap | None = None) -> int | None:
+    def find_fact(
+        self, fact: str, names: Sequence[str], mapped: StatementMap | None = None, *, unit_alone: bool = True
+    ) -> int | None:
         """Return the column of a fact: the mapped one, else the one of a known name with or without a unit behind it.
 
         Args:
             fact: A key of `FACTS`.
-            names: Plain names without units, the best first; a heading that is a unit of the fact alone counts last.
+            names: Plain names without units, the best first.
             mapped: Where the user states that facts stand.
+            unit_alone: Whether a heading that is nothing but a unit of the fact counts, last.
 
         Raises:
             UnsettledError: If the user names a column that the table has not, or several columns have one of the names.
@@ -80,12 +105,13 @@ class TextTable:
         if place := self._mapped(fact, mapped):
             return self._named(place.name, fact)
         bare = [(*heading_parts(name, FACTS[fact]), plain_name(name)) for name in self.header]
-        for known in (*names, ""):
+        for known in (*names, *([""] if unit_alone else [])):
             at = [n for n, (name, _, _, whole) in enumerate(bare) if known in ((name, whole) if known else (name,))]
             at = [n for n in at if known or bare[n][1] is not None]
             if len(at) > 1:
                 both = " and ".join(repr(self.header[n]) for n in at)
-                raise UnsettledError(f"{self.path}: {both} may both be {fact}; name one: --map {fact}=COLUMN")
+                way_out = "rename one" if mapped is None else f"name one: --map {fact}=COLUMN"
+                raise UnsettledError(f"{self.path}: {both} may both be {fact}; {way_out}")
             if at:
                 return at[0]
         return None
@@ -108,8 +134,7 @@ class TextTable:
         """
         heading = self.header[at] if self.header else f"column {at + 1}"
         place = self._mapped(fact, mapped)
-        _, unit, spelling = heading_parts(heading, FACTS[fact])
-        stated = place.unit if place and place.unit else spelling if unit is not None or _may_be_unit(spelling) else ""
+        stated = self._unit_text(heading, fact, place)
         found = []
         for line, cells in self.rows:
             cell = cells[at]
@@ -119,10 +144,34 @@ class TextTable:
                 )
             reported: list[str] = []
             found.append(
-                value_of(Statement(cell, stated), fact, heading, reported, defined=defined, where=str(self.path))
+                value_of(
+                    Statement(cell, stated),
+                    fact,
+                    heading,
+                    reported,
+                    defined=defined,
+                    where=str(self.path),
+                    has_option=mapped is not None,
+                )
             )
             doubts += [f"{doubt} (line {line})" for doubt in reported]
         return found
+
+    def unit(self, at: int, fact: str, mapped: StatementMap) -> Unit:
+        """Return the unit of a whole column, as the user or its heading states it.
+
+        Raises:
+            UnsettledError: If none is stated; the message names the option.
+        """
+        written = self.rows[0][1][at] if self.rows else ""
+        stated = self._unit_text(self.header[at], fact, self._mapped(fact, mapped))
+        return unit_stated(Statement(written, stated), "", fact, self.header[at], where=str(self.path))
+
+    @staticmethod
+    def _unit_text(heading: str, fact: str, place: Place | None) -> str:
+        """Return a column's unit as it is spelt, the user's word first; "" where none is stated."""
+        _, unit, spelling = heading_parts(heading, FACTS[fact])
+        return place.unit if place and place.unit else spelling if unit is not None or _may_be_unit(spelling) else ""
 
     def numbers(self, at: int) -> list[float]:
         """Return a column whose unit does not matter. Raises InputError for a cell that is no finite number."""
@@ -140,6 +189,22 @@ class TextTable:
         """Return a line that names the columns that are not among those used; nothing where all are."""
         left = [self.header[n] for n in range(len(self.header)) if n not in used]
         return [f"columns {', '.join(left)}"] if left else []
+
+    def refuse_mixed(self, used: Sequence[int | None] = ()) -> None:
+        """Refuse a table whose rows are of several things, such as the curves of two eyes, by a column of their names.
+
+        Args:
+            used: Columns that the reader uses; what they state is known.
+
+        Raises:
+            InputError: If one of the other columns holds several names.
+        """
+        for at, name in enumerate(self.plain):
+            values = list(dict.fromkeys(cells[at].strip() for _, cells in self.rows if not is_unknown(cells[at])))
+            if at not in used and name in _OF_WHAT and len(values) > 1:
+                raise InputError(
+                    f"{self.path}: its rows are of several ({name}: {', '.join(values[:4])}); write a table of each"
+                )
 
     def is_index(self, at: int) -> bool:
         """Return whether a column is a running number by its name."""
@@ -404,16 +469,15 @@ def stamp_s(text: str) -> float:
     if _is_number(cleaned):
         return float(cleaned)
     try:
-        moment = datetime.fromisoformat(cleaned)
+        return moment_of(cleaned).timestamp()
     except ValueError:
-        moment = _other_form(cleaned)
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+        return _other_form(cleaned).timestamp()
 
 
 def _other_form(text: str) -> datetime:
     for form in _STAMP_FORMS:
         try:
-            return datetime.strptime(text, form)
+            return datetime.strptime(text, form).replace(tzinfo=UTC)
         except ValueError:
             continue
     raise ValueError(f"{text!r} is no time; write 2026-11-20T22:15:00, or s since 1970")

@@ -28,7 +28,8 @@ _CAMERA_KEYS: Final = (
     "vendor", "model", "serial", "unit", "mode", "band", "wavelength_nm", "binning", "pixel_pitch_um",
     "conversion_gain_e_per_dn", "read_noise_e", "taps",
 )  # fmt: skip
-_OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode")  # what a camera is called by among several
+# What a set is called by among several.
+_OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode", "scene")
 _MASKED_SAME_DN: Final = 1.0  # masked rows are read to a fraction of a DN
 _UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, above which it is reported
 
@@ -43,7 +44,7 @@ class Assembled:
 
 
 def by_camera(frames: Iterable[FoundFrame]) -> dict[str, list[FoundFrame]]:
-    """Return the frames by camera: maker, model, serial number, band, binning, own settings and frame size.
+    """Return the frames by camera: maker, model, serial number, band, binning, own settings, scene and frame size.
 
     Frames that state no gain are a separate set where others state one: their gain is unknown, and not 0 dB.
     """

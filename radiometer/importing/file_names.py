@@ -27,9 +27,9 @@ class NameClaims:
     """What a name claims."""
 
     exposure_s: float | None  # exposure in s; None where it names none
-    exposure_has_unit: bool  # False where a bare number was read as seconds
+    exposure_has_unit: bool  # False where it is a bare number, to compare with a header in s
     kind: str  # "dark", "light", or ""
-    doubt: str = ""  # what the exposure may be otherwise, in words; "" where it is clear
+    doubt: str = ""  # why the exposure is in doubt, in words; "" where it is clear
 
 
 def claims_of(file: Path) -> NameClaims:
@@ -38,13 +38,13 @@ def claims_of(file: Path) -> NameClaims:
     found = [kind for word, kind in _KINDS.items() if word in words]
     kind = "dark" if DARK_FLAT.search(words) else found[0] if len(set(found)) == 1 else ""
     seconds, has_unit = _exposure(words)
-    doubt = "" if has_unit or seconds is None else f"the file's name states {seconds:g} without a unit: s is assumed"
+    doubt = "" if has_unit or seconds is None else f"the file's name states {seconds:g} without a unit"
     others = {unit.to_base(_value(n)) for n, u in _TIME.findall(words) if (unit := unit_of(u, "exposure"))} - {seconds}
     if len(others) > 0 and has_unit and not _MINUTES_AND_SECONDS.search(words):
-        doubt = f"the file's name states {seconds:g} s and {min(others):g} s: the first is assumed"
+        doubt = f"the file's name states {seconds:g} s and {min(others):g} s"
     if (fraction := _FRACTION.search(words)) and int(fraction[1]) > 0:
         seconds, has_unit = 1.0 / int(fraction[1]), True
-        doubt = f"the file's name states {fraction[0]}: 1/{fraction[1]} s is assumed, not {fraction[1]} s of number 1"
+        doubt = f"the file's name states {fraction[0]}, which is 1/{fraction[1]} s or {fraction[1]} s of number 1"
     return NameClaims(seconds, has_unit, kind, doubt)
 
 

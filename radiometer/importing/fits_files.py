@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,6 +34,7 @@ from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import DARK_FLAT, claims_of, contradictions
 from radiometer.importing.fits_sections import Mosaic, taps_of
 from radiometer.importing.found import FoundFrame
+from radiometer.moments import moment_of
 from radiometer.units import BASE_ISO, read_number, unit_in_words
 
 Header = Mapping[str, Statement]
@@ -51,6 +51,11 @@ _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")
 _ELECTRONS_PER_DN: Final = places("EGAIN:e-/DN E-GAIN:e-/DN EPERADU:e-/DN GAINEL:e-/DN CCDGAIN:e-/DN")
 _SATURATED_FROM: Final = ("SATURATE", "SATLEVEL")
 _READ_NOISE: Final = places("RDNOISE:e- READNOIS:e- RON:e- READNOISE:e-")
+# One wheel or several: light passes all of them.
+_FILTERS: Final = re.compile(r"FILT(?:ER|NAM|NAME|ID)?S?[0-9]{0,2}|INSFILTE|(?:ESO INS )?FILT[0-9]? NAME")
+_BINNING: Final = ("XBINNING", "CCDXBIN", "BINX", "HBIN", "BINNING", "CCDSUM")
+# A sensor's comment says nothing of these.
+_ELSEWHERE: Final = re.compile(r"ambient|outside|outdoor|air|dome|mirror|focus|weather|room|tube", re.IGNORECASE)
 _F_NUMBER: Final = places("FNUMBER:1 FRATIO:1")
 # Settings that change gain or offset by a maker's steps: frames that differ in one are separate sets.
 _MODE: Final = (
@@ -76,7 +81,7 @@ _SETTLED_K: Final = 1.0  # coolers hold a tenth of a kelvin once they have settl
 # Counts of frames in a sum or mean: NOAO's, ESO's and Keck's keywords, Seestar's and Siril's, MaxIm's.
 _COMBINED: Final = (
     "NCOMBINE", "SNAPSHOT", "STACKCNT", "NSUBEXP", "NCOADD", "NCOADDS", "COADDS", "NCOADDED", "NEXP", "NDIT",
-    "ESO DET NDIT", "NSUMEXP",
+    "ESO DET NDIT", "NSUMEXP", "NUMFRAME", "NFRAMES", "NSTACK", "NIMAGES", "NUMCOMB",
 )  # fmt: skip
 # Units of data that are numbers of the converter (FITS standard 4.0, table 4; the rest are spellings in use).
 _DATA_UNITS: Final = ("", "adu", "dn", "count", "counts", "ct", "pixel value")
@@ -298,7 +303,7 @@ def _frames(
     doubts += _processing(header, history)
     doubts += _colour_doubts(path, header, shape)
     gain_db, mode = _gain(path, header, mapped, taken, doubts)
-    filters = text_stated("filter", header, ("FILTER",), mapped, str(path))
+    filters = _filters(header, mapped, str(path))
     camera = _camera(path, header, mapped, taken, doubts) | ({"mode": mode} if mode else {})
     if taps := taps_of(header, (shape[-2], shape[-1]), doubts):
         camera, taken["taps"] = camera | {"taps": taps}, "data sections"
@@ -514,10 +519,6 @@ def _temperature(
     known = _fact("temperature", "temperature_C", path, header, _celsius(header, _TEMPERATURE), mapped, taken, doubts)
     ignored = list[str]()
     asked = first_stated("temperature", header, _celsius(header, _SET_TEMPERATURE), StatementMap(), ignored, str(path))
-    if "temperature_C" in taken and _is_kelvin_by_size(header, taken["temperature_C"]):
-        doubts.append(
-            f"{taken['temperature_C']} states {header[taken['temperature_C']].written} without a unit: K is assumed"
-        )
     if known is None:
         if asked is not None:
             taken["temperature_C"] = asked[0]
@@ -529,8 +530,26 @@ def _temperature(
 
 
 def _celsius(header: Header, keys: tuple[str, ...]) -> tuple[Place, ...]:
-    """Return places of temperatures: in °C as all makers write them, in K where a number can be nothing else."""
-    return tuple(Place(key, "K" if _is_kelvin_by_size(header, key) else "degC") for key in keys if key in header)
+    """Return places of temperatures: in °C as all makers write them; one that looks like K must state its unit."""
+    here = [key for key in keys if key in header and not _ELSEWHERE.search(header[key].comment)]
+    return tuple(Place(key, "" if _is_kelvin_by_size(header, key) else "degC") for key in here)
+
+
+def _filters(header: Header, mapped: StatementMap, where: str) -> tuple[str, str] | None:
+    """Return where the filters stand and their names; None where none is stated."""
+    own = [key for key in header if _FILTERS.fullmatch(key)]
+    found = [one for key in own if (one := text_stated("filter", header, (key,), mapped, where)) is not None]
+    if not found or "filter" in mapped.places:
+        return text_stated("filter", header, (), mapped, where)
+    return ", ".join(key for key, _ in found), " + ".join(dict.fromkeys(words for _, words in found))
+
+
+def _binning(header: Header) -> int:
+    """Return how many pixels are summed along a row; 1 where nothing states it."""
+    for key in _BINNING:
+        if key in header and (digits := re.match(r"\s*(\d{1,2})(?!\d)", str(header[key].written))):
+            return int(digits[1])
+    return 1
 
 
 def _is_kelvin_by_size(header: Header, key: str) -> bool:
@@ -549,11 +568,11 @@ def _timestamp(header: Header, mapped: StatementMap, taken: dict[str, str]) -> f
     if "T" not in text and clock:
         text = f"{text}T{clock}"
     try:
-        moment = datetime.fromisoformat(text)
+        moment = moment_of(text)
     except ValueError:
         return None
     taken["timestamp_s"] = key
-    return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
+    return moment.timestamp()
 
 
 def _camera(
@@ -574,11 +593,10 @@ def _camera(
         if value:
             camera[key] = value
     pitch = next(((k, v) for k in ("PIXSIZE1", "XPIXSZ", "PIXSIZE") if (v := _number(header, k)) and v > 0), None)
-    binning = _number(header, "XBINNING") or 1.0
     if pitch is not None:
         taken["pixel_pitch_um"], camera["pixel_pitch_um"] = pitch
-        if binning > 1:
-            camera["binning"] = int(binning)
+    if (binning := _binning(header)) > 1:
+        camera["binning"] = binning
     top = _number(header, "SATURATE") or _number(header, "DATAMAX")
     if top is not None and top >= 1:
         camera["stated_top_dn"] = top

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,19 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.reader_limits import bounded_reader
-from radiometer.data.statements import UNKNOWN
+from radiometer.data.statements import UNKNOWN, StatementMap, Unknown
 from radiometer.data.text_table import TextTable, read_table, stamp_s
-from radiometer.errors import InputError, UnsettledError, UsageError
+from radiometer.errors import InputError, UnsettledError
+from radiometer.moments import UNIX_S
 from radiometer.typing import Array
-from radiometer.units import heading_parts, read_number, unit_of
+from radiometer.units import CD_M2_AT_0_MAG, heading_parts, read_number, unit_of
 
-CD_M2_AT_0_MAG: Final = 10.8e4
-"""Luminance in cd·m⁻² of 0 mag/arcsec².
-
-Source: Unihedron, "Convert visual mags/arcsecond² to cd/m²" (unihedron.com/projects/darksky/magconv.php): after
-discussions of 2005, uncertain by at least 1 %; a constant factor, which the camera's responsivity takes up here.
-"""
-_MAGNITUDES: Final = ("mag", "sqm", "mpsas", "msas")
+_LEAST_MAG: Final = 1e-6  # 0 is no reading; the moonlit sky has 17
 _DARKEST_MAG: Final = 30.0  # per arcsec²: the darkest sky has 22, the noise of meters 25
 _NO_READING: Final = f"0 or above {_DARKEST_MAG:g} mag is no reading"
 _GAP_S: Final = 3.0 * 3600.0  # without a reading: another night
@@ -37,30 +33,23 @@ _NEEDS: Final = (
     "a camera's value, its exposure and a reference (gain, temperature, time and colour where there are any)"
 )
 
-_ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
+# Names of columns without their units, the best first.
+_NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "value": ("value", "value_dn", "dn", "adu", "mean_adu", "mean", "mean_dn", "signal", "signal_dn",
               "counts", "adu_roi"),
-    "exposure": (
-        "exposure_s", "exposure", "exptime", "exposure_time_s", "exposure_time", "exp", "exposure_ms",
-        "exposure_us", "t_s",
-    ),
-    "gain": ("gain_db", "gain_x", "gain_linear", "gain_01db", "gain", "iso"),
-    "temperature": (
-        "temperature_c", "temperature", "temp", "temp_c", "sensor_temperature_c", "sensor_temp", "ccd_temp", "ccdtemp",
-    ),
-    "time": ("time", "timestamp", "time_s", "timestamp_s", "datetime", "date_time", "utc", "utc_date_time",
-             "createdate", "zeit", "date", "datum"),
-    "reference": (
-        "reference", "reference_mag", "mag_arcsec2", "mpsas", "sqm_mag", "msas", "reference_cd_m2", "luminance_cd_m2",
-        "luminance", "cd_m2", "mcd_m2", "lux", "radiance", "irradiance", "sqm",
-    ),
+    "exposure": ("exposure", "exptime", "exposure_time", "exp", "t"),
+    "gain": ("gain", "iso"),
+    "temperature": ("temperature", "temp", "sensor_temperature", "sensor_temp", "ccd_temp", "ccdtemp"),
+    "timestamp": ("time", "timestamp", "datetime", "date_time", "utc", "utc_date_time", "createdate", "zeit", "date",
+                  "datum"),
+    "reference": ("reference", "sqm", "luminance", "radiance", "irradiance", "illuminance"),
     "colour": ("colour", "color", "b_v", "bv", "colour_index", "color_index", "cct", "cct_k", "colour_temperature_k"),
     "night": ("night", "session", "run", "day"),
-    "black": ("black", "black_dn", "black_level_dn", "bias"),
-    "u_reference": ("u_reference", "u_reference_rel", "u_mag"),
+    "black_level": ("black", "black_dn", "black_level_dn", "bias"),
+    "u_reference": ("u_reference", "u_mag"),
 }  # fmt: skip
-_TEXT: Final = ("night",)
-_WITH_UNITS: Final = ("exposure", "gain", "temperature")
+_ZONE: Final = re.compile(r"(?!UTC?$|GMT$|ISO)[A-Z]{2,5}")  # of letters, such as CET or PST
+_PROPORTIONAL: Final = ("luminance", "radiance", "irradiance", "illuminance")  # linear by their name, in any unit
 _SATURATED_FROM_BITS: Final = range(8, 17)  # converters whose highest code the values may end at
 
 
@@ -97,135 +86,160 @@ class LogTable:
         return replace(self, **arrays)
 
 
-@dataclass(frozen=True, slots=True)
-class LogColumns:
-    """What is stated of the columns in addition to their names."""
-
-    # Column by quantity ("value", "reference", …), where the names do not state it
-    chosen: Mapping[str, str] | None = None
-    gain_unit: str | None = None  # "db", "x", "0.1db" or "iso"; None where the column's name states it
-    black_dn: float = 0.0  # black level in DN to take off
-
-
 @bounded_reader(error=InputError)
-def read_log(path: Path, stated: LogColumns | None = None, reference: Path | None = None) -> LogTable:
+def read_log(
+    path: Path, mapped: StatementMap | None = None, reference: Path | None = None, *, black_dn: float = 0.0
+) -> LogTable:
     """Return the readings of a table.
 
     Args:
         path: CSV of the camera, the reference among its columns or in a separate file.
+        mapped: Columns and units that the tables do not state.
         reference: File of the reference meter with its own times; the nearest readings are interpolated.
+        black_dn: Black level in DN to take off, where the table has none.
 
     Raises:
         InputError: If columns are missing, a value is unusable, or the nights are too few.
+        UnsettledError: If a unit is not stated.
     """
-    stated = stated or LogColumns()
+    known = mapped or StatementMap()
     table = read_table(path, _NEEDS, named=True)
-    places = _places(table, stated, needed=("value", "exposure", *(() if reference else ("reference",))))
-    if reference is not None:
-        places.pop("reference", None)
+    needed = ("value", "exposure", *(() if reference else ("reference",)))
+    places = _places(table, known, needed, without=("reference",) if reference else ())
+    table.refuse_mixed(list(places.values()))
     assumed: list[str] = []
-    columns = {key: _cells(table, at, key) for key, at in places.items()}
-    table, columns = _usable(table, places, columns, assumed)
-    taken = [f"{key} from {table.header[at]!r}" for key, at in places.items()]
+    columns = {fact: _column(table, at, fact, known) for fact, at in places.items()}
+    table, columns = _usable(table, columns, assumed)
+    taken = [f"{_WORDS.get(fact, fact)} from {table.header[at]!r}" for fact, at in places.items()]
     taken += [f"not used: {line}" for line in table.not_used(list(places.values()))]
-    found = _assembled(table, places, columns, stated, assumed)
+    found = _assembled(columns, black_dn, assumed)
     if reference is not None:
-        found, more = _joined_by_time(
-            found, columns, table, read_table(reference, "the times and readings of a reference meter", named=True)
-        )
+        meter = read_table(reference, "the times and readings of a reference meter", named=True)
+        found, more = _joined_by_time(found, columns, table, meter, known)
         taken += more
     return _checked(replace(found, taken=tuple(taken)), path, assumed)
 
 
-def _places(table: TextTable, stated: LogColumns, needed: Sequence[str]) -> dict[str, int]:
-    chosen, places = dict(stated.chosen or {}), dict[str, int]()
-    for key, names in _ALIASES.items():
-        if key in chosen:
-            if chosen[key] not in table.header:
-                raise UsageError(f"{table.path}: no column {chosen[key]!r}; it has {', '.join(table.header)}")
-            places[key] = table.header.index(chosen[key])
-        else:
-            at = table.find([n for n in names if not _is_taken(table, n, chosen)])
-            at = _with_unit(table, key, names) if at is None else at
-            if at is not None:
-                places[key] = at
-    missing = [key for key in needed if key not in places]
+_WORDS: Final = {"timestamp": "time", "black_level": "black"}
+
+
+def _places(
+    table: TextTable, mapped: StatementMap, needed: Sequence[str], without: Sequence[str] = ()
+) -> dict[str, int]:
+    """Return the column of each fact. Raises InputError that names the option where a needed one is missing."""
+    found = {
+        fact: table.find_fact(fact, names, mapped, unit_alone=fact == "reference")
+        for fact, names in _NAMES.items()
+        if fact not in without
+    }
+    places = {fact: at for fact, at in found.items() if at is not None}
+    missing = [fact for fact in needed if fact not in places]
     if missing:
         raise InputError(
-            f"{table.path}: no column for {missing[0]}; the table needs {_NEEDS}. It has {', '.join(table.header)}: "
-            f"name the one with --{missing[0]} COLUMN"
+            f"{table.path}: no column for {_WORDS.get(missing[0], missing[0])}; the table needs {_NEEDS}. It has "
+            f"{', '.join(table.header)}: name the one with --map {missing[0]}=COLUMN:UNIT"
         )
     return places
 
 
-def _with_unit(table: TextTable, key: str, names: Sequence[str]) -> int | None:
-    """Return the one column of a name with any unit behind it, such as `temp (F)`; None where there is none."""
-    if key not in _WITH_UNITS:
-        return None
-    bare = [heading_parts(heading, key)[0] for heading in table.header]
-    at = [n for n, name in enumerate(bare) if name in names]
-    return at[0] if len(at) == 1 else None
+@dataclass(frozen=True, slots=True, eq=False)
+class _Column:
+    """A column in the base unit of its quantity; cells of nights are text."""
+
+    cells: list[Any]  # NaN where a number means "unknown"
+    name: str  # its plain name
+    unit: str = ""  # its unit as stated
 
 
-def _is_taken(table: TextTable, name: str, chosen: Mapping[str, str]) -> bool:
-    return name in table.plain and table.header[table.plain.index(name)] in chosen.values()
+def _column(table: TextTable, at: int, fact: str, mapped: StatementMap) -> _Column:
+    name = table.plain[at]
+    if fact == "night":
+        return _Column([cells[at] for _, cells in table.rows], name)
+    if fact == "timestamp" and _is_local(table.header[at]):
+        raise UnsettledError(
+            f"{table.path}: {table.header[at]!r} states a zone that its times do not: write them as "
+            "2026-11-20T22:15:00+01:00, or in UTC"
+        )
+    stamped = fact == "timestamp" and any(_is_stamp(cells[at]) for _, cells in table.rows)
+    written = [_read(table, line, cells[at], at, stamp_s if stamped else _number) for line, cells in table.rows]
+    if stamped or fact in ("value", "colour", "black_level"):
+        return _Column(written, name)
+    is_stated = any(place.unit for place in mapped.places.get(fact, ()))
+    if fact == "reference" and not is_stated and name in _PROPORTIONAL:
+        return _Column(written, name, "linear")
+    if fact == "timestamp" and not is_stated and all(UNIX_S[0] < one < UNIX_S[1] for one in written):
+        return _Column(written, name)  # the documented form; as ms or days they would be before 1971 or after 5000
+    if fact == "gain" and len(set(written)) == 1 and heading_parts(table.header[at], fact)[1] is None:
+        return _Column([0.0] * len(written), name)  # a gain that never changes is part of the responsivity
+    unit, unknown = table.unit(at, fact, mapped), UNKNOWN.get(fact, Unknown())
+    base = [unit.to_base(one) for one in written]
+    cells = [
+        math.nan if own in unknown.numbers or not unknown.low <= one <= unknown.high else one
+        for own, one in zip(written, base, strict=True)
+    ]
+    return _Column(cells, name, unit.name)
 
 
-def _cells(table: TextTable, at: int, key: str) -> list[Any]:
-    read: Callable[[str], Any] = str if key in _TEXT else stamp_s if key == "time" else _number
-    found = []
-    for line, cells in table.rows:
-        try:
-            found.append(read(cells[at]))
-        except (ValueError, IndexError, ZeroDivisionError) as error:
-            raise InputError(
-                f"{table.where(line)}: {table.header[at]}: {error}; leave the row out, or correct it"
-            ) from error
-    return found
+def _is_local(heading: str) -> bool:
+    """Return whether a heading states another zone than UTC: in words, or in brackets as a unit would be."""
+    _, unit, spelling = heading_parts(heading, "time")
+    return "local" in heading.lower() or (unit is None and bool(_ZONE.fullmatch(spelling)))
+
+
+def _is_stamp(cell: str) -> bool:
+    return bool(re.search(r"[:T]|\d-\d", cell))
+
+
+def _read(table: TextTable, line: int, cell: str, at: int, read: Callable[[str], float]) -> float:
+    try:
+        return read(cell)
+    except (ValueError, IndexError, ZeroDivisionError) as error:
+        raise InputError(
+            f"{table.where(line)}: {table.header[at]}: {error}; leave the row out, or correct it"
+        ) from error
 
 
 def _usable(
-    table: TextTable, places: Mapping[str, int], columns: Mapping[str, list[Any]], assumed: list[str]
-) -> tuple[TextTable, dict[str, list[Any]]]:
+    table: TextTable, columns: Mapping[str, _Column], assumed: list[str]
+) -> tuple[TextTable, dict[str, _Column]]:
     """Return the rows whose values are known and not saturated, and their cells.
 
     A meter writes 0 or 99.99 mag/arcsec² where it has no reading, and −999 or the like where a temperature is unknown.
     """
-    value = np.array(columns["value"], dtype=np.float64)
+    value = np.array(columns["value"].cells, dtype=np.float64)
     top = float(value.max(initial=0.0))
     full = top in {2.0**bits - 1.0 for bits in _SATURATED_FROM_BITS} and np.count_nonzero(value == top) > 1
     reasons = {f"{top:g} DN is saturated": (value == top) & full}
-    if "reference" in columns and any(sign in table.plain[places["reference"]] for sign in _MAGNITUDES):
-        reasons[f"a reference of {_NO_READING}"] = ~_is_reading(np.array(columns["reference"], dtype=np.float64))
-    for key in ("exposure", "gain", "temperature"):
-        if key in columns:
-            written, known = np.array(columns[key], dtype=np.float64), UNKNOWN[key]
-            unit = heading_parts(table.header[places[key]], key)[1]
-            base = written if unit is None else np.array([unit.to_base(one) for one in written])
-            is_word = np.isin(written, list(known.numbers))
-            beyond = (base < known.low) | (base > known.high)
-            # Steps of a gain may be any numbers; without a unit exposures are in s, temperatures in °C.
-            reasons[f"the {key} is unknown"] = is_word | (beyond & (unit is not None or key != "gain"))
+    meter = columns.get("reference")
+    if meter is not None and _is_magnitude(meter.unit):
+        reasons[f"a reference of {_NO_READING}"] = ~_is_reading(np.array(meter.cells, dtype=np.float64))
+    for fact in ("exposure", "gain", "temperature"):
+        if fact in columns:
+            reasons[f"the {fact} is unknown"] = np.isnan(np.array(columns[fact].cells, dtype=np.float64))
     out = np.zeros(value.size, dtype=np.bool_)
     for reason, there in reasons.items():
         if there.any():
             assumed.append(f"{np.count_nonzero(there)} rows are left out: {reason}")
         out |= there
     kept = np.flatnonzero(~out)
+    if not kept.size:
+        raise InputError(f"{table.path}: no row can be used: {'; '.join(assumed)}; look at the units of the columns")
     return (
         replace(table, rows=tuple(table.rows[n] for n in kept)),
-        {key: [cells[n] for n in kept] for key, cells in columns.items()},
+        {fact: replace(one, cells=[one.cells[n] for n in kept]) for fact, one in columns.items()},
     )
 
 
-def _is_reading(magnitudes: Array) -> NDArray[np.bool_]:
-    return np.asarray((magnitudes > 0.0) & (magnitudes <= _DARKEST_MAG))
+def _is_magnitude(unit: str) -> bool:
+    found = unit_of(unit, "reference")
+    return found is not None and found.to_base(2.5) != 2.5 * found.to_base(1.0)  # logarithms are not proportional
 
 
-def _degrees(table: TextTable, places: Mapping[str, int]) -> tuple[float, float]:
-    """Return factor and offset from the temperature's unit into °C, which a heading without a unit means."""
-    unit = heading_parts(table.header[places["temperature"]], "temperature")[1]
-    return (1.0, 0.0) if unit is None else (unit.to_base(1.0) - unit.to_base(0.0), unit.to_base(0.0))
+def _is_reading(luminance_cd_m2: Array) -> NDArray[np.bool_]:
+    """Return which readings of a sky meter are any: above 0 mag/arcsec² and below the darkest sky."""
+    with np.errstate(divide="ignore"):  # of 999 mag nothing remains
+        magnitudes = -2.5 * np.log10(luminance_cd_m2 / CD_M2_AT_0_MAG)
+    return np.asarray((magnitudes > _LEAST_MAG) & (magnitudes <= _DARKEST_MAG))
 
 
 def _number(text: str) -> float:
@@ -235,85 +249,38 @@ def _number(text: str) -> float:
     return value
 
 
-def _assembled(
-    table: TextTable,
-    places: Mapping[str, int],
-    columns: Mapping[str, list[Any]],
-    stated: LogColumns,
-    assumed: list[str],
-) -> LogTable:
-    def column(key: str) -> Array | None:
-        return np.array(columns[key], dtype=np.float64) if key in columns else None
+def _assembled(columns: Mapping[str, _Column], black_dn: float, assumed: list[str]) -> LogTable:
+    def column(fact: str) -> Array | None:
+        return np.array(columns[fact].cells, dtype=np.float64) if fact in columns else None
 
-    name = {key: table.plain[at] for key, at in places.items()}
-    seconds = heading_parts(table.header[places["exposure"]], "exposure")[1]
-    if seconds is None:
-        assumed.append(f"the exposure {table.header[places['exposure']]!r} has no unit: s is assumed")
-    black = column("black")
-    value = np.array(columns["value"], dtype=np.float64) - (stated.black_dn if black is None else black)
-    exposure = np.array(columns["exposure"], dtype=np.float64) * (seconds.to_base(1.0) if seconds else 1.0)
-    gain = column("gain")
-    gain_db = (
-        np.zeros(value.size)
-        if gain is None
-        else _decibels(gain, table.header[places["gain"]], stated.gain_unit, table.path)
-    )
-    reference, unit = (np.ones(value.size), "1")
+    black, value = column("black_level"), np.array(columns["value"].cells, dtype=np.float64)
+    value = value - (black_dn if black is None else black)
+    gain_db = column("gain")
+    reference, unit = np.ones(value.size), "1"
     if "reference" in columns:
-        reference, unit = linear(np.array(columns["reference"], dtype=np.float64), name["reference"], assumed)
-    colour = column("colour")
-    if colour is not None and ("cct" in name["colour"] or "temperature" in name["colour"]):
-        colour = 1e6 / colour
-    celsius = column("temperature")
-    if celsius is not None:
-        factor, offset_c = _degrees(table, places)
-        celsius = celsius * factor + offset_c
-    times = column("time")
-    night = _nights(columns.get("night"), times, value.size, assumed)
-    own = column("u_reference")
-    if own is not None and "mag" in name["u_reference"]:
-        own = own * 0.4 * math.log(10.0)
+        reference, unit = np.array(columns["reference"].cells, dtype=np.float64), _linear_unit(columns, assumed)
+    colour, kind = column("colour"), columns["colour"].name if "colour" in columns else ""
+    warm = "cct" in kind or "temperature" in kind
+    times = column("timestamp")
+    night = _nights(columns["night"].cells if "night" in columns else None, times, value.size, assumed)
     return LogTable(
-        value, exposure, gain_db, reference, night,
-        None if times is None else times - times.min(), celsius, colour, own,
-        assumptions=tuple(assumed), units={"reference": unit, "colour": _colour_unit(name.get("colour", ""))},
+        value, np.array(columns["exposure"].cells, dtype=np.float64),
+        np.zeros(value.size) if gain_db is None else gain_db, reference, night,
+        None if times is None else times - times.min(), column("temperature"),
+        1e6 / colour if colour is not None and warm else colour, column("u_reference"),
+        assumptions=tuple(assumed), units={"reference": unit, "colour": "mired" if warm else "1"},
     )  # fmt: skip
 
 
-def _colour_unit(name: str) -> str:
-    return "mired" if "cct" in name or "temperature" in name else "1"
-
-
-def _decibels(gain: Array, heading: str, chosen: str | None, path: Path) -> Array:
-    """Return gains in dB by the unit that the user or the heading states; a gain that never changes counts as 0 dB."""
-    unit = unit_of(chosen, "gain") if chosen else heading_parts(heading, "gain")[1]
-    if chosen and unit is None:
-        raise UsageError(f"--gain-unit {chosen}: choose db, 0.1db, x or iso")
-    if unit is None:
-        if np.ptp(gain) == 0:
-            return np.zeros_like(gain)
-        raise UnsettledError(f"{path}: the gain {heading!r} has no unit; say --gain-unit db, 0.1db, x or iso")
-    found = np.array([unit.to_base(float(value)) for value in gain])
-    if not np.isfinite(found).all():
-        raise InputError(f"a gain of {gain.min():g} is no factor; say --gain-unit db or 0.1db")
-    return found
-
-
-def linear(reference: Array, name: str, assumed: list[str]) -> tuple[Array, str]:
-    """Return a reference in a linear unit, and the unit; magnitudes per square arcsecond become cd·m⁻².
-
-    Args:
-        assumed: Lines to which is added what was assumed.
-    """
-    if any(sign in name for sign in _MAGNITUDES):
+def _linear_unit(columns: Mapping[str, _Column], assumed: list[str]) -> str:
+    """Return the unit in which a reference is kept; magnitudes per square arcsecond have become cd·m⁻²."""
+    unit = columns["reference"].unit
+    if _is_magnitude(unit):
         assumed.append("magnitudes per square arcsecond m are 10.8e4·10^(−0.4·m) cd·m⁻² (Unihedron)")
-        return np.asarray(CD_M2_AT_0_MAG * 10.0 ** (-0.4 * reference)), "cd m-2"
-    for sign, unit in (
-        ("mcd_m2", "mcd m-2"), ("kcd_m2", "kcd m-2"), ("cd_m2", "cd m-2"), ("luminance", "cd m-2"), ("lux", "lx"),
-    ):  # fmt: skip
-        if sign in name:
-            return reference, unit
-    return reference, "as written"
+        return "cd m-2"
+    if unit_of(unit, "luminance") is not None:
+        return "cd m-2"
+    return "lx" if unit.lower() in ("lx", "lux", "klx") else "as written"
 
 
 def _nights(names: Sequence[str] | None, times: Array | None, size: int, assumed: list[str]) -> NDArray[np.intp]:
@@ -335,25 +302,26 @@ def _nights(names: Sequence[str] | None, times: Array | None, size: int, assumed
 
 
 def _joined_by_time(
-    log: LogTable, columns: Mapping[str, list[Any]], own: TextTable, other: TextTable
+    log: LogTable, columns: Mapping[str, _Column], own: TextTable, other: TextTable, mapped: StatementMap
 ) -> tuple[LogTable, list[str]]:
     """Return the log with a reference from a separate file, interpolated in time, without rows that have none."""
     if log.time_s is None:
         raise InputError(
-            f"{own.path}: has no column of times, so {other.path} cannot be matched to it; name it with --time"
+            f"{own.path}: has no column of times, so {other.path} cannot be matched to it; name it with "
+            "--map timestamp=COLUMN"
         )
-    places = _places(other, LogColumns(), needed=("time", "reference"))
+    places = _places(other, _known_there(other, mapped), ("timestamp", "reference"))
+    meter, stamps = (_column(other, places[fact], fact, mapped) for fact in ("reference", "timestamp"))
     assumed: list[str] = []
-    written = np.array(_cells(other, places["reference"], "reference"), dtype=np.float64)
-    name = other.plain[places["reference"]]
-    read = _is_reading(written) if any(sign in name for sign in _MAGNITUDES) else np.ones(written.size, dtype=np.bool_)
+    values = np.array(meter.cells, dtype=np.float64)
+    read = _is_reading(values) if _is_magnitude(meter.unit) else np.ones(values.size, dtype=np.bool_)
     if not read.all():
         assumed.append(f"{int((~read).sum())} readings of {other.path.name} are left out: {_NO_READING}")
-    values, unit = linear(written[read], name, assumed)
-    times = np.array(_cells(other, places["time"], "time"), dtype=np.float64)[read]
+    unit = _linear_unit({"reference": meter}, assumed)
+    values, times = values[read], np.array(stamps.cells, dtype=np.float64)[read]
     order = np.argsort(times)
     times, values = times[order], values[order]
-    needed = np.array(columns["time"], dtype=np.float64)
+    needed = np.array(columns["timestamp"].cells, dtype=np.float64)
     after = np.clip(np.searchsorted(times, needed), 1, times.size - 1) if times.size > 1 else np.zeros(needed.size, int)
     near = np.minimum(np.abs(times[after] - needed), np.abs(times[after - 1] - needed)) <= _APART_S
     if not near.any():
@@ -364,14 +332,18 @@ def _joined_by_time(
         raise InputError(f"{other.path}: a reference of {values.min():g} is no light; leave such rows out")
     there = np.exp(np.interp(needed, times, np.log(values)))
     lines = [
-        f"{key} from {other.header[at]!r} of {other.path.name}"
-        for key, at in places.items()
-        if key in ("time", "reference")
+        f"{_WORDS.get(fact, fact)} from {other.header[places[fact]]!r} of {other.path.name}"
+        for fact in ("timestamp", "reference")
     ]
     more = (*log.assumptions, *assumed, *([f"{int((~near).sum())} rows without a reference at their time are left out"]
             if not near.all() else []))  # fmt: skip
     units = {**(log.units or {}), "reference": unit}
     return replace(replace(log, reference=there, units=units).take(near), assumptions=more), lines
+
+
+def _known_there(other: TextTable, mapped: StatementMap) -> StatementMap:
+    """Return a map whose places of the camera's table are not demanded of the meter's."""
+    return replace(mapped, demanded=mapped.demanded & {"reference"})
 
 
 def _checked(log: LogTable, path: Path, assumed: list[str]) -> LogTable:

@@ -11,7 +11,6 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,12 +18,15 @@ from radiometer.data.json_text import RepeatedKey, parsed_json
 from radiometer.data.statements import Statement, StatementMap, value_of
 from radiometer.errors import CaptureError
 from radiometer.importing.found import FoundFrame
+from radiometer.moments import moment_of
 from radiometer.units import heading_parts
 
 TAG: Final = 51123  # MicroManagerMetadata; also in the TIFF tag tables of ImageJ and tifffile
 FACT: Final = "acquisition"
 _SIDECARS: Final = ("_frame_metadata.json", "metadata.txt")
 _LARGEST_TEXT: Final = 50_000_000  # characters: far beyond the metadata of any acquisition
+
+_NO_PLANE: Final = ElementTree.Element("Plane")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,13 @@ class PlaneFacts:
     device: Mapping[str, Any] = field(default_factory=dict)  # properties of the camera by name
     doubts: tuple[str, ...] = ()  # what is stated as unknown
     band: str | None = None  # of what wavelength the light is, where the file holds several
+    scene: str | None = None  # of which image the picture is, where the file holds several
+
+    @property
+    def states_anything(self) -> bool:
+        """Return whether a setting is stated, or of what the picture is."""
+        stated = (self.exposure_s, self.gain_db, self.gain, self.temperature_c, self.band, self.scene)
+        return bool(self.doubts) or any(one is not None for one in stated)
 
     def header(self) -> dict[str, Statement]:
         """Return the camera's properties as statements, where a user may point to."""
@@ -100,6 +109,8 @@ def completed(frame: FoundFrame, facts: PlaneFacts, mapped: StatementMap) -> Fou
         camera.setdefault("model", facts.camera)
     if facts.band is not None:
         camera["band"] = facts.band
+    if facts.scene is not None:
+        camera["scene"] = facts.scene  # frames of another image are another set: they show something else
     changed = replace(frame, settings=settings, exposure_known=known, camera=camera, taken=taken, extra=extra)
     return changed.doubting(*doubts)
 
@@ -166,24 +177,24 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
     device, camera = _devices(root, path)
     found: dict[int, PlaneFacts | None] = {}
     images = list(root.iterfind(".//{*}Image"))
-    scenes = list(dict.fromkeys(name for image in images if (name := image.get("Name"))))
-    several = f"{path} holds the images {', '.join(scenes[:4])}: they count as frames of one scene"
-    for image in images:
+    names = [str(image.get("Name") or image.get("ID", "")) for image in images]
+    for number, image in enumerate(images):
         pixels = image.find("{*}Pixels")
         if pixels is None:
             continue
         where = _pages_of(pixels, path, root.get("UUID", ""), max(pages, default=-1) + 1)
         begun, bits = _stamp(image.findtext("{*}AcquisitionDate")), _bits(pixels.get("SignificantBits"))
         bands = _bands(pixels)
-        for plane in pixels.iterfind("{*}Plane"):
-            page = where.get(_place_of(plane, "The"))
-            if page is not None:
-                own = {**device, **_detector(pixels, _whole(plane.get("TheC"), 0))}
-                facts = _of_plane(plane, str(path), own, camera, bits, begun)
-                if facts is not None:
-                    doubts = (*facts.doubts, several) if len(scenes) > 1 else facts.doubts
-                    facts = replace(facts, band=bands.get(_whole(plane.get("TheC"), 0)), doubts=doubts)
-                found.setdefault(page, facts)
+        # Two images of one name are two scenes all the same.
+        again = f" {image.get('ID', number)}" if names.index(names[number]) < number else ""
+        scene = f"{names[number]}{again}" if len(images) > 1 else None
+        stated = {_place_of(plane, "The"): plane for plane in reversed(list(pixels.iterfind("{*}Plane")))}
+        for place, page in where.items():
+            own = {**device, **_detector(pixels, place[0])}
+            # A file need not describe its planes; their image and channel count all the same.
+            facts = _of_plane(stated.get(place, _NO_PLANE), str(path), own, camera, bits, begun)
+            facts = replace(facts, band=bands.get(place[0]), scene=scene)
+            found.setdefault(page, facts if facts.states_anything else None)
     return [found.get(page) for page in pages]
 
 
@@ -258,9 +269,7 @@ def _place_at(number: int, order: str, sizes: Mapping[str, int]) -> tuple[int, i
 
 def _of_plane(
     plane: Any, where: str, device: Mapping[str, Any], camera: str | None, bits: int | None, begun: float | None
-) -> PlaneFacts | None:
-    if plane.get("ExposureTime") is None:
-        return None
+) -> PlaneFacts:
     doubts = list[str]()
     # The schema (OME 2016-06, Plane) gives s where no unit is stated.
     exposure = _value(
@@ -375,12 +384,11 @@ def _bits(value: Any) -> int | None:
 
 
 def _stamp(text: Any) -> float | None:
-    """Return a time in s since 1970; one without a zone is UTC, whatever the zone of this machine."""
+    """Return a time in s since 1970; None where it is none."""
     try:
-        moment = datetime.fromisoformat(str(text).strip())
+        return moment_of(str(text)).timestamp()
     except ValueError:
         return None
-    return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
 
 
 def _json(text: str, where: str) -> Any:

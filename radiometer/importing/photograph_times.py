@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -114,7 +114,7 @@ def read_list(path: Path) -> dict[str, PhotographSettings]:
             and line.
     """
     lines = _lines(path)
-    reciprocal, unit, found, line_of = False, "", {}, dict[str, int]()
+    reciprocal, unit, found, line_of, bare = False, "", dict[str, PhotographSettings](), dict[str, int](), True
     here = names_in(path.parent)
     for number, line in enumerate(lines, start=1):
         text = line.strip().strip("#").strip()
@@ -131,9 +131,25 @@ def read_list(path: Path) -> dict[str, PhotographSettings]:
             raise CaptureError(f"{where}: names {words[0]!r} again (as line {before} does); leave one of the lines out")
         _refuse_decimal_comma(text, words, where)
         found[words[0]] = _settings_of_line(words, reciprocal, unit, where)
+        bare &= not (reciprocal or unit) and words[1:2] != [] and words[1].isdigit() and len(words) == 2
+    _refuse_denominators(path, found, bare)
     if not found:
         raise CaptureError(f"{path}: names no photograph; write one line per file: `name seconds`")
     return found
+
+
+def _refuse_denominators(path: Path, found: Mapping[str, PhotographSettings], bare: bool) -> None:
+    """Refuse whole numbers without a unit that all are on a dial as denominators: 125 may be 1/125 s.
+
+    Raises:
+        CaptureError: If all are, and beyond the times of a dial.
+    """
+    numbers = [one.nominal_exposure_s for one in found.values()]
+    if bare and len(numbers) > 1 and min(numbers) > LONGEST_OF_DIAL_S / 2 and set(numbers) <= set(_DIAL_DENOMINATORS):
+        raise CaptureError(
+            f"{path}: {numbers[0]:g} and the others without a unit may be s, or 1/{numbers[0]:g} s as on a dial; write "
+            f"{numbers[0]:g}s or 1/{numbers[0]:g}"
+        )
 
 
 def _lines(path: Path) -> list[str]:

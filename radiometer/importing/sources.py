@@ -125,8 +125,8 @@ def open_capture(path: Path, options: ImportOptions | None = None) -> CaptureSet
     if len(found) > 1:
         cameras = ", ".join(one.title for one in found)
         raise CaptureError(
-            f"{path} holds frames of {len(found)} cameras, bands or gains ({cameras}); take one by a pattern such as "
-            "'folder/*_1.tif', or write each as a capture set with `radiometer import`"
+            f"{path} holds frames of {len(found)} cameras, bands, gains or images ({cameras}); take one by a pattern "
+            "such as 'folder/*_1.tif', or write each as a capture set with `radiometer import`"
         )
     return as_capture(found[0], path, options)
 

@@ -17,6 +17,7 @@ from radiometer.data.validation import validate
 from radiometer.errors import CaptureError, InputError, UnsettledError
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.record import ImportRecord
+from radiometer.moments import UNIX_S
 from radiometer.units import heading_parts
 
 TABLE_SUFFIXES: Final = (".csv", ".tsv", ".jsonl", ".ndjson", ".json")
@@ -106,8 +107,11 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
         _entry(row, columns, spelled, pixels, f"{path}, row {number}", map_of, doubts)
         for number, row in enumerate(rows, start=1)
     ]
-    if max(entry.mean_dn for entry in entries) <= 1.0:
-        doubts.append("all means are at most 1: they are read as DN, and may be shares of full scale")
+    if max(entry.mean_dn for entry in entries) <= 1.0 and "mean" not in map_of.places:
+        raise UnsettledError(
+            f"{path}: all means are at most 1 and may be DN or shares of full scale: multiply shares by full scale, or "
+            "state by --map mean=COLUMN that they are DN"
+        )
     bits = _bit_depth(rows, entries, missing)
     if "kind" not in columns and "dark" not in columns:
         missing.append("no column states which rows are dark: all are taken with light (but exposures of 0)")
@@ -168,6 +172,10 @@ def _rows(path: Path) -> tuple[list[Row], dict[str, str], tuple[str, ...]]:
         return rows, {_key(name): name for name in reversed(spelled)}, ()
     try:
         table = read_table(path, "columns of exposure, mean and variance", text, named=True)
+    except InputError as error:
+        raise CaptureError(str(error)) from error
+    try:
+        table.refuse_mixed()
     except InputError as error:
         raise CaptureError(str(error)) from error
     keys = [_key(name) for name in table.header]
@@ -265,8 +273,8 @@ def _entry(
             "frames": frames,
             "pixels": int(value("pixels") or pixels),
             "gain_db": stated("gain") or 0.0,
-            "temperature_C": stated("temperature", "degC"),
-            "timestamp_s": value("timestamp"),
+            "temperature_C": stated("temperature"),
+            "timestamp_s": stated("timestamp", _unit_of_stamp(value("timestamp"))),
             "source_level": 1.0 if (level := value("source_level")) is None else level,
             "shutter": "closed" if _is_dark(row, exposure_s, value("photons")) else "open",
             "photons": value("photons"),
@@ -303,6 +311,11 @@ def _stated(
         return value_of(statement, fact, name, doubts, defined=defined, where=where)
     except OverflowError as error:
         raise CaptureError(f"{where}: {name} = {row.get(name)!r} is too large") from error
+
+
+def _unit_of_stamp(written: float | None) -> str:
+    """Return s where a number can be nothing but s since 1970; "" for another, whose unit must be stated."""
+    return "s" if written is not None and UNIX_S[0] < written < UNIX_S[1] else ""
 
 
 def _is_of_pair(name: str) -> bool:

@@ -269,10 +269,12 @@ def _exposure(
         taken["exposure_s"] = f"EXIF {found[0]}"
         return found[1]
     claims = claims_of(path)
-    doubts += [claims.doubt] if claims.doubt else []
-    if claims.exposure_s is not None:
+    if claims.doubt:
+        doubts.append(f"{claims.doubt}: the exposure is not taken from it; rename it to end in such as 8ms")
+    elif claims.exposure_s is not None:
         taken["exposure_s"] = "file name"
-    return claims.exposure_s
+        return claims.exposure_s
+    return None
 
 
 def _black_level(

@@ -15,6 +15,7 @@ from aiohttp import WSMsgType, web
 
 from radiometer.data.json_text import parsed_json
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, RadiometerError
+from radiometer.reporting.server_log import logger_of_server
 
 _HEADERS: Final = {
     "Cache-Control": "no-store",
@@ -119,7 +120,7 @@ class LoopbackServer:
     async def _listen(self) -> tuple[web.AppRunner, int]:
         app = web.Application()
         app.add_routes([web.get("/", self._page), web.get("/socket", self._talk)])
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        runner = web.AppRunner(app, access_log=None, logger=logger_of_server(__name__), shutdown_timeout=1.0)
         await runner.setup()
         try:
             await web.TCPSite(runner, "127.0.0.1", self._port).start()

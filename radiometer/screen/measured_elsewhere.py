@@ -411,6 +411,7 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
         for name, axis in _AXES.items():
             if all(v == top * on for v, on in zip(drive, axis, strict=True)):
                 groups[name].setdefault(round(top), []).append(value)
+    table.refuse_mixed([light_at, *(channels or (level_at,)), named_at])
     left = table.not_used([light_at, *(channels or (level_at,)), *([] if named_at is None else [named_at])])
     return ScreenReadings(
         path.stem,
@@ -455,7 +456,7 @@ def _rgb_columns(table: TextTable) -> tuple[int, ...] | None:
 
 
 def _drives(table: TextTable, at: int | None, doubts: list[str], mapped: StatementMap) -> list[float]:
-    """Return a column of levels from 0 to 255, by the unit that its name or the user states, else by its size."""
+    """Return a column of levels from 0 to 255, by the unit that is stated; whole ones up to 255 need none."""
     if at is None:
         raise InputError(f"{table.path}: no column of levels")
     heading = table.header[at] if table.header else ""
@@ -469,18 +470,11 @@ def _drives(table: TextTable, at: int | None, doubts: list[str], mapped: Stateme
             )
         return [round(FULL * share, 6) for share in known]
     raw = finite(table.values(at, "number", doubts), table, at)
-    top, whole = max(raw), all(v.is_integer() for v in raw)
-    if min(raw) < 0 or top > FULL or (top > 100 and not whole):
+    if min(raw) < 0 or max(raw) != FULL or not all(v.is_integer() for v in raw):
+        settled = f"--map level={heading}:UNIT" if heading else "a heading such as `level [UNIT],luminance`"
         raise UnsettledError(
-            f"{table.path}: levels from {min(raw):g} to {top:g} in {heading or 'the first column'}; levels are "
-            "0 to 255 in whole steps, 0 to 1 or per cent. Name the unit: --map level=COLUMN:UNIT with 8bit, 10bit, "
-            "% or share"
+            f"{table.path}: levels from {min(raw):g} to {max(raw):g} without a unit in "
+            f"{heading or 'the first column'}; only whole ones up to 255 need none. State it by {settled} (UNIT: 8bit, "
+            "10bit, % or share)"
         )
-    unit = 1.0 if top <= 1.0 else 100.0 if top == 100.0 or not whole else float(FULL)
-    name = {1.0: "0 to 1", 100.0: "per cent", 255.0: "0 to 255"}[unit]
-    if top != FULL:
-        doubts.append(
-            f"levels end at {top:g} and have no unit: they are read as {name}; --map level=COLUMN:UNIT with 8bit, % or "
-            "share settles it"
-        )
-    return [round(v / unit * FULL, 6) for v in raw]
+    return raw

@@ -6,11 +6,12 @@ effect's name and its class), or is read from a file.
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import inspect
 import pkgutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -18,13 +19,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
+import numpy as np
 from pydantic import Field
 
 import simulators.effects
 from radiometer.data.validation import ConfigSection, validate
-from radiometer.errors import ConfigurationError
+from radiometer.errors import ConfigurationError, RadiometerError
 from simulators.effects.base import Effect
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.context import ExposureContext
 from simulators.effects.free_law import kind_for
 
 ENTRY_POINTS: Final = "radiometer.effects"
@@ -124,9 +127,57 @@ def _register(kind: Any, where: str) -> None:
     known = EFFECTS.get(kind.name)
     if known is not None and (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
         raise ConfigurationError(f"{where}: there is an effect {kind.name!r} already; give yours another name")
+    _name_faults(kind, where)
     EFFECTS[kind.name] = kind
 
 
+def _name_faults(kind: type[Effect], where: str) -> None:
+    """Have every fault of an effect from outside reported under its file's name, and no array of another shape pass."""
+    for name in dir(kind):
+        owner = next((one for one in kind.__mro__ if name in vars(one)), kind)
+        member = vars(owner).get(name)
+        is_own = inspect.isfunction(member) and not owner.__module__.startswith(("simulators.", "builtins"))
+        # Those that the chain calls run the effect's own code within code of this package.
+        if inspect.isfunction(member) and not name.startswith("__") and (is_own or name in _CALLED):
+            setattr(kind, name, _naming(member, kind, where))
+
+
+def _naming(function: Callable[..., Any], kind: type[Effect], where: str) -> Callable[..., Any]:
+    what = f"{where}: `{function.__name__}` of effect {kind.name!r}"
+
+    @functools.wraps(function)
+    def named(*args: Any, **kwargs: Any) -> Any:
+        try:
+            found = function(*args, **kwargs)
+        except RadiometerError:
+            raise
+        except Exception as error:  # whatever code from outside does
+            reason = " ".join(str(error).split())[:200]
+            raise ConfigurationError(f"{what} fails: {type(error).__name__}: {reason}; correct it there") from error
+        context = next((one for one in args if isinstance(one, ExposureContext)), None)
+        if context is not None and isinstance(found, np.ndarray) and not _fits(found.shape, context):
+            raise ConfigurationError(
+                f"{what} gives an array of shape {found.shape}, which does not fit the frames; count axes from the last"
+            )
+        return found
+
+    return named
+
+
+def _fits(shape: tuple[int, ...], context: ExposureContext) -> bool:
+    """Return whether an array broadcasts to the frames of a context without more rows, columns or captures."""
+    try:
+        frames = np.broadcast_shapes(context.geometry.shape, np.shape(context.settings.exposure_s))
+    except ValueError:  # of no frames
+        return True
+    try:
+        whole = np.broadcast_shapes(shape, frames)
+    except ValueError:
+        return False
+    return whole[len(whole) - len(frames) :] == frames
+
+
+_CALLED: Final = ("mean", "sample", "slope", "moments")
 _NEEDED: Final = ("name", "stage", "unit_in", "unit_out")
 _SEARCHED: Final = ("where", "trials", "fitted")
 

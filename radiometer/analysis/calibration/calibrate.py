@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -35,6 +34,7 @@ from radiometer.data.reading import RADIANCE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.data.validation import validate
 from radiometer.errors import CalibrationError, InputError, MeasurementError, UsageError
+from radiometer.moments import moment_of
 from radiometer.numbers import unit_text
 from radiometer.plausible import PLAUSIBLE
 from radiometer.units import exact_exposure_s, exact_f_number
@@ -300,7 +300,7 @@ def scale_by_source(
     Raises:
         MeasurementError: If the patch is clipped, below the noise or not uniform.
     """
-    made = dt.datetime.fromisoformat(base.created)  # a scale has no age when it is made
+    made = moment_of(base.created)  # a scale has no age when it is made
     situation = patch_situation(frames, patch, Setup(base.camera, base.lens, base), now=made)
     channel = frames.light[0].extra.get("channel")
     conditions = situation.conditions.model_copy(update={"channel": None if channel is None else str(channel)})

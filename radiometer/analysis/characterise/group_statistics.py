@@ -17,6 +17,8 @@ from radiometer.statistics.scale import robust_sigma
 
 SAME_TEMPERATURE_K: Final = 1.5  # dark current doubles in 5 to 8 K: it then changes by a fifth at most
 _REACH_SIGMAS: Final = 4.0  # pixels whose mean lies farther from the median are hot, cold or hit
+_BLOCK_PX: Final = 32  # longer than most tracks of a cosmic ray
+_FEWEST_BLOCKS: Final = 30  # fewer do not show their scatter to an eighth
 _LEAST_SIGMA_DN: Final = 0.5  # most means may show one code, and their median deviation is then 0
 
 
@@ -124,6 +126,9 @@ class GroupStatistics:
     typical_dn: float | None = None  # mean without hot pixels in DN; None where the pictures are not known
     frame_variance_dn2: float = 0.0  # variance of the frames' means in DN²; 0 where there is one frame
     floor_share: float = 0.0  # share of pixels at 0
+    # Of dark frames: standard error of the temporal variance by the scatter of that of blocks of pixels in DN². A track
+    # of a cosmic ray, or pixels that blink, scatter by more than normal noise.
+    u_of_blocks_dn2: float = 0.0
 
     @property
     def has_noise(self) -> bool:
@@ -143,8 +148,8 @@ class GroupStatistics:
 
     @property
     def u_variance_dn2(self) -> float:
-        """Return the standard uncertainty of the temporal variance in DN²."""
-        return self.variance_dn2 * math.sqrt(2.0 / self.degrees_of_freedom)
+        """Return the standard uncertainty of the temporal variance in DN²: of normal noise, or of blocks."""
+        return max(self.variance_dn2 * math.sqrt(2.0 / self.degrees_of_freedom), self.u_of_blocks_dn2)
 
     @property
     def u_spatial_variance_dn2(self) -> float:
@@ -211,9 +216,10 @@ class _Sums:
     def statistics(self, settings: FrameSettings, photons: float | None, region: int) -> GroupStatistics:
         count, pixels = self.count, self._sum.size
         average: NDArray[np.float64] = self._sum / count
-        temporal = common = 0.0
+        temporal = common = u_of_blocks = 0.0
         if count > 1:
-            within = float(np.mean(self._squares - self._sum * average)) / (count - 1)
+            own = (self._squares - self._sum * average) / (count - 1)
+            within, u_of_blocks = float(np.mean(own)), _error_by_blocks(own) if settings.is_dark else 0.0
             common = float(np.var(self._means, ddof=1))
             temporal = max((within - common) * pixels / max(pixels - 1, 1), 0.0)
         spatial = float(np.var(average, ddof=1)) - temporal / count if pixels > 1 else 0.0
@@ -231,6 +237,7 @@ class _Sums:
             typical_dn=typical_mean(average),
             frame_variance_dn2=common,
             floor_share=self._at_zero / (count * pixels),
+            u_of_blocks_dn2=u_of_blocks,
         )
 
     def _noise_left(self, temporal: float) -> NoiseLeft:
@@ -242,6 +249,16 @@ class _Sums:
             for means in (self._row_means, self._column_means)
         )
         return NoiseLeft.of(temporal, rows, columns, self.count, shape)
+
+
+def _error_by_blocks(variances: NDArray[np.float64]) -> float:
+    """Return the standard error of the mean of a map of variances by the scatter of its blocks; 0 of too few."""
+    rows, columns = (size // _BLOCK_PX for size in variances.shape)
+    if rows * columns < _FEWEST_BLOCKS:
+        return 0.0
+    whole = variances[: rows * _BLOCK_PX, : columns * _BLOCK_PX]
+    blocks = whole.reshape(rows, _BLOCK_PX, columns, _BLOCK_PX).mean(axis=(1, 3))
+    return float(np.std(blocks, ddof=1)) / math.sqrt(rows * columns)
 
 
 def _cut(dn: DigitalNumbers, region: Patch | None) -> DigitalNumbers:

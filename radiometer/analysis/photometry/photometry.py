@@ -271,9 +271,9 @@ def _places(table: TextTable, names: Mapping[str, Sequence[str]], form: str) -> 
 
 
 _PER_PHOTON: Final = re.compile(r"quantum|(?<![a-z])[ei]?qe(?![a-z])")  # quantum efficiency, as data sheets have it
-# Not proportional to power per nm: counts of photons, logarithms, and densities per wavenumber or frequency.
+# Not proportional to power per nm: counts of a detector or of photons, logarithms, densities per wavenumber or Hz.
 _OTHER_DENSITY: Final = re.compile(
-    r"photons?|quanta|ppfd?\b|absorbance|optical.density"
+    r"\bcounts?\b|photons?|quanta|ppfd?\b|absorbance|optical.density"
     r"|[µμu]mol|\bmol\b|einstein|(?:per |/ ?)(?:cm-1|cm\^-1|cm⁻¹|[tg]?hz|ev)\b|\blog(?:10)?\b|\bdb\w*"
 )
 

@@ -41,6 +41,7 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.errors import MeasurementError
+from radiometer.moments import moment_of
 
 _DEPENDS_ON_LEVEL: Final = frozenset({"response curve"})
 _SAME_LEVEL_REL: Final = 0.1  # nearer signals share the error of the response curve, which is smooth
@@ -366,7 +367,7 @@ def _temperature(size: float, here: ScaleConditions, there: ScaleConditions, sta
 
 def _drift(size: float, calibration: Calibration, now: dt.datetime) -> Term:
     # It drifts before its date, too. Within a day it does not: no result depends on the moment of its evaluation.
-    age = abs((now - dt.datetime.fromisoformat(calibration.created)).total_seconds()) / 86400.0
+    age = abs((now - moment_of(calibration.created)).total_seconds()) / 86400.0
     age = age if age >= 1.0 else 0.0
     u = size * calibration.uncertainties.drift_u_rel_per_year * age / _DAYS_PER_YEAR
     return Term("drift", u, correlated=True, note=f"{age:.3g} days from the calibration", flag=Flag.DRIFT)

@@ -19,14 +19,12 @@ def command(
     reference_file: Annotated[
         Path | None, typer.Option(help="File of the reference meter with separate times, where it is not a column.")
     ] = None,
-    value: Annotated[str | None, typer.Option(help="Column of the camera's value in DN.")] = None,
-    reference: Annotated[str | None, typer.Option(help="Column of the reference.")] = None,
-    exposure: Annotated[str | None, typer.Option(help="Column of the exposure time.")] = None,
-    gain: Annotated[str | None, typer.Option(help="Column of the gain.")] = None,
-    temperature: Annotated[str | None, typer.Option(help="Column of the sensor temperature.")] = None,
-    colour: Annotated[str | None, typer.Option(help="Column of the light's colour.")] = None,
-    gain_unit: Annotated[
-        str | None, typer.Option(help="db, 0.1db, x or iso, where the column's name leaves it open.")
+    mapped: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map",
+            help="Column and unit that the table does not state: exposure=t:ms, gain=GAIN:0.1dB, reference=r:mag.",
+        ),
     ] = None,
     black: Annotated[float, typer.Option(help="Black level in DN to take off the value.")] = 0.0,
     no_control: Annotated[bool, typer.Option("--no-control", help="Leave the negative control out.")] = False,
@@ -38,10 +36,7 @@ def command(
     a late shutter and a nonlinear response. The candidate that predicts each night best from the other nights is named,
     with its size. The same search over values that lack nothing is the negative control.
     """
-    found = rm.log_fit(
-        table, reference_file, value=value, reference=reference, exposure=exposure, gain=gain, temperature=temperature,
-        colour=colour, gain_unit=gain_unit, black=black, control=not no_control,
-    )  # fmt: skip
+    found = rm.log_fit(table, reference_file, mapped=mapped or (), black=black, control=not no_control)
     if json:
         print(found.to_json())
         return

@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 
 _DIM_RED: Final = "rgb(135,0,0)"  # light that spares the rods of whoever looks at the terminal
 
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option("--map", help="Columns and units that a table does not state: time=t:s, threshold=thr:log10."),
+]
+
 app = command_group("Dark adaptation: run the test, and analyse the measured thresholds.")
 
 
@@ -60,7 +65,9 @@ def run(
     ] = "right",
     age: Annotated[float | None, typer.Option(min=0.0, max=120.0, help="Age of the subject in years.")] = None,
     pupil: Annotated[float | None, typer.Option(min=1.0, max=9.0, help="Measured diameter of the pupil in mm.")] = None,
-    visit: Annotated[str | None, typer.Option(help="Date and time of the visit (ISO 8601); now by default.")] = None,
+    visit: Annotated[
+        str | None, typer.Option(help="Date and time of the visit (ISO 8601, UTC without a zone).")
+    ] = None,
     practice: Annotated[
         bool, typer.Option("--practice", help="Three minutes without a bleach, to learn the task.")
     ] = False,
@@ -210,6 +217,7 @@ def fit(
     ] = None,
     bootstrap: Annotated[int, typer.Option(min=0, help="Bootstrap redraws; 0 for none.")] = 200,
     seed: SeedOption = 1,
+    mapped: MapOption = None,
     report: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
     csv: Annotated[Path | None, typer.Option(help="CSV of thresholds, fit and residuals to write.")] = None,
     json: JsonOption = False,
@@ -221,8 +229,9 @@ def fit(
     """
     with progress(shown=not json) as shown:
         found = rm.adapt_fit(
-            data, criterion, stimulus_u_log10=stimulus_u_log10, bootstrap=bootstrap, seed=seed, progress=shown
-        )
+            data, criterion, stimulus_u_log10=stimulus_u_log10, bootstrap=bootstrap, seed=seed, mapped=mapped or (),
+            progress=shown,
+        )  # fmt: skip
     if report is not None:
         found.write_report(report)
     if csv is not None:
@@ -256,10 +265,11 @@ def instructions(
 def visits(
     files: Annotated[list[Path], typer.Argument(help="Tables or journals of the visits, in their order.")],
     report: Annotated[Path | None, typer.Option(help="HTML page to write, with all curves in one picture.")] = None,
+    mapped: MapOption = None,
     json: JsonOption = False,
 ) -> None:
     """Fit several visits and lay their curves over each other."""
-    found = rm.adapt_visits(files, report=report)
+    found = rm.adapt_visits(files, report=report, mapped=mapped or ())
     if json:
         print(found.to_json())
         return
@@ -273,6 +283,7 @@ def retest(
         list[Path],
         typer.Argument(help="Tables as `adapt fit` reads them: first and second visit of each subject, in turn."),
     ],
+    mapped: MapOption = None,
     json: JsonOption = False,
 ) -> None:
     """Say how well repeated visits agree: differences of break, S2, rod intercept and plateau.
@@ -280,7 +291,7 @@ def retest(
     From three subjects on with limits of agreement (Bland and Altman), mean ± 1.96 standard deviations, and their 95 %
     intervals.
     """
-    found = rm.adapt_retest(visits)
+    found = rm.adapt_retest(visits, mapped=mapped or ())
     if json:
         print(found.to_json())
         return

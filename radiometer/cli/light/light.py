@@ -234,7 +234,7 @@ def account(
     A box without a history on this computer counts as used up, and so does every box where the account was lost,
     damaged or from the future. That ends after 10⁴ s, or with --confirm-no-exposure.
     """
-    found = rm.light_account(box, confirm_unexposed=confirm_no_exposure)
+    found = rm.light_account(box, confirm_no_exposure=confirm_no_exposure)
     for text in found.notes:
         note(text)
     if json:

@@ -24,7 +24,9 @@ _SHOWN: Final = 20  # readings: with the summary they fit a terminal of 24 rows
 def command(
     file: Annotated[Path | None, typer.Argument(help="Journal file; the daemon's default one if left out.")] = None,
     journal: Annotated[Path | None, typer.Option(help="Journal file, named as for `radiometer serve`.")] = None,
-    since: Annotated[str | None, typer.Option(help="Not before: ISO 8601, or an age such as 15min, 2h, 7d.")] = None,
+    since: Annotated[
+        str | None, typer.Option(help="Not before: ISO 8601 (UTC by default), or an age: 15min, 7d.")
+    ] = None,
     until: Annotated[str | None, typer.Option(help="Before this time.")] = None,
     after: Annotated[int | None, typer.Option(help="Only readings with a number above this.")] = None,
     flag: Annotated[str | None, typer.Option(help="Only readings with this flag.")] = None,

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Callable
 from importlib import resources
 from typing import Final
 
 import structlog
 from aiohttp import web
-from aiohttp.http_exceptions import HttpProcessingError
 
 from radiometer.daemon.descriptors import listen
 from radiometer.daemon.http import control, patches, picture, readings
@@ -21,6 +19,7 @@ from radiometer.daemon.limits import Limits, ReplyBudget, check_token, is_loopba
 from radiometer.daemon.places import Places
 from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
+from radiometer.reporting.server_log import logger_of_server
 
 _log = structlog.get_logger(__name__)
 _KEEP_ALIVE_S: Final = 30.0  # twice the heartbeat of a stream
@@ -43,23 +42,6 @@ _PAGE: Final = {
 }
 
 
-class _OwnFaults(logging.Filter):
-    """Drops what a client caused that sends nonsense or hangs up: it has its 400, and could fill the log."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        error = record.exc_info[1] if record.exc_info else None
-        return not isinstance(error, HttpProcessingError | ConnectionError)
-
-
-_OWN_FAULTS: Final = _OwnFaults()
-
-
-def _logger() -> logging.Logger:
-    logger = logging.getLogger(__name__)
-    logger.addFilter(_OWN_FAULTS)
-    return logger
-
-
 class HttpServer:
     """Serves one station over HTTP.
 
@@ -79,7 +61,7 @@ class HttpServer:
         self._runner = web.AppRunner(
             application(station, self._limits, token, self._places),
             access_log=None,
-            logger=_logger(),
+            logger=logger_of_server(__name__),
             keepalive_timeout=_KEEP_ALIVE_S,  # also ends a connection that never finishes its request head
             shutdown_timeout=2.0,
             max_field_size=8190,

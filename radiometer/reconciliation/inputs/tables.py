@@ -25,7 +25,7 @@ from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, columns_of
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.data.text_table import TextTable, finite, read_table
-from radiometer.errors import InputError
+from radiometer.errors import InputError, UnsettledError
 from radiometer.importing.drive_table import ChannelDrive, DriveTable, read_drive_table
 from radiometer.numbers import with_u
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
@@ -128,6 +128,12 @@ def read_meter_table(path: Path) -> tuple[MeterRow, ...]:
         rows.append(MeterRow(source, *figures))
     if len(rows) < 2:
         raise InputError(f"{path}: holds {len(rows)} reading; two of one source are the least that can disagree")
+    middle = float(np.median([row.k_exact for row in rows]))
+    if not _METER_CONSTANTS[0] < middle < _METER_CONSTANTS[1]:
+        raise UnsettledError(
+            f"{path}: K is {middle:.3g}, and that of meters is 10.6 to 13.4 (ISO 2720): a column has another unit than "
+            "cd/m2, s and ISO; state it in the heading, such as luminance (fL) or time (ms)"
+        )
     return tuple(rows)
 
 
@@ -162,9 +168,6 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
     elif verdict is Verdict.UNNAMED:
         effects = (FoundEffect("unnamed", {}, _likely_axis(rows), printed, printed, block="meter constant"),)
     extra: dict[str, Any] = {"constants": _table(rows)}
-    middle = float(np.median([row.k_exact for row in rows]))
-    if not _METER_CONSTANTS[0] < middle < _METER_CONSTANTS[1]:
-        remarks.append(f"K is {middle:.3g}, and that of meters is 10.6 to 13.4 (ISO 2720): a column has another unit")
     if by_rounding and abs(rest) > _COINCIDENCE:
         remarks.append(_rest_in_words(rest, widest))
         extra["rest"] = {

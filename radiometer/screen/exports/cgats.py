@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import datetime as dt
-
+from radiometer.moments import moment_of
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 from radiometer.screen.exports.chromaticity import assumption_of, xyz_of
 
@@ -18,7 +17,7 @@ def to_ti3(calibration: ScreenCalibration) -> str:
     grey = calibration.channel("grey")
     white = grey.at(grey.levels[-1], LUMINANCE).value
     rows = [row for name in calibration.channels for row in _rows(calibration, name, white)]
-    created = dt.datetime.fromisoformat(calibration.created).strftime("%a %b %d %H:%M:%S %Y")
+    created = moment_of(calibration.created).strftime("%a %b %d %H:%M:%S %Y")
     assumed = assumption_of(calibration)
     head = [
         "CTI3   ",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from typing import Any
 
 import numpy as np
 
 from radiometer.data.json_text import json_text
+from radiometer.moments import moment_of
 from radiometer.screen.calibration import LUMINANCE, ChannelCurve, ScreenCalibration
 
 _PELLI_ZHANG = 4  # PsychoPy's number for a + (b + k·x)^γ
@@ -24,7 +24,7 @@ def to_psychopy_json(calibration: ScreenCalibration) -> str:
     """
     curves = [calibration.channels.get(n, calibration.channel("grey")) for n in ("grey", "red", "green", "blue")]
     grid = np.array([_grid_row(curve) for curve in curves])
-    when = dt.datetime.fromisoformat(calibration.created)
+    when = moment_of(calibration.created)
     levels = sorted(set(curves[0].levels).intersection(*(c.levels for c in curves)))
     luminances = np.array([[c.at(n, LUMINANCE).value for n in levels] for c in curves])
     entry: dict[str, Any] = {

@@ -15,6 +15,7 @@ import pytest
 from radiometer.adaptation.threshold_files import column_of_onsets, read_table
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.cli.main import run
+from radiometer.data.statements import StatementMap
 from radiometer.errors import InputError
 
 MINUTES, LEVELS = [0.5, 2.0, 10.0], [1.0, -1.0, -3.0]
@@ -30,9 +31,11 @@ SAME = {
     "tabs, seconds": "Time [s]\tlog10 threshold\n30\t1\n120\t-1\n600\t-3\n",
     "seconds by a suffix": "time_s,log_threshold\n30,1\n120,-1\n600,-3\n",
     "milliseconds": "time (ms),log threshold\n30000,1\n120000,-1\n600000,-3\n",
-    "seconds without a unit": "t,thrs\n30,1\n120,-1\n600,-3\n",
     "linear by name": "time_min,threshold_cd_m2\n0.5,10\n2,0.1\n10,0.001\n",
-    "linear by span": "time,threshold\n0.5,10\n2,0.1\n10,0.001\n",
+    "millicandela in logarithms": "time_min,threshold [log10 mcd/m2]\n0.5,4\n2,2\n10,0\n",
+    "units in remarks": "# time: min\n# unit: mcd/m2\nt,thr\n0.5,10000\n2,100\n10,1\n",
+    "natural logarithms": "time_h,ln_threshold\n0.00833333333333,2.302585093\n0.0333333333333,-2.302585093\n"
+    "0.166666666667,-6.907755279\n",
     "dB that fall": "time_min,threshold (dB)\n0.5,10\n2,-10\n10,-30\n",
     "dB of attenuation": "time_min,sensitivity_dB\n0.5,-10\n2,10\n10,30\n",
     "dB below a stated maximum": "# max_cd_m2: 100\ntime_min,dB\n0.5,10\n2,30\n10,50\n",
@@ -58,7 +61,7 @@ def test_every_form_gives_the_same_minutes_and_log10(form, tmp_path):
 def test_opi_decibels_are_below_its_brightest_stimulus(tmp_path):
     """OPI's dbTocd: 0 dB is 10 000/π cd/m², 40 dB is 1/π."""
     file = tmp_path / "opi.csv"
-    file.write_text("# OPI: Octopus900\ntime,dB\n60,0\n300,40\n600,60\n")
+    file.write_text("# OPI: Octopus900\ntime_s,dB\n60,0\n300,40\n600,60\n")
     rows = read_table(file).rows
     assert rows[:, 1] == pytest.approx([math.log10(1e4 / math.pi), -math.log10(math.pi), -2 - math.log10(math.pi)])
     assert rows[:, 0] == pytest.approx([1.0, 5.0, 10.0])
@@ -76,12 +79,42 @@ def test_sigma_follows_the_unit(tmp_path):
 def test_it_says_what_it_took(tmp_path):
     """Form, unit of time, unit of thresholds and rows left out are reported; facts are kept."""
     file = tmp_path / "run.csv"
-    file.write_text("# protocol: rapid\nt;threshold (dB)\n30;-10\n60;NA\n600;30\n")
+    file.write_text("# protocol: rapid\nt [s];attenuation (dB)\n30;-10\n60;NA\n600;30\n")
     found = read_table(file)
     sentence = "; ".join(found.taken)
-    for words in ("semicolons", "seconds, for it goes to 600", "dB of attenuation", "1 rows without a number"):
+    for words in ("semicolons", "time in s", "dB attenuation", "1 rows without a number"):
         assert words in sentence
     assert found.facts == {"protocol": "rapid"}
+
+
+OPEN = {
+    "time": ("t,log10_threshold\n30,1\n120,-1\n600,-3\n", ["time=t:s"], "--map time=t:UNIT"),
+    "threshold, linear or not": (
+        "time_min,thr\n0.5,10\n2,0.1\n10,0.001\n", ["threshold=thr:linear"], "--map threshold=thr:UNIT"),
+    "decibels of either sign": (
+        "time_min,dB\n0.5,-10\n2,10\n10,30\n", ["threshold=dB:dB attenuation"], "of attenuation or of luminance"),
+    "rising decibels": (
+        "time_min,threshold_dB\n0.5,-10\n2,10\n10,30\n", ["threshold=threshold_dB:dB attenuation"], "rises"),
+    "minutes of R that are seconds": ("time,thrs\n30,1\n120,-1\n600,-3\n", ["time=time:s"], "goes to 600"),
+    "seconds without a heading": ("30,1\n120,-1\n600,-3\n", [], "write a heading"),
+    "names of any kind": (
+        "a,b,c\n7,30,2\n7,120,-2\n7,600,-6\n", ["time=b:s", "threshold=c:log10 ucd/m2"], "no column time_min"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "stated", "message"), OPEN.values(), ids=OPEN)
+def test_a_unit_that_no_file_states_stops_until_the_user_states_it(text, stated, message, tmp_path, capsys):
+    """The one line names the option, and with it the values are those of the file."""
+    file = tmp_path / "run.csv"
+    file.write_text(text)
+    assert run(["adapt", "fit", str(file)]) == 1
+    assert message in (refused := capsys.readouterr().err)
+    assert len(refused.strip().splitlines()) == 1
+    if stated:
+        shift = 6.0 if "ucd" in stated[-1] else 0.0
+        rows = read_table(file, StatementMap.parse(stated)).rows
+        expected = np.array([[0.5, 2.0], [2.0, -2.0], [10.0, -6.0]]) - [0.0, 6.0] if shift else EXPECTED
+        np.testing.assert_allclose(rows, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -119,7 +152,7 @@ def test_fit_reads_seconds_and_decibels_and_finds_the_break(tmp_path, capsys):
     printed = capsys.readouterr()
     assert "rod–cone break at 9." in printed.out or "rod–cone break at 8.9" in printed.out
     assert "S2 slope -0.24" in printed.out or "S2 slope -0.23" in printed.out
-    assert "dB of attenuation" in printed.err
+    assert "dB attenuation" in printed.err
 
 
 def test_two_thresholds_of_one_minute_are_both_kept():
@@ -250,8 +283,8 @@ def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path: Path) -> None
     ("text", "message"),
     [
         ("level,seen,time\n1,TRUE,400\n0.9,FALSE,-1\n0.8,TRUE,350\n", "reaction time"),
-        ("onset_s,level,seen\n0,1,maybe\n2,2,TRUE\n", "neither TRUE nor FALSE"),
-        ("onset_s,level,seen\n0,1,TRUE\n2,2,TRUE\n", "never changes"),
+        ("onset_s,log10_level,seen\n0,1,maybe\n2,2,TRUE\n", "neither TRUE nor FALSE"),
+        ("onset_s,log10_level,seen\n0,1,TRUE\n2,2,TRUE\n", "never changes"),
         ("onset_s,colour,seen\n0,1,TRUE\n2,2,FALSE\n", "without a column `level`"),
     ],
 )

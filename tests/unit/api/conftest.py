@@ -28,7 +28,7 @@ calibration: calibration.yaml
 UNIFORM = "scene: {kind: uniform, radiance_W_per_sr_m2: 0.3}"
 CHART = "scene: {kind: step_chart, steps: {count: 24, lowest: 0.02, highest: 1.2}, scramble_seed: 5}"
 METER = (
-    "screen,luminance,f_number,time,iso\nscreen,250,16,1/60,100\nscreen,500,16,1/125,100\nscreen,1000,16,1/250,100\n"
+    "screen,luminance,f_number,time,iso\nscreen,250,5.6,1/60,100\nscreen,500,5.6,1/125,100\nscreen,1000,5.6,1/250,100\n"
 )
 
 
@@ -114,4 +114,4 @@ def _write_tables(folder: Path) -> None:
     np.savetxt(folder / "lamp.csv", np.transpose([seconds, light]), "%.6f", ",", header="time_s,light", comments="")
     times = np.arange(0.5, 30, 0.5)
     found = [f"{t},{SubjectCurve().threshold(t) + rng.normal(0, 0.05):.4f}" for t in times]
-    (folder / "thresholds.csv").write_text("\n".join(["minutes,threshold", *found]) + "\n", encoding="utf-8")
+    (folder / "thresholds.csv").write_text("\n".join(["minutes,log10_threshold", *found]) + "\n", encoding="utf-8")

@@ -172,12 +172,34 @@ def test_a_hole_is_found_on_opening(tmp_path: Path, make_reading: Make, gone: in
         Journal(path).open()
 
 
+ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT x AS sequence, '{}' AS json FROM n"
+FOREIGN = {
+    "a view": f"ALTER TABLE readings RENAME TO kept; CREATE VIEW readings AS {ENDLESS}",
+    "a trigger": "CREATE TRIGGER lose AFTER INSERT ON readings BEGIN DELETE FROM readings; END",
+    "a virtual table": "CREATE VIRTUAL TABLE more USING rtree(id, low, high)",
+}
+
+
+@pytest.mark.parametrize("change", FOREIGN.values(), ids=FOREIGN)
+def test_a_journal_that_another_program_has_changed_is_refused(change, tmp_path: Path, make_reading: Make) -> None:
+    """A query of such a file need not end, and a trigger loses readings: reader and writer name the file."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        journal.append([make_reading()])
+    with sqlite3.connect(path) as other:
+        other.executescript(change)
+    other.close()
+    for use in (lambda: JournalReader(path).lines(ReadingFilter()), lambda: Journal(path).open()):
+        with pytest.raises((InputError, OutputError), match=r"j\.sqlite: holds the .* which no journal has"):
+            use()
+
+
 @pytest.mark.slow
 def test_a_long_query_ends_at_its_deadline(tmp_path: Path, make_reading: Make) -> None:
     """A reader gives up rather than hold a thread for ever."""
     with Journal(tmp_path / "j.sqlite") as journal:
         journal.append([make_reading()] * 20_000)
-    with pytest.raises(InputError, match="interrupted"):
+    with pytest.raises(InputError, match="takes more than 0 s"):
         JournalReader(tmp_path / "j.sqlite", deadline_s=-1.0).lines(ReadingFilter(flag="none"))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Any
 
 import aiohttp
@@ -15,6 +16,7 @@ from radiometer.daemon.journal_reader import JournalReader
 from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.station import Station
 from radiometer.errors import DeviceError
+from testing.box_station import box_station, seconds_until
 
 Eventually = Callable[..., Awaitable[None]]
 
@@ -52,6 +54,17 @@ async def test_light_that_agrees_is_no_alarm(station: Station, box: Any, eventua
     await eventually(lambda: len(asked) > 2)
     assert station.alarms.active == ()
     assert station.light.levels["red"] == 0.91
+
+
+async def test_a_stated_limit_is_accepted_with_what_is_lit_already(tmp_path: Path) -> None:
+    """The light of one channel uses up what others may give: their limits fall at once, and none is refused."""
+    async with box_station(tmp_path) as (station, _, _):
+        await seconds_until(lambda: station.status()["light_limits"])
+        before = station.status()["light_limits"]
+        for channel in ("field", "spot", "fixation"):
+            limit = station.status()["light_limits"][channel]
+            assert await station.light.set_level(channel, limit) == pytest.approx(limit, abs=1e-4)
+        assert station.status()["light_limits"]["spot"] < before["spot"]
 
 
 @pytest.mark.parametrize(("off", "alarmed"), [(1.0 / 65535.0, True), (-1.0 / 65535.0, True), (0.5e-6, False)])

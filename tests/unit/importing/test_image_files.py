@@ -14,7 +14,8 @@ import yaml
 import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.data import Patch
-from radiometer.errors import CaptureError
+from radiometer.data.statements import StatementMap
+from radiometer.errors import CaptureError, UnsettledError
 from radiometer.importing import ImportOptions, import_sources, imported_of, is_foreign, open_capture
 from radiometer.importing.maker_models import FallOff, RowExposure, corners_of_plane
 from radiometer.importing.xmp import numbers, read_xmp
@@ -275,6 +276,29 @@ def test_channels_of_other_wavelengths_are_never_one_bracket(tmp_path, second):
     assert sorted(len(one.header.frames) for one in sets) == ([4] if second == "461" else [2, 2])
 
 
+@pytest.mark.parametrize("names", [(' Name="Pos0 sample A"', ' Name="Pos1 sample B"'), (' Name="a"',) * 2, ("", "")])
+@pytest.mark.parametrize("stated", [True, False])
+def test_images_of_one_file_are_never_one_bracket(tmp_path, names, stated):
+    """Each image (a position, a series) is a set by itself, whether its planes are described or not."""
+    plane = '<Plane TheZ="0" TheT="{t}" TheC="0" ExposureTime="{ms}" ExposureTimeUnit="ms"/>'
+    images = "".join(
+        f'<Image ID="Image:{n}"{name}><Pixels ID="Pixels:{n}" DimensionOrder="XYCTZ" Type="uint16" '
+        'SizeX="16" SizeY="12" SizeZ="1" SizeC="1" SizeT="2">'
+        f'<TiffData IFD="{2 * n}" PlaneCount="2"/>'
+        + "".join(plane.format(t=t, ms=10**n * (t + 1)) for t in (0, 1) if stated)
+        + "</Pixels></Image>"
+        for n, name in enumerate(names)
+    )
+    xml = f'<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">{images}</OME>'
+    path = tmp_path / "p.ome.tif"
+    tifffile.imwrite(path, np.stack([STACK_PICTURE] * 4), description=xml, metadata=None, photometric="minisblack")
+    mapped = StatementMap() if stated else StatementMap.parse(["exposure=10:ms"])
+    sets = import_sources([path], ImportOptions(mapped=mapped))
+    assert [[entry.file for entry in one.header.frames] for one in sets] == [
+        ["p.ome.tif#0", "p.ome.tif#1"], ["p.ome.tif#2", "p.ome.tif#3"],
+    ]  # fmt: skip
+
+
 def test_a_mask_is_no_frame(tmp_path):
     """A transparency mask (TIFF 6.0) behind each picture is left out and reported."""
     for number, time_s in enumerate((0.01, 0.02)):
@@ -311,11 +335,12 @@ def test_darkness_is_recognised_by_imagetyp(write_fits, message):
 
 
 def test_a_temperature_in_kelvins(write_fits):
-    """268.15 in a header can only be kelvins: -5 °C."""
-    entry = open_capture(
-        write_fits("a.fit", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DET_TEMP=268.15)
-    ).header.frames[0]
-    assert entry.temperature_C == pytest.approx(-5.0)
+    """268.15 is −5 °C where the user states K; without a unit it stops the import, for no sensor has so many °C."""
+    path = write_fits("a.fit", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DET_TEMP=268.15)
+    with pytest.raises(UnsettledError, match="--map temperature=DET-TEMP:UNIT"):
+        open_capture(path)
+    (found,) = import_sources([path], ImportOptions(mapped=StatementMap.parse(["temperature=DET-TEMP:K"])))
+    assert found.header.frames[0].temperature_C == pytest.approx(-5.0)
 
 
 def test_frames_stand_in_the_order_they_were_taken(write_fits):
@@ -419,6 +444,28 @@ def test_one_filter_of_several_is_a_pattern(write_fits):
     folder = write_fits("s/c.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", FILTER="V").parent
     patterns = {e.file: e.pattern for e in open_capture(folder).header.frames}
     assert patterns == {"a.fits": "R", "b.fits": "V", "c.fits": "default"}
+
+
+@pytest.mark.parametrize(
+    ("keys", "first", "second"),
+    [
+        (("FILTER1", "FILTER2"), ("clear", "R"), ("clear", "V")), (("FILTNAM",), ("R",), ("V",)),
+        (("FILTER", "FILTER2"), ("R", "ND0"), ("R", "ND2")), (("INSFILTE",), ("R",), ("V",)),
+    ],
+)  # fmt: skip
+def test_filters_of_every_wheel_part_the_frames(write_fits, keys, first, second):
+    """Two frames that differ in one of the filters are two patterns, whatever the keywords are called."""
+    write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="flat", **dict(zip(keys, first, strict=True)))
+    folder = write_fits("s/b.fits", FITS_PICTURE, EXPTIME=2.0, IMAGETYP="flat", **dict(zip(keys, second, strict=True)))
+    assert len({entry.pattern for entry in open_capture(folder.parent).header.frames}) == 2
+
+
+@pytest.mark.parametrize("binned", [{"XBINNING": 2}, {"CCDSUM": "2 2"}, {"BINNING": "2x2"}, {"CCDXBIN": 2}])
+def test_binned_frames_are_another_set(write_fits, binned):
+    """Four pixels in one have another gain, though a window of the sensor has the same size."""
+    write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0)
+    write_fits("s/b.fits", FITS_PICTURE, EXPTIME=1.0, **binned)
+    assert len(import_sources([write_fits("s/c.fits", FITS_PICTURE, EXPTIME=2.0).parent], ImportOptions())) == 2
 
 
 def test_two_cameras_are_not_mixed(write_fits):

@@ -207,6 +207,26 @@ def test_file_that_cannot_be_taken_is_reported_in_one_line(tmp_path: Path, text:
         register_file(path)
 
 
+FAULTS = {
+    "an error": ('raise RuntimeError("boom")', "`factor` of effect 'driver_steps' fails: RuntimeError: boom"),
+    "another shape": ("return np.ones(7)", r"`factor` .* an array of shape \(7,\)"),
+    "no number": ('return "many"', "`(mean|slope)` of effect 'driver_steps' fails"),
+}
+
+
+@pytest.mark.usefixtures("untouched")
+@pytest.mark.parametrize(("body", "message"), FAULTS.values(), ids=FAULTS)
+def test_faults_of_an_effect_name_its_file(make_capture, tmp_path: Path, body: str, message: str) -> None:
+    """The user's own code is at fault, whatever it does: the line names file, method and effect."""
+    head, _, _ = EFFECTS_OF_A_LABORATORY.rpartition("        drive = ")
+    path = tmp_path / "faulty.py"
+    path.write_text(f"{head}        {body}\n", encoding="utf-8")
+    register_file(path)
+    captured = make_capture(seed=42, frames=2)
+    with pytest.raises(ConfigurationError, match=f"faulty.py: {message}"):
+        reconcile(captured.header, captured.frames)
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [("gone.py", "does not exist"), ("law.txt", "is no Python"), ("folder.py", "is no Python")],

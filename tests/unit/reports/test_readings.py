@@ -236,7 +236,7 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
         in_tiff((50713, "H", 2, (2, 2), True), (50714, "H", 4, (10, 20, 20, 30), True)), {}, "differs by up to 20"),
     "LinearizationTable": (in_tiff((50712, "H", 1024, STEPS, True)), {"last": 3600.0}, "LinearizationTable"),
     "a large stack of ImageJ": (one_directory_of_four, {"frames": 4, "last": LEVEL + 300.0, "s": 0.008}, ""),
-    "1/125 s in a name": (in_tiff(name="img_1-125s.tif", seconds=None), {"s": 0.008}, "1/125 s is assumed"),
+    "1/125 s in a name": (in_tiff(name="img_1-125s.tif", seconds=None), {}, "refused: 1/125 s or 125 s of number 1"),
     "0,5 s in a name": (in_tiff(name="img_0,5s.tif", seconds=None), {"s": 0.5}, ""),
     "basler/pypylon/issues/804": (
         in_tiff(picture=CODES * 16), {}, "multiples of 16"),
@@ -273,13 +273,15 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
     "cgohlke/tifffile/issues/152": (interval, {}, "refused: exposure"),
     "geotiffjs/geotiff.js/issues/202": (pyramid, {"frames": 1, "last": float(LEVEL)}, ""),
     "immich-app/immich/issues/2601": (in_tiff((34855, "H", 3, (64, 0, 0), True)), {"dB": 0.0}, "iso unknown"),
-    "two times in a name": (in_tiff(name="a_1s_2s.tif", seconds=None), {"s": 1.0}, "1 s and 2 s"),
+    "two times in a name": (in_tiff(name="a_1s_2s.tif", seconds=None), {}, "refused: 1 s and 2 s"),
     "a power of ten in a name": (in_tiff(name="a_1.5e-3s.tif", seconds=None), {"s": 0.0015}, ""),
     "ome/bioformats/issues/3062": (
         ome_of([of_uuid(0, "urn:a") + of_uuid(1, "urn:b") + plane(0.5) + plane(2.0, 1)], UUID="urn:b"), {"s": 2.0}, ""),
     "ome/bioformats/pull/1839": (
         ome_of(['<TiffData IFD="1" PlaneCount="1"/>' + plane(2.0), '<TiffData IFD="0" PlaneCount="1"/>' + plane(0.5)],
-               pages=2), {"s": 0.5, "frames": 2}, ""),
+               pages=2), {}, "refused: images .Image_1, Image_0"),
+    "a temperature of the air": (in_fits({"TEMP": (31.0, "[C] ambient temperature")}), {"C": None}, ""),
+    "a stack of another program": (in_fits({"NSTACK": 16}), {}, "16 frames were combined"),
     "ilastik/ilastik/issues/3092": (in_ome('ExposureTime="500" ExposureTimeUnit=""'), {}, "refused: exposure"),
 }  # fmt: skip
 
@@ -452,7 +454,7 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
     "levels of 12 bits": (
         read_screen, levels("level,Lv", lambda n, v: f"{n * 4095 / 255:.0f},{v}"), {}, "refused: 4095"),
     "levels up to 100": (
-        read_screen, levels("level,Lv", lambda n, v: f"{n * 100 / 255:.4f},{v}"), SCREEN, "read as per cent"),
+        read_screen, levels("level,Lv", lambda n, v: f"{n * 100 / 255:.4f},{v}"), {}, "refused: without a unit"),
     "a second line of units": (
         read_screen, levels("level,Lv\n[8bit],[mcd/m2]", lambda n, v: f"{n},{1e3 * v}"), SCREEN, ""),
     "BurntSushi/xsv/issues/245": (
@@ -516,11 +518,11 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
         read_meter, f"luminance (fL),f_number,time,iso\n{PAIR}", METER | {"cd/m2": 3426.259}, ""),
     "a meter in ms": (read_meter, "luminance,f_number,time_ms,iso\n1000,8,8,100\n2000,8,4,100\n", METER, ""),
     "denominators of times": (
-        read_meter, "luminance,f_number,time,iso\n100,8,125,100\n200,8,62.5,100\n", {}, "another unit"),
+        read_meter, "luminance,f_number,time,iso\n100,8,125,100\n200,8,62.5,100\n", {}, "refused: another unit"),
     "ISO with DIN": (
         read_meter, "luminance,f_number,time,iso\n100,8,1/125,100/21°\n200,8,1/250,100/21°\n", {}, "refused: 100/21"),
     "shares of full scale": (
-        read_means, "exposure_ms,mean,variance\n1,0.03,1e-6\n2,0.05,2e-6\n5,0.2,5e-6\n", {"s": 0.001}, "shares of"),
+        read_means, "exposure_ms,mean,variance\n1,0.03,1e-6\n2,0.05,2e-6\n5,0.2,5e-6\n", {}, "refused: shares of"),
     "a standard deviation": (read_means, "exposure_ms,mean,std\n1,120,4\n2,140,5\n5,200,6\n", {"var": 16.0}, ""),
     "natural logarithms": (
         read_dark_adaptation, thresholds("time_min,ln threshold", lambda v: v * np.log(10.0)), CURVE, ""),
@@ -528,6 +530,19 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
         read_dark_adaptation, thresholds("time_min,threshold (mcd/m2)", lambda v: 1e3 * 10**v), CURVE, ""),
     "logarithms of mcd/m2": (
         read_dark_adaptation, thresholds("time_min,log threshold (mcd/m2)", lambda v: v + 3), CURVE, ""),
+    "thresholds of two eyes": (
+        read_dark_adaptation, "eye,time_min,log10_threshold\nOD,1,-1\nOS,2,-2\nOD,3,-3\n", {}, "refused: several .eye"),
+    "statistics of three colours": (
+        read_means, "channel,exposure_ms,mean,variance\nR,1,120,4\nG,1,240,8\nB,1,60,2\n", {}, "refused: several"),
+    "temperatures without a unit": (
+        read_means, "exposure_ms,mean,variance,temp\n1,120,4,68\n2,140,5,68\n5,200,6,68\n", {}, "refused: --map temp"),
+    "counts of a spectrometer": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{900 + 1e4 * p:.0f}", "nm,power (counts)"), {}, "refused: counts"),
+    "denominators in a list": (read_times, "p.jpg 125\nq.jpg 250\n", {}, "refused: 1/125"),
+    "times of a zone": (
+        read_nights, nights("time (CET),adu,exposure_s,sqm", lambda k: f"{3e4 + k},0.5,20.{k}"), {}, "refused: CET"),
+    "thresholds whose u is of logarithms": (
+        read_dark_adaptation, "time_min,threshold (mcd/m2),u_log10\n0.5,100,0.1\n2,10,0.1\n", CURVE, ""),
     "apostilbs": (
         read_dark_adaptation, thresholds("time_min,threshold (asb)", lambda v: np.pi * 10**v), CURVE, ""),
 }  # fmt: skip

@@ -20,7 +20,6 @@ from radiometer.data import CaptureSet, ResponseCurve
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 from tests.unit.reports import inputs
 
-# Not corrected yet: white levels below full scale, logs that show nothing.
 SHORTS, RATIONALS = (50713, "H", 2, (2, 2), True), (50714, "2I", 4, (256, 1) * 4, True)
 SERIES, CHANNELS_FIRST = [(0, t) for t in range(4)], [(0, 0), (0, 1), (1, 0), (1, 1)]
 

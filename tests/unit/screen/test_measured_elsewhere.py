@@ -10,7 +10,8 @@ import pytest
 
 from radiometer.bench.screen import lights, primaries_of
 from radiometer.cli.main import run
-from radiometer.errors import InputError, UsageError
+from radiometer.data.statements import StatementMap
+from radiometer.errors import InputError, UnsettledError, UsageError
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
 
@@ -72,8 +73,8 @@ def test_ti3_is_scaled_by_its_white_and_repeats_are_kept(tmp_path: Path) -> None
     "text",
     [
         "0,0.3\n128,44\n255,200\n",
-        "level;cd\n0;0.3\n0.5;44\n1;200\n",
-        "0 0.3\n50 44\n100 200\n",
+        "share;cd\n0;0.3\n0.5;44\n1;200\n",
+        "percent nit\n0 0.3\n50 44\n100 200\n",
         "# x\n0\t0.3\n128\t44\n255\t200\n",
     ],
 )
@@ -86,29 +87,26 @@ def test_tables_of_two_columns(text: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("levels", "middle", "doubted"),
+    ("levels", "unit", "middle"),
     [
-        ((0, 128, 255), 128, False),
-        ((0, 60, 101), 60, True),  # whole steps above 100: no per cent
-        ((0, 50, 100), 128, True),
-        ((0, 30.5, 60), 78, True),
-        ((0, 0.25, 0.5), 64, True),
-        ((0, 50.5, 100.5), None, False),
-        ((0, 128, 256), None, False),
-        ((-1, 50, 100), None, False),
+        ((0, 60, 101), "8bit", 60), ((0, 50, 100), "%", 128), ((0, 30.5, 60), "percent", 78),
+        ((0, 0.25, 0.5), "share", 64),
+        ((0, 50.5, 100.5), "", None), ((0, 128, 256), "", None), ((-1, 50, 100), "", None),
     ],
-)
-def test_levels_without_a_unit_are_read_by_their_size_or_refused(tmp_path, levels, middle, doubted) -> None:
-    """0 to 255 in whole steps, per cent, or 0 to 1; a doubt says which, unless the last level is 255."""
+)  # fmt: skip
+def test_levels_need_a_unit_unless_they_are_whole_ones_up_to_255(tmp_path, levels, unit, middle) -> None:
+    """What may be per cent, a share or a part of 8 bits is refused until heading or user states which."""
     file = tmp_path / "a.csv"
-    file.write_text("".join(f"{level};{light}\n" for level, light in zip(levels, (0.3, 44.0, 200.0), strict=True)))
-    if middle is None:
-        with pytest.raises(InputError, match="Name the unit"):
+    rows = "".join(f"{level};{light}\n" for level, light in zip(levels, (0.3, 44.0, 200.0), strict=True))
+    for text in (rows, f"level;Lv\n{rows}"):
+        file.write_text(text)
+        with pytest.raises(UnsettledError, match="without a unit"):
             read_screen_readings(file)
-        return
-    found = read_screen_readings(file)
-    assert sorted(found.grey)[1] == middle
-    assert any("have no unit" in doubt for doubt in found.doubts) is doubted
+    if middle is not None:
+        stated = read_screen_readings(file, mapped=StatementMap.parse([f"level=level:{unit}"]))
+        file.write_text(f"level [{unit}];Lv\n{rows}")
+        for found in (stated, read_screen_readings(file)):
+            assert sorted(found.grey)[1] == middle
 
 
 def test_a_primary_of_which_only_the_top_was_read_has_the_shape_of_grey() -> None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
+import socket
 import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
+from logging.handlers import BufferingHandler
 
 import aiohttp
 import pytest
@@ -115,6 +118,20 @@ def test_no_browser_is_a_timeout_that_repeats_the_address() -> None:
     display = BrowserDisplay(page_timeout_s=0.1)
     with pytest.raises(DeviceTimeout, match=r"http://127\.0\.0\.1:\d+/\?key="):
         display.open()
+
+
+@pytest.mark.parametrize("request_head", ["POST / HTTP/1.1\r\nContent-Length: -5", f"GET /{'a' * 100_000} HTTP/1.1"])
+def test_nonsense_of_another_program_is_refused_in_silence(request_head: str) -> None:
+    """It has its 400, and the operator's terminal stays as it is."""
+    logged = BufferingHandler(100)
+    logging.getLogger().addHandler(logged)
+    with BrowserDisplay(announce=FakePage().open, page_timeout_s=10) as display:
+        port = int(display.url.split(":")[2].split("/")[0])
+        with socket.create_connection(("127.0.0.1", port), 10.0) as client:
+            client.sendall(f"{request_head}\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+            assert b" 400 " in client.recv(1000)
+    logging.getLogger().removeHandler(logged)
+    assert [record.getMessage() for record in logged.buffer] == []
 
 
 def test_measuring_waits_for_start() -> None:

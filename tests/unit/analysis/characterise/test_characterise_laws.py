@@ -917,3 +917,14 @@ def test_variances_of_a_stack_scatter_by_their_stated_uncertainty():
     assert spatial.std() == pytest.approx(np.mean([s.u_spatial_variance_dn2 for s in stacks]), rel=0.25)
     assert temporal.mean() == pytest.approx(9.0 + 1 / 12, rel=0.02)
     assert spatial.mean() == pytest.approx(16.0, rel=0.02)
+
+
+def test_a_track_of_a_cosmic_ray_is_within_the_uncertainty_of_the_noise():
+    """One of five dark frames is hit along 20 pixels: the noise of 2 DN is over-estimated, and its U covers 2 DN."""
+    rng = np.random.default_rng(7)
+    frames = [np.rint(rng.normal(100.0, 2.0, (256, 256))).astype(np.uint16) for _ in range(5)]
+    frames[3][100, 50:70] += 300
+    (found,) = statistics_of_group(frames, FrameSettings(0.0, shutter="closed"), (None,), 4095)
+    expected = 2.0**2 + 1.0 / 12.0
+    assert found.variance_dn2 > 1.1 * expected
+    assert abs(found.variance_dn2 - expected) <= 2.0 * found.u_variance_dn2

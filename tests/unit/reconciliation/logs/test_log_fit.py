@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from radiometer.cli.main import run
-from radiometer.errors import InputError, UnsettledError, UsageError
-from radiometer.importing.log_table import LogColumns, read_log
+from radiometer.data.statements import StatementMap
+from radiometer.errors import InputError, UnsettledError
+from radiometer.importing.log_table import read_log
 from radiometer.reconciliation.logs.log_fit import fit_log
 from testing.sky_log import Camera, sky_log, write
 
@@ -145,10 +146,36 @@ def test_units_of_columns_are_taken_by_their_names(tmp_path):
     assert log.nights == 3
     changing = [line.replace(",10,", f",{200 + 10 * n},") for n, line in enumerate(lines[1:])]
     path.write_text("\n".join([head.replace("gain_x", "gain"), *changing]), encoding="utf-8")
-    with pytest.raises(UnsettledError, match="--gain-unit"):
+    with pytest.raises(UnsettledError, match="--map gain=gain:UNIT"):
         read_log(path)
-    for unit, first_db in (("iso", 6.0206), ("0.1db", 20.0), ("db", 200.0)):
-        assert read_log(path, LogColumns(gain_unit=unit)).gain_db[0] == pytest.approx(first_db, abs=1e-3)
+    for unit, first_db in (("iso", 6.0206), ("0.1dB", 20.0), ("x", 46.0206)):
+        log = read_log(path, StatementMap.parse([f"gain=gain:{unit}"]))
+        assert log.gain_db[0] == pytest.approx(first_db, abs=1e-3)
+
+
+OPEN = {
+    "exposure": ("exposure_s", "exposure", "exposure:ms", "exposure_s", 1e-3),
+    "temperature": ("temp_c", "temp", "temp:F", "temperature_c", 5.0 / 9.0),
+    "reference": ("sqm_mag", "reference", "reference:mag", "reference", None),
+}
+
+
+@pytest.mark.parametrize("fact", OPEN)
+def test_a_unit_that_no_heading_states_stops_until_the_user_states_it(fact, tmp_path, capsys):
+    """The line names the option; with it the column is read in that unit."""
+    heading, bare, place, attribute, factor = OPEN[fact]
+    rows = sky_log(1, Camera(), 4, 10)
+    whole = read_log(write(rows, tmp_path / "whole.csv"))
+    path = write(
+        [{bare if name == heading else name: v for name, v in row.items()} for row in rows], tmp_path / "t.csv"
+    )
+    assert run(["log-fit", str(path)]) == 1
+    assert f"--map {fact}={bare}:UNIT" in capsys.readouterr().err
+    found = getattr(read_log(path, StatementMap.parse([f"{fact}={place}"])), attribute)
+    expected = getattr(whole, attribute)
+    if fact == "temperature":
+        expected = expected - 32.0
+    assert found == pytest.approx(expected * (factor or 1.0), rel=1e-6)
 
 
 def test_nights_are_split_at_gaps_and_at_noon(tmp_path):
@@ -184,11 +211,11 @@ def test_unusable_table_is_refused_in_one_line(tmp_path, capsys, text, message):
     assert len(printed.splitlines()) == 1
 
 
-def test_misnamed_column_is_misuse(tmp_path):
+def test_misnamed_column_is_refused(tmp_path):
     """A column that is not there is named with those that are."""
     path = write(sky_log(1, Camera(), 3, 5), tmp_path / "t.csv")
-    with pytest.raises(UsageError, match="no column 'lumen'; it has utc, adu"):
-        read_log(path, LogColumns({"reference": "lumen"}))
+    with pytest.raises(UnsettledError, match="no column 'lumen', which --map reference names; it has utc, adu"):
+        read_log(path, StatementMap.parse(["reference=lumen"]))
     other = tmp_path / "m.csv"
     other.write_text("utc,mpsas\n2001-01-01T00:00:00,20\n2001-01-01T00:01:00,20\n", encoding="utf-8")
     with pytest.raises(InputError, match="both are in UTC"):
