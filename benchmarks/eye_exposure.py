@@ -16,7 +16,7 @@ from testing.eye_world import PROMISED, Desks, firmware_maker, live_through
 
 ROOT = Path(__file__).resolve().parents[1]
 FIRMWARE = ROOT / "drivers" / "firmware" / "light_box"
-FIRST_SEED = 100_000
+FIRST_SEED = 700_000
 PART = 250
 ABOUT = (
     "Each sequence is 30 events at a desk with two boxes and two eyes. Programs name an eye, state that none looks, or"
