@@ -379,7 +379,7 @@ def is_misfit(state: FitState) -> bool:
 def is_far(state: FitState) -> bool:
     """Return whether entries are off by ten of their uncertainties and more: linear predictions mean little there.
 
-    Entries are those of held-out settings, and the stated values: a wrong model may fit the former by moving the latter.
+    Entries are held-out settings and stated values: a wrong model may fit the former by moving the latter.
     """
     stated = slice(state.settings, None)
     off = float(state.held_out.chi2[stated].sum()) / max(float(state.held_out.count[stated].sum()), 1.0)

@@ -172,7 +172,7 @@ def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_captu
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_patch_that_two_amplifiers_read_has_one_radiance(make_capture: Callable[..., Any], known: bool) -> None:
-    """It is two tiles with statistics of their own; its error moves the means of both as the derivatives state."""
+    """It is two tiles with separate statistics; its error moves the means of both as the derivatives state."""
     captured = make_capture(5, plan=LADDER[:3], known=known)
     (height, width), patch = captured.frames[0].shape, captured.header.patches[3]
     at = patch.x + patch.width // 2
