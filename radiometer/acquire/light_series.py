@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from radiometer.acquire.bracketing import own_shutter, take_dark_frames
+from radiometer.analysis.flicker.waveform import Waveform
 from radiometer.data import Frame, Patch
 from radiometer.devices import Camera, Roi
 from radiometer.errors import DeviceError, MeasurementError
-from radiometer.typing import Array
 
 _FILL: Final = 0.7  # of full scale: the brightest moment of a waveform may be missed by a pilot
 _PILOTS: Final = 64  # frames that show the brightest moment of light that changes
@@ -23,36 +23,11 @@ _UNEVEN: Final = 0.02  # of a step: what a camera's time stamps may scatter by w
 _LONGEST_S: Final = 1e-3  # 1.6 % of a modulation at 100 Hz averages out over it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LightSeries:
-    """Light of a patch in DN above darkness, at equal steps of time.
-
-    Attributes:
-        light: Means over the patch, shape (frames,).
-        rate_hz: Frames per s.
-        exposure_s: Exposure of each.
-        u_dark: Standard uncertainty of the level of darkness in DN.
-        notes: What was assumed, a sentence each.
-    """
-
-    light: Array
-    rate_hz: float
-    exposure_s: float
-    u_dark: float
-    notes: tuple[str, ...]
-
-
-def take_series(camera: Camera, patch: Patch, duration_s: float, exposure_s: float | None = None) -> LightSeries:
-    """Take frames of a patch as fast as the camera gives them.
+def take_series(camera: Camera, patch: Patch, duration_s: float, exposure_s: float | None = None) -> Waveform:
+    """Take frames of a patch as fast as the camera gives them; light is in DN above darkness.
 
     Only the patch is read out. The exposure is 1 ms or shorter, so that no frame clips. Darkness comes from the
     camera's own shutter, else from its stated black level.
-
-    Args:
-        camera: An open camera.
-        patch: Where the light is.
-        duration_s: Length of the series in s.
-        exposure_s: Exposure time in s; by itself where None.
 
     Raises:
         MeasurementError: If frames clip at the shortest exposure, were lost, or the black level is unknown.
@@ -81,7 +56,7 @@ def take_series(camera: Camera, patch: Patch, duration_s: float, exposure_s: flo
         note,
         f"the camera took {rate:.4g} frames per s: modulation above {rate / 2:.4g} Hz shows at a wrong frequency",
     )
-    return LightSeries(light, rate, taken_s, u_dark, notes)
+    return Waveform(light, rate, f"camera {camera.identity.serial}", u_dark, taken_s, notes)
 
 
 def _unclipped(camera: Camera, shortest_s: float, *, fixed: bool) -> float:

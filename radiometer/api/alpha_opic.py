@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 from radiometer.analysis.photometry.alpha_opic import (
     UNITS,
     AlphaOpic,
-    SpectrumDoubt,
     alpha_opic_quantities,
 )
-from radiometer.analysis.photometry.facing import FacingSource
+from radiometer.analysis.photometry.facing import facing_irradiance
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.api.files import PathLike
 from radiometer.api.result import Drawn
@@ -22,7 +21,6 @@ from radiometer.data.drawing import new_axes
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UsageError
-from radiometer.numbers import with_u
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 
 if TYPE_CHECKING:
@@ -38,12 +36,6 @@ _FOR_SPECTRUM: Final = "spectrum "  # an assumption of a reading: which light it
 @dataclass(frozen=True, repr=False)
 class AlphaOpicQuantities(Drawn):
     """The five α-opic quantities of one light.
-
-    Examples:
-        >>> import radiometer as rm
-        >>> found = rm.alpha_opic(100.0, "lx", spectrum="cie_d65")
-        >>> round(found["melanopic"].equivalent_daylight.value, 6)
-        100.0
 
     Attributes:
         source: The value that they were made of, with its standard uncertainty.
@@ -79,11 +71,7 @@ class AlphaOpicQuantities(Drawn):
         }
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the α-opic daylight efficacy ratios with their expanded uncertainty (k = 2).
-
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
+        """Draw the α-opic daylight efficacy ratios with their expanded uncertainty (k = 2)."""
         where = axes if axes is not None else new_axes()
         names = [one.receptor.replace("_", "-") for one in self.quantities]
         ratios = [one.daylight_ratio for one in self.quantities]
@@ -95,8 +83,7 @@ class AlphaOpicQuantities(Drawn):
 
     def __str__(self) -> str:
         """Return the melanopic equivalent daylight quantity in one line."""
-        edi = self["melanopic"].equivalent_daylight
-        return f"melanopic equivalent daylight {with_u(edi.value, 2 * edi.u, edi.unit, k=2)}"
+        return f"melanopic equivalent daylight {self['melanopic'].equivalent_daylight.text(with_k=True)}"
 
 
 def alpha_opic(
@@ -119,6 +106,8 @@ def alpha_opic(
 
     Examples:
         >>> import radiometer as rm
+        >>> round(rm.alpha_opic(100.0, "lx", spectrum="cie_d65")["melanopic"].equivalent_daylight.value, 6)
+        100.0
         >>> rm.alpha_opic(100.0, "cd m-2", u=1.0, spectrum="white_led")
         <AlphaOpicQuantities melanopic equivalent daylight 63... ± 1... cd·m⁻² (k = 2)>
 
@@ -173,10 +162,10 @@ def alpha_opic(
     if (size_m is None) != (distance_m is None) or (u_distance_m and distance_m is None):
         raise UsageError("--size and --distance need each other, and --distance-u both")
     if size_m is not None and distance_m is not None:
-        source = FacingSource(tuple(size_m), distance_m, u_distance_m).irradiance(source)
+        source = facing_irradiance(source, size_m, distance_m, u_distance_m)
         assumptions.append("the source is evenly bright, alike in all directions, and straight before the plane")
     light = spectrum_of(named)
-    found = alpha_opic_quantities(source, light, SpectrumDoubt(spectrum_u_rel, wavelength_u_nm))
+    found = alpha_opic_quantities(source, light, spectrum_u_rel, wavelength_u_nm)
     return AlphaOpicQuantities(source, light.name, found, tuple(assumptions))
 
 

@@ -30,7 +30,7 @@ from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
-from radiometer.numbers import unit_text, with_u
+from radiometer.numbers import unit_text
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
 from radiometer.typing import Array
@@ -45,13 +45,6 @@ _FIGURES = ("mean", "median", "lowest", "highest", "deviation", "uniformity")
 @dataclass(frozen=True, eq=False, repr=False)
 class MapAnalysis(Drawn):
     """Figures of a radiance map; all uncertainties are standard ones (k = 1).
-
-    Examples:
-        >>> import radiometer as rm
-        >>> chart = rm.merge("out/chart", calibration="calibration.yaml")
-        >>> found = rm.analyse(chart, regions={"a": (3, 3, 8, 8), "b": (4, 4, 4, 4)}, contrast=("a", "b"))
-        >>> found.regions[0].mean.unit, found.contrast.unit
-        ('W sr-1 m-2', '1')
 
     Attributes:
         origin: File of the map, or its repr.
@@ -101,65 +94,52 @@ class MapAnalysis(Drawn):
         return mapping
 
     @property
-    def glare_indices(self) -> list[tuple[str, Quantity]]:
-        """Return UGR and DGP by name where they were asked for."""
-        return [(name, one) for name, one in (("UGR", self.ugr), ("DGP", self.dgp)) if one is not None]
+    def of_picture(self) -> dict[str, Quantity]:
+        """Return the figures of no single region by name, those that were asked for."""
+        named = {"contrast": self.contrast, "vertical illuminance": self.illuminance, "UGR": self.ugr, "DGP": self.dgp}
+        return {name: one for name, one in named.items() if one is not None}
+
+    @property
+    def flags(self) -> list[str]:
+        """Return what makes a figure doubtful, a sentence each."""
+        return [f"{one.name}: {flag}" for one in self.regions for flag in one.flags]
 
     def write_csv(self, path: PathLike) -> None:
         """Write a row for each figure; one of no region has no name. Raises OutputError."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["region", "figure", "value", "u", "unit"])
-        for one in self.regions:
-            for name in _FIGURES:
-                quantity = getattr(one, name)
-                writer.writerow([one.name, name, quantity.value, quantity.u, quantity.unit])
-        of_picture = {"contrast": self.contrast, "illuminance": self.illuminance, "ugr": self.ugr, "dgp": self.dgp}
-        for name, found in of_picture.items():
-            if found is not None:
-                writer.writerow(["", name, found.value, found.u, found.unit])
+        figures = [(one.name, name, getattr(one, name)) for one in self.regions for name in _FIGURES]
+        figures += [("", name.split()[-1].lower(), one) for name, one in self.of_picture.items()]
+        writer.writerows([region, name, one.value, one.u, one.unit] for region, name, one in figures)
         write_text_atomic(Path(path), stream.getvalue())
 
     def write_report(self, path: PathLike) -> None:
         """Write a self-contained page. Raises OutputError if it cannot be written."""
-        rows = [
-            (one.name, *(with_u(q.value, 2 * q.u) for q in (getattr(one, name) for name in _FIGURES)))
-            for one in self.regions
-        ]
-        further = []
-        if self.contrast is not None:
-            further.append(f"contrast (ratio of the means): {with_u(self.contrast.value, 2 * self.contrast.u)}")
-        if self.illuminance is not None:
-            value = with_u(self.illuminance.value, 2 * self.illuminance.u, unit_text(self.illuminance.unit))
-            further.append(f"vertical illuminance: {value}")
-        further += [f"{name}: {with_u(one.value, 2 * one.u)}" for name, one in self.glare_indices]
-        exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
-        flags = [f"{one.name}: {flag}" for one in self.regions for flag in one.flags]
+        unit = unit_text(self.map.unit)
+        rows = [(one.name, *(getattr(one, name).text(bare=True) for name in _FIGURES)) for one in self.regions]
         parts = [
-            picture(self.plot, f"{self.origin}, {unit_text(self.map.unit)}"),
-            section(f"Regions in {unit_text(self.map.unit)}, k = 2", table(("region", *_FIGURES), rows, words=(0,))),
-            section("Further figures, k = 2", listed(further)),
-            section("Flags and assumptions", listed([*flags, *self.assumptions])),
+            picture(self.plot, f"{self.origin}, {unit}"),
+            section(f"Regions in {unit}, k = 2", table(("region", *_FIGURES), rows, words=(0,))),
+            section(
+                "Further figures, k = 2", listed([f"{name}: {one.text()}" for name, one in self.of_picture.items()])
+            ),
+            section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
         more = ", …" if len(self.regions) > _MOST_IN_HEADLINE else ""
-        means = [f"{one.name} {with_u(one.mean.value, 2 * one.mean.u)}" for one in self.regions[:_MOST_IN_HEADLINE]]
-        outcome = f"Mean of {', '.join(means)}{more} {unit_text(self.map.unit)} (k = 2)"
-        known = {name: str(value) for name, value in self.map.provenance.parameters.get("origin", {}).items()}
-        origin = Origin(
-            known.get("taken", ""),
-            known.get("camera", ""),
-            known.get("lens", ""),
-            known.get("calibration", ""),
-            further=(("map", self.origin), ("merged", known.get("merged", "")), ("exposure times", exposures)),
-        )
+        outcome = f"Mean of {', '.join(self._means[:_MOST_IN_HEADLINE])}{more} {unit} (k = 2)"
+        known = self.map.provenance.parameters.get("origin", {})
+        exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
+        further = (("map", self.origin), ("merged", str(known.get("merged", ""))), ("exposure times", exposures))
+        origin = Origin.of_map(known, further=further)
         write_text_atomic(Path(path), page("Figures of a radiance map", outcome, parts, kind="analyse", origin=origin))
 
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the map in false colours with its regions.
+    @property
+    def _means(self) -> list[str]:
+        return [f"{one.name} {one.mean.text(bare=True)}" for one in self.regions]
 
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the map in false colours with its regions."""
         from matplotlib.patches import Rectangle
 
         where = Radiance({"mono": self.map}).plot(axes if axes is not None else new_axes())
@@ -171,13 +151,8 @@ class MapAnalysis(Drawn):
 
     def __str__(self) -> str:
         """Return the regions' means in one line."""
-        means = [f"{one.name} {with_u(one.mean.value, 2 * one.mean.u)}" for one in self.regions]
-        lux = (
-            []
-            if self.illuminance is None
-            else [with_u(self.illuminance.value, 2 * self.illuminance.u, self.illuminance.unit)]
-        )
-        return f"{', '.join([*means, *lux])} (k = 2)"
+        lux = [] if self.illuminance is None else [self.illuminance.text()]
+        return f"{', '.join([*self._means, *lux])} (k = 2)"
 
 
 def analyse(
@@ -199,8 +174,10 @@ def analyse(
 
     Examples:
         >>> import radiometer as rm
-        >>> rm.analyse(rm.merge("out/chart", calibration="calibration.yaml"), regions={"a": (3, 3, 8, 8)})
-        <MapAnalysis a ... (k = 2)>
+        >>> chart = rm.merge("out/chart", calibration="calibration.yaml")
+        >>> found = rm.analyse(chart, regions={"a": (3, 3, 8, 8), "b": (4, 4, 4, 4)}, contrast=("a", "b"))
+        >>> found, found.contrast.unit
+        (<MapAnalysis a ... (k = 2)>, '1')
 
     Args:
         source: Map of `merge`, or the TIFF file that it wrote.

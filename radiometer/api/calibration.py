@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -44,6 +44,7 @@ from radiometer.data import (
     PatchDescription,
     ResponseCurve,
     Scale,
+    SourceDescription,
     SpectralResponse,
     StatedUncertainties,
 )
@@ -214,7 +215,8 @@ def calibrate(
         reference_dn: Pixel value of the metered surface; half of full scale by default.
         dynamic_range: (M, time in s[, landed]) of regions brought to the reference value, which correct the exponent.
         as_printed: Take settings at face value, not as stops.
-        spectrum: Spectrum of the source, or a CSV; equal energy to 43 % where not stated.
+        spectrum: Spectrum of the source, or a CSV; by default the line that the capture states, else equal energy to
+            43 %.
         black_level: Black level in DN; the frames', or that of their dark frames, by default.
         validity_days: Days that the calibration is valid for.
         spectral_response: CSV of wavelength in nm and relative response per watt of the camera.
@@ -249,6 +251,7 @@ def calibrate(
     if seen is not None and needed:
         seen = _with_f_number(seen, f_number, required=luminance_meter_k is None)
     settings = _meter_settings(luminance_meter_k, f_number, exposure_s, real_iso, as_printed=as_printed)
+    spectrum = spectrum or (seen.source.spectrum if seen is not None else None)
     source = _known_source(seen, radiance, luminance, u_rel, spectrum or "equal_energy")
     if source is None and settings is None:
         raise UsageError("give --radiance or --luminance of a known source, or --luminance-meter-k with its settings")
@@ -271,7 +274,12 @@ def calibrate(
     other = next((scale for scale in scales if scale is not chosen), None)
     files = (capture, None if isinstance(response, ResponseCurve) else response, camera_file, flat, model)
     inputs = tuple(Path(path).name for path in files if path)
-    further = (*of_black, *_of_taps(base, seen), *(seen.assumed if seen else ()))
+    further = (
+        *of_black,
+        *_of_taps(base, seen),
+        *(seen.assumed if seen else ()),
+        *_of_dials(settings, exposure_s, f_number),
+    )
     done = make.scaled_calibration(base, chosen, inputs, other, further)
     if out is not None:
         done.write(Path(out))
@@ -287,6 +295,7 @@ class _Seen:
     camera: CameraDescription
     lens: LensDescription
     known: PatchDescription | None = None
+    source: SourceDescription = field(default_factory=SourceDescription)
     photographs: Photographs | None = None
     notes: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
@@ -350,7 +359,8 @@ def _seen(
     if camera is not None or bench is not None:
         with open_instrument(Path(bench) if bench else None, camera, _numbers(patch), uncalibrated=True) as instrument:
             device = instrument.camera
-            return _Seen(instrument.take_bracket(), instrument.patch, device.description, device.lens)
+            source = instrument.source or SourceDescription()
+            return _Seen(instrument.take_bracket(), instrument.patch, device.description, device.lens, source=source)
     return None
 
 
@@ -382,7 +392,7 @@ def _seen_in_capture(
         raise UsageError(f"--patch {patch!r}: {path} has no patch of that name; there are: {there}")
     where = known.patch if known else _numbers(patch)
     camera = camera_with_taps(capture, taps)
-    return _Seen(capture.lit_bracket(pattern), where, camera, header.lens, known, notes=notes)
+    return _Seen(capture.lit_bracket(pattern), where, camera, header.lens, known, header.source, notes=notes)
 
 
 def _timed(seen: _Seen, curve: ResponseCurve | None, *, in_model: bool) -> _Seen:
@@ -423,6 +433,16 @@ def _meter_settings(
         raise UsageError("--f-number and --iso must be above 0")
     printed = MeterSettings(exposure_s, f_number, iso)
     return printed if as_printed else printed.exact()
+
+
+def _of_dials(used: MeterSettings | None, exposure_s: float | None, f_number: float | None) -> tuple[str, ...]:
+    """Return which exact stops are behind the settings of a meter, where they differ from what was given."""
+    if used is None or (used.exposure_s, used.f_number) == (exposure_s, f_number):
+        return ()
+    return (
+        f"settings are printed stops, in truth {1e3 * used.exposure_s:.5g} ms at f/{used.f_number:.4g}; --as-printed "
+        "takes them at face value",
+    )
 
 
 def _certified(path: Path, u_rel: float | None) -> tuple[float, float]:

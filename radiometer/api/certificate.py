@@ -16,7 +16,6 @@ from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import check_outputs, read_text, write_text_atomic
 from radiometer.errors import InputError, UsageError
-from radiometer.numbers import unit_text, with_u
 from radiometer.plausible import PLAUSIBLE
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
@@ -52,9 +51,7 @@ class Certificate(Result):
     def to_html(self) -> str:
         """Return the certificate as one self-contained page."""
         content, laboratory = self.content, self.laboratory
-        results = [
-            (name, with_u(one.value, k * one.u, unit_text(one.unit)), f"{k:.3g}") for name, one, k in content.results
-        ]
+        results = [(name, one.text(k), f"{k:.3g}") for name, one, k in content.results]
         parties = [
             ("certificate", content.identifier),
             ("item", " ".join(filter(None, (content.item.manufacturer, content.item.model, content.item.name)))),
@@ -89,8 +86,7 @@ class Certificate(Result):
     def __str__(self) -> str:
         """Return number, item and first result in one line."""
         name, one, k = self.content.results[0]
-        value = with_u(one.value, k * one.u, unit_text(one.unit))
-        return f"{self.content.identifier}: {self.content.item.name} {self.content.item.serial}, {name} {value}"
+        return f"{self.content.identifier}: {self.content.item.name} {self.content.item.serial}, {name} {one.text(k)}"
 
 
 def certificate(

@@ -44,7 +44,6 @@ from radiometer.data.provenance import is_out_of_date
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import CalibrationError, InputError, MeasurementError, UsageError
 from radiometer.importing import open_capture
-from radiometer.numbers import unit_text, with_u
 from radiometer.progress import unseen
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import listed, page, section, table
@@ -65,12 +64,6 @@ _ROWS: Final = 64  # of a picture that are converted at a time
 class CalibratedColour(Result):
     """A colour calibration.
 
-    Examples:
-        >>> import radiometer as rm
-        >>> made = rm.colour_calibrate("colours", "colours.csv", kind="leds")
-        >>> list(made.calibration.channels), made.calibration.unit
-        (['red', 'green', 'blue'], 'cd m-2')
-
     Attributes:
         calibration: The calibration.
         out: File that it was written to; None where it was not.
@@ -85,7 +78,7 @@ class CalibratedColour(Result):
 
     def u_rel(self, kind: str | None) -> float:
         """Return the relative standard uncertainty of the luminance of white light from the matrix."""
-        return 3.0 * float(np.sqrt(self.calibration.error(kind)[1, 1]))
+        return float(np.sqrt(self.calibration.error(kind, np.ones(3))[1, 1]))
 
     def __str__(self) -> str:
         """Return channels, lights and the error for the kinds of light in one line."""
@@ -98,14 +91,6 @@ class CalibratedColour(Result):
 @dataclass(frozen=True, eq=False, repr=False)
 class ColourReading(Drawn):
     """The colour of a patch; all uncertainties are standard ones (k = 1).
-
-    Examples:
-        >>> import radiometer as rm
-        >>> rm.colour_calibrate("colours", "colours.csv", kind="leds", out="colour.yaml")
-        <CalibratedColour ...>
-        >>> found = rm.colour_measure("colours", calibration="colour.yaml", patch=(2, 2, 4, 4), kind="leds")
-        >>> found["Y"].unit, found["cct"] is None or found["cct"].unit
-        ('cd m-2', ...)
 
     Attributes:
         source: Where the frames came from.
@@ -154,11 +139,7 @@ class ColourReading(Drawn):
         }
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the chromaticity diagram: spectral and Planckian locus, training set, and the reading with its ellipse.
-
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
+        """Draw the chromaticity diagram: spectral and Planckian locus, training set, the reading with its ellipse."""
         from matplotlib.patches import Ellipse, Polygon
 
         where = axes if axes is not None else new_axes()
@@ -187,32 +168,16 @@ class ColourReading(Drawn):
 
     def write_report(self, path: PathLike) -> None:
         """Write a self-contained page. Raises OutputError if it cannot be written."""
-        raw = [(name, with_u(one.value, 2 * one.u)) for name, one in self.signals.items()]
+        raw = [(name, one.text(bare=True)) for name, one in self.signals.items()]
         parts = [
             picture(self.plot, f"{self.source}: CIE 1931 chromaticity, ellipse at 95 %"),
             section("Colour, k = 2", table(("quantity", "value"), self.rows())),
             section("Raw readings, k = 2", table(("channel", "signal"), raw)),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
-        origin = Origin(
-            self.origin.get("taken", ""),
-            self.origin.get("camera", ""),
-            self.origin.get("lens", ""),
-            calibration=f"of colours, {moment(self.calibration.created)}",
-            further=(("source", self.source),),
-        )
+        known = {**self.origin, "calibration": f"of colours, {moment(self.calibration.created)}"}
+        origin = Origin.of_map(known, further=(("source", self.source),))
         write_text_atomic(Path(path), page(f"colour of {self.source}", str(self), parts, kind="colour", origin=origin))
-
-    def write_maps(self, path: PathLike) -> None:
-        """Write the quantities of every pixel as .exr or .tiff.
-
-        Raises:
-            UsageError: If the ending is another, or they were not asked for.
-            OutputError: If the file cannot be written.
-        """
-        if self.maps is None:
-            raise UsageError("the quantities of every pixel were not asked for: give --map")
-        _writer(Path(path))(Path(path), self.maps)
 
     def __str__(self) -> str:
         """Return luminance, chromaticity and colour temperature in one line."""
@@ -222,7 +187,7 @@ class ColourReading(Drawn):
 
 
 def _shown(quantity: Quantity | None) -> str:
-    return "none" if quantity is None else with_u(quantity.value, 2 * quantity.u, unit_text(quantity.unit))
+    return "none" if quantity is None else quantity.text()
 
 
 def colour_calibrate(
@@ -320,8 +285,9 @@ def colour_measure(
     Examples:
         >>> import radiometer as rm
         >>> made = rm.colour_calibrate("colours", "colours.csv", kind="leds")
-        >>> rm.colour_measure("colours", calibration=made.calibration, patch=(2, 2, 4, 4), kind="leds")
-        <ColourReading Y ... (k = 2)>
+        >>> found = rm.colour_measure("colours", calibration=made.calibration, patch=(2, 2, 4, 4), kind="leds")
+        >>> found, found["Y"].unit
+        (<ColourReading Y ... (k = 2)>, 'cd m-2')
 
     Args:
         source: Capture set of a colour camera, or folder of photographs.
@@ -386,8 +352,8 @@ def colour_measure(
         _converted(seen, known, kind) if maps is not None else None,
         next(iter(seen.maps.values())).provenance.parameters.get("origin", {}),
     )  # fmt: skip
-    if maps is not None:
-        reading.write_maps(maps)
+    if maps is not None and reading.maps is not None:
+        _writer(Path(maps))(Path(maps), reading.maps)
     if report is not None:
         reading.write_report(report)
     return reading

@@ -37,12 +37,6 @@ _LONGEST_S = 600.0  # of a camera's series: PstLM is defined over 180 s
 class FlickerReport(Drawn):
     """The modulation of a light in time.
 
-    Examples:
-        >>> import radiometer as rm
-        >>> found = rm.flicker("lamp.csv", dark=0.0)
-        >>> round(found.measures.frequency.value), found.measures.svm.unit
-        (100, '1')
-
     Attributes:
         waveform: What was measured.
         measures: Frequency, modulation depth, flicker index, SVM and PstLM.
@@ -57,12 +51,7 @@ class FlickerReport(Drawn):
         """Return the documented JSON form."""
         found = self.measures
         named = {
-            "frequency": found.frequency,
-            "modulation_depth": found.modulation_depth,
-            "flicker_index": found.flicker_index,
-            "svm": found.svm,
-            "pst_lm": found.pst_lm,
-            "row_time": self.row_time,
+            name: getattr(found, name) for name in ("frequency", "modulation_depth", "flicker_index", "svm", "pst_lm")
         }
         return {
             "source": self.waveform.origin,
@@ -70,17 +59,16 @@ class FlickerReport(Drawn):
             "duration_s": self.waveform.duration_s,
             "periods": found.periods,
             "coverage_factor": found.coverage_factor,
-            **{name: None if one is None else one.to_mapping() for name, one in named.items()},
+            **{
+                name: None if one is None else one.to_mapping()
+                for name, one in {**named, "row_time": self.row_time}.items()
+            },
             "assumptions": list(found.assumptions),
             "warnings": list(found.warnings),
         }
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw some periods of the light over its mean.
-
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
+        """Draw some periods of the light over its mean."""
         where = axes if axes is not None else new_axes()
         frequency = self.measures.frequency
         shown_s = self.waveform.duration_s if frequency is None else 4.0 / frequency.value
@@ -125,7 +113,10 @@ def flicker(
 
     Examples:
         >>> import radiometer as rm
-        >>> rm.flicker("lamp.csv", dark=0.0)
+        >>> found = rm.flicker("lamp.csv", dark=0.0)
+        >>> round(found.measures.frequency.value), found.measures.svm.unit
+        (100, '1')
+        >>> found
         <FlickerReport 100 Hz, modulation depth 30 ± ... %, SVM 1.17 ± ... (k = ...)>
 
     Args:
@@ -197,9 +188,7 @@ def _of_camera(
     with open_bench_camera(None if bench is None else Path(bench), name) as (config, camera):
         where = as_patch(patch) or (config.patch.patch if config.patch else central_patch(camera))
         refuse_outside(where, camera)
-        series = take_series(camera, where, duration_s, exposure_s)
-        origin = f"camera {camera.identity.serial}"
-    found = Waveform(series.light, series.rate_hz, origin, series.u_dark, series.exposure_s, series.notes)
+        found = take_series(camera, where, duration_s, exposure_s)
     return FlickerReport(found, measure_flicker(found))
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, fit_drive_law
 from radiometer.analysis.flux.estimate import led_flux
 from radiometer.analysis.flux.report import Emitter, FluxReport
 from radiometer.analysis.flux.sensor import flux_scale
 from radiometer.api.files import PathLike, stack_of
-from radiometer.api.result import Result
+from radiometer.api.result import Result, require_other
 from radiometer.bench.sources import is_photographs, open_source
 from radiometer.data import (
     Calibration,
@@ -23,12 +25,28 @@ from radiometer.data import (
     SourceDescription,
 )
 from radiometer.devices import CameraPreset
-from radiometer.errors import UsageError
+from radiometer.errors import MeasurementError, UsageError
 from radiometer.importing import imported_of, open_capture
+from radiometer.importing.drive_table import read_drive_table
 from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
 
 __all__ = ["Flux", "FluxReport", "Quantity", "flux"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrivenFlux:
+    """Flux at a drive by the law of a drive table; u holds the law's, and its misfit at both drives."""
+
+    channel: str  # of the table
+    drive: float  # in the table's unit
+    flux: Quantity
+    law: DriveLaw
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        known = {"channel": self.channel, "drive": self.drive, "flux": self.flux.to_mapping()}
+        return {**known, "drive_law": self.law.to_mapping()}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -44,10 +62,12 @@ class Flux(Result):
     Attributes:
         report: Figures, the steps between them, and assumptions.
         notes: What a user should know, a sentence each.
+        driven: Flux at another drive, where it was asked for.
     """
 
     report: FluxReport
     notes: tuple[str, ...] = ()
+    driven: DrivenFlux | None = None
 
     @property
     def result(self) -> Quantity:
@@ -56,7 +76,11 @@ class Flux(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        return {**self.report.to_mapping(), "notes": [*self.report.contradictions, *self.notes]}
+        return {
+            **self.report.to_mapping(),
+            "notes": [*self.report.contradictions, *self.notes],
+            "at_drive": None if self.driven is None else self.driven.to_mapping(),
+        }
 
     def __str__(self) -> str:
         """Return the flux in mW with its expanded uncertainty in one line."""
@@ -80,6 +104,10 @@ def flux(
     datasheet_mw: float | None = None,
     channel: str = "luminance",
     measured_iso: Mapping[float, float] | None = None,
+    drive_table: PathLike | None = None,
+    led: str | None = None,
+    drive: float | None = None,
+    at_drive: float | None = None,
 ) -> Flux:
     """Find the radiant flux of a light-emitting diode.
 
@@ -103,6 +131,10 @@ def flux(
         datasheet_mw: Flux that the datasheet states in mW.
         channel: Of colour photographs: "luminance", "red", "green" or "blue".
         measured_iso: Of photographs: real ISO speed by stated one.
+        drive_table: Table of the diode's light over its drive, as for `light_law`: gives the flux at another drive.
+        led: Its channel in that table; the only one by default.
+        drive: Its drive in the capture, in the table's unit.
+        at_drive: Drive whose flux is asked for.
 
     Raises:
         CalibrationError: If nothing gives the scale, or it does not fit.
@@ -110,6 +142,7 @@ def flux(
         MeasurementError: If no frame shows the diode, or it clips everywhere.
         UsageError: If arguments are missing or exclude each other.
     """
+    require_other("--drive-table", drive_table, led=led, drive=drive, at_drive=at_drive)
     region = patch if isinstance(patch, Patch | None) else Patch(*patch)
     emitter = _emitter(half_angle, half_angle_u, diameter, diameter_u, distance, distance_u, datasheet_mw)
     if calibration is not None and camera_file is not None:
@@ -121,7 +154,38 @@ def flux(
         preset = CameraPreset.read(Path(camera_file))
         camera, u_rel = preset.applied_to(camera, str(camera_file)), preset.figure_u_rel("R")
     scale = flux_scale(camera, taken.source, known, u_rel)
-    return Flux(led_flux(taken.frames, scale, taken.lens, emitter, region, f_number_u_rel), taken.notes)
+    report = led_flux(taken.frames, scale, taken.lens, emitter, region, f_number_u_rel)
+    found = None
+    if drive_table is not None:
+        found = _driven(report.result, Path(drive_table), led, drive, at_drive)
+    return Flux(report, taken.notes, found)
+
+
+def _driven(flux: Quantity, path: Path, led: str | None, drive: float | None, at: float | None) -> DrivenFlux:
+    """Return the flux at another drive. Raises UsageError for one that the law was not fitted to."""
+    if drive is None or at is None:
+        raise UsageError("--drive-table needs --drive, the drive of the capture, and --at-drive")
+    table = read_drive_table(path)
+    named = {one.name: one for one in table.channels}
+    channel = next(iter(named.values())) if led is None and len(named) == 1 else named.get(led or "")
+    if channel is None:
+        raise UsageError(f"{path}: state by --led which channel the diode is: {', '.join(named)}")
+    law = fit_drive_law(channel.drive, channel.light)
+    if law is None:
+        raise MeasurementError(
+            f"{path}: channel {channel.name} has too few lit drives above {LEAST_DRIVE:.0%} for a law"
+        )
+    low, high = max(LEAST_DRIVE, float(channel.drive.min())), float(channel.drive.max())
+    for option, value in (("--drive", drive), ("--at-drive", at)):
+        if not low <= value / table.full <= high:
+            raise UsageError(
+                f"{option} {value:g}: the law of {channel.name} holds from {low * table.full:g} to "
+                f"{high * table.full:g}; measure its light at this drive as well"
+            )
+    ratio = law.light_over(at / table.full, drive / table.full)
+    misfit = 0.0 if at == drive else math.sqrt(2.0) * law.misfit_rel  # of either drive
+    u = math.hypot(flux.u * ratio.value, flux.value * ratio.value * math.hypot(ratio.u_rel, misfit))
+    return DrivenFlux(channel.name, at, Quantity(flux.value * ratio.value, u, flux.unit), law)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

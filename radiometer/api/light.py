@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from radiometer.analysis.flux.drive_law import DriveLaw, fit_drive_law
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Notice, Progress, Result, unheard
@@ -27,6 +28,7 @@ from radiometer.bench.boxes import (
     require_known_box,
 )
 from radiometer.bench.light_bench import SurveyRequest, asked_of, open_light_camera, survey_box
+from radiometer.data import Quantity
 from radiometer.data.event_journal import kept_until_written
 from radiometer.data.json_text import json_text
 from radiometer.data.light_calibration import LevelChoice, LightCalibration
@@ -36,8 +38,6 @@ from radiometer.devices.exposure_account import name_of_eye
 from radiometer.devices.light_box import Level
 from radiometer.errors import DeviceError, DeviceNotFound, UsageError
 from radiometer.importing.drive_table import DriveTable, read_drive_table
-from radiometer.numbers import with_u
-from radiometer.statistics.drive_law import DriveLaw, fit_drive_law
 
 RUN_FORMAT: Final = "radiometer-light-run/1"  # of the journal of an unfinished calibration
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
@@ -575,15 +575,15 @@ class EngineLaws(Result):
     twin: dict[str, DriveLaw | None]
 
     @property
-    def differences(self) -> dict[str, tuple[float, float]]:
-        """Return how far the twin's light at half drive is off, relative, with its standard uncertainty, by channel."""
+    def differences(self) -> dict[str, Quantity]:
+        """Return how far the twin's light at half drive over that at full drive is off, relative, by channel."""
         found = {}
-        for name, own in self.laws.items():
+        for name, law in self.laws.items():
             other = self.twin.get(name)
-            if own is not None and other is not None:
-                ratio = (1.0 + other.deviation_rel) / (1.0 + own.deviation_rel)
-                parts = [one.u_deviation_rel / (1.0 + one.deviation_rel) for one in (own, other)]
-                found[name] = (ratio - 1.0, ratio * math.hypot(*parts))
+            if law is not None and other is not None:
+                own, its = (one.light_over(0.5, 1.0) for one in (law, other))
+                ratio = its.value / own.value
+                found[name] = Quantity(ratio - 1.0, ratio * math.hypot(own.u_rel, its.u_rel), "1")
         return found
 
     def to_mapping(self) -> dict[str, Any]:
@@ -594,9 +594,7 @@ class EngineLaws(Result):
             "channels": {
                 name: {
                     "drive_law": None if law is None else law.to_mapping(),
-                    "twin_at_half_drive": None
-                    if name not in differences
-                    else {"value": differences[name][0], "u": differences[name][1], "unit": "1"},
+                    "twin_at_half_drive": differences[name].to_mapping() if name in differences else None,
                 }
                 for name, law in self.laws.items()
             },
@@ -604,11 +602,9 @@ class EngineLaws(Result):
 
     def lines(self) -> list[str]:
         """Return each channel's law in a line."""
-        return [
-            f"{name}: {'too few lit drives' if law is None else _law_text(law)}" for name, law in self.laws.items()
-        ] + [
-            f"{name}: the twin gives {with_u(100 * value, 200 * u, '%')} more at half drive"
-            for name, (value, u) in self.differences.items()
+        return [f"{name}: {'too few lit drives' if law is None else law}" for name, law in self.laws.items()] + [
+            f"{name}: the twin gives {one.scaled(100.0, '%').text()} more at half drive"
+            for name, one in self.differences.items()
         ]
 
     def __str__(self) -> str:
@@ -616,17 +612,8 @@ class EngineLaws(Result):
         known = {name: law for name, law in self.laws.items() if law is not None}
         if not known:
             return "too few lit drives"
-        worst = max(known, key=lambda name: abs(known[name].deviation_rel))
-        return f"{len(self.laws)} channels; {worst}: {_law_text(known[worst])}"
-
-
-def _law_text(law: DriveLaw) -> str:
-    half = with_u(100 * law.deviation_rel, 200 * law.u_deviation_rel, "%")
-    onset = f"onset {with_u(100 * law.onset, 200 * law.u_onset, '%')}, " if law.onset else ""
-    return (
-        f"exponent {with_u(law.exponent, 2 * law.u_exponent)}, droop {with_u(law.droop, 2 * law.u_droop)}, {onset}"
-        f"half drive {half} off proportional, misfit {100 * law.misfit_rel:.2g} %"
-    )
+        worst = max(known, key=lambda name: abs(known[name].parameters["deviation_at_half_drive"].value))
+        return f"{len(self.laws)} channels; {worst}: {known[worst]}"
 
 
 def light_law(table: PathLike, twin: PathLike | None = None) -> EngineLaws:

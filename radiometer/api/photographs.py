@@ -106,7 +106,7 @@ def measure_photographs(
         bracket, camera, lens = with_f_number(stack.chosen(pattern), f_number), stack.camera, stack.lens
         ready = Photographs({"mono": bracket}, Path(stack.origin), notes=stack.notes)
     where = patch if isinstance(patch, Patch) else Patch(*patch)
-    setup = Setup(camera, lens, known, spectrum=spectrum, taken=stack.taken)
+    setup = Setup(camera, lens, known, stack.source, spectrum, stack.taken)
     reading = _reading(bracket, where, setup, ready, drawn=monte_carlo)
     stated = None
     if calibration is not None and known is not None:

@@ -14,35 +14,27 @@ from radiometer.api.result import Ask, Notice, Progress, Result, unheard
 from radiometer.api.screen import opened_screen, warming, warn_of_page
 from radiometer.bench.screen import BROWSER, PRIMARIES, SIMULATED_DISPLAYS, ScreenBench, lights, primaries_of
 from radiometer.data import Patch, Quantity
-from radiometer.data.drawing import new_axes, picture
+from radiometer.data.drawing import picture
 from radiometer.data.provenance import utc_now
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
-from radiometer.numbers import unit_text, with_u
 from radiometer.progress import counted
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 from radiometer.screen.plan import parse_levels
 from radiometer.screen.report.examination import chosen_methods, examine
-from radiometer.screen.report.figures import Examined, Figure, Section
+from radiometer.screen.report.figures import Examined, Section
 from radiometer.screen.report.geometry import POINTS, Geometry, geometry_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_K = 2.0
 _SIMULATED_SIZE = (192, 128)  # px: a spot of mura covers several, and a bracket still takes a fraction of a second
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DisplayReport(Result):
     """Results of the methods of a display report; all uncertainties are standard ones (k = 1).
-
-    Examples:
-        >>> import radiometer as rm
-        >>> found = rm.screen_report(display="oled", methods=["uniformity"], warm_up_s=0)
-        >>> found.section("uniformity").figure("uniformity").quantity.unit
-        '1'
 
     Attributes:
         screen: Name of the screen.
@@ -80,7 +72,11 @@ class DisplayReport(Result):
                         each.name: {**each.quantity.to_mapping(), "bound": each.bound or None} for each in one.figures
                     },
                     "table": [
-                        {name: _plain(cell) for name, cell in zip(one.columns, row, strict=True)} for row in one.rows
+                        {
+                            name: cell.to_mapping() if isinstance(cell, Quantity) else cell
+                            for name, cell in zip(one.columns, row, strict=True)
+                        }
+                        for row in one.rows
                     ],
                     "notes": list(one.notes),
                 }
@@ -92,8 +88,8 @@ class DisplayReport(Result):
         """Write a self-contained page. Raises OutputError if it cannot be written."""
         parts = [section("Measuring conditions", listed(self.conditions))]
         for one in self.sections:
-            rows = [(_in_words(each.name), figure_text(each)) for each in one.figures]
-            cells = [tuple(_cell(cell) for cell in row) for row in one.rows]
+            rows = [(_in_words(each.name), each.text) for each in one.figures]
+            cells = [[c.text(bare=True) if isinstance(c, Quantity) else str(c) for c in row] for row in one.rows]
             parts.append(
                 section(
                     one.title,
@@ -106,7 +102,7 @@ class DisplayReport(Result):
             )
         measured = [one for one in self.sections if one.figures]
         ordered = sorted(measured, key=lambda one: one.method == "warm_up")  # warming up is no result
-        main = [f"{_in_words(one.method)} {figure_text(one.figures[0])}" for one in ordered]
+        main = [f"{_in_words(one.method)} {one.figures[0].text}" for one in ordered]
         outcome = f"{', '.join(main[:3])}{', …' if len(main) > 3 else ''} (k = 2)"
         known = self.measured_with
         origin = Origin(
@@ -121,43 +117,14 @@ class DisplayReport(Result):
         found = []
         for one in self.sections:
             found.append(one.title)
-            found += [f"  {_in_words(each.name):<28} {figure_text(each)}" for each in one.figures]
+            found += [f"  {_in_words(each.name):<28} {each.text}" for each in one.figures]
             found += [f"  note: {note}" for note in one.notes]
         return found
 
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the mura, or an empty figure where it was not measured.
-
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
-        where = axes if axes is not None else new_axes()
-        for one in self.sections:
-            if one.picture is not None:
-                return _drawn(one, where)
-        return where
-
     def __str__(self) -> str:
         """Return the main figure of every method."""
-        shown = [f"{one.method} {figure_text(one.figures[0])}" for one in self.sections if one.figures]
+        shown = [f"{one.method} {one.figures[0].text}" for one in self.sections if one.figures]
         return f"{self.screen}: {', '.join(shown)} (k = 2)"
-
-
-def figure_text(figure: Figure) -> str:
-    """Return a figure as it is printed, with its expanded uncertainty or as a bound."""
-    one = figure.quantity
-    if figure.bound:
-        sign = ">" if figure.bound == "above" else "<"
-        return f"{sign} {one.value:.3g} {unit_text(one.unit)}".strip()
-    return with_u(one.value, _K * one.u, unit_text(one.unit))
-
-
-def _cell(cell: str | float | Quantity) -> str:
-    return with_u(cell.value, _K * cell.u) if isinstance(cell, Quantity) else str(cell)
-
-
-def _plain(cell: str | float | Quantity) -> Any:
-    return cell.to_mapping() if isinstance(cell, Quantity) else cell
 
 
 def _in_words(name: str) -> str:
@@ -256,7 +223,7 @@ def screen_report(
         examined = Examined(opened, where, known, lamps, opened.turn or _by_hand(ask), points, checkers, greys, turned)
         found = examine(
             examined, chosen, warm_up_limit_s=warm_up_s, waiting=warming(progress),
-            progress=_advance(progress),
+            progress=counted(progress, "methods of the report"),
         )  # fmt: skip
         warn_of_page(opened.display, notice)
         with_what = opened.measured_with
@@ -274,11 +241,6 @@ def _refuse(points: int, checkers: tuple[int, int], angles: Sequence[float]) -> 
     for angle in angles:
         if not abs(angle) <= 80.0:
             raise UsageError(f"--angles {angle:g}: at most 80° from the normal")
-
-
-def _advance(progress: Progress | None) -> Callable[[int, int, str], None]:
-    shown = counted(progress, "methods of the report")
-    return lambda done, total, _name: shown(done, total)
 
 
 def _by_hand(ask: Ask | None) -> Callable[[float], None]:

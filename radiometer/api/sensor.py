@@ -29,7 +29,7 @@ from radiometer.analysis.characterise.taps import (
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Progress, Result
-from radiometer.bench.assembly import open_bench_camera
+from radiometer.bench.assembly import open_bench_camera, stated_source
 from radiometer.bench.capturing import shutter_by_hand
 from radiometer.bench.config import BenchConfig
 from radiometer.bench.instrument import central_patch
@@ -248,7 +248,8 @@ def _take(
 @contextmanager
 def _writer(folder: Path, camera: Camera, config: BenchConfig, region: Patch) -> Iterator[CaptureSetWriter]:
     patch = PatchDescription(name="region", x=0, y=0, width=region.width, height=region.height)
-    with CaptureSetWriter(folder, camera.description, _shifted(camera, region), config.source, (patch,)) as writer:
+    lens, light = _shifted(camera, region), stated_source(config)
+    with CaptureSetWriter(folder, camera.description, lens, light, (patch,)) as writer:
         yield writer
 
 

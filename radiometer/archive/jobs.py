@@ -19,7 +19,7 @@ import numpy as np
 from radiometer.data import Calibration, CaptureSet, Patch, RadianceMap
 from radiometer.data.json_text import json_text
 from radiometer.data.provenance import source_hash
-from radiometer.data.setup import AS_CALIBRATED, Setup
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError, MissingLibrary, OutputError, RadiometerError
 
 Row = dict[str, Any]
@@ -116,12 +116,10 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
 
     header = capture_set.header
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
-    stated = header.source.wavelength_nm is not None
     frames = list(capture_set.frames())
     rows: list[Row] = []
     for name, patch in _patches(capture_set, settings, frames[0].shape):
-        spectrum = AS_CALIBRATED if stated else None
-        setup = Setup(header.camera, header.lens, calibration, spectrum=spectrum, taken=header.taken)
+        setup = Setup(header.camera, header.lens, calibration, header.source, None, header.taken)
         reading = read_patch(frames, patch, setup)
         shared = {"patch": name, "flags": " ".join(map(str, reading.flags))}
         rows.append({**shared, "quantity": "radiance", **reading.radiance.to_mapping()})

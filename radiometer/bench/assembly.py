@@ -70,19 +70,18 @@ def open_instrument(
             time_limit_s=config.time_limit_s,
             f_number=_set_by_hand(config, f_number),
             source=stated_source(config),
-            spectrum_stated=states_spectrum(config, spectrum),
+            spectrum_stated=bool(spectrum or config.spectrum),
             calibration_file=chosen,
         )
 
 
 def stated_source(config: BenchConfig) -> SourceDescription | None:
-    """Return what a bench file says of the light; None where it says nothing."""
+    """Return what a bench file says of the light; None where it says nothing. Simulated light is a line at 550 nm."""
+    if isinstance(config.camera, SimulatedCameraConfig) and config.source.wavelength_nm is None:
+        from simulators.chain.camera_model import DEFAULT_WAVELENGTH_NM
+
+        return config.source.model_copy(update={"wavelength_nm": DEFAULT_WAVELENGTH_NM})
     return config.source if "source" in config.model_fields_set else None
-
-
-def states_spectrum(config: BenchConfig, spectrum: str | None) -> bool:
-    """Return whether bench file or user state the light's spectrum; that of a simulated bench is as it is assumed."""
-    return bool(spectrum or config.spectrum) or isinstance(config.camera, SimulatedCameraConfig)
 
 
 def _set_by_hand(config: BenchConfig, f_number: float | None) -> float | None:

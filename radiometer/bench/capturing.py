@@ -8,7 +8,7 @@ from pathlib import Path
 from radiometer.acquire.bracketing import BracketRequest, take_plan
 from radiometer.acquire.capture_plan import CapturePlan, PlannedFrames, Stage, take_capture_plan
 from radiometer.acquire.exposure_plan import ExposurePlan
-from radiometer.bench.assembly import known_patches
+from radiometer.bench.assembly import known_patches, stated_source
 from radiometer.bench.config import BenchConfig
 from radiometer.data import CaptureSet, CaptureSetWriter
 from radiometer.data.provenance import utc_now
@@ -104,7 +104,7 @@ def capture_exposures(
     shutter = shutter_by_hand(camera, ask) if by_hand else None
     total = len(plan.exposures_s) + request.dark_frames * len(set(plan.exposures_s))
     with CaptureSetWriter(
-        out, camera.description, camera.lens, config.source, known_patches(config), extra={"created": utc_now()}
+        out, camera.description, camera.lens, stated_source(config), known_patches(config), extra={"created": utc_now()}
     ) as writer:
         for number, frame in enumerate(take_plan(camera, plan, request, close_shutter=shutter), 1):
             writer.add(frame)
@@ -139,7 +139,7 @@ def capture_settings(
         ask(f"Please {wish}")
 
     patterns = tuple(dict.fromkeys(planned.pattern for planned in plan.frames))
-    header = (camera.description, camera.lens, config.source, known_patches(config), patterns)
+    header = (camera.description, camera.lens, stated_source(config), known_patches(config), patterns)
     with CaptureSetWriter(out, *header, extra={"created": utc_now()}) as writer:
         for number, frame in enumerate(take_capture_plan(camera, plan, stage_of(camera, asked)), 1):
             writer.add(frame)

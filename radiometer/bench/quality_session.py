@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -38,9 +39,10 @@ def chosen_steps(of: Procedure, names: Sequence[str] | None) -> list[ProcedureSt
     if not names:
         return list(of.steps)
     known = {one.name: one for one in of.steps}
-    unknown = [name for name in names if name not in known]
-    if any("/" in name or name.startswith(".") for name in unknown) or (unknown and not of.more):
-        raise UsageError(f"{unknown[0]!r} is no step of {of.name}; there are {', '.join(known)}")
+    unknown = [name for name in names if name not in known and not (of.form and re.fullmatch(of.form, name, re.ASCII))]
+    if unknown:
+        more = f", and {of.more}" if of.more else ""
+        raise UsageError(f"{unknown[0]!r} is no step of {of.name}; there are {', '.join(known)}{more}")
     return [known.get(name) or ProcedureStep(name, f"as for the others, at {name}") for name in names]
 
 

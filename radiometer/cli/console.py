@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +36,28 @@ def console(*, to_stderr: bool = False) -> Console:
             return super().render_str(printable(text), **how)
 
     return PlainConsole(stderr=to_stderr, highlight=False, soft_wrap=True)
+
+
+def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table whose first column is of words, the others of figures."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for number, name in enumerate(head):
+        table.add_column(name, justify="right" if number else "left")
+    for row in rows:
+        table.add_row(*row)
+    console().print(table)
+
+
+def show_remarks(assumptions: Iterable[str] = (), *, flags: Iterable[str] = (), warnings: Iterable[str] = ()) -> None:
+    """Print what makes a result doubtful, then what was assumed, a line each."""
+    out = console()
+    for kind, texts in (("flag", flags), ("warning", warnings)):
+        for text in texts:
+            out.print(f"[yellow]{kind}[/yellow]: {text}")
+    for text in assumptions:
+        out.print(f"assumed: {text}")
 
 
 def note(message: str) -> None:

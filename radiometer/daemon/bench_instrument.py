@@ -15,7 +15,7 @@ import numpy as np
 
 from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.photometry.photometry import spectrum
-from radiometer.bench.assembly import calibration_path, stated_source, states_spectrum
+from radiometer.bench.assembly import calibration_path, stated_source
 from radiometer.bench.boxes import open_light_box
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import BenchConfig, read_bench
@@ -296,7 +296,7 @@ class BenchInstrument:
             calibration=calibration,
             time_limit_s=self._config.time_limit_s,
             source=stated_source(self._config),
-            spectrum_stated=settings.wavelength_nm is not None or states_spectrum(self._config, self._spectrum),
+            spectrum_stated=settings.wavelength_nm is not None or bool(self._spectrum or self._config.spectrum),
         )
 
     def _fixed(self, camera: Camera, exposure_s: float) -> Bracket:

@@ -129,6 +129,11 @@ class SourceDescription(FileSection):
     polarised: bool | None = Field(None, description="Whether its light is polarised.")
     flicker_hz: float | None = Field(None, gt=0, description="Frequency of its flicker in Hz.")
 
+    @property
+    def spectrum(self) -> str | None:
+        """Return the name of the spectrum that a stated wavelength means; None where none is stated."""
+        return None if self.wavelength_nm is None else f"line:{self.wavelength_nm:g}"
+
 
 class PatchDescription(FileSection):
     """A region of the scene and what is known of its radiance at source level 1 (None: unknown but constant)."""

@@ -97,6 +97,14 @@ class Quantity:
         """Return the relative standard uncertainty; infinite at value 0."""
         return abs(self.u / self.value) if self.value else float("inf")
 
+    def scaled(self, factor: float, unit: str) -> Quantity:
+        """Return it times a factor that is exact, in another unit."""
+        return Quantity(self.value * factor, self.u * abs(factor), unit)
+
+    def text(self, k: float = 2.0, *, bare: bool = False, with_k: bool = False) -> str:
+        """Return "value ± U unit" with U = k·u; bare without the unit, for where that is stated once for all."""
+        return with_u(self.value, k * self.u, "" if bare else self.unit, k if with_k else None)
+
     def to_mapping(self) -> dict[str, Any]:
         """Return {value, u, unit}."""
         return {"value": self.value, "u": self.u, "unit": self.unit}

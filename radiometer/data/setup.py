@@ -23,14 +23,16 @@ class Setup:
     calibration: Calibration | None = None
     # What is known of the light; that of a screen counts as polarised where nothing else is stated
     source: SourceDescription | None = None
-    # Name of the light's spectrum, or path of a CSV; `AS_CALIBRATED`; None where it is unknown: then all kinds of light
-    # count in the uncertainty
+    # Name of the light's spectrum, or path of a CSV; `AS_CALIBRATED`; None where only the source may state it. Where it
+    # does not either, all kinds of light count in the uncertainty
     spectrum: str | None = AS_CALIBRATED
     # When the frames were taken, with time zone: the calibration's age counts to it; None where that is not known, and
     # the age counts to the present
     taken: dt.datetime | None = None
 
     def __post_init__(self) -> None:
+        if self.spectrum is None and self.source is not None:
+            object.__setattr__(self, "spectrum", self.source.spectrum)
         if self.calibration is not None and self.spectrum not in (None, AS_CALIBRATED):
             object.__setattr__(self, "calibration", replace(self.calibration, spectrum=self.spectrum))
 

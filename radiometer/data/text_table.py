@@ -124,6 +124,18 @@ class TextTable:
             doubts += [f"{doubt} (line {line})" for doubt in reported]
         return found
 
+    def numbers(self, at: int) -> list[float]:
+        """Return a column whose unit does not matter. Raises InputError for a cell that is no finite number."""
+        found = list[float | None]()
+        for line, cells in self.rows:
+            try:
+                found.append(None if is_unknown(cells[at]) else float(cells[at]))
+            except ValueError as error:
+                raise InputError(
+                    f"{self.where(line)}: {cells[at][:20]!r} is no number; correct it, or leave the row out"
+                ) from error
+        return finite(found, self, at)
+
     def not_used(self, used: Sequence[int | None]) -> list[str]:
         """Return a line that names the columns that are not among those used; nothing where all are."""
         left = [self.header[n] for n in range(len(self.header)) if n not in used]

@@ -42,6 +42,7 @@ class DriveTable:
 
     channels: tuple[ChannelDrive, ...]
     taken: tuple[str, ...]
+    full: float  # its largest drive, in its own unit
 
 
 def is_drive_table(path: Path) -> bool:
@@ -69,15 +70,15 @@ def read_drive_table(path: Path) -> DriveTable:
         raise InputError(f"{path}: {shown}; it needs {_NEEDS}")
     channel, drive, lights = columns
     names = [row[channel].strip() if channel is not None else "light" for _, row in table.rows]
-    settings = np.array([_number(table, line, row, drive) for line, row in table.rows])
-    values = np.array([[_number(table, line, row, at) for at in lights] for line, row in table.rows])
+    settings = np.array(table.numbers(drive))
+    values = np.array([table.numbers(at) for at in lights]).T
     top = float(settings.max())
     if settings.min() < 0.0 or top <= 0.0:
         raise InputError(f"{path}: drives go from {settings.min():g} to {top:g}; expected 0 and above")
     found = tuple(_channel(path, one, names, settings / top, values) for one in dict.fromkeys(names))
     kind = f"sum of {len(lights)} wavelengths" if len(lights) > 1 else f"column {table.header[lights[0]]!r}"
     taken = (f"light: {kind}", f"drive: column {table.header[drive]!r} over its largest value {top:g}")
-    return DriveTable(found, taken)
+    return DriveTable(found, taken, top)
 
 
 def _table(path: Path) -> TextTable:
@@ -97,16 +98,6 @@ def _channel(path: Path, name: str, names: Sequence[str], drive: Array, values: 
     order = np.argsort(drive[lit], kind="stable")
     light = net.sum(axis=1)[order]
     return ChannelDrive(name, drive[lit][order], light, net.max(axis=1)[order])
-
-
-def _number(table: TextTable, line: int, row: Sequence[str], at: int) -> float:
-    try:
-        value = float(row[at])
-    except ValueError as error:
-        raise InputError(f"{table.where(line)}: {table.header[at]} is {row[at][:20]!r}, not a number") from error
-    if not np.isfinite(value):
-        raise InputError(f"{table.where(line)}: {table.header[at]} is {row[at][:20]!r}, not a finite number")
-    return value
 
 
 def _columns(table: TextTable) -> tuple[int | None, int, tuple[int, ...]] | None:

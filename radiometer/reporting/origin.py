@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import radiometer
 from radiometer.data.capture_set import CaptureHeader
@@ -67,6 +67,14 @@ class Origin:
                 ("frames", str(len(frames)) if frames else ""),
             ),
         )
+
+    @classmethod
+    def of_map(cls, known: Mapping[str, Any], further: tuple[tuple[str, str], ...]) -> Origin:
+        """Return what the provenance of a merged map states of its frames, with further facts."""
+        taken, camera, lens, calibration = (
+            str(known.get(name, "")) for name in ("taken", "camera", "lens", "calibration")
+        )
+        return cls(taken, camera, lens, calibration, further=further)
 
     @property
     def rows(self) -> list[tuple[str, str]]:

@@ -23,6 +23,7 @@ class WarmUp:
     waited_s: float  # how long white was shown
     drift_rel: float  # relative change over the last readings
     steady: bool  # whether that was below the limit before the time was up
+    readings: tuple[ScreenReading, ...] = ()  # of white meanwhile
 
 
 def wait_until_steady(
@@ -47,7 +48,7 @@ def wait_until_steady(
             progress(waited, limit_s)
         steady = len(readings) >= _WINDOW and drift <= max(STEADY_REL, 3.0 * noise)
         if steady or waited >= limit_s:
-            return WarmUp(waited, drift, steady)
+            return WarmUp(waited, drift, steady, tuple(readings))
         sleep(_PAUSE_S)
         readings.append(meter.read())
 

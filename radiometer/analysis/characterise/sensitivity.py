@@ -38,7 +38,7 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
     """Return the saturation point of one region's steps by rising light.
 
     Raises:
-        MeasurementError: If there are fewer than three steps.
+        MeasurementError: If there are fewer than three steps, or the signal does not rise.
 
     Source: EMVA Standard 1288, release 4.0, section 6.6.
     """
@@ -50,6 +50,11 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
     reached = top < len(steps) - 1 or steps[top].bright.clipped_share > CLIPPED_SHARE
     slope, u_slope = _slope_below(steps, steps[top].signal_dn)
     u_light_rel = _spacing_u(steps, top) / steps[top].light
+    if not slope > 0.0:
+        raise MeasurementError(
+            "the signal does not rise with the light: the frames are capped, dark or clipped throughout; take frames "
+            "from darkness to saturation"
+        )
     linear = slope * float(light[top])
     return Saturation(
         signal_dn=steps[top].signal_dn,

@@ -27,33 +27,21 @@ _SURELY: Final = 2.0  # standard uncertainties beyond the hull of the training s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColourCalibration:
-    """What turns the channels of one camera into X, Y, Z.
+    """What turns the channels of one camera into X, Y, Z."""
 
-    Attributes:
-        channels: Names of the channels, in the order of the matrices' columns.
-        camera: The camera.
-        lens: The lens, with its f-number.
-        unit: Of X, Y, Z: cd·m⁻², or relative where no light of known luminance took part.
-        fits: Matrix by kind of light, or a single one named `ALL`.
-        errors: Covariance of the error over (X + Y + Z)² by kind of light.
-        trained: Kinds of light that the matrices were fitted to.
-        training: The raw readings of known lights, which gave the matrices or their scale; None where there were none.
-        u_rel: Relative standard uncertainty that all known X, Y, Z share.
-        created: ISO 8601 time in UTC.
-        provenance: Method, inputs, assumptions.
-    """
-
-    channels: tuple[str, ...]
+    channels: tuple[str, ...]  # names in the order of the matrices' columns
     camera: CameraDescription
-    lens: LensDescription
-    unit: str
-    fits: Mapping[str, Fit]
-    errors: Mapping[str, Array]
-    trained: tuple[str, ...]
-    training: Training | None
-    u_rel: float = 0.0
-    created: str = field(default_factory=utc_now)
+    lens: LensDescription  # with its f-number
+    unit: str  # of X, Y, Z: cd·m⁻², or relative where no light of known luminance took part
+    fits: Mapping[str, Fit]  # matrix by kind of light, or a single one named `ALL`
+    errors: Mapping[str, Array]  # covariance of the error over (X + Y + Z)² by kind of light
+    trained: tuple[str, ...]  # kinds of light that the matrices were fitted to
+    training: Training | None  # raw readings of known lights, which gave the matrices or their scale
+    u_rel: float = 0.0  # relative standard uncertainty that all known X, Y, Z share
+    created: str = field(default_factory=utc_now)  # ISO 8601 time in UTC
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+    # Covariance of D by type of display, whose error is D·(X, Y, Z), shape (3, 3, 3, 3); it takes the place of `errors`
+    display_errors: Mapping[str, Array] = field(default_factory=dict)
 
     def fit(self, kind: str | None) -> Fit:
         """Return the matrix for a kind of light.
@@ -68,9 +56,22 @@ class ColourCalibration:
             raise UsageError(f"the calibration holds a matrix for each of {', '.join(self.fits)}: state --kind")
         return found
 
-    def error(self, kind: str | None) -> Array:
-        """Return the error for a kind of light; of a light of unstated kind the mean over the kinds, each as likely."""
-        return self.errors[kind] if kind is not None else np.mean(list(self.errors.values()), axis=0)
+    def error(self, kind: str | None, xyz: Array) -> Array:
+        """Return the covariance of the matrix' error for light of a kind, shape (…, 3, 3).
+
+        Light of unstated kind has the mean over the kinds, each as likely.
+
+        Args:
+            kind: Kind of light.
+            xyz: Its X, Y, Z, shape (…, 3).
+        """
+        square, found = np.sum(xyz, axis=-1)[..., None, None] ** 2, []
+        for name in self.errors if kind is None else (kind,):
+            linear = self.display_errors.get(name)
+            found.append(
+                square * self.errors[name] if linear is None else np.einsum("iajb,...a,...b->...ij", linear, xyz, xyz)
+            )
+        return np.asarray(np.mean(found, axis=0))
 
     def convert(self, signal: Array, covariance: Array, kind: str | None) -> tuple[Array, Array]:
         """Return X, Y, Z, shape (…, 3), and their covariance, shape (…, 3, 3).
@@ -88,19 +89,14 @@ class ColourCalibration:
         """
         fit = self.fit(kind)
         xyz = signal @ fit.matrix.T
-        size = np.sum(xyz, axis=-1) ** 2 * (1.0 + np.nan_to_num(fit.leverage(signal)))
-        own = fit.matrix @ covariance @ fit.matrix.T
+        # The coefficients' error: it grows with the distance from the training set.
+        distance = np.sum(xyz, axis=-1) ** 2 * np.nan_to_num(fit.leverage(signal))
+        own = fit.matrix @ covariance @ fit.matrix.T + distance[..., None, None] * fit.error
         scale = self.u_rel**2 * xyz[..., :, None] * xyz[..., None, :]
-        return xyz, own + size[..., None, None] * self.error(kind) + scale
+        return xyz, own + self.error(kind, xyz) + scale
 
     def is_outside(self, xy: Array, covariance: Array, kind: str | None) -> NDArray[np.bool_]:
-        """Return whether chromaticities are outside the hull of the training set by more than two uncertainties.
-
-        Args:
-            xy: Shape (…, 2).
-            covariance: Shape (…, 2, 2).
-            kind: As for `convert`.
-        """
+        """Return whether chromaticities are outside the hull of the training set by more than two uncertainties."""
         sides = ConvexHull(self.fit(kind).hull).equations
         normal, offset = sides[:, :2], sides[:, 2]
         beyond = xy @ normal.T + offset
@@ -109,7 +105,6 @@ class ColourCalibration:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping that is written to the file."""
-        lights = self.training
         return {
             "format": FORMAT,
             "created": self.created,
@@ -124,19 +119,8 @@ class ColourCalibration:
             },
             "trained": list(self.trained),
             "errors": {kind: one.tolist() for kind, one in self.errors.items()},
-            "training": []
-            if lights is None
-            else [
-                {
-                    "name": name,
-                    "kind": lights.kinds[n],
-                    "signal": lights.signal[n].tolist(),
-                    "u_signal": lights.u_signal[n].tolist(),
-                    "xyz": lights.xyz[n].tolist(),
-                    "u_rel": float(lights.u_rel[n]),
-                }
-                for n, name in enumerate(lights.names)
-            ],
+            "display_errors": {kind: one.reshape(9, 9).tolist() for kind, one in self.display_errors.items()},
+            "training": [] if self.training is None else self.training.rows(),
             "provenance": self.provenance.to_mapping(),
         }
 
@@ -170,6 +154,7 @@ class ColourCalibration:
                 stored.u_rel,
                 stored.created.isoformat(),
                 Provenance.from_mapping(stored.provenance, str(path)),
+                {kind: _covariance(one, 9).reshape(3, 3, 3, 3) for kind, one in stored.display_errors.items()},
             )
         except ValueError as error:
             raise CalibrationError(
@@ -211,6 +196,7 @@ class _File(FileSection):
     lens: LensDescription = LensDescription()
     matrices: dict[str, _Matrix] = Field(min_length=1)
     errors: dict[str, list[list[float]]] = Field(min_length=1)
+    display_errors: dict[str, list[list[float]]] = Field(default_factory=dict)
     trained: tuple[str, ...] = Field(min_length=1)
     training: list[_Light] = Field(default_factory=list)
     provenance: dict[str, Any] = Field(default_factory=dict)

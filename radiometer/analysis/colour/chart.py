@@ -23,23 +23,14 @@ _PLACE: Final = ("left", "top", "width", "height")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownLight:
-    """One light of a chart.
+    """One light of a chart."""
 
-    Attributes:
-        name: Its name.
-        kind: Kind of light; empty where the chart does not state it.
-        xyz: X, Y, Z in cd·m⁻²; None where the chart does not state them.
-        u_rel: Relative standard uncertainty of X, Y, Z.
-        patch: Where it is; None where the chart does not state it.
-        capture: Frames that show it; None where the chart does not state them.
-    """
-
-    name: str
-    kind: str
-    xyz: Array | None
-    u_rel: float
-    patch: Patch | None
-    capture: Path | None
+    name: str  # its name
+    kind: str  # kind of light; empty where the chart does not state it
+    xyz: Array | None  # X, Y, Z in cd·m⁻²; None where the chart does not state them
+    u_rel: float  # relative standard uncertainty of X, Y, Z
+    patch: Patch | None  # where it is; None where the chart does not state it
+    capture: Path | None  # frames that show it; None where the chart does not state them
 
 
 def read_chart(path: Path) -> list[KnownLight]:

@@ -29,27 +29,16 @@ _SETTLED_MIRED: Final = 1e-3  # 0.04 K at 6500 K
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coordinates:
-    """Chromaticity coordinates of light, one entry per light; shapes are those of the lights.
+    """Chromaticity coordinates of light, one entry per light; shapes are those of the lights."""
 
-    Attributes:
-        xy: (…, 2).
-        xy_covariance: (…, 2, 2).
-        uv_prime: u′, v′ (CIE 1976), (…, 2).
-        uv_covariance: (…, 2, 2).
-        cct_k: Correlated colour temperature in K; NaN where there is none.
-        u_cct_k: Its standard uncertainty.
-        duv: Distance from the Planckian locus in the (u, v) diagram of 1960, above it positive; NaN as `cct_k`.
-        u_duv: Its standard uncertainty.
-    """
-
-    xy: Array
-    xy_covariance: Array
-    uv_prime: Array
-    uv_covariance: Array
-    cct_k: Array
-    u_cct_k: Array
-    duv: Array
-    u_duv: Array
+    xy: Array  # (…, 2)
+    xy_covariance: Array  # (…, 2, 2)
+    uv_prime: Array  # u′, v′ (CIE 1976), (…, 2)
+    uv_covariance: Array  # (…, 2, 2)
+    cct_k: Array  # correlated colour temperature in K; NaN where there is none
+    u_cct_k: Array  # its standard uncertainty
+    duv: Array  # distance from the Planckian locus in the (u, v) diagram of 1960, above it positive; NaN as `cct_k`
+    u_duv: Array  # its standard uncertainty
 
     def figures(self, xyz: Array, covariance: Array) -> tuple[Array, Array]:
         """Return the values of `QUANTITIES` and their standard uncertainties, shape (…, 9) each.

@@ -8,13 +8,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.stats import t as student_t
 
-from radiometer.analysis.colour.plausible import plausible_cameras, plausible_lights, tristimulus_of
+from radiometer.analysis.colour.plausible import (
+    display_primaries,
+    plausible_cameras,
+    plausible_lights,
+    tristimulus_of,
+)
+from radiometer.analysis.photometry.photometry import DISPLAY_TYPES
 from radiometer.errors import CalibrationError
 from radiometer.statistics.least_squares import solve
 from radiometer.typing import Array
@@ -28,23 +34,20 @@ _COVERED: Final = 0.9545  # of the lights by k = 2, as of a normal distribution
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Training:
-    """Lights of known X, Y, Z and the raw readings of them.
+    """Lights of known X, Y, Z and the raw readings of them."""
 
-    Attributes:
-        names: Name of each light.
-        kinds: Its kind, such as "oled".
-        signal: Channel readings, shape (lights, channels).
-        u_signal: Their standard uncertainties, independent of each other.
-        xyz: X, Y, Z in cd·m⁻², shape (lights, 3).
-        u_rel: Relative standard uncertainty of X, Y, Z of each light, independent of the others.
-    """
+    names: tuple[str, ...]  # name of each light
+    kinds: tuple[str, ...]  # its kind, such as "oled"
+    signal: Array  # channel readings, shape (lights, channels)
+    u_signal: Array  # their standard uncertainties, independent of each other
+    xyz: Array  # X, Y, Z in cd·m⁻², shape (lights, 3)
+    u_rel: Array  # relative standard uncertainty of X, Y, Z of each light, independent of the others
 
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
-    signal: Array
-    u_signal: Array
-    xyz: Array
-    u_rel: Array
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a mapping of plain values for each light."""
+        values = (one.tolist() for one in (self.signal, self.u_signal, self.xyz, self.u_rel))
+        names = ("name", "kind", "signal", "u_signal", "xyz", "u_rel")
+        return [dict(zip(names, row, strict=True)) for row in zip(self.names, self.kinds, *values, strict=True)]
 
     def of_kind(self, kind: str | None) -> Training:
         """Return the lights of a kind; all for None."""
@@ -61,18 +64,12 @@ class Fit:
     """A matrix and what is known of its error.
 
     Errors are covariances of X, Y, Z over the square of X + Y + Z, shape (3, 3).
-
-    Attributes:
-        matrix: X, Y, Z per unit of each channel, shape (3, channels).
-        spread: Inverse of the normal matrix, shape (channels, channels): aᵀ·spread·a is the leverage of a light.
-        error: Error for a light that was left out.
-        hull: Corners (x, y) of the hull of the lights that it was fitted to, shape (corners, 2).
     """
 
-    matrix: Array
-    spread: Array
-    error: Array
-    hull: Array
+    matrix: Array  # X, Y, Z per unit of each channel, shape (3, channels)
+    spread: Array  # inverse of the normal matrix, shape (channels, channels): aᵀ·spread·a is the leverage of a light
+    error: Array  # error for a light that was left out
+    hull: Array  # corners (x, y) of the hull of the lights that it was fitted to, shape (corners, 2)
 
     def leverage(self, signal: Array) -> Array:
         """Return the leverage of lights, shape (…): about channels/lights within the training set, more outside."""
@@ -178,8 +175,11 @@ def _signal(powers: Array, responsivities: Array) -> Array:
 
 def errors_of_other_lights(
     matrix: Array, training: Training, powers: Array | None, responsivities: Array | None
-) -> dict[str, Array]:
-    """Return the error of a matrix by kind of plausible light, each a covariance over (X + Y + Z)².
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the error of a matrix by kind of plausible light, and as a function of X, Y, Z for types of display.
+
+    The first are covariances over (X + Y + Z)². The light of a display is a mixture of its primaries, so its error is
+    linear in X, Y, Z: e = D·(X, Y, Z). The second are covariances of D over the displays of a type, shape (3, 3, 3, 3).
 
     Args:
         matrix: The matrix, shape (3, channels).
@@ -214,7 +214,23 @@ def errors_of_other_lights(
         shares = _normal(tristimulus_of(one))
         off = np.vstack([_off(fitted, camera, one) for fitted, camera in pairs])
         found[kind] = _covering(off, len(one)) + u_scale**2 * shares.T @ shares / len(shares)
-    return found
+    return found, {kind: _of_displays(kind, pairs, u_scale) for kind in DISPLAY_TYPES}
+
+
+def _of_displays(kind: str, pairs: list[tuple[Array, Array]], u_scale: float) -> Array:
+    """Return the covariance of D, shape (3, 3, 3, 3), over displays of a type and pairs of a matrix and a camera."""
+    displays = display_primaries(kind)
+    off = [
+        np.eye(3) - tristimulus_of(primaries).T @ np.linalg.pinv(fitted @ camera @ primaries.T)
+        for fitted, camera in pairs
+        for primaries in displays
+    ]
+    few = float(student_t.ppf(0.5 + _COVERED / 2.0, len(displays))) / 2.0
+    mean = few**2 * np.mean([np.multiply.outer(one, one) for one in off], axis=0)
+    alike = np.multiply.outer(np.eye(3), np.eye(3))
+    return np.asarray(
+        mean + u_scale**2 * alike + _LEAST_ERROR**2 * np.einsum("ij,ab->iajb", np.eye(3), np.ones((3, 3)))
+    )
 
 
 def _spans(share: Array) -> bool:

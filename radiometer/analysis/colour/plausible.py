@@ -14,6 +14,7 @@ from radiometer.analysis.colour.chromaticity import matching_functions
 from radiometer.analysis.photometry.photometry import (
     BAND_NM,
     CRT,
+    DISPLAY_TYPES,
     FLUORESCENT,
     KINDS,
     KM_LM_PER_W,
@@ -43,6 +44,7 @@ _WIDTHS: Final = (0.6, 1.6)
 _LINE_NM: Final = 15.0  # full width up to which a part is a line
 _WITH_MERCURY: Final = "ccfl_lcd"
 _MERCURY: Final = (435.8, 5.0, 0.3)  # in its blue: peak and full width in nm, power over that of the rest
+_LEAKS: Final = (0.0, 2.0)  # of a primary's minor parts: other filters pass none or twice of a neighbour's light
 _PHOSPHORS_NM: Final = (-2.0, 2.0)  # cathode-ray tubes share their phosphors but for batches and spectrometers
 # Colour cameras: peaks of the quantum efficiency in nm, full widths at half maximum, and what leaks through a filter
 # elsewhere. Source: data sheets of Sony Pregius colour sensors; Jiang et al. 2013, IEEE WACV, 168 (28 cameras).
@@ -84,8 +86,8 @@ def plausible_lights() -> dict[str, Array]:
     found["coloured_leds"] = np.stack(
         [on_grid(spectrum(f"band:{peak},{width}")) for peak in range(430, 661, 10) for width in (18, 32)]
     )
-    for kind in (*LINES, CRT):
-        usual, *others = _displays(kind)
+    for kind in DISPLAY_TYPES:
+        usual, *others = display_primaries(kind)
         found[kind] = np.vstack([_mixtures(usual, _DRIVES), *(_mixtures(one, (0.0, 1.0)) for one in others)])
     lights = np.stack([on_grid(spectrum(name)) for name in _LIGHTS])
     found[SURFACES] = (lights[:, None, :] * _reflectances()).reshape(-1, GRID_NM.size)
@@ -103,7 +105,7 @@ def _mixed_white() -> Array:
     return np.stack(found)
 
 
-def _displays(kind: str) -> list[Array]:
+def display_primaries(kind: str) -> list[Array]:
     """Return the primaries of displays of a type, shape (3, wavelengths) each: the usual one, then others."""
     if kind == CRT:
         usual = np.stack([on_grid(spectrum(f"{CRT}_{one}")) for one in COLOURS])
@@ -111,7 +113,10 @@ def _displays(kind: str) -> list[Array]:
     usual = np.stack([_primary(LINES[kind][one]) for one in COLOURS])
     found = [usual]
     for n, name in enumerate(COLOURS):
-        changed = [_primary(LINES[kind][name], moved_nm=off) for off in _MOVED_NM]
+        main, *minor = LINES[kind][name]
+        changed = [_primary((main, *minor), moved_nm=off) for off in _MOVED_NM]
+        for leak in _LEAKS if minor else ():
+            changed.append(_primary((main, *((peak, width, leak * share) for peak, width, share in minor))))
         if kind == _WITH_MERCURY and name == "blue":
             changed.append(_primary((*LINES[kind][name], _MERCURY)))
         found += [np.stack([one if at == n else usual[at] for at in range(3)]) for one in changed]

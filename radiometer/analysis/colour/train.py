@@ -24,21 +24,14 @@ from radiometer.typing import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColourCamera:
-    """What is known of a camera before its colour calibration.
+    """What is known of a camera before its colour calibration."""
 
-    Attributes:
-        channels: Names of its channels.
-        camera: Its description.
-        lens: Its lens.
-        responsivities: Per watt over the grid of plausible lights, up to a common factor; None where unknown.
-        inputs: Files with their content hashes, for the record.
-    """
-
-    channels: tuple[str, ...]
-    camera: CameraDescription = field(default_factory=lambda: CameraDescription(bit_depth=16))
-    lens: LensDescription = field(default_factory=LensDescription)
+    channels: tuple[str, ...]  # names of its channels
+    camera: CameraDescription = field(default_factory=lambda: CameraDescription(bit_depth=16))  # its description
+    lens: LensDescription = field(default_factory=LensDescription)  # its lens
+    # Per watt over the grid of plausible lights, up to a common factor; None where unknown
     responsivities: Array | None = None
-    inputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()  # files with their content hashes, for the record
 
 
 def train_on_lights(
@@ -47,20 +40,13 @@ def train_on_lights(
     """Return the calibration fitted to readings of known lights.
 
     The error for a kind of light is that of lights left out of the training, and that of plausible lights of the kind;
-    the larger counts.
-
-    Args:
-        known: The camera.
-        training: The lights.
-        powers: Their spectra over the grid of plausible lights; None where unknown.
-        per_kind: Fit a matrix for each kind of light.
-        u_rel: Relative standard uncertainty that all known X, Y, Z share.
+    the larger counts. Spectra (`powers`) are over the grid of plausible lights; all known X, Y, Z share `u_rel`.
 
     Raises:
         CalibrationError: If the lights do not determine a matrix.
     """
     kinds = tuple(dict.fromkeys(training.kinds))
-    fits, errors = dict[str, Fit](), dict[str, Array]()
+    fits, errors, of_displays = dict[str, Fit](), dict[str, Array](), dict[str, Array]()
     for name in kinds if per_kind else (ALL,):
         part = None if name == ALL else name
         try:
@@ -68,13 +54,19 @@ def train_on_lights(
         except CalibrationError as error:
             raise CalibrationError(f"kind {name}: {error}" if part else str(error)) from error
         trained = [name] if part else list(kinds)
-        others = {}
+        others, linear = dict[str, Array](), dict[str, Array]()
         if known.responsivities is not None or known.channels == COLOURS:
             chosen = np.array([part is None or one == part for one in training.kinds])
             own_powers = None if powers is None else powers[chosen]
-            others = errors_of_other_lights(fits[name].matrix, training.of_kind(part), own_powers, known.responsivities)
+            others, linear = errors_of_other_lights(
+                fits[name].matrix, training.of_kind(part), own_powers, known.responsivities
+            )
         own = {kind: _larger(fits[name].error, others.get(kind)) for kind in trained}
         errors |= own if part else {**others, **own}
+        left_out = np.einsum("ij,ab->iajb", fits[name].error, np.ones((3, 3)))
+        for kind, one in linear.items():
+            if part in (None, kind):
+                of_displays[kind] = one + left_out if kind in trained else one
     assumed = []
     if known.responsivities is None and not per_kind:
         assumed.append(
@@ -94,6 +86,7 @@ def train_on_lights(
         training,
         u_rel,
         provenance=origin,
+        display_errors=of_displays,
     )
 
 
@@ -106,19 +99,13 @@ def train_on_responsivities(
 ) -> ColourCalibration:
     """Return the calibration fitted to plausible lights, through the camera's responsivities.
 
-    Args:
-        known: The camera, its responsivities known.
-        scale: Readings of known lights, which give the scale; None for relative X, Y, Z.
-        per_kind: Fit a matrix for each kind of light that determines one.
-        u_rel: Relative standard uncertainty that all known X, Y, Z share.
-
     Raises:
         CalibrationError: If the responsivities determine no matrix, or a known light has no reading.
     """
     responsivities = known.responsivities
     if responsivities is None:
         raise CalibrationError("a matrix from plausible lights needs the camera's responsivities")
-    fits, lights = dict[str, Fit](), plausible_training(responsivities)
+    fits, of_displays, lights = dict[str, Fit](), dict[str, Array](), plausible_training(responsivities)
     if per_kind:
         for kind in plausible_lights():
             try:
@@ -129,7 +116,7 @@ def train_on_responsivities(
     else:
         fits[ALL] = fit_matrix(lights)
         powers = np.vstack(list(plausible_lights().values()))
-        errors = errors_of_other_lights(fits[ALL].matrix, lights, powers, responsivities)
+        errors, of_displays = errors_of_other_lights(fits[ALL].matrix, lights, powers, responsivities)
     unit, assumed, u_scale = RELATIVE_UNIT, ["X, Y, Z are relative: no light of known luminance took part"], 0.0
     if scale is not None:
         factor, u_scale = _scale(scale, fits)
@@ -141,8 +128,9 @@ def train_on_responsivities(
     u_all = math.hypot(u_rel, u_scale)
     trained = tuple(fits) if per_kind else tuple(plausible_lights())
     return ColourCalibration(
-        known.channels, known.camera, known.lens, unit, fits, errors, trained, scale, u_all, provenance=origin
-    )
+        known.channels, known.camera, known.lens, unit, fits, errors, trained, scale, u_all, provenance=origin,
+        display_errors=of_displays,
+    )  # fmt: skip
 
 
 def _scale(known: Training, fits: dict[str, Fit]) -> tuple[float, float]:

@@ -108,10 +108,6 @@ class Certified:
 def certificate_xml(content: Certified, laboratory: Laboratory) -> str:
     """Return the certificate as XML.
 
-    Args:
-        content: What was measured.
-        laboratory: Who measured it, for whom.
-
     Raises:
         InputError: If a result's unit has no form in D-SI, or a text holds what XML cannot.
     """
@@ -120,70 +116,61 @@ def certificate_xml(content: Certified, laboratory: Laboratory) -> str:
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": SCHEMA_VERSION})
     root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{SCHEMA_VERSION}/dcc.xsd")
     _administrative(root, content, laboratory)
-    measured = _dcc(_dcc(root, "measurementResults"), "measurementResult")
-    _name(measured, content.title, laboratory)
-    method = _dcc(_dcc(measured, "usedMethods"), "usedMethod")
-    _name(method, "method", laboratory)
-    _texts(_dcc(method, "description"), content.method, laboratory)
+    measured = _named(_child(root, "measurementResults"), "measurementResult", content.title)
+    _texts(_child(_named(_child(measured, "usedMethods"), "usedMethod", "method"), "description"), content.method)
     if content.equipment:
-        equipment = _dcc(measured, "measuringEquipments")
+        equipment = _child(measured, "measuringEquipments")
         for name, identification in content.equipment:
-            one = _dcc(equipment, "measuringEquipment")
-            _name(one, name, laboratory)
-            _identification(one, "calibrationLaboratory", identification)
+            _identification(_named(equipment, "measuringEquipment", name), "calibrationLaboratory", identification)
     if content.conditions:
-        conditions = _dcc(measured, "influenceConditions")
+        conditions = _child(measured, "influenceConditions")
         for name, text in content.conditions:
-            one = _dcc(conditions, "influenceCondition")
-            _name(one, name, laboratory)
-            _texts(_dcc(_dcc(one, "data"), "text"), (text,), laboratory)
-    results = _dcc(measured, "results")
+            _texts(_child(_child(_named(conditions, "influenceCondition", name), "data"), "text"), (text,))
+    results = _child(measured, "results")
     for name, quantity, k in content.results:
-        result = _dcc(results, "result")
-        _name(result, name, laboratory)
-        _real(_dcc(_dcc(result, "data"), "quantity"), name, quantity, k)
+        _real(_child(_child(_named(results, "result", name), "data"), "quantity"), name, quantity, k)
     if content.budget:
-        budget = _dcc(results, "result")
-        _name(budget, "uncertainty budget: relative standard uncertainties", laboratory)
-        lines = _dcc(_dcc(budget, "data"), "list")
+        budget = _named(results, "result", "uncertainty budget: relative standard uncertainties")
+        lines = _child(_child(budget, "data"), "list")
         for line in content.budget:
-            one = _dcc(lines, "quantity")
-            _name(one, f"{line.name} (type {line.kind})", laboratory)
+            one = _named(lines, "quantity", f"{line.name} (type {line.kind})")
             _real(one, line.name, Quantity(line.u_rel, 0.0, "1"), None)
+    for written in root.iter(f"{{{_DCC}}}content"):
+        written.set("lang", laboratory.language)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
 def _administrative(root: ET.Element, content: Certified, laboratory: Laboratory) -> None:
-    data = _dcc(root, "administrativeData")
-    software = _dcc(_dcc(data, "dccSoftware"), "software")
-    _name(software, "radiometer", laboratory)
-    _dcc(software, "release", content.version)
-    core = _dcc(data, "coreData")
-    _dcc(core, "countryCodeISO3166_1", laboratory.laboratory.country)
-    _dcc(core, "usedLangCodeISO639_1", laboratory.language)
-    _dcc(core, "mandatoryLangCodeISO639_1", laboratory.language)
-    _dcc(core, "uniqueIdentifier", content.identifier)
-    _dcc(core, "beginPerformanceDate", content.date)
-    _dcc(core, "endPerformanceDate", content.date)
-    _dcc(core, "performanceLocation", laboratory.place)
-    item = _dcc(_dcc(data, "items"), "item")
-    _name(item, content.item.name, laboratory)
-    _name(_dcc(item, "manufacturer"), content.item.manufacturer, laboratory)
+    data = _child(root, "administrativeData")
+    _child(_named(_child(data, "dccSoftware"), "software", "radiometer"), "release", content.version)
+    core = _child(data, "coreData")
+    for tag, text in (
+        ("countryCodeISO3166_1", laboratory.laboratory.country),
+        ("usedLangCodeISO639_1", laboratory.language),
+        ("mandatoryLangCodeISO639_1", laboratory.language),
+        ("uniqueIdentifier", content.identifier),
+        ("beginPerformanceDate", content.date),
+        ("endPerformanceDate", content.date),
+        ("performanceLocation", laboratory.place),
+    ):
+        _child(core, tag, text)
+    item = _named(_child(data, "items"), "item", content.item.name)
+    _named(item, "manufacturer", content.item.manufacturer)
     if content.item.model:
-        _dcc(item, "model", content.item.model)
+        _child(item, "model", content.item.model)
     _identification(item, "manufacturer", content.item.serial)
-    _contact(_dcc(_dcc(data, "calibrationLaboratory"), "contact"), laboratory.laboratory, laboratory)
-    person = _dcc(_dcc(data, "respPersons"), "respPerson")
-    _name(_dcc(person, "person"), laboratory.responsible.name, laboratory)
+    _contact(_child(data, "calibrationLaboratory"), "contact", laboratory.laboratory)
+    person = _child(_child(data, "respPersons"), "respPerson")
+    _named(person, "person", laboratory.responsible.name)
     if laboratory.responsible.role:
-        _dcc(person, "role", laboratory.responsible.role)
-    _dcc(person, "mainSigner", "true")
-    _contact(_dcc(data, "customer"), laboratory.customer, laboratory)
+        _child(person, "role", laboratory.responsible.role)
+    _child(person, "mainSigner", "true")
+    _contact(data, "customer", laboratory.customer)
 
 
-def _dcc(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
-    element = ET.SubElement(parent, f"{{{_DCC}}}{tag}")
+def _child(parent: ET.Element, tag: str, text: str | None = None, space: str = _DCC) -> ET.Element:
+    element = ET.SubElement(parent, f"{{{space}}}{tag}")
     if text is not None and (wrong := _NO_XML.search(text)) is not None:
         raise InputError(
             f"{tag} {text[:40]!r}: character U+{ord(wrong[0]):04X} is not allowed in a certificate; remove it"
@@ -192,50 +179,46 @@ def _dcc(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
     return element
 
 
-def _si(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
-    element = ET.SubElement(parent, f"{{{_SI}}}{tag}")
-    element.text = text
+def _named(parent: ET.Element, tag: str, name: str) -> ET.Element:
+    element = _child(parent, tag)
+    _texts(_child(element, "name"), (name,))
     return element
 
 
-def _name(parent: ET.Element, text: str, laboratory: Laboratory) -> None:
-    _texts(_dcc(parent, "name"), (text,), laboratory)
-
-
-def _texts(parent: ET.Element, texts: Sequence[str], laboratory: Laboratory) -> None:
+def _texts(parent: ET.Element, texts: Sequence[str]) -> None:
     for text in texts:
-        _dcc(parent, "content", text).set("lang", laboratory.language)
+        _child(parent, "content", text)
 
 
 def _identification(parent: ET.Element, issuer: str, value: str) -> None:
-    one = _dcc(_dcc(parent, "identifications"), "identification")
-    _dcc(one, "issuer", issuer)
-    _dcc(one, "value", value)
+    one = _child(_child(parent, "identifications"), "identification")
+    _child(one, "issuer", issuer)
+    _child(one, "value", value)
 
 
-def _contact(contact: ET.Element, party: Party, laboratory: Laboratory) -> None:
-    _name(contact, party.name, laboratory)
-    _dcc(contact, "eMail", party.email)
-    location = _dcc(contact, "location")
-    for tag, text in (("street", party.street), ("postCode", party.post_code), ("city", party.city)):
+def _contact(parent: ET.Element, tag: str, party: Party) -> None:
+    contact = _named(parent, tag, party.name)
+    _child(contact, "eMail", party.email)
+    location = _child(contact, "location")
+    for name, text in (("street", party.street), ("postCode", party.post_code), ("city", party.city)):
         if text:
-            _dcc(location, tag, text)
-    _dcc(location, "countryCode", party.country)
+            _child(location, name, text)
+    _child(location, "countryCode", party.country)
 
 
 def _real(parent: ET.Element, label: str, quantity: Quantity, k: float | None) -> None:
     """Add a value with its expanded uncertainty; without one where `k` is None."""
     if quantity.unit not in _UNITS:
         raise InputError(f"{label}: the unit {quantity.unit!r} has no form in D-SI that is known here")
-    real = _si(parent, "real")
-    _si(real, "label", label)
-    _si(real, "value", repr(float(quantity.value)))
-    _si(real, "unit", _UNITS[quantity.unit])
+    real = _child(parent, "real", space=_SI)
+    _child(real, "label", label, _SI)
+    _child(real, "value", repr(float(quantity.value)), _SI)
+    _child(real, "unit", _UNITS[quantity.unit], _SI)
     if k is not None:
-        expanded = _si(real, "expandedUnc")
-        _si(expanded, "uncertainty", repr(float(k * quantity.u)))
-        _si(expanded, "coverageFactor", repr(float(k)))
-        _si(expanded, "coverageProbability", repr(COVERAGE_PROBABILITY))
+        expanded = _child(real, "expandedUnc", space=_SI)
+        _child(expanded, "uncertainty", repr(float(k * quantity.u)), _SI)
+        _child(expanded, "coverageFactor", repr(float(k)), _SI)
+        _child(expanded, "coverageProbability", repr(COVERAGE_PROBABILITY), _SI)
 
 
 # How releases of D-SI call uncertainty and coverage factor: 1.x and 2.1 the first, 2.2 and later the second.

@@ -39,6 +39,8 @@ _PST_PERCENTILES: Final = (
     (0.28, (6.0, 8.0, 10.0, 13.0, 17.0)),
     (0.08, (30.0, 50.0, 80.0)),
 )
+_FEWEST_LINES: Final = 100  # of the periodogram, for a median that the lines of a period do not move
+_NOISY_REL: Final = 0.05  # of PstLM: noise that adds more is reported
 _PST_TRANSIENT_S: Final = 20.0  # that the filters need to settle; left out (IEC TR 61547-1)
 _PST_RATE_HZ: Final = 2000.0  # the least that the filters are specified for
 _MOST_BLOCKS: Final = 16  # of whole periods, of which the scatter is taken
@@ -133,6 +135,11 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         warnings.append(f"PstLM is not determined: the record has {waveform.duration_s:.3g} s and no repetition")
     else:
         pst = with_u(short_term_severity)
+        # The measure squares what it sees, so noise adds to it; whether that is of the light, a record cannot show.
+        quietest = math.sqrt(max(pst.value**2 - noise_severity(part, period) ** 2, 0.0))
+        pst = Quantity(pst.value, math.hypot(pst.u, (pst.value - quietest) / math.sqrt(3.0)), "1")
+        if pst.value - quietest > _NOISY_REL * pst.value:
+            warnings.append(f"PstLM counts the noise of the record as light: without it, it may be {quietest:.2g}")
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
@@ -174,9 +181,6 @@ def _shape(waveform: Waveform, period: Period | None) -> tuple[ShapeMeasures, st
 def svm_threshold(frequency_hz: Array) -> Array:
     """Return the modulation depth at which an average observer just sees the stroboscopic effect of a sinusoid.
 
-    Args:
-        frequency_hz: Frequencies, any shape.
-
     Source: CIE TN 006:2016, T = 1/(1 + exp(−0.00518·(f/Hz − 306.6))) + 20·exp(−f/10 Hz). The SVM meter of Aalto
     University has the same constants, and agrees with the verification waveforms of IEC TR 63158:2018 (Mantela et al.
     2023, Lighting Res. Technol., doi 10.1177/14771535231212404).
@@ -187,9 +191,6 @@ def svm_threshold(frequency_hz: Array) -> Array:
 
 def power_law_threshold(frequency_hz: Array) -> Array:
     """Return a later fit of that threshold: 1.4 % above at 100 Hz, 16 % below at 400 Hz, and above 1 from 750 Hz.
-
-    Args:
-        frequency_hz: Frequencies, any shape.
 
     Source: Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225.
     """
@@ -236,6 +237,26 @@ def short_term_severity(waveform: Waveform, period: Period | None = None) -> flo
         for weight, exceeded in _PST_PERCENTILES
     )
     return math.sqrt(max(total, 0.0))
+
+
+def noise_severity(waveform: Waveform, period: Period | None = None) -> float:
+    """Return the PstLM that white noise has at most (k = 2), of the density that the record has between its lines.
+
+    Noise of that density is drawn and measured. The density is the median of the periodogram above the band of the
+    measure (exponential distribution, mean = median/ln 2), with a Hann window against leakage of the lines.
+    """
+    light, rate_hz, _ = _for_severity(waveform, period)
+    frequency_hz, window = rfftfreq(light.size, 1.0 / rate_hz), np.hanning(light.size)
+    power = np.abs(rfft((light / light.mean() - 1.0) * window)) ** 2 / np.mean(window**2)
+    between = power[(frequency_hz > _PST_BAND_HZ[1]) & (frequency_hz < rate_hz / 4.0)]
+    if between.size < _FEWEST_LINES:
+        return 0.0
+    sigma, rng = math.sqrt(float(np.median(between)) / math.log(2.0) / light.size), np.random.default_rng(0)
+    drawn = [
+        short_term_severity(Waveform(1.0 + rng.normal(0.0, sigma, light.size), rate_hz, waveform.origin)) ** 2
+        for _ in range(_MOST_BLOCKS)
+    ]
+    return math.sqrt(float(np.mean(drawn)) + 2.0 * float(np.std(drawn, ddof=1)))
 
 
 def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, float, int]:

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.fft import rfft, rfftfreq
 
-from radiometer.analysis.flicker.waveform import Period, Waveform
+from radiometer.analysis.flicker.waveform import Period, Waveform, harmonic_columns
 from radiometer.data import Quantity
 from radiometer.typing import Array
 
@@ -39,23 +39,14 @@ _OTHER_LINE_BELOW_HZ: Final = 2000.0  # the band of the stroboscopic effect (IEC
 
 @dataclass(frozen=True, slots=True)
 class ShapeMeasures:
-    """What a period's shape gives.
+    """What a period's shape gives."""
 
-    Attributes:
-        modulation_depth: (max − min)/(max + min).
-        flicker_index: Area above the mean over the whole area.
-        blocks: Blocks of periods whose scatter was taken; 0 where it was not.
-        is_series: Whether a Fourier series describes the shape; the loss by exposure is then corrected.
-        phase: Phases of the shape in periods, rising, shape (n,).
-        light: Light there, as it was sampled, shape (n,).
-    """
-
-    modulation_depth: Quantity
-    flicker_index: Quantity
-    blocks: int
-    is_series: bool
-    phase: Array
-    light: Array
+    modulation_depth: Quantity  # (max − min)/(max + min)
+    flicker_index: Quantity  # area above the mean over the whole area
+    blocks: int  # blocks of periods whose scatter was taken; 0 where it was not
+    is_series: bool  # whether a Fourier series describes the shape; the loss by exposure is then corrected
+    phase: Array  # phases of the shape in periods, rising, shape (n,)
+    light: Array  # light there, as it was sampled, shape (n,)
 
 
 def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
@@ -82,7 +73,7 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     phase, light = whole.phase, whole.light
     if order is not None:
         phase = np.arange(_GRID) / _GRID
-        light = _columns(phase, order) @ _fitted(whole, order).factors
+        light = harmonic_columns(phase, order) @ _Equations(whole, order).series(order).factors
     return _measures(values, u, len(parts), order is not None, phase, light)
 
 
@@ -208,22 +199,12 @@ class _Series:
         return float(self.covariance[harmonic, harmonic] + self.covariance[order + harmonic, order + harmonic]) / 2.0
 
 
-def _columns(phase: Array, order: int) -> Array:
-    angles = 2.0 * np.pi * np.outer(phase, np.arange(1, order + 1))
-    return np.hstack([np.ones((phase.size, 1)), np.cos(angles), np.sin(angles)])
-
-
-def _fitted(fold: _Fold, order: int) -> _Series:
-    """Return the series of an order that the phases determine, by least squares."""
-    return _Equations(fold, order).series(order)
-
-
 class _Equations:
     """The least squares of series up to an order: columns and products are made once for all of them."""
 
     def __init__(self, fold: _Fold, most: int) -> None:
         self.fold, self.most = fold, most
-        self._columns = _columns(fold.phase, most)
+        self._columns = harmonic_columns(fold.phase, most)
         weighted = self._columns * fold.count[:, None]
         self._products, self._moments = self._columns.T @ weighted, weighted.T @ fold.light
 
@@ -305,9 +286,9 @@ def _kept(averaged_periods: float, order: int) -> Array:
 
 def _of_series(fold: _Fold, order: int, kept: Array) -> tuple[Array, Array]:
     """Return modulation depth and flicker index of a series, and their standard uncertainties."""
-    series = _fitted(fold, order)
+    series = _Equations(fold, order).series(order)
     factors, covariance = series.factors / kept, series.covariance / np.outer(kept, kept)
-    columns = _columns(np.arange(_GRID) / _GRID, order)
+    columns = harmonic_columns(np.arange(_GRID) / _GRID, order)
     light = columns @ factors
     top, bottom = int(np.argmax(light)), int(np.argmin(light))
     high, low, mean = float(light[top]), float(light[bottom]), float(factors[0])

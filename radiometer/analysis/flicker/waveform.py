@@ -11,8 +11,8 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.optimize import minimize_scalar
 
-from radiometer.data.statements import StatementMap, is_unknown
-from radiometer.data.text_table import TextTable, finite, read_table
+from radiometer.data.statements import StatementMap
+from radiometer.data.text_table import finite, read_table
 from radiometer.errors import InputError
 from radiometer.typing import Array
 
@@ -62,12 +62,7 @@ def read_waveform(
 ) -> tuple[Waveform, tuple[str, ...]]:
     """Return the waveform in a table of time and light, and what is reported about the reading.
 
-    Args:
-        path: Table with any separator. Without a heading its first column is the time in s, the second the light.
-        dark: Value that the light's column has in darkness; None: 0 is assumed.
-        u_dark: Its standard uncertainty.
-        mapped: Where the user states time and light: `timestamp` and `number`.
-        averaged_s: Time over which each sample averages, in s.
+    Arguments are as for `radiometer.flicker`. Without a heading column 1 is the time in s, column 2 the light.
 
     Raises:
         InputError: If the table cannot be read, or its times do not rise in equal steps.
@@ -94,23 +89,10 @@ def read_waveform(
         at_time, at_light, unit = 0, 1, "s"
         doubts.append("the table has no heading: column 1 is the time in s, column 2 the light")
     time_s = np.array(finite(table.values(at_time, "timestamp", doubts, mapped, defined=unit), table, at_time))
-    light = np.array(finite(_proportional(table, at_light), table, at_light))
+    light = np.array(table.numbers(at_light))  # in any unit: every measure is a ratio
     rate_hz = _rate_hz(path, time_s)
     assumptions = () if dark is not None else ("the value 0 is darkness; --dark VALUE states another",)
     return Waveform(light - (dark or 0.0), rate_hz, str(path), u_dark, averaged_s, assumptions), tuple(doubts)
-
-
-def _proportional(table: TextTable, at: int) -> list[float | None]:
-    """Return a column of numbers whose unit does not matter, for every measure is a ratio."""
-    values = list[float | None]()
-    for line, cells in table.rows:
-        try:
-            values.append(None if is_unknown(cells[at]) else float(cells[at]))
-        except ValueError as error:
-            raise InputError(
-                f"{table.where(line)}: {cells[at]!r} is no number; correct it, or leave the row out"
-            ) from error
-    return values
 
 
 def _rate_hz(path: Path, time_s: Array) -> float:
@@ -142,15 +124,7 @@ def waveform_of_rows(
 ) -> Waveform:
     """Return the waveform that the rows of a rolling-shutter frame sample one after the other.
 
-    Args:
-        pixels: Digital numbers of a frame of an even field, shape (rows, columns).
-        row_time_s: Time between the starts of two rows in s.
-        exposure_s: Exposure time in s: every row averages over it.
-        origin: What the frame is called.
-        black_dn: Black level.
-        flat: Digital numbers of the same field under steady light (or a mean of many frames), same shape; it takes the
-            fall-off away. Without it the fall-off is assumed to be a parabola over the rows.
-        u_black_dn: Standard uncertainty of the black level.
+    Arguments are as for `radiometer.flicker`; `pixels` are digital numbers, shape (rows, columns), `flat` likewise.
 
     Raises:
         InputError: If times or shapes do not fit.
@@ -243,14 +217,19 @@ def _excerpt(waveform: Waveform, line_hz: float) -> tuple[float, Array]:
     return waveform.rate_hz / together, light - light.mean()
 
 
+def harmonic_columns(phase: Array, order: int) -> Array:
+    """Return 1, the cosines and the sines up to an order over phases in periods, shape (phases, 1 + 2·order)."""
+    angles = 2.0 * np.pi * np.outer(phase, np.arange(1, order + 1))
+    return np.hstack([np.ones((phase.size, 1)), np.cos(angles), np.sin(angles)])
+
+
 def _refined(light: Array, rate_hz: float, near_hz: float) -> tuple[float, float]:
     """Return the fundamental frequency in Hz near another, and the share of the variance that it explains."""
     time_s = np.arange(light.size) / rate_hz
-    harmonics = np.arange(1, max(2, min(_MOST_HARMONICS, int(0.45 * rate_hz / near_hz)) + 1))
+    order = max(1, min(_MOST_HARMONICS, int(0.45 * rate_hz / near_hz)))
 
     def unexplained(frequency_hz: float) -> float:
-        angles = 2.0 * np.pi * frequency_hz * np.outer(time_s, harmonics)
-        columns = np.hstack([np.ones((time_s.size, 1)), np.cos(angles), np.sin(angles)])
+        columns = harmonic_columns(frequency_hz * time_s, order)
         products = columns.T @ columns
         fitted = columns @ np.linalg.lstsq(products, columns.T @ light, rcond=None)[0]
         return float(np.sum((light - fitted) ** 2) / np.sum(light**2))

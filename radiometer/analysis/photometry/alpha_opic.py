@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Final
 
 import numpy as np
@@ -39,14 +38,6 @@ UNITS: Final = tuple(_FORMS)
 
 
 @dataclass(frozen=True, slots=True)
-class SpectrumDoubt:
-    """How well a spectrum is known."""
-
-    u_rel: float = 0.0  # relative standard uncertainty of each of its entries, independent of the others
-    wavelength_u_nm: float = 0.0  # standard uncertainty of its wavelength scale in nm, the same for all entries
-
-
-@dataclass(frozen=True, slots=True)
 class AlphaOpic:
     """One α-opic quantity."""
 
@@ -59,7 +50,7 @@ class AlphaOpic:
 
 
 def alpha_opic_quantities(
-    quantity: Quantity, light: Spectrum, doubt: SpectrumDoubt | None = None
+    quantity: Quantity, light: Spectrum, u_rel: float = 0.0, wavelength_u_nm: float = 0.0
 ) -> tuple[AlphaOpic, ...]:
     """Return the five α-opic quantities of a radiance, luminance, irradiance or illuminance.
 
@@ -69,7 +60,8 @@ def alpha_opic_quantities(
     Args:
         quantity: Value and standard uncertainty in one of `UNITS`.
         light: Its spectrum.
-        doubt: How well the spectrum is known; exactly by default.
+        u_rel: Relative standard uncertainty of each entry of the spectrum, independent of the others.
+        wavelength_u_nm: Standard uncertainty of its wavelength scale in nm, the same for all entries.
 
     Raises:
         InputError: If the unit is none of those, or the spectrum holds no visible light.
@@ -83,76 +75,50 @@ def alpha_opic_quantities(
         raise InputError(
             f"{quantity.value:g} {unit_text(quantity.unit)}: an α-opic quantity is made of a value of 0 or more"
         )
-    sure = doubt if doubt is not None else SpectrumDoubt()
     found = list[AlphaOpic]()
     for receptor in RECEPTORS:
-        elr, u_elr = _ratio_with_u(light, _Ratio(receptor, photometric=True), sure)
-        factor, u_factor = elr, u_elr
-        if not photometric:
-            factor, u_factor = _ratio_with_u(light, _Ratio(receptor, photometric=False), sure)
-        value, d65 = quantity.value * factor, _daylight_efficacy(receptor)
-        u = math.hypot(quantity.u * factor, quantity.value * u_factor)
+        efficacy = _ratio(light, receptor, u_rel, wavelength_u_nm, photometric=True)
+        d65 = _ratio(spectrum(DAYLIGHT), receptor, photometric=True).value
+        factor = efficacy if photometric else _ratio(light, receptor, u_rel, wavelength_u_nm, photometric=False)
+        u = math.hypot(quantity.u * factor.value, quantity.value * factor.u)
+        of_receptor = Quantity(quantity.value * factor.value, u, unit)
         found.append(
             AlphaOpic(
                 receptor,
-                Quantity(value, u, unit),
-                Quantity(value / d65, u / d65, daylight_unit),
-                Quantity(1e3 * elr, 1e3 * u_elr, "mW lm-1"),
-                Quantity(elr / d65, u_elr / d65, "1"),
+                of_receptor,
+                of_receptor.scaled(1.0 / d65, daylight_unit),
+                efficacy.scaled(1e3, "mW lm-1"),
+                efficacy.scaled(1.0 / d65, "1"),
             )
         )
     return tuple(found)
 
 
-@dataclass(frozen=True, slots=True)
-class _Ratio:
-    """The part of the luminous flux in W/lm, or of the power, that excites a receptor."""
-
-    receptor: str
-    photometric: bool
-
-    def parts(self, light: Spectrum) -> tuple[float, float]:
-        """Return numerator and denominator."""
-        wavelength_nm, columns = table("alpha_opic.csv")
-        excites = light.integral(wavelength_nm, columns[self.receptor])
-        if self.photometric:
-            return excites, KM_LM_PER_W * light.integral(*luminous_efficiency())
-        return excites, light.integral()
-
-    def of(self, light: Spectrum) -> float:
-        above, below = self.parts(light)
-        return above / below
-
-
-@cache
-def _daylight_efficacy(receptor: str) -> float:
-    """Return the α-opic efficacy of luminous radiation of D65 in W/lm."""
-    return _Ratio(receptor, photometric=True).of(spectrum(DAYLIGHT))
-
-
-def _ratio_with_u(light: Spectrum, ratio: _Ratio, doubt: SpectrumDoubt) -> tuple[float, float]:
-    """Return a ratio and its standard uncertainty."""
-    value = ratio.of(light)
-    moved = [
-        Spectrum(light.name, light.wavelength_nm + way * doubt.wavelength_u_nm, light.power) for way in (-1.0, 1.0)
-    ]
-    u_wavelength = abs(ratio.of(moved[1]) - ratio.of(moved[0])) / 2.0 if doubt.wavelength_u_nm else 0.0
-    return value, math.hypot(u_wavelength, _u_entries(light, ratio, value) * doubt.u_rel if doubt.u_rel else 0.0)
-
-
-def _u_entries(light: Spectrum, ratio: _Ratio, value: float) -> float:
-    """Return the standard deviation of a ratio per relative error of the entries, which are independent.
+def _ratio(
+    light: Spectrum, receptor: str, u_rel: float = 0.0, wavelength_u_nm: float = 0.0, *, photometric: bool
+) -> Quantity:
+    """Return the part of the luminous flux in W/lm, or of the power, that excites a receptor.
 
     The integrals are linear in the entries: N = Σ Nᵢ, D = Σ Dᵢ with the triangles between neighbouring wavelengths. So
     the derivative of N/D by the relative error of entry i is (Nᵢ − r·Dᵢ)/D.
     """
-    if light.wavelength_nm.size == 1:
-        return 0.0  # a line has no shape
-    below = ratio.parts(light)[1]
+    wavelength_nm, columns = table("alpha_opic.csv")
+
+    def parts(of: Spectrum) -> tuple[float, float]:
+        below = KM_LM_PER_W * of.integral(*luminous_efficiency()) if photometric else of.integral()
+        return of.integral(wavelength_nm, columns[receptor]), below
+
+    def moved(by_nm: float) -> float:
+        above, below = parts(Spectrum(light.name, light.wavelength_nm + by_nm, light.power))
+        return above / below
+
+    value, below = moved(0.0), parts(light)[1]
+    u_wavelength = abs(moved(wavelength_u_nm) - moved(-wavelength_u_nm)) / 2.0
     derivatives = []
-    for at in range(light.wavelength_nm.size):
+    places = range(light.wavelength_nm.size) if u_rel and light.wavelength_nm.size > 1 else ()  # a line: no shape
+    for at in places:
         near = slice(max(0, at - 1), at + 2)
         alone = np.where(np.arange(light.wavelength_nm.size)[near] == at, light.power[near], 0.0)
-        n_i, d_i = ratio.parts(Spectrum(light.name, light.wavelength_nm[near], alone))
+        n_i, d_i = parts(Spectrum(light.name, light.wavelength_nm[near], alone))
         derivatives.append((n_i - value * d_i) / below)
-    return float(np.linalg.norm(derivatives))
+    return Quantity(value, math.hypot(u_wavelength, float(np.linalg.norm(derivatives)) * u_rel), "1")

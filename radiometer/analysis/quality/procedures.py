@@ -12,6 +12,10 @@ STANDARD: Final = "ISO/CIE 19476 (CIE S 023)"
 IMAGING: Final = "CIE 244"
 
 
+_GAIN: Final = r"(-?\d+(?:\.\d+)?) ?[dD][bB]"
+_NUMBER: Final = r"\d+(?:\.\d+)?"
+
+
 @dataclass(frozen=True, slots=True)
 class ProcedureStep:
     """One capture of a procedure."""
@@ -31,6 +35,7 @@ class Procedure:
     source: str  # document that defines the index; the definition here is the one found in open literature
     steps: tuple[ProcedureStep, ...] = ()  # captures that the command asks for
     more: str = ""  # what further captures may be named, and what their names mean; empty for none
+    form: str = ""  # regular expression of their names
     # Which exposures a capture takes: the patch's, the whole scene's, a ladder up to the patch's longest, or that
     # ladder and beyond, so that the patch clips
     exposures: Exposures = "patch"
@@ -77,6 +82,7 @@ PROCEDURES: Final = (
             ProcedureStep("100Hz", "the same source modulated at 100 Hz, its mean unchanged"),
         ),
         more="further frequencies by name, such as 240Hz",
+        form=f"{_NUMBER} ?Hz",
     ),
     Procedure(
         "polarisation",
@@ -91,6 +97,7 @@ PROCEDURES: Final = (
             for angle in (0, 45, 90, 135)
         ),
         more="further angles by their number of degrees",
+        form=f"{_NUMBER}°?",
     ),
     Procedure(
         "range",
@@ -102,7 +109,8 @@ PROCEDURES: Final = (
             ProcedureStep("0dB", "a steady source over the patch; gain 0 dB"),
             ProcedureStep("12dB", "the same source; gain 12 dB"),
         ),
-        more="further gains or stops by name; the first in order of steps is the reference",
+        more="further gains or stops by name, such as 6.5dB or f5.6; the first in order of steps is the reference",
+        form=f"{_GAIN}|f{_NUMBER}",
     ),
     Procedure(
         "focus",
@@ -158,6 +166,7 @@ PROCEDURES: Final = (
             ProcedureStep("20", "the same radiance, 20 across"),
         ),
         more="further diameters by their number",
+        form=_NUMBER,
     ),
     Procedure(
         "glare",
@@ -175,7 +184,7 @@ PROCEDURES: Final = (
 
 def gain_of_step(name: str) -> float | None:
     """Return the gain in dB that a step's name states, such as 12 of "12dB"; None where it states none."""
-    stated = re.fullmatch(r"(-?\d+(?:\.\d+)?) ?dB", name, re.IGNORECASE)
+    stated = re.fullmatch(_GAIN, name, re.ASCII)
     return float(stated[1]) if stated else None
 
 

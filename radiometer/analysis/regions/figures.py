@@ -15,6 +15,7 @@ from radiometer.errors import InputError, MeasurementError
 from radiometer.typing import Array
 
 LOST: Final = PixelMask.SATURATED | PixelMask.BELOW_NOISE
+_MOST_LOST: Final = 0.01  # share of an image circle without a value
 Projection = Literal["equidistant", "equisolid", "orthographic", "stereographic"]
 
 
@@ -69,12 +70,7 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     bound = noise * math.sqrt(2.0 * math.log(max(2, values.size))) / math.sqrt(3.0)
     low, high = float(boxes.min()), float(boxes.max())
     u_low, u_high = math.hypot(noise, bound), math.hypot(noise, bound)
-    noise_2 = float(np.mean(own[good] ** 2))
-    spread_2 = max(float(values[good].var(ddof=1)) - noise_2, 0.0)
-    spread = math.sqrt(spread_2)
-    # Var(s²) of values with normal noise: 4S²σ²/n + 2σ⁴/n.
-    u_square = math.sqrt((4.0 * spread_2 + 2.0 * noise_2) * noise_2 / count)
-    u_spread = min(math.sqrt(u_square), u_square / (2.0 * spread) if spread > 0 else math.inf)
+    spread = spread_beyond_noise(float(values[good].var(ddof=1)), float(np.mean(own[good] ** 2)), count)
     uniformity = low / high if high > 0 else math.nan
     u_uniformity = uniformity * math.hypot(u_low / low, u_high / high) if low > 0 else u_low / max(high, 1e-30)
     return RegionFigures(
@@ -84,11 +80,39 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
         Quantity(float(np.median(values[good])), math.hypot(1.2533 * u_mean, level * common), unit),
         Quantity(low, math.hypot(u_low, low * common), unit),
         Quantity(high, math.hypot(u_high, high * common), unit),
-        Quantity(spread, math.hypot(u_spread, spread * common), unit),
+        Quantity(spread.value, math.hypot(spread.u, spread.value * common), unit),
         Quantity(uniformity, u_uniformity, "1"),
         share,
         _flags(mask),
     )
+
+
+def spread_beyond_noise(variance: float, noise_variance: float, count: float) -> Quantity:
+    """Return the standard deviation of n values without that of their normal noise: Var(s²) is 4S²σ²/n + 2σ⁴/n."""
+    square = max(variance - noise_variance, 0.0)
+    u_square = math.sqrt((4.0 * square + 2.0 * noise_variance) * noise_variance / count)
+    u = min(math.sqrt(u_square), u_square / (2.0 * math.sqrt(square)) if square > 0.0 else math.inf)
+    return Quantity(math.sqrt(square), u, "1")
+
+
+def image_circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Array, float]:
+    """Return distances from the map's centre in pixels, which are within the image circle, and its radius in pixels.
+
+    The radius is half of the shorter side by default. Raises MeasurementError where pixels within it are saturated, or
+    more than 1 % have no value.
+    """
+    height, width = found.shape
+    radius = radius_px if radius_px is not None else min(height, width) / 2.0
+    y, x = np.indices(found.shape)
+    r = np.hypot(x - (width - 1) / 2.0, y - (height - 1) / 2.0)
+    mask = found.mask[r <= radius]
+    if (mask & PixelMask.SATURATED).any():
+        raise MeasurementError(
+            "pixels within the image circle are saturated, so its light has no upper bound: merge shorter exposures"
+        )
+    if float(np.mean((mask & PixelMask.BELOW_NOISE) != 0)) > _MOST_LOST:
+        raise MeasurementError("more than 1 % of the image circle is below the noise; take longer exposures")
+    return r, r <= radius, radius
 
 
 def _boxes(values: Array, own: Array, good: Array, box_px: int) -> tuple[Array, float]:
@@ -117,11 +141,6 @@ def ratio_of(first: RegionFigures, second: RegionFigures, common_u_rel: float) -
     """Return the ratio of two regions' means; what all pixels share drops out.
 
     Light that the lens scatters from the bright region into the dark one is in no uncertainty here.
-
-    Args:
-        first: The brighter region.
-        second: The darker one.
-        common_u_rel: Relative standard uncertainty that all pixels share.
 
     Raises:
         MeasurementError: If the second mean is not above 0.
@@ -173,31 +192,14 @@ def vertical_illuminance(
 
     E = Σ L·cos θ·dω over the image circle up to 90°, with the solid angle dω of each pixel under the projection.
 
-    Args:
-        found: Map in cd·m⁻² or W·sr⁻¹·m⁻²; the axis is at its centre.
-        projection: How the lens maps the angle θ from the axis to the radius.
-        field_of_view_deg: Full angle of the image circle in degrees.
-        u_field_deg: Its standard uncertainty.
-        radius_px: Radius of the image circle in pixels; half of the shorter side by default.
-
     Raises:
         InputError: If the field of view is not above 0 and at most 360°, or the map is a relative one.
-        MeasurementError: If pixels within the circle are saturated or more than 1 % have no value.
     """
     if found.unit == "relative":
         raise InputError("a relative map has no illuminance; merge with a calibration")
     if not 0.0 < field_of_view_deg <= 360.0:
         raise InputError(f"field of view {field_of_view_deg:g}°: must be above 0 and at most 360°")
-    height, width = found.shape
-    radius = radius_px if radius_px is not None else min(height, width) / 2.0
-    y, x = np.indices(found.shape)
-    r = np.hypot(x - (width - 1) / 2.0, y - (height - 1) / 2.0)
-    inside = r <= radius
-    mask = found.mask[inside]
-    if (mask & PixelMask.SATURATED).any():
-        raise MeasurementError("pixels within the image circle are saturated: the illuminance has no upper bound")
-    if float(np.mean((mask & PixelMask.BELOW_NOISE) != 0)) > 0.01:
-        raise MeasurementError("more than 1 % of the image circle is below the noise; take longer exposures")
+    r, inside, radius = image_circle(found, radius_px)
 
     def total(field_deg: float) -> tuple[float, float]:
         cosine, solid = _angles(r[inside] / radius, math.radians(field_deg) / 2.0, projection)

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from radiometer.analysis.exports.maps import rgbe
-from radiometer.analysis.regions.figures import LOST, Projection
-from radiometer.data import PixelMask, Quantity, RadianceMap
+from radiometer.analysis.regions.figures import LOST, Projection, image_circle
+from radiometer.data import Quantity, RadianceMap
 from radiometer.errors import InputError, MeasurementError, MissingLibrary
 from radiometer.typing import Array
 
@@ -21,7 +21,6 @@ _VIEWS: Final = {"equidistant": "a", "orthographic": "h", "stereographic": "s"}
 _EFFICACY_LM_W: Final = 179.0  # of Radiance's white, by which a luminance in its pictures is divided
 _LARGEST_PX: Final = 1200  # evalglare advises 800 to 1500; its time grows with the square
 _DRAWS: Final = 4  # pictures with other noise: its share of u is a few per cent, and known to 40 %
-_MOST_LOST: Final = 0.01  # share of the circle without a value
 _HEMISPHERE_DEG: Final = 180.0
 INSTALL: Final = (
     "UGR and DGP need pyradiance, which carries evalglare; install it with: pip install 'radiometer[glare]'"
@@ -38,21 +37,15 @@ def glare_of(
 ) -> tuple[Quantity, Quantity]:
     """Return UGR and DGP of a fisheye picture, with their standard uncertainties.
 
+    Arguments are as for `radiometer.analyse`; the map is in cd·m⁻², `seed` is of the drawn noise.
+
     evalglare finds the glare sources by its own defaults. Scale and field of view are moved by their standard
     uncertainties, and noise is drawn anew; what the indices change by adds up in squares.
-
-    Args:
-        found: Map in cd·m⁻²; the axis is at its centre.
-        projection: How the lens maps the angle from the axis to the radius.
-        field_of_view_deg: Full angle of the image circle in degrees.
-        u_field_deg: Its standard uncertainty.
-        radius_px: Radius of the image circle in pixels; half of the shorter side by default.
-        seed: Of the drawn noise.
 
     Raises:
         MissingLibrary: If pyradiance is not installed.
         InputError: If the map is not in cd·m⁻², or the circle holds less than a hemisphere.
-        MeasurementError: If pixels within the circle are saturated, more than 1 % have no value, or evalglare fails.
+        MeasurementError: As `image_circle`, or if evalglare fails.
 
     Source: UGR: CIE 117-1995. DGP: Wienold and Christoffersen 2006, Energy and Buildings 38, 743.
     """
@@ -105,18 +98,11 @@ def _evalglare() -> Callable[[bytes], Array]:
 
 def _circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Array, float]:
     """Return luminance, its own uncertainty and the radius in pixels, as squares around the axis, 0 outside."""
-    height, width = found.shape
-    radius = radius_px if radius_px is not None else min(height, width) / 2.0
-    y, x = np.indices(found.shape)
-    inside = np.hypot(x - (width - 1) / 2.0, y - (height - 1) / 2.0) <= radius
-    lost = (found.mask & LOST) != 0
-    if ((found.mask[inside] & PixelMask.SATURATED) != 0).any():
-        raise MeasurementError("pixels within the image circle are saturated: merge shorter exposures for the sources")
-    if float(np.mean(lost[inside])) > _MOST_LOST:
-        raise MeasurementError("more than 1 % of the image circle is below the noise; take longer exposures")
+    _, inside, radius = image_circle(found, radius_px)
     # A side as odd or even as the picture's keeps the axis where it is, to half a pixel where the sides differ.
-    side = 2 * math.ceil(radius - 0.5 * (min(height, width) % 2)) + min(height, width) % 2
-    luminance = np.where(inside & ~lost, np.maximum(found.radiance, 0.0), 0.0)
+    odd = min(found.shape) % 2
+    side = 2 * math.ceil(radius - 0.5 * odd) + odd
+    luminance = np.where(inside & ((found.mask & LOST) == 0), np.maximum(found.radiance, 0.0), 0.0)
     squares = [_square(one, (side, side)) for one in (luminance, np.where(inside, found.u_radiance, 0.0))]
     factor = math.ceil(side / _LARGEST_PX)
     if factor == 1:

@@ -554,6 +554,7 @@ class PatchFrame:
     signal: NDArray[np.float64]  # linear signal x at 0 dB, same shape, dark level not yet taken off
     usable: bool  # whether no part of the patch clips or leaves the data of the response curve at the bright end
     unclipped: bool  # whether no part of the patch clips
+    in_data: bool  # whether the patch's mean is above the dark end of the response curve's data
     clipped: NDArray[np.bool_]  # pixels at or above clipping, same shape
     whole: float  # mean signal x of the whole picture, dark level not yet taken off
     whole_clipped: float  # part of the whole picture that clips; the mean is too low then
@@ -625,12 +626,14 @@ def _crop(frame: Frame, patch: Patch, model: SignalModel, lit: NDArray[np.bool_]
     sigma = max(_neighbour_noise(dn), _noise_dn(model, frame.settings, brightest))
     usable = bool(few and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < limit)
     unclipped = usable or bool(dn.max() < end and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < end)
+    lowest = model.valid_dn[0] + model.black_of(frame.settings) - model.black_dn
+    in_data = model.linear or float(dn.mean()) >= lowest
     few_of_all = some_lit_pixels(frame, lit)
     whole, whole_clipped = float(signal_of(few_of_all, model).mean()), float(np.mean(few_of_all.dn >= end))
     slope = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(frame.settings.gain_db)
     return PatchFrame(
-        frame.settings, dn, signal_of(part, model), usable, unclipped, clipped, whole, whole_clipped, frame.masked_dn,
-        darkest_signal(few_of_all, model), slope * frame.black_u_dn / math.sqrt(patch.height),
+        frame.settings, dn, signal_of(part, model), usable, unclipped, in_data, clipped, whole, whole_clipped,
+        frame.masked_dn, darkest_signal(few_of_all, model), slope * frame.black_u_dn / math.sqrt(patch.height),
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -22,7 +23,10 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.data.setup import Setup
-from radiometer.errors import CalibrationError
+from radiometer.errors import CalibrationError, InputError
+
+# Of a reading, that light beyond the table of a spectral response may move: below the 3 to 4 % of usual tables.
+_BEYOND_TABLE_REL: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +83,7 @@ def spectral_correction(calibration: Calibration) -> tuple[float, tuple[str, ...
         calibration: Scale with its spectrum, the source's spectrum, the spectral response.
 
     Raises:
-        InputError: If a spectrum is unknown, or the camera does not respond to one.
+        InputError: If a spectrum is unknown, or the camera does not respond to one, or light is beyond its response.
     """
     of_scale = calibration.scale.spectrum or calibration.spectrum
     if of_scale == calibration.spectrum or not calibration.absolute:
@@ -87,12 +91,17 @@ def spectral_correction(calibration: Calibration) -> tuple[float, tuple[str, ...
     response = calibration.spectral_response
     if response is None:
         return 1.0, (f"calibrated under {of_scale}; no spectral correction, the camera's response is unknown",)
-    factor = spectral_mismatch_factor(
-        spectrum(calibration.spectrum),
-        spectrum(of_scale),
-        np.array(response.wavelength_nm),
-        np.array(response.relative),
-    )
+    lights = spectrum(calibration.spectrum), spectrum(of_scale)
+    table_nm, relative = np.array(response.wavelength_nm), np.array(response.relative)
+    factor = spectral_mismatch_factor(*lights, table_nm, relative)
+    # What a table does not state is unknown: as high as at its end, or nothing.
+    further_nm = np.concatenate([[min(table_nm[0], 200.0) - 1.0], table_nm, [max(table_nm[-1], 2000.0) + 1.0]])
+    off = abs(spectral_mismatch_factor(*lights, further_nm, np.pad(relative, 1, "edge")) / factor - 1.0)
+    if off > _BEYOND_TABLE_REL:
+        raise InputError(
+            f"the camera's spectral response covers {table_nm[0]:g} to {table_nm[-1]:g} nm, and light beyond may move "
+            f"the reading by {100 * off:.2g} %; extend the table, with 0 where the camera sees nothing"
+        )
     by = f", by the {response.source}" if response.source else ""
     return factor, (f"calibrated under {of_scale}; spectral mismatch factor {factor:.4g} applied{by}",)
 

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import parse_relative, parse_size
-from radiometer.cli.console import console
+from radiometer.cli.console import show_remarks, show_table
 from radiometer.cli.options import JsonOption
 from radiometer.cli.outputs import writes
-from radiometer.numbers import unit_text, with_u
-
-if TYPE_CHECKING:
-    from radiometer import AlphaOpicQuantities
+from radiometer.numbers import unit_text
 
 
 @writes("plot")
@@ -56,40 +53,28 @@ def command(
     Gives S-, M-, L-cone-opic, rhodopic and melanopic quantities, and the daylight (D65) that has the same.
     """
     found = rm.alpha_opic(
-        value,
-        unit,
-        u=u,
-        reading=reading,
-        screen=screen,
-        level=level,
-        channel=channel,
-        spectrum=spectrum,
-        spectrum_u_rel=spectrum_u_rel,
-        wavelength_u_nm=wavelength_u,
-        size_m=parse_size(size),
-        distance_m=distance,
+        value, unit, u=u, reading=reading, screen=screen, level=level, channel=channel, spectrum=spectrum,
+        spectrum_u_rel=spectrum_u_rel, wavelength_u_nm=wavelength_u, size_m=parse_size(size), distance_m=distance,
         u_distance_m=distance_u,
-    )
+    )  # fmt: skip
     if plot is not None:
         found.write_plot(plot)
-    print(found.to_json()) if json else _show(found)
-
-
-def _show(found: AlphaOpicQuantities) -> None:
-    from rich.table import Table
-
-    first, source = found.quantities[0], found.source
-    unit, daylight = unit_text(first.quantity.unit), unit_text(first.equivalent_daylight.unit)
-    title = f"{with_u(source.value, 2 * source.u, unit_text(source.unit))} of {found.spectrum}; k = 2"
-    table = Table(title=title, title_justify="left")
-    table.add_column("α-opic", no_wrap=True)
-    for name in (unit, f"D65, {daylight}", "ratio to D65"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for one in found.quantities:
-        values = (one.quantity, one.equivalent_daylight, one.daylight_ratio)
-        name = one.receptor.replace("_", "-")
-        table.add_row(name, *(with_u(each.value, 2 * each.u) for each in values))
-    out = console()
-    out.print(table)
-    for assumption in found.assumptions:
-        out.print(f"assumed: {assumption}")
+    if json:
+        print(found.to_json())
+        return
+    first = found.quantities[0]
+    head = (
+        "α-opic",
+        unit_text(first.quantity.unit),
+        f"D65, {unit_text(first.equivalent_daylight.unit)}",
+        "ratio to D65",
+    )
+    rows = [
+        (
+            one.receptor.replace("_", "-"),
+            *(each.text(bare=True) for each in (one.quantity, one.equivalent_daylight, one.daylight_ratio)),
+        )
+        for one in found.quantities
+    ]
+    show_table(f"{found.source.text()} of {found.spectrum}; k = 2", head, rows)
+    show_remarks(found.assumptions)

@@ -9,14 +9,14 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch
-from radiometer.cli.console import console, note
+from radiometer.cli.console import console, note, show_remarks, show_table
 from radiometer.cli.options import JsonOption, ReportOption
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
-from radiometer.numbers import unit_text, with_u
+from radiometer.numbers import unit_text
 
 if TYPE_CHECKING:
-    from radiometer import MapAnalysis, Patch
+    from radiometer import Patch
 
 _Projection = Literal["equidistant", "equisolid", "stereographic", "orthographic"]
 
@@ -50,25 +50,26 @@ def command(
     Gives mean, median, extremes, uniformity and deviation of each region, each with its uncertainty.
     """
     found = rm.analyse(
-        source,
-        regions=dict(_region(word) for word in region or ()),
+        source, regions=dict(_region(word) for word in region or ()),
         contrast=None if contrast is None else cast(tuple[str, str], _numbered(contrast, 2, "--contrast BRIGHT,DARK")),
-        line=None if line is None else _line(line),
-        line_width=line_width,
-        box=box,
-        spectrum=spectrum,
-        fisheye=fisheye,
-        field_of_view=field_of_view,
-        field_of_view_u=field_of_view_u,
-        radius=radius,
-        glare=glare,
-    )
+        line=None if line is None else _line(line), line_width=line_width, box=box, spectrum=spectrum, fisheye=fisheye,
+        field_of_view=field_of_view, field_of_view_u=field_of_view_u, radius=radius, glare=glare,
+    )  # fmt: skip
     if csv is not None:
         found.write_csv(csv)
     if report is not None:
         found.write_report(report)
         note(f"wrote {report}")
-    print(found.to_json()) if json else _show(found)
+    if json:
+        print(found.to_json())
+        return
+    unit = "relative units" if found.map.unit in ("1", "relative") else unit_text(found.map.unit)
+    shown = ("mean", "lowest", "highest", "uniformity")
+    rows = [(one.name, *(getattr(one, name).text(bare=True) for name in shown)) for one in found.regions]
+    show_table(f"{found.origin}: regions in {unit}; k = 2", ("region", *shown), rows)
+    for name, figure in found.of_picture.items():
+        console().print(f"{name}: {figure.text()} (k = 2)")
+    show_remarks(found.assumptions, flags=found.flags)
 
 
 def _numbered(text: str, count: int, option: str) -> tuple[str, ...]:
@@ -92,31 +93,3 @@ def _line(text: str) -> tuple[float, float, float, float]:
     except ValueError as error:
         raise UsageError(f"{text!r}: expected {option}") from error
     return x1, y1, x2, y2
-
-
-def _show(found: MapAnalysis) -> None:
-    from rich.table import Table
-
-    unit = "relative units" if found.map.unit in ("1", "relative") else unit_text(found.map.unit)
-    title = f"{found.origin}: regions in {unit}; k = 2"
-    table = Table(title=title, title_justify="left", box=None)
-    table.add_column("region")
-    for name in ("mean", "lowest", "highest", "uniformity"):
-        table.add_column(name, justify="right")
-    for one in found.regions:
-        values = (one.mean, one.lowest, one.highest, one.uniformity)
-        table.add_row(one.name, *(with_u(each.value, 2 * each.u) for each in values))
-    out = console()
-    out.print(table)
-    if found.contrast is not None:
-        out.print(f"contrast: {with_u(found.contrast.value, 2 * found.contrast.u)} (k = 2)")
-    if found.illuminance is not None:
-        lux = with_u(found.illuminance.value, 2 * found.illuminance.u, unit_text(found.illuminance.unit))
-        out.print(f"vertical illuminance: {lux} (k = 2)")
-    for name, index in found.glare_indices:
-        out.print(f"{name}: {with_u(index.value, 2 * index.u)} (k = 2)")
-    for one in found.regions:
-        for flag in one.flags:
-            out.print(f"[yellow]flag[/yellow]: {one.name}: {flag}")
-    for assumption in found.assumptions:
-        out.print(f"assumed: {assumption}")

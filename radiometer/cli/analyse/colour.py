@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative
-from radiometer.cli.console import console, note, progress
+from radiometer.cli.console import note, progress, show_remarks, show_table
 from radiometer.cli.options import JsonOption, PatchOption, ReportOption, command_group
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 from radiometer.numbers import unit_text
-
-if TYPE_CHECKING:
-    from radiometer import CalibratedColour, ColourReading
 
 app = command_group(
     "Measure colour: X, Y, Z, x y, u′ v′, colour temperature and Duv, from a camera with colour channels."
@@ -78,7 +75,17 @@ def calibrate(
             per_kind=per_kind, u_rel=u_rel, filters=_filters(filters), linear=linear, response=response or None,
             out=out, notice=note, progress=shown,
         )  # fmt: skip
-    print(found.to_json()) if json else _show_calibration(found)
+    if json:
+        print(found.to_json())
+        return
+    known = found.calibration
+    show_table(
+        f"{', '.join(known.channels)} to X, Y, Z in {unit_text(known.unit)}",
+        ("kind of light", "u of a white's luminance", "in the training"),
+        [(kind, f"{100 * found.u_rel(kind):.2g} %", "yes" if kind in known.trained else "no") for kind in known.errors],
+    )
+    show_remarks(known.provenance.assumptions)
+    note(f"wrote {out}")
 
 
 @app.command()
@@ -107,7 +114,12 @@ def measure(
     for file in (maps, report, plot):
         if file is not None:
             note(f"wrote {file}")
-    print(found.to_json()) if json else _show_reading(found)
+    if json:
+        print(found.to_json())
+        return
+    title = f"{found.source}: {found.kind or 'light of unstated kind'}"
+    show_table(title, ("quantity", "value (k = 2)"), found.rows())
+    show_remarks(found.assumptions, flags=found.flags)
 
 
 def _filters(words: list[str] | None) -> dict[str, Path] | None:
@@ -119,36 +131,3 @@ def _filters(words: list[str] | None) -> dict[str, Path] | None:
             raise UsageError(f"--filter {word!r}: expected NAME=FOLDER, each name once, such as red=out/red")
         found[name] = Path(folder)
     return found or None
-
-
-def _show_calibration(found: CalibratedColour) -> None:
-    from rich.table import Table
-
-    known, out = found.calibration, console()
-    table = Table(title=f"{', '.join(known.channels)} to X, Y, Z in {unit_text(known.unit)}", title_justify="left")
-    table.add_column("kind of light", no_wrap=True)
-    table.add_column("u of a white's luminance", justify="right", no_wrap=True)
-    table.add_column("in the training")
-    for kind in known.errors:
-        table.add_row(kind, f"{100 * found.u_rel(kind):.2g} %", "yes" if kind in known.trained else "no")
-    out.print(table)
-    for assumption in known.provenance.assumptions:
-        out.print(f"assumed: {assumption}")
-    if found.out is not None:
-        out.print(f"wrote {found.out}")
-
-
-def _show_reading(found: ColourReading) -> None:
-    from rich.table import Table
-
-    table = Table(title=f"{found.source}: {found.kind or 'light of unstated kind'}", title_justify="left")
-    table.add_column("quantity", no_wrap=True)
-    table.add_column("value (k = 2)", justify="right", no_wrap=True)
-    for row in found.rows():
-        table.add_row(*row)
-    out = console()
-    out.print(table)
-    for flag in found.flags:
-        out.print(f"[yellow]flag[/yellow]: {flag}")
-    for assumption in found.assumptions:
-        out.print(f"assumed: {assumption}")

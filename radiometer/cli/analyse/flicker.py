@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import parse_exposure, parse_patch, parse_seconds
-from radiometer.cli.console import console, note
+from radiometer.cli.console import note, show_remarks, show_table
 from radiometer.cli.options import BenchOption, CameraOption, JsonOption
 from radiometer.cli.outputs import writes
-from radiometer.numbers import with_u
-
-if TYPE_CHECKING:
-    from radiometer import FlickerReport
 
 
 @writes("plot")
@@ -55,50 +51,30 @@ def command(
     Gives the dominant frequency, modulation depth, flicker index, SVM (IEC TR 63158) and PstLM (IEC TR 61547-1).
     """
     found = rm.flicker(
-        source,
-        camera=camera,
-        bench=bench,
-        duration=duration,
-        dark=dark,
-        u_dark=u_dark,
-        mapped=mapped or (),
-        row_time=parse_seconds(row_time, "--row-time"),
-        known_frequency=known_frequency,
-        exposure=parse_exposure(exposure, "--exposure"),
-        black_level=black_level,
-        flat=flat,
-        patch=parse_patch(patch),
+        source, camera=camera, bench=bench, duration=duration, dark=dark, u_dark=u_dark, mapped=mapped or (),
+        row_time=parse_seconds(row_time, "--row-time"), known_frequency=known_frequency,
+        exposure=parse_exposure(exposure, "--exposure"), black_level=black_level, flat=flat, patch=parse_patch(patch),
         notice=note,
-    )
+    )  # fmt: skip
     if plot is not None:
         found.write_plot(plot)
         note(f"drawn into {plot}")
-    print(found.to_json()) if json else _show(found)
-
-
-def _show(found: FlickerReport) -> None:
-    from rich.table import Table
-
+    if json:
+        print(found.to_json())
+        return
     measures, k = found.measures, found.measures.coverage_factor
-    named = {
-        "dominant frequency": (measures.frequency, "Hz", 1.0),
-        "modulation depth": (measures.modulation_depth, "%", 100.0),
-        "flicker index": (measures.flicker_index, "", 1.0),
-        "SVM": (measures.svm, "", 1.0),
-        "PstLM": (measures.pst_lm, "", 1.0),
-        "row time": (found.row_time, "us", 1e6),
+    rows = {
+        "dominant frequency": measures.frequency,
+        "modulation depth": measures.modulation_depth.scaled(100.0, "%"),
+        "flicker index": measures.flicker_index,
+        "SVM": measures.svm,
+        "PstLM": measures.pst_lm,
     }
-    table = Table(title=f"{found.waveform.origin}: {1e3 * found.waveform.duration_s:.4g} ms", title_justify="left")
-    table.add_column("measure", no_wrap=True)
-    table.add_column(f"value (k = {k:.3g})", justify="right", no_wrap=True)
-    for name, (one, unit, scale) in named.items():
-        if one is not None:
-            table.add_row(name, with_u(scale * one.value, scale * k * one.u, unit))
-        elif name != "row time":
-            table.add_row(name, "not determined")
-    out = console()
-    out.print(table)
-    for warning in measures.warnings:
-        out.print(f"[yellow]warning[/yellow]: {warning}")
-    for assumption in measures.assumptions:
-        out.print(f"assumed: {assumption}")
+    if found.row_time is not None:
+        rows["row time"] = found.row_time.scaled(1e6, "us")
+    show_table(
+        f"{found.waveform.origin}: {1e3 * found.waveform.duration_s:.4g} ms",
+        ("measure", f"value (k = {k:.3g})"),
+        [(name, "not determined" if one is None else one.text(k)) for name, one in rows.items()],
+    )
+    show_remarks(measures.assumptions, warnings=measures.warnings)

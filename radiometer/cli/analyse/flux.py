@@ -9,8 +9,8 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch
-from radiometer.cli.console import console, note
-from radiometer.numbers import with_u
+from radiometer.cli.console import console, note, show_remarks, show_table
+from radiometer.cli.options import JsonOption
 
 if TYPE_CHECKING:
     from radiometer.api.led_flux import FluxReport, Quantity
@@ -39,7 +39,13 @@ def command(
     datasheet_mw: Annotated[float | None, typer.Option(help="Flux that the datasheet states, in mW.")] = None,
     channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")] = False,
+    drive_table: Annotated[
+        Path | None, typer.Option(help="CSV of the diode's light over drive, for the flux at another drive.")
+    ] = None,
+    led: Annotated[str | None, typer.Option(help="Its channel in that table; the only one by default.")] = None,
+    drive: Annotated[float | None, typer.Option(help="Its drive in the capture, in the table's unit.")] = None,
+    at_drive: Annotated[float | None, typer.Option(help="Drive whose flux is asked for.")] = None,
+    json: JsonOption = False,
 ) -> None:
     """Find the radiant flux of a light-emitting diode.
 
@@ -50,28 +56,28 @@ def command(
         capture, calibration=calibration, camera_file=camera_file, patch=parse_patch(patch) if patch else None,
         half_angle=half_angle, half_angle_u=half_angle_u, diameter=diameter, diameter_u=diameter_u, distance=distance,
         distance_u=distance_u, f_number_u_rel=f_number_u_rel, datasheet_mw=datasheet_mw, channel=channel,
-        measured_iso=parse_measured_iso(measured_iso),
+        measured_iso=parse_measured_iso(measured_iso), drive_table=drive_table, led=led, drive=drive, at_drive=at_drive,
     )  # fmt: skip
     for text in found.notes:
         note(text)
-    print(found.to_json()) if json else _show(found.report)
+    if json:
+        print(found.to_json())
+        return
+    _show(found.report)
+    if (other := found.driven) is not None:
+        flux = other.flux.scaled(1e3, "mW").text(with_k=True)
+        where = "emitted" if found.report.emitted else "through the sensor"
+        console().print(f"flux at drive {other.drive:g} of {other.channel}, {where}: {flux}; its law: {other.law}")
 
 
 def _show(report: FluxReport) -> None:
-    from rich.table import Table
-
     out = console()
-    table = Table(title="from one photograph to the emitted flux", title_justify="left")
-    table.add_column("step", no_wrap=True)
-    table.add_column("mW (k = 2)", justify="right", no_wrap=True)
-    table.add_column("closes", justify="right")
-    table.add_row("unclipped pixels of one photograph", _milliwatt(report.thesis), "")
-    for step in report.corrections:
-        table.add_row(step.name, _milliwatt(step.flux), f"{100 * step.share:.1f} %")
+    rows = [("unclipped pixels of one photograph", _milliwatt(report.thesis), "")]
+    rows += [(step.name, _milliwatt(step.flux), f"{100 * step.share:.1f} %") for step in report.corrections]
     if report.reference_w is not None:
         rest = 1.0 - sum(step.share for step in report.corrections)
-        table.add_row("datasheet", f"{1e3 * report.reference_w:.4g}", f"open: {100 * rest:.1f} %")
-    out.print(table)
+        rows.append(("datasheet", f"{1e3 * report.reference_w:.4g}", f"open: {100 * rest:.1f} %"))
+    show_table("from one photograph to the emitted flux", ("step", "mW (k = 2)", "closes"), rows)
     left_out = f"{100 * report.thesis_left_out:.2g} % of its pixels are at 0 or full scale and left out"
     out.print(f"the photograph: {report.thesis_exposure_s:g} s, {left_out}")
     for step in report.corrections:
@@ -86,11 +92,8 @@ def _show(report: FluxReport) -> None:
             f"[yellow]flag saturated[/yellow]: {report.clipped_everywhere} pixels clip even in the shortest exposure: "
             "every flux here is a lower bound; take shorter exposures, a smaller aperture or a grey filter"
         )
-    for text in report.contradictions:
-        out.print(f"[yellow]warning[/yellow]: {text}")
-    for assumption in report.assumptions:
-        out.print(f"assumed: {assumption}")
+    show_remarks(report.assumptions, warnings=report.contradictions)
 
 
 def _milliwatt(quantity: Quantity) -> str:
-    return with_u(1e3 * quantity.value, 2e3 * quantity.u)
+    return quantity.scaled(1e3, "mW").text(bare=True)

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_radiance, parse_seconds
+from radiometer.cli.arguments import (
+    ISO_HELP,
+    parse_exposure,
+    parse_measured_iso,
+    parse_patch,
+    parse_radiance,
+    parse_seconds,
+)
 from radiometer.cli.console import console, note, progress
 from radiometer.cli.options import TapsOption
 from radiometer.cli.outputs import writes
@@ -98,7 +105,7 @@ def command(
         found = rm.calibrate(
             capture, out=out, response=response, patch=_patch(patch), radiance=parse_radiance(radiance),
             luminance=luminance, u_rel=u_rel, luminance_meter_k=meter_k, k_u_rel=k_u_rel, f_number=f_number,
-            exposure_s=parse_seconds(exposure, "--exposure") if exposure else None, iso=iso,
+            exposure_s=parse_exposure(exposure, "--exposure"), iso=iso,
             measured_iso=parse_measured_iso(measured_iso), channel=channel, pattern=pattern, align=align,
             reference_dn=reference_dn, dynamic_range=[_region(word) for word in dynamic_range or ()],
             as_printed=as_printed, spectrum=spectrum, black_level=black_level, validity_days=validity_days,

@@ -184,11 +184,8 @@ def calibrate(
         console().print(
             f"{name:<10} {low:.3g} to {high:.3g} W·sr⁻¹·m⁻²  ± {u_rel:.2g} % (k = 2)  {entry['points']} levels"
         )
-        for current, law in entry["drive_law"].items():
-            off = law["deviation_at_half_drive"]
-            value = with_u(100 * off["value"], 200 * off["u"], "%")
-            misfit = 100 * law["misfit_rel"]
-            console().print(f"{'':<10} {current} current: half drive {value} off proportional, misfit {misfit:.2g} %")
+        for current, law in found.drive_laws(name).items():
+            console().print(f"{'':<10} {current} current: {law}")
     for assumption in found.calibration.provenance.assumptions:
         note(f"assumed: {assumption}")
     console().print(f"written    {found.file}")

@@ -21,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, columns_of, fit_drive_law
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.data.text_table import TextTable, finite, read_table
@@ -31,7 +32,6 @@ from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit
 from radiometer.reconciliation.thresholds import CLOSED_GAP, NAMED_NATS, SCATTER_SIGMAS
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, paragraph, section, table
-from radiometer.statistics.drive_law import LEAST_DRIVE, DriveLaw, columns_of, fit_drive_law
 from radiometer.typing import Array
 from radiometer.units import exact_exposure_s, exact_f_number
 
@@ -340,20 +340,7 @@ class DriveFit:
 
     def write_report(self, path: Path) -> str:
         """Write the laws of all channels and what was found as HTML."""
-        rows = [
-            (name, *("–",) * 5)
-            if one is None
-            else (
-                name,
-                with_u(one.exponent, 2 * one.u_exponent),
-                with_u(one.droop, 2 * one.u_droop),
-                with_u(100 * one.onset, 200 * one.u_onset, "%") if one.onset else "–",
-                with_u(100 * one.deviation_rel, 200 * one.u_deviation_rel, "%"),
-                f"{100 * one.misfit_rel:.2g} %",
-            )
-            for name, one in self.laws.items()
-        ]
-        head = ("channel", "exponent", "droop", "onset", "deviation at half drive", "misfit (rms)")
+        rows = [(name, "too few lit drives" if one is None else str(one)) for name, one in self.laws.items()]
         found = [
             f"{one.name}: "
             + ", ".join(f"{n} {with_u(p.value, 2 * (p.u or 0.0), p.unit)}" for n, p in one.parameters.items())
@@ -361,7 +348,7 @@ class DriveFit:
         ]
         parts = [
             section("What was found", listed(found)),
-            section("Laws of the channels, k = 2", table(head, rows)),
+            section("Laws of the channels, k = 2", table(("channel", "law"), rows, words=(1,))),
             section("Assumptions", listed([*self.data.taken, *self.result.assumptions])),
         ]
         origin = Origin(further=(("table", self.origin),))
@@ -518,11 +505,15 @@ def _named(data: _Data, steps: tuple[float, ...]) -> tuple[tuple[FoundEffect, ..
     return tuple(effects), tuple(gaps)
 
 
+def _weighted(data: _Data, design: Array, sigma: Array) -> tuple[Array, Array]:
+    """Return the coefficients of a design by the noise of each channel, and their covariance."""
+    rows = design / sigma[data.channel][:, None]
+    return np.linalg.lstsq(rows, data.target / sigma[data.channel], rcond=None)[0], np.linalg.pinv(rows.T @ rows)
+
+
 def _drooping(data: _Data, design: Array, sigma: Array) -> tuple[float, float, int] | None:
     """Return deviation at half drive of the channel that droops most, its u, and how many do; None where none does."""
-    weights = 1.0 / sigma[data.channel]
-    found = np.linalg.lstsq(design * weights[:, None], data.target * weights, rcond=None)[0]
-    spread = np.linalg.pinv((design * weights[:, None]).T @ (design * weights[:, None]))
+    found, spread = _weighted(data, design, sigma)
     half, seen = np.array([0.0, -math.log(2.0), 0.5]), []
     for n in range(data.channels):
         own = slice(3 * n, 3 * n + 3)
@@ -535,9 +526,8 @@ def _drooping(data: _Data, design: Array, sigma: Array) -> tuple[float, float, i
 def _step_effect(
     data: _Data, steps: tuple[float, ...], design: Array, sigma: Array, gaps: tuple[float, float]
 ) -> FoundEffect:
-    weights = 1.0 / sigma[data.channel]
-    found = np.linalg.lstsq(design * weights[:, None], data.target * weights, rcond=None)[0][-len(steps) :]
-    spread = np.linalg.pinv((design * weights[:, None]).T @ (design * weights[:, None]))[-len(steps) :, -len(steps) :]
+    found, spread = (one[-len(steps) :] for one in _weighted(data, design, sigma))
+    spread = spread[:, -len(steps) :]
     parameters: dict[str, FittedParameter] = {}
     for n, (edge, size) in enumerate(zip(steps, found.tolist(), strict=True), 1):
         tail = "" if len(steps) == 1 else f"_{n}"

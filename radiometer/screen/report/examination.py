@@ -10,7 +10,7 @@ from radiometer.errors import UsageError
 from radiometer.screen.checks import wait_until_steady
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep
-from radiometer.screen.report.figures import WHITE, Examined, ReportBench, Section
+from radiometer.screen.report.figures import WHITE, Examined, Section
 from radiometer.screen.report.methods import METHODS, warm_up_section
 from radiometer.screen.run import measure_steps
 
@@ -36,24 +36,13 @@ def chosen_methods(names: Sequence[str], *, turned: bool) -> tuple[str, ...]:
     return tuple(one for one in known if (one in names if names else one != "viewing_angle" or turned))
 
 
-class _Watched:
-    """A meter that keeps its readings."""
-
-    def __init__(self, bench: ReportBench) -> None:
-        self._bench, self.readings = bench, list[ScreenReading]()
-
-    def read(self) -> ScreenReading:
-        self.readings.append(self._bench.read())
-        return self.readings[-1]
-
-
 def examine(
     examined: Examined,
     methods: Sequence[str],
     *,
     warm_up_limit_s: float,
     waiting: Callable[[float, float], None] | None = None,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Section, ...]:
     """Return the sections of a report.
 
@@ -65,7 +54,7 @@ def examine(
         methods: Names of the methods in order.
         warm_up_limit_s: Longest wait for the screen to settle in s.
         waiting: Called while the screen warms up with the time so far and the longest time, both in s.
-        progress: Called after every method with (done, total, name).
+        progress: Called after every method with (done, total).
 
     Raises:
         DeviceError: If display or camera fail.
@@ -74,17 +63,16 @@ def examine(
     bench = examined.bench
     measure_steps(bench.display, bench, [ScreenStep("grey", 255, "white"), ScreenStep("grey", 0, "black")])
     bench.display.show(WHITE)
-    watched = _Watched(bench)
-    outcome = wait_until_steady(watched, bench.sleep, limit_s=warm_up_limit_s, progress=waiting)
+    outcome = wait_until_steady(bench, bench.sleep, limit_s=warm_up_limit_s, progress=waiting)
     settled = replace(examined, unsettled_rel=outcome.drift_rel / 3.0**0.5)  # a rectangle of that half-width
     found = []
     for number, name in enumerate(methods):
         if name == WARM_UP:
-            found.append(warm_up_section(watched.readings, outcome, settled))
+            found.append(warm_up_section(outcome, settled))
         else:
-            found.append(METHODS[name].measure(settled) if outcome.steady else _while_drifting(name, settled))
+            found.append(METHODS[name](settled) if outcome.steady else _while_drifting(name, settled))
         if progress is not None:
-            progress(number + 1, len(methods), name)
+            progress(number + 1, len(methods))
     return tuple(found)
 
 
@@ -98,8 +86,8 @@ def _while_drifting(name: str, examined: Examined) -> Section:
         examined.bench.display.show(WHITE)
         return examined.bench.read()
 
-    before, section, after = white(), METHODS[name].measure(examined), white()
+    before, section, after = white(), METHODS[name](examined), white()
     change_rel = abs(after.radiance / before.radiance - 1.0) / 3.0**0.5  # a rectangle of that half-width
     if change_rel <= examined.unsettled_rel:
         return section
-    return METHODS[name].measure(replace(examined, unsettled_rel=change_rel))
+    return METHODS[name](replace(examined, unsettled_rel=change_rel))

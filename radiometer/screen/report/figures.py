@@ -13,7 +13,7 @@ from radiometer.analysis.reading.budget import propagated_u
 from radiometer.data import Flag, Patch, Quantity, RadianceMap, Reading
 from radiometer.devices import DisplayPatch
 from radiometer.errors import MeasurementError
-from radiometer.numbers import upper_limit
+from radiometer.numbers import unit_text, upper_limit
 from radiometer.screen.calibration_run import Instrumented
 from radiometer.screen.report.geometry import CENTRE, Geometry, field_at
 from radiometer.screen.run import Light
@@ -42,30 +42,27 @@ class Figure:
     quantity: Quantity
     bound: Bound = ""
 
+    @property
+    def text(self) -> str:
+        """Return it as it is printed, with its expanded uncertainty (k = 2) or as a bound."""
+        if not self.bound:
+            return self.quantity.text()
+        value = f"{self.quantity.value:.3g} {unit_text(self.quantity.unit)}".strip()
+        return f"{'>' if self.bound == 'above' else '<'} {value}"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """Results of one method.
+    """Results of one method."""
 
-    Attributes:
-        method: Its name in commands and files.
-        title: Its name, with the section of the IDMS where it is one of its methods.
-        conditions: What was shown and how it was measured, a sentence each.
-        figures: Its results.
-        columns: Headings of its table.
-        rows: Cells of its table.
-        notes: What limits the results, a sentence each.
-        picture: Values over the screen, shape (height, width); None for none.
-    """
-
-    method: str
-    title: str
-    conditions: tuple[str, ...]
-    figures: tuple[Figure, ...]
-    columns: tuple[str, ...] = ()
-    rows: tuple[tuple[str | float | Quantity, ...], ...] = ()
-    notes: tuple[str, ...] = ()
-    picture: Array | None = None
+    method: str  # its name in commands and files
+    title: str  # its name, with the section of the IDMS where it is one of its methods
+    conditions: tuple[str, ...]  # what was shown and how it was measured, a sentence each
+    figures: tuple[Figure, ...]  # its results
+    columns: tuple[str, ...] = ()  # headings of its table
+    rows: tuple[tuple[str | float | Quantity, ...], ...] = ()  # cells of its table
+    notes: tuple[str, ...] = ()  # what limits the results, a sentence each
+    picture: Array | None = None  # values over the screen, shape (height, width); None for none
 
     def figure(self, name: str) -> Figure:
         """Return a figure by name. Raises KeyError."""
@@ -133,14 +130,7 @@ def derived(
 
 
 def contrast_of(bright: Sequence[Reading], dark: Sequence[Reading], name: str, drift_rel: float = 0.0) -> Figure:
-    """Return the ratio of two means; a lower bound where the dark one does not rise above its uncertainty.
-
-    Args:
-        bright: Readings of white.
-        dark: Readings of black.
-        name: Name of the figure.
-        drift_rel: Relative standard uncertainty of the display's output from white to black.
-    """
+    """Return the ratio of two means; a lower bound where the dark one does not rise above its uncertainty."""
     count = len(bright)
 
     def mean(values: Array) -> float:

@@ -74,10 +74,6 @@ def geometry_of(name: str) -> Geometry:
 def field_at(area: Patch, place: tuple[float, float]) -> Patch:
     """Return the measuring field at a place of the screen.
 
-    Args:
-        area: Where the camera sees the whole screen.
-        place: Its middle as shares of width and height.
-
     Raises:
         UsageError: If it would have less than 3 pixels on a side.
     """

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -21,7 +19,6 @@ from radiometer.data import Quantity, Reading
 from radiometer.devices import DisplayPatch
 from radiometer.numbers import upper_limit
 from radiometer.screen.checks import WarmUp
-from radiometer.screen.meter import ScreenReading
 from radiometer.screen.report.figures import BLACK, WHITE, Examined, Figure, Section, contrast_of, derived
 from radiometer.screen.report.geometry import CENTRE, FIELD_SHARE, POINTS, TITLES
 from radiometer.screen.report.mura import COARSE_SHARE, FINE_SHARE, mura_of
@@ -31,33 +28,19 @@ _FIELD: Final = f"measuring field {100 * FIELD_SHARE:g} % of the screen's height
 _TOP: Final = 255  # highest of the 8-bit levels that patches are made of
 _STEEP: Final = 0.9  # of the drive: above it the logarithm that a local gamma is divided by is nearly 0
 _LIMITS: Final = (0.05, 0.01)  # warm-up is over within 5 %, or within 1 %, of the final luminance
-_PRIMARIES: Final[Mapping[str, DisplayPatch]] = MappingProxyType(
-    {
-        "red": DisplayPatch((1.0, 0.0, 0.0)),
-        "green": DisplayPatch((0.0, 1.0, 0.0)),
-        "blue": DisplayPatch((0.0, 0.0, 1.0)),
-    }
-)
+_PRIMARIES: Final[Mapping[str, DisplayPatch]] = {
+    "red": DisplayPatch((1.0, 0.0, 0.0)),
+    "green": DisplayPatch((0.0, 1.0, 0.0)),
+    "blue": DisplayPatch((0.0, 0.0, 1.0)),
+}
 
 
-@dataclass(frozen=True, slots=True)
-class Method:
-    """A method by its name in commands, and what measures it."""
-
-    name: str
-    measure: Callable[[Examined], Section]
-
-
-def warm_up_section(watched: list[ScreenReading], outcome: WarmUp, examined: Examined) -> Section:
+def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
     """Return the warm-up that was watched before all other methods.
 
     L(t) = L_end·(1 + a·e^(−t/τ)) is fitted where readings and their scatter allow it.
-
-    Args:
-        watched: Readings of white while it was waited for.
-        outcome: Whether it became steady.
-        examined: The display.
     """
+    watched = outcome.readings
     times = np.array([one.time_s - watched[0].time_s for one in watched])
     values = np.array([one.radiance for one in watched])
     own_u = np.array([one.u_independent for one in watched])
@@ -363,18 +346,15 @@ def _viewing_angle(examined: Examined) -> Section:
     )
 
 
-METHODS: Final = {
-    one.name: one
-    for one in (
-        Method("white", _white),
-        Method("black", _black),
-        Method("sequential_contrast", _sequential),
-        Method("checkerboard_contrast", _checkerboard),
-        Method("gamma", _gamma),
-        Method("primaries", _primaries),
-        Method("additivity", _additivity),
-        Method("uniformity", _uniformity),
-        Method("mura", _mura),
-        Method("viewing_angle", _viewing_angle),
-    )
+METHODS: Final[Mapping[str, Callable[[Examined], Section]]] = {
+    "white": _white,
+    "black": _black,
+    "sequential_contrast": _sequential,
+    "checkerboard_contrast": _checkerboard,
+    "gamma": _gamma,
+    "primaries": _primaries,
+    "additivity": _additivity,
+    "uniformity": _uniformity,
+    "mura": _mura,
+    "viewing_angle": _viewing_angle,
 }

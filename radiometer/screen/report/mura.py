@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from radiometer.analysis.regions.figures import LOST
+from radiometer.analysis.regions.figures import LOST, spread_beyond_noise
 from radiometer.data import Quantity, RadianceMap
 from radiometer.errors import MeasurementError
 from radiometer.typing import Array
@@ -23,23 +23,14 @@ _FEWEST_GOOD: Final = 0.9  # share of pixels with a value
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mura:
-    """Band-passed relative non-uniformity and its largest spot.
+    """Band-passed relative non-uniformity and its largest spot."""
 
-    Attributes:
-        relative: Band-passed radiance over the shading, shape (height, width).
-        spot: Contrast of the largest spot after the filter; below 0 where it is dark.
-        x: Its place from the left edge over the width.
-        y: Its place from the upper edge over the height.
-        rms: Standard deviation over the screen, noise taken off.
-        detection_limit: What noise alone hardly reaches anywhere: 5 % of flat screens exceed it.
-    """
-
-    relative: Array
-    spot: Quantity
-    x: Quantity
-    y: Quantity
-    rms: Quantity
-    detection_limit: float
+    relative: Array  # band-passed radiance over the shading, shape (height, width)
+    spot: Quantity  # contrast of the largest spot after the filter; below 0 where it is dark
+    x: Quantity  # its place from the left edge over the width
+    y: Quantity  # its place from the upper edge over the height
+    rms: Quantity  # standard deviation over the screen, noise taken off
+    detection_limit: float  # what noise alone hardly reaches anywhere: 5 % of flat screens exceed it
 
 
 def mura_of(found: RadianceMap) -> Mura:
@@ -47,9 +38,6 @@ def mura_of(found: RadianceMap) -> Mura:
 
     B = (G_fine ∗ L − G_coarse ∗ L)/S with normalised Gaussians G and the shading S, a polynomial of degree four. The
     polynomial is divided out first. The filters weigh by the pixels that have a value, so they reach the edges.
-
-    Args:
-        found: Map of the screen alone.
 
     Raises:
         MeasurementError: If more than a tenth of its pixels have no value.
@@ -77,16 +65,12 @@ def mura_of(found: RadianceMap) -> Mura:
     u_spot = u * math.hypot(1.0, math.sqrt(2.0 * math.log(tied)) / math.sqrt(3.0))
     # A maximum of width σ is found to about σ·noise/height; a pixel is a rectangle.
     u_place = math.hypot(math.sqrt(2.0) * fine * u / max(abs(spot), u), 1.0 / math.sqrt(12.0))
-    variance, noise_2 = float(band.var()), float(np.mean(noise**2))
-    rms = math.sqrt(max(variance - noise_2, 0.0))
-    u_square = math.sqrt((4.0 * rms**2 + 2.0 * noise_2) * noise_2 / cells)
-    u_rms = min(math.sqrt(u_square), u_square / (2.0 * rms)) if rms > 0.0 else math.sqrt(u_square)
     return Mura(
         band,
         Quantity(spot, u_spot, "1"),
         Quantity((x + 0.5) / width, u_place / width, "1"),
         Quantity((y + 0.5) / height, u_place / height, "1"),
-        Quantity(rms, u_rms, "1"),
+        spread_beyond_noise(float(band.var()), float(np.mean(noise**2)), cells),
         u * math.sqrt(2.0 * math.log(20.0 * cells)),
     )
 

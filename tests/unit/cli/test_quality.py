@@ -91,6 +91,8 @@ def test_several_steps_need_a_hand(bench, tmp_path, capsys):
         (["nonsense", "far"], "is no procedure"),
         (["focus", "middle"], "is no step of focus"),
         (["size", "../x"], "no step"),
+        *((["range", name], "no step") for name in ("12,5dB", "+12dB", "1e1dB", "nandB", "12dBm", "gain12dB")),
+        *((["polarisation", name], "no step") for name in ("nan", "1e999", "45\n")),
     ],
 )
 def test_unknown_names_are_misuse(words, message, tmp_path, capsys):

@@ -19,9 +19,13 @@ from simulators.displays import DISPLAYS, SimulatedDisplay
 
 WHITE, BLACK = DisplayPatch((1.0, 1.0, 1.0)), DisplayPatch((0.0, 0.0, 0.0))
 SIZE = (192, 128)
-THIRTEEN = [(x, y) for y in (1 / 6, 1 / 2, 5 / 6) for x in (1 / 6, 1 / 2, 5 / 6)] + [
-    (x, y) for y in (0.05, 0.95) for x in (0.05, 0.95)
-]
+# Nine: IDMS 8.1. Thirteen: IEC 61947-1. Twenty-five: the nine and those between them.
+PLACES = {
+    9: [(x, y) for y in (0.1, 0.5, 0.9) for x in (0.1, 0.5, 0.9)],
+    13: [(x, y) for y in (1 / 6, 1 / 2, 5 / 6) for x in (1 / 6, 1 / 2, 5 / 6)]
+    + [(x, y) for y in (0.05, 0.95) for x in (0.05, 0.95)],
+    25: [(x, y) for y in (0.1, 0.3, 0.5, 0.7, 0.9) for x in (0.1, 0.3, 0.5, 0.7, 0.9)],
+}
 SEEDS = range(4101, 4111)
 
 
@@ -42,8 +46,9 @@ def _field(picture: np.ndarray, x: float, y: float) -> float:
     return float(picture[rows, columns].mean())
 
 
-def _uniformity(name: str) -> float:
-    at = [_field(_shown(name, WHITE), *place) for place in THIRTEEN]
+def _uniformity(name: str, points: int = 13) -> float:
+    picture = _shown(name, WHITE)
+    at = [_field(picture, *place) for place in PLACES[points]]
     return min(at) / max(at)
 
 
@@ -106,6 +111,18 @@ def test_figures_agree_with_the_display(measured: tuple[str, rm.DisplayReport], 
         return
     assert found.bound == ""
     assert abs(found.quantity.value - TRUTHS[method, figure](name)) <= 3.0 * found.quantity.u
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("points", list(PLACES))
+@pytest.mark.parametrize("name", ["lcd", "oled"])
+def test_uniformity_of_any_number_of_points_is_the_display_s(name: str, points: int) -> None:
+    """Lowest over highest of the model at the places of the standard, within 3 u; each place is in the table."""
+    report = rm.screen_report(display=name, methods=["uniformity"], points=points, warm_up_s=0.0, seed=1_500_001)
+    section = report.section("uniformity")
+    found = section.figure("uniformity").quantity
+    assert len(section.rows) == points
+    assert abs(found.value - _uniformity(name, points)) <= 3.0 * found.u < 0.03
 
 
 @pytest.mark.slow

@@ -68,6 +68,17 @@ def test_the_meter_puts_the_reference_pixel_at_its_exposure(curve, tmp_path, cap
     assert calibration.scale.u_rel == pytest.approx(expected, rel=1e-3)
 
 
+def test_printed_settings_are_reported_with_the_stops_behind_them(curve, tmp_path, capsys):
+    """1/60 s of a dial is 15.625 ms; frames of another camera may really have 16.67 ms, so the report states it."""
+    command = ["calibrate", "--response", str(curve), "--luminance-meter-k", "12.5", "--f-number", "16", "--iso", "100"]
+    command += ["--exposure", "1/60", "--reference-dn", "127", "--json"]
+    for name, more, shown in (("a", [], True), ("b", ["--as-printed"], False)):
+        assert run([*command, *more, "-o", str(tmp_path / f"{name}.yaml")]) == 0
+        assert ("15.625 ms" in capsys.readouterr().out) == shown
+    assert run(["60" if word == "1/60" else word for word in [*command, "-o", str(tmp_path / "c.yaml")]]) == 2
+    assert "is 60 s meant, or 1/60 s?" in capsys.readouterr().err
+
+
 def test_the_stated_uncertainty_of_the_constant_counts(curve, tmp_path, capsys):
     """K known to 3 %: next to the meter's sixth of a stop and the curve's 0.5 %, in the scale and in the luminance."""
     command = ["calibrate", "--response", str(curve), *METER, "--k-u-rel", "0.03", "--reference-dn", "127", "--json"]

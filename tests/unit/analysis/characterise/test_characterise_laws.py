@@ -665,6 +665,9 @@ def test_saturation_takes_its_line_from_below_seventy_percent():
     assert responsivity(steps, found, 0.0).value == pytest.approx(0.5, rel=1e-6)
     with pytest.raises(MeasurementError, match="2 bright steps"):
         find_saturation(steps[:2])
+    capped = [group(BLACK_DN, 0.0, photons=2.0 * x) for x in SIGNALS]
+    with pytest.raises(MeasurementError, match="does not rise"):
+        find_saturation(make_steps(capped, [group(BLACK_DN, 0.0, dark=True)]))
 
 
 @pytest.mark.parametrize(("share", "reached"), [(1e-4, False), (1.1e-4, True)])

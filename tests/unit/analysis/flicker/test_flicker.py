@@ -326,3 +326,15 @@ def test_slow_samples_warn_of_faster_light():
     found = measure_flicker(Waveform(1.0 + 0.3 * np.sin(2 * np.pi * 100 * time_s), 90.0, "slow"))
     assert found.frequency.value == pytest.approx(10.0, abs=0.01)
     assert any("above 45 Hz" in line for line in found.warnings)
+
+
+@pytest.mark.parametrize("noise_rel", [0.0, 1e-3, 1e-2])
+def test_severity_covers_noise_that_is_not_of_the_light(noise_rel: float) -> None:
+    """A camera's noise is squared with the light: 100 Hz at 30 % has a PstLM of 0.023, and u reaches down to that."""
+    time_s, rng = np.arange(5000) / 5000.0, np.random.default_rng(47_002)
+    light = 1.0 + 0.3 * np.sin(2 * np.pi * 100.0 * time_s)
+    truth = measure_flicker(Waveform(light, 5000.0, "clean")).pst_lm
+    found = measure_flicker(Waveform(light + rng.normal(0.0, noise_rel, light.size), 5000.0, "noisy"))
+    assert abs(found.pst_lm.value - truth.value) <= 2.0 * found.pst_lm.u + 1e-4
+    assert found.pst_lm.u < 0.7 * found.pst_lm.value
+    assert any("noise of the record" in one for one in found.warnings) == (noise_rel > 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import radiometer as rm
-from radiometer.analysis.photometry.alpha_opic import RECEPTORS, SpectrumDoubt, alpha_opic_quantities
+from radiometer.analysis.photometry.alpha_opic import RECEPTORS, alpha_opic_quantities
 from radiometer.analysis.photometry.photometry import Spectrum, spectrum, table
 from radiometer.data import Quantity
 from radiometer.errors import InputError, UsageError
@@ -77,7 +77,7 @@ def test_radiance_and_luminance_of_one_light_give_the_same() -> None:
 def test_the_uncertainty_of_the_spectrum_is_that_of_drawn_spectra(unit: str) -> None:
     """The uncertainty of the spectrum is that of drawn spectra."""
     light, rng = spectrum("white_led"), np.random.default_rng(46_002)
-    stated = alpha_opic_quantities(Quantity(100.0, 0.0, unit), light, SpectrumDoubt(0.05, 0.8))
+    stated = alpha_opic_quantities(Quantity(100.0, 0.0, unit), light, 0.05, 0.8)
     drawn = []
     for _ in range(300):
         power = light.power * (1.0 + 0.05 * rng.standard_normal(light.power.size))

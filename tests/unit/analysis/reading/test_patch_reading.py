@@ -23,7 +23,7 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.data.setup import Setup
-from radiometer.errors import CalibrationError, MeasurementError
+from radiometer.errors import CalibrationError, InputError, MeasurementError
 
 # What a test of the noise alone leaves out: everything outside the model.
 EXACT = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
@@ -233,6 +233,20 @@ def test_another_spectrum_is_corrected_by_the_camera_s_response(rig):
     assert moved.radiance.value / plain.radiance.value == pytest.approx(1 / 1.2, rel=1e-9)
     assert next(line.u_rel for line in moved.budget if line.name == "spectral assumption") == pytest.approx(0.03)
     assert any("mismatch factor" in text for text in moved.provenance.assumptions)
+
+
+@pytest.mark.parametrize(("last_nm", "refused"), [(700.0, True), (780.0, False)])
+def test_light_beyond_the_table_of_a_response_is_not_invisible(rig, last_nm, refused):
+    """A flat camera needs no correction; of a lamp of 2856 K a third of the visible band's power is beyond 700 nm."""
+    frames = rig.frames(uniform(0.5 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(1), (1e-3,))
+    flat = SpectralResponse(wavelength_nm=(380.0, last_nm), relative=(1.0, 1.0))
+    lamp = of_spectra(rig.calibration(), "cie_d65", "planck:2856", flat)
+    if refused:
+        with pytest.raises(InputError, match="extend the table"):
+            read(rig, frames, lamp)
+    else:
+        plain = read(rig, frames, of_spectra(rig.calibration(), "cie_d65", "cie_d65", flat))
+        assert read(rig, frames, lamp).radiance.value == pytest.approx(plain.radiance.value, rel=1e-6)
 
 
 def test_without_a_known_response_the_difference_is_reported_and_not_guessed(rig):
