@@ -23,6 +23,7 @@ _SIDE: Final = 128  # pixels of a picture
 _RIG: Final = Rig(rows=_SIDE, columns=_SIDE)
 _WELL_E: Final = 10_000.0  # electrons at the value 1, where the models clip; less than the converter holds
 _HIGHEST: Final = 0.85  # value of the brightest setting: nothing clips
+_UNCLIPPED: Final = 0.25  # exposure at which no picture of the models clips
 _BASE_S: Final = 1e-3  # exposure at which the models have their own
 _STOP: Final = 4.0
 # Parameters of the tunnel as its authors calibrated them (the package's tutorial of models F1 to F3).
@@ -76,7 +77,7 @@ def _write(lt: Any, folder: Path, task: str, channel: int | None, seed: int) -> 
     dice = np.random.default_rng([seed, sum(map(ord, task)), 3 if channel is None else channel])
     patterns = tuple(f"pol_{angle:02d}" for angle in _ANGLES) if TASKS[task][0] == "angles" else tuple(_LEDS)
     channels = (0, 1, 2) if channel is None else (channel,)  # each clips by itself
-    exposure = _HIGHEST / max(_value(lt, "F3", pattern, one, 1.0, 1.0) for pattern in patterns for one in channels)
+    exposure = _HIGHEST / max(_value(lt, "F3", pattern, one) for pattern in patterns for one in channels)
     stated = {pattern: _stated(lt, task, pattern, channel) * exposure for pattern in patterns}
     per_value = _WELL_E * _STOP**2 / (_RIG.electrons_per_radiance_second * _BASE_S)
     errors = {pattern: 1 + _RIG.patch_error * dice.standard_normal(len(_PLACES)) for pattern in patterns}
@@ -134,20 +135,21 @@ def _image(lt: Any, name: str, pattern: str, channel: int | None, level: float, 
     return np.asarray(image.mean(axis=-1) if channel is None else image[:, :, channel])
 
 
-def _value(lt: Any, name: str, pattern: str, channel: int | None, level: float, exposure: float) -> float:
-    """Return the value in the hexagon."""
-    return float(_image(lt, name, pattern, channel, level, exposure)[_SIDE // 2, _SIDE // 2])
+def _value(lt: Any, name: str, pattern: str, channel: int | None) -> float:
+    """Return the value in the hexagon at full level per unit of exposure, unclipped; F1 has one exposure alone."""
+    exposure = 1.0 if name == "F1" else _UNCLIPPED
+    return float(_image(lt, name, pattern, channel, 1.0, exposure)[_SIDE // 2, _SIDE // 2]) / exposure
 
 
 def _stated(lt: Any, task: str, pattern: str, channel: int | None) -> float:
     """Return the value in the hexagon as the description has it, per unit of exposure."""
     if task.startswith("leaking polarisers") and channel is not None:
         leak = 0.0 if task.endswith("aligned") else float(_CROSSED[channel, 0])
-        return (float(_ALIGNED[channel, 0]) - leak) * _value(lt, "F2", pattern, channel, 1.0, 1.0)
+        return (float(_ALIGNED[channel, 0]) - leak) * _value(lt, "F2", pattern, channel)
     if task == "LEDs seen unlike":
-        bright = _value(lt, "F3", "white", channel, 1.0, 1.0) / _value(lt, "F1", "white", channel, 1.0, 1.0)
-        return bright * _value(lt, "F1", pattern, channel, 1.0, 1.0)
-    return _value(lt, "F3", pattern, channel, 1.0, 1.0)
+        bright = _value(lt, "F3", "white", channel) / _value(lt, "F1", "white", channel)
+        return bright * _value(lt, "F1", pattern, channel)
+    return _value(lt, "F3", pattern, channel)
 
 
 def _picture(lt: Any, settings: FrameSettings, channel: int | None, exposure: float) -> np.ndarray:

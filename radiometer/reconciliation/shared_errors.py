@@ -22,7 +22,7 @@ from radiometer.reconciliation.measure.design import SURFACE_LINES, CaptureStati
 from radiometer.reconciliation.measure.lines import SHARPEST, RowBins, TileBands
 from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.statistics import STATISTICS, Prediction, Scale
-from radiometer.reconciliation.tile_model import TileModel, Trace
+from radiometer.reconciliation.tile_model import Nuisance, TileModel, Trace
 from radiometer.statistics.chances import frames_counted, score_slope
 from radiometer.typing import Array, Mask
 from simulators.effects.catalogue import CatalogueEffect
@@ -447,12 +447,15 @@ _FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that 
 
 def light_response(model: TileModel, here: Trace) -> tuple[Array, Array]:
     """Return d(mean)/d(log light) in DN and |d(ln variance)/d(log light)| by a finite difference."""
-    nuisance, base = here.nuisance, here.prediction
-    more = nuisance.with_off(log_responsivity=nuisance.off.log_responsivity + _SENSITIVITY_STEP)
-    moved = model.predict(more, here)
+    base, moved = here.prediction, model.predict(_brighter(here.nuisance), here)
     mean = (moved.mean - base.mean) / _SENSITIVITY_STEP
     variance = np.abs(np.log(moved.variance / base.variance)) / _SENSITIVITY_STEP
     return np.asarray(mean), np.asarray(variance)
+
+
+def _brighter(nuisance: Nuisance) -> Nuisance:
+    """Return the nuisances with a little more of all light."""
+    return nuisance.with_off(log_responsivity=nuisance.off.log_responsivity + _SENSITIVITY_STEP)
 
 
 def darkness_of(model: TileModel, here: Trace, seen: CaptureStatistics) -> Darkness | None:
@@ -470,18 +473,30 @@ def darkness_of(model: TileModel, here: Trace, seen: CaptureStatistics) -> Darkn
 
 
 def form_floors(model: TileModel, here: Trace) -> dict[str, Array]:
-    """Return by statistic the uncertainty of the accepted effects' form: a share of each one's own correction."""
+    """Return by statistic the uncertainty of the accepted effects' form: a share of each one's own correction.
+
+    What a correction does to all light alike belongs to the responsivity, which is fitted, and not to the form. A leak
+    that makes white a third brighter is known no worse than an exponent that leaves white as it is.
+    """
     floors: dict[str, Array] = {}
-    everything = (*model.given, *model.effects)
+    base, everything = here.prediction, (*model.given, *model.effects)
+    held = [name for name, row in STATISTICS.items() if row.holds_form]
+    brighter = model.predict(_brighter(here.nuisance), here) if everything else base
     for index in range(len(everything)):
         without = tuple(effect for i, effect in enumerate(everything) if i != index)
         other = replace(model, given=(), effects=without).predict(here.nuisance, here)
-        for name, row in STATISTICS.items():
-            if row.holds_form:
-                there, bare = getattr(here.prediction, name), getattr(other, name)
-                change = np.log(there / bare) if row.scale is Scale.LOGARITHM else there - bare
-                floors[name] = np.hypot(floors.get(name, 0.0), _FORM_FLOOR * np.abs(change))
+        own, light = base.mean - other.mean, brighter.mean - base.mean
+        alike = float(np.sum(own * light / base.variance)) / max(float(np.sum(light**2 / base.variance)), 1e-300)
+        for name in held:
+            change = _difference(name, base, other) - alike * _difference(name, brighter, base)
+            floors[name] = np.hypot(floors.get(name, 0.0), _FORM_FLOOR * np.abs(change))
     return floors
+
+
+def _difference(name: str, one: Prediction, other: Prediction) -> Array:
+    """Return by how much a statistic differs, in logarithms where it is compared in these."""
+    there, bare = getattr(one, name), getattr(other, name)
+    return np.asarray(np.log(there / bare) if STATISTICS[name].scale is Scale.LOGARITHM else there - bare)
 
 
 _HALF_WAVES: Final = 12  # of a black level that moves within a frame: three to each of four tiles

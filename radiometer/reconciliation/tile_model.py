@@ -409,6 +409,8 @@ def scene_radiance(design: Design, images: PatternImages) -> Array:
     declared = 1.0 / np.pi  # any positive number serves: the responsivity is fitted
     scale = float(np.sum(known[both]) / np.sum(seen[both])) if both.any() else declared
     guess = np.maximum(seen * scale, 1e-6 * max(float(seen.max()) * scale, 1e-30))
+    _, first, number = np.unique(design.patch_of_tile, return_index=True, return_inverse=True)
+    guess = np.add.reduceat(guess, first, axis=1)[:, number] / np.bincount(number)[number]  # parts of a patch are alike
     guess[list(design.same_patches)] = guess[0]
     return np.where(np.isfinite(known) & (known > 0), known, guess)
 

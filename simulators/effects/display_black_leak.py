@@ -25,7 +25,7 @@ class DisplayBlackLeak(Offset):
     trials = ({"share": 0.001}, {"share": 0.01})
     fitted = ("share",)
     settles = "the same patches with a bright and with a dark surround, and the lamp off"
-    share: float = parameter(0.0, "1", -0.05, 0.5, source="of white")
+    share: float = parameter(0.0, "1", -0.05, 10.0, source="of white; a picture of a contrast of 1.1 is just seen")
 
     def offset(self, context: ExposureContext) -> Any:
         """Return the leaked radiance in W·sr⁻¹·m⁻²."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.linear import RowBlock
-from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.design import Design, Tile
 from radiometer.reconciliation.statistics import STATISTICS, Prediction
 from radiometer.reconciliation.tile_model import Nuisance
 from radiometer.typing import Array
@@ -49,8 +49,8 @@ class NuisanceLayout:
 
     scalars: tuple[str, ...]  # names of scalar nuisances
     patterns: tuple[int, ...]  # patterns that were seen in light
-    tiles: int  # number of tiles
-    shared: NDArray[np.intp]  # (patterns, tiles) number of the error that each radiance has in common with others
+    patch: NDArray[np.intp]  # (tiles,) number of the patch that each tile is a part of: all have its radiance
+    shared: NDArray[np.intp]  # (patterns, patches) number of the error that each radiance has in common with others
     free_scene: bool  # whether slope and texture of every tile are fitted too
     prior: Array  # prior standard deviation of each parameter
 
@@ -72,15 +72,16 @@ class NuisanceLayout:
         free_scene = not design.uniform
         wide = _SCALAR_PRIOR | {"black_dn": _FREE_BLACK * camera.full_scale_dn}
         prior = [wide.get(name, _FREE_LOG) for name in scalars]
-        own = [_radiance_prior(design, p, k) for p in patterns for k in range(len(design.tiles))]
+        patches = _one_of_each(design)
+        own = [_radiance_prior(design, p, tile) for p in patterns for tile in patches]
         # A calibration error may be one and the same for several radiances, or not: each has a part of its own and
         # one that it shares.
-        shared = _shared_errors(design, patterns)
-        prior += [*own, *_shared_priors(design, shared, own)]
+        shared = _shared_errors(patches, patterns)
+        prior += [*own, *_shared_priors(design, patches, shared, own)]
         if free_scene:
             count = len(patterns) * len(design.tiles)
             prior += [_FREE_SLOPE] * (2 * count) + [_FREE_TEXTURE] * count
-        return cls(tuple(scalars), patterns, len(design.tiles), shared, free_scene, np.array(prior))
+        return cls(tuple(scalars), patterns, design.patch_of_tile, shared, free_scene, np.array(prior))
 
     @property
     def size(self) -> int:
@@ -89,7 +90,7 @@ class NuisanceLayout:
 
     @property
     def _radiances(self) -> slice:
-        return slice(len(self.scalars), len(self.scalars) + len(self.patterns) * self.tiles)
+        return slice(len(self.scalars), len(self.scalars) + self.shared.size)
 
     @property
     def _common(self) -> slice:
@@ -97,10 +98,10 @@ class NuisanceLayout:
         return slice(self._radiances.stop, self._radiances.stop + count)
 
     def _summed(self, own: Array) -> Array:
-        """Return the columns of the shared errors from those of each radiance, (rows, patterns · tiles)."""
+        """Return the columns of the shared errors from those of each radiance, (rows, patterns · patches)."""
         found = np.zeros((own.shape[0], self._common.stop - self._common.start))
         for number, errors in enumerate(self.shared):  # one pattern has each error once
-            found[:, errors] += own[:, number * self.tiles : (number + 1) * self.tiles]
+            found[:, errors] += own[:, number * errors.size : (number + 1) * errors.size]
         return found
 
     def unpack(self, design: Design, values: Array) -> Nuisance:
@@ -109,11 +110,11 @@ class NuisanceLayout:
         radiance, slope, texture = start.log_radiance, start.slope, start.off.texture
         index = list(self.patterns)
         if index:
-            radiance[index] = self._light(values)[0]
+            radiance[index] = self._light(values)[0][:, self.patch]
         if self.free_scene and index:
-            rises = slice(self._common.stop, self._common.stop + 2 * len(index) * self.tiles)
-            slope[index] = values[rises].reshape(len(index), 2, self.tiles)
-            texture[index] = values[rises.stop :].reshape(len(index), self.tiles)
+            rises = slice(self._common.stop, self._common.stop + 2 * len(index) * self.patch.size)
+            slope[index] = values[rises].reshape(len(index), 2, self.patch.size)
+            texture[index] = values[rises.stop :].reshape(len(index), self.patch.size)
         known = dict(zip(self.scalars, values[: len(self.scalars)].tolist(), strict=True))
         # The means fix responsivity times gain: what K gains the responsivity loses.
         known["log_responsivity"] -= known.get("log_gain", 0.0)
@@ -138,13 +139,15 @@ class NuisanceLayout:
         rows = np.flatnonzero(alone.any(axis=1) | _moved_rows(comparison, shows))
         tiles = _TileColumns(comparison, rows, self.size, self.patterns)
         tiles.matrix[:, : len(scalars)] = alone[rows]
-        tiles.write(light, self._radiances.start, _TILE_ROWS)
+        tiles.write(light, self._radiances.start, _TILE_ROWS, self.patch)
         self._share(tiles.matrix, values)
         start = self._common.stop
         for number, pattern in enumerate(self.patterns if scene else ()):
             for axis, name in enumerate(("slope_x", "slope_y")):
-                tiles.write(scene[0], start + (2 * number + axis) * self.tiles, (name,), only=pattern)
-            tiles.write(scene[1], start + (2 * len(self.patterns) + number) * self.tiles, ("spatial",), only=pattern)
+                first = start + (2 * number + axis) * self.patch.size
+                tiles.write(scene[0], first, (name,), only=pattern)
+            first = start + (2 * len(self.patterns) + number) * self.patch.size
+            tiles.write(scene[1], first, ("spatial",), only=pattern)
         return RowBlock(rows, tiles.matrix), self._followers(comparison, light, values)
 
     def _share(self, matrix: Array, values: Array) -> None:
@@ -156,7 +159,7 @@ class NuisanceLayout:
     def _followers(self, comparison: Comparison, light: Change, values: Array) -> RowBlock:
         rows = np.flatnonzero(_moved_rows(comparison, [(light, _FOLLOWING)]))
         tiles = _TileColumns(comparison, rows, self.size, self.patterns)
-        tiles.write(light, self._radiances.start, _FOLLOWING)
+        tiles.write(light, self._radiances.start, _FOLLOWING, self.patch)
         if self.patterns and "log_gain" not in self.scalars:
             tiles.matrix[:, 0] = tiles.matrix[:, self._radiances].sum(axis=1)
         self._share(tiles.matrix, values)
@@ -176,13 +179,13 @@ class NuisanceLayout:
             yield at.with_off(texture=at.off.texture + _TEXTURE_STEP), _TEXTURE_STEP
 
     def _light(self, values: Array) -> tuple[Array, Array]:
-        """Return ln of the factor on each patch's radiance, and its derivative, (patterns, tiles).
+        """Return ln of the factor on each patch's radiance, and its derivative, (patterns, patches).
 
         A patch is off by its own part and by that which it shares. Where its radiance is stated the factor is 1 + x:
         means are then linear in x, and what an effect had been mistaken for is given back at once when the effect
         enters. Where it is free it is exp x, so that brighter patches and a lower responsivity are the same thing.
         """
-        shape = (len(self.patterns), self.tiles)
+        shape = self.shared.shape
         relative = values[self._radiances].reshape(shape) + values[self._common][self.shared]
         stated = (self.prior[self._radiances].reshape(shape) < _STATED) & (self.prior[self._common] < _STATED)[
             self.shared
@@ -206,28 +209,39 @@ class _TileColumns:
         self._place = np.full(comparison.size, -1, dtype=np.intp)
         self._place[rows] = np.arange(rows.size)
 
-    def write(self, change: Change, first: int, blocks: tuple[str, ...], only: int | None = None) -> None:
+    def write(
+        self,
+        change: Change,
+        first: int,
+        blocks: tuple[str, ...],
+        column_of: NDArray[np.intp] | None = None,
+        only: int | None = None,
+    ) -> None:
         """Write the change of each tile into the column of that tile (and pattern).
 
         Args:
             change: What changes.
             first: The first of those columns.
             blocks: Statistics of which it is written.
+            column_of: (tiles,) column of each tile, rising; several may share one. By default each has its own.
             only: The only pattern whose captures count; by default each has separate columns.
         """
         comparison = self._comparison
         pattern_of, tiles = comparison.design.pattern_index, np.arange(len(comparison.design.tiles))
+        place = tiles if column_of is None else column_of
+        begins = np.flatnonzero(np.diff(place, prepend=-1))
         captures = np.flatnonzero(np.isin(pattern_of, self._patterns if only is None else (only,)))
         number = np.searchsorted(self._patterns, pattern_of[captures]) if only is None else np.zeros_like(captures)
-        own = first + number[:, None] * tiles.size + tiles
+        own = first + number[:, None] * begins.size + place
         for block in blocks:
             cut = comparison.cuts[block]
             rows = self._place[cut.start + captures[:, None] * tiles.size + tiles]
             if block == "mean":
                 means = np.where(comparison.usable["mean"], change.mean, 0.0)
                 values = comparison.whiteners["mean"][captures] * means[captures][:, None, :]
+                values = np.add.reduceat(values, begins, axis=2)
                 there = rows[:, 0] >= 0
-                self.matrix[rows[there][:, :, None], own[there][:, None, :]] += values[there]
+                self.matrix[rows[there][:, :, None], own[there][:, None, begins]] += values[there]
                 continue
             there = rows >= 0
             self.matrix[rows[there], own[there]] -= change.residual[cut].reshape(-1, tiles.size)[captures][there]
@@ -273,12 +287,17 @@ def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:
             matrix[cut, column] = 0.0
 
 
-def _radiance_prior(design: Design, pattern: int, tile: int) -> float:
-    known = design.tiles[tile].radiance[pattern]
+def _one_of_each(design: Design) -> list[Tile]:
+    """Return the first tile of every patch: what is known of its radiance is known of all its tiles."""
+    _, first = np.unique(design.patch_of_tile, return_index=True)
+    return [design.tiles[at] for at in first.tolist()]
+
+
+def _radiance_prior(design: Design, pattern: int, tile: Tile) -> float:
+    known = tile.radiance[pattern]
     if known is None or known <= 0:
         return _SAME_U_REL if pattern in design.same_patches else _FREE_LOG
-    stated = design.tiles[tile].u_rel
-    return max(stated, 1e-6) if stated is not None else _DEFAULT_U_REL
+    return max(tile.u_rel, 1e-6) if tile.u_rel is not None else _DEFAULT_U_REL
 
 
 def dark_current_is_free(design: Design) -> bool:
@@ -293,16 +312,16 @@ def dark_current_is_free(design: Design) -> bool:
     return camera.dark_current_e_per_s is None and not noise_stated
 
 
-def _shared_errors(design: Design, patterns: tuple[int, ...]) -> NDArray[np.intp]:
-    """Return which error of calibration each radiance has in common with others, (patterns, tiles).
+def _shared_errors(patches: Sequence[Tile], patterns: tuple[int, ...]) -> NDArray[np.intp]:
+    """Return which error of calibration each radiance has in common with others, (patterns, patches).
 
     A number that is stated at several places, where the chart was turned or shifted, was measured once: its error is
     common to all of them. What a place shows otherwise under several patterns has an error of the place.
     """
-    keys = np.array([[f"tile {k}" for k in range(len(design.tiles))] for _ in patterns], dtype=object)
+    keys = np.array([[f"patch {k}" for k in range(len(patches))] for _ in patterns], dtype=object)
     places: dict[float, list[tuple[int, int]]] = {}
     for number, pattern in enumerate(patterns):
-        for k, tile in enumerate(design.tiles):
+        for k, tile in enumerate(patches):
             if tile.radiance[pattern]:
                 places.setdefault(float(tile.radiance[pattern] or 0.0), []).append((number, k))
     for stated, entries in places.items():
@@ -311,16 +330,16 @@ def _shared_errors(design: Design, patterns: tuple[int, ...]) -> NDArray[np.intp
             for entry in entries:
                 keys[entry] = f"value {stated!r}"
     if not patterns:
-        return np.zeros((0, len(design.tiles)), dtype=np.intp)
+        return np.zeros((0, len(patches)), dtype=np.intp)
     return np.unique(keys.astype(str), return_inverse=True)[1].reshape(keys.shape).astype(np.intp)
 
 
-def _shared_priors(design: Design, shared: NDArray[np.intp], own: list[float]) -> list[float]:
+def _shared_priors(design: Design, patches: Sequence[Tile], shared: NDArray[np.intp], own: list[float]) -> list[float]:
     """Return the prior standard deviation of each shared error: that of the first radiance that has it."""
     _, first = np.unique(shared, return_index=True)
     found = []
     for at in first.tolist():
-        unknown = design.same_patches and design.tiles[at % len(design.tiles)].radiance[0] is None
+        unknown = design.same_patches and patches[at % len(patches)].radiance[0] is None
         found.append(_FREE_LOG if unknown else own[at])
     return found
 

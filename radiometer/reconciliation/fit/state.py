@@ -133,9 +133,10 @@ def value_of(effect: CatalogueEffect, name: str) -> float:
 def _typical(effect: CatalogueEffect, name: str) -> float:
     """Return a parameter's typical size: the largest among the trials, else its usual value, else 1 %.
 
-    A usual value at the upper end of the range is no size: a threshold there means that there is none.
+    A trial that begins at nothing shows no size. A usual value at the upper end of the range is no size either: a
+    threshold there means that there is none.
     """
-    tried = [abs(trial[name]) for trial in effect.trials if name in trial]
+    tried = [abs(trial[name]) for trial in effect.trials if trial.get(name)]
     usual = {e.name: e.default for e in effect.parameters() if isinstance(e.default, float) and e.default != e.high}
     return max(tried, default=abs(usual.get(name, 0.0)) or 0.01)
 

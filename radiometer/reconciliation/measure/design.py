@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data import CaptureHeader, FrameSettings
+from radiometer.data import CaptureHeader, FrameSettings, Patch, TapDescription
 from radiometer.data.thermometer import readings_c, regulated, uncertainty_of_readings
 from radiometer.errors import CaptureError
 from radiometer.typing import Array
@@ -25,6 +25,7 @@ GRID_ROWS: Final = 4
 SMALLEST_TILE_PX: Final = 6
 SURFACE_TERMS: Final = 6  # of a tile's pixels that its quadratic surface takes out
 SURFACE_LINES: Final = 3  # of its rows or columns
+_NARROWEST_PX: Final = 3  # what a quadratic surface needs
 _MARGIN_FRACTION: Final = 0.125  # keeps a tile's interior more than four blur sigmas from the patch's edge
 _TEMPERATURE_STEP_K: Final = 0.75  # a larger change starts a new capture
 _STAND_IN_SHARE: Final = 1e-3  # of the shortest exposure
@@ -36,14 +37,18 @@ _SAME_TEMPERATURE_K: Final = 2.0  # width of a step of temperature within which 
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A rectangle of pixels that is treated as one sample of the scene, with what is known of its radiance."""
+    """A rectangle of pixels that is treated as one sample of the scene, with what is known of its radiance.
+
+    One amplifier reads all of it. A patch that several read is several tiles of one radiance.
+    """
 
     name: str  # name of the patch, or of the grid cell
+    patch: int  # number of the patch, or of the grid cell
     x: int  # left edge of the interior in pixels
     y: int  # top edge of the interior
     width: int  # width of the interior
     height: int  # height of the interior
-    margin: int  # pixels between the interior and the patch's edge; 0 for a grid cell
+    margin: int  # pixels between the interior and the patch's edge; 0 for a grid cell and for a part of a patch
     radiance: tuple[float | None, ...]  # known radiance in W·sr⁻¹·m⁻² by pattern; None where unknown
     u_rel: float | None = None  # relative standard uncertainty of the known radiance
 
@@ -84,11 +89,11 @@ class Design:
             jumps: Positions of frames at which a long series of equal ones is cut.
 
         Raises:
-            CaptureError: If a patch is outside the frames or is too small to be judged.
+            CaptureError: If a patch or a tap is outside the frames, or a patch is too small to be judged.
         """
         reading_u_k = uncertainty_of_readings(readings_c(header))
         header = regulated(_without_zeros(header))
-        tiles = _patch_tiles(header, shape) or _grid_tiles(len(_patterns(header)), shape)
+        tiles = _patch_tiles(header, shape) or _grid_tiles(header, shape)
         return cls(header, shape, group_captures(header, jumps), tiles, bool(header.patches), reading_u_k, tuple(jumps))
 
     @cached_property
@@ -106,6 +111,11 @@ class Design:
     def has_known_radiance(self) -> bool:
         """Return whether the radiance of any tile is stated."""
         return any(radiance for tile in self.tiles for radiance in tile.radiance)
+
+    @cached_property
+    def patch_of_tile(self) -> NDArray[np.intp]:
+        """Return the number of the patch that each tile is a part of, rising from 0."""
+        return np.array([tile.patch for tile in self.tiles], dtype=np.intp)
 
     @cached_property
     def tile_height(self) -> Array:
@@ -440,8 +450,8 @@ def _patterns(header: CaptureHeader) -> tuple[str, ...]:
 
 
 def _patch_tiles(header: CaptureHeader, shape: tuple[int, int]) -> tuple[Tile, ...]:
-    tiles = []
-    for patch in header.patches:
+    tiles = list[Tile]()
+    for number, patch in enumerate(header.patches):
         if not patch.patch.fits(shape):
             raise CaptureError(
                 f"patch {patch.name!r} ({patch.x}, {patch.y}, {patch.width} × {patch.height}) is outside the "
@@ -449,26 +459,59 @@ def _patch_tiles(header: CaptureHeader, shape: tuple[int, int]) -> tuple[Tile, .
             )
         smaller = min(patch.width, patch.height)
         margin = max(1, round(_MARGIN_FRACTION * smaller)) if smaller >= SMALLEST_TILE_PX + 2 else 0
-        if smaller - 2 * margin < 3:
+        if smaller - 2 * margin < _NARROWEST_PX:
             raise CaptureError(f"patch {patch.name!r} is only {smaller} pixels wide; reconcile needs at least 3")
         known = tuple(patch.radiance(name) for name in _patterns(header))
         inner = (patch.x + margin, patch.y + margin, patch.width - 2 * margin, patch.height - 2 * margin)
-        tiles.append(Tile(patch.name, *inner, margin, known, patch.u_rel))
+        tiles += _parts(Tile(patch.name, number, *inner, margin, known, patch.u_rel), header.camera.taps or ())
     return tuple(tiles)
 
 
-def _grid_tiles(patterns: int, shape: tuple[int, int]) -> tuple[Tile, ...]:
-    rows = max(1, min(GRID_ROWS, shape[0] // SMALLEST_TILE_PX))
-    columns = max(1, min(GRID_COLUMNS, shape[1] // SMALLEST_TILE_PX))
-    height, width = shape[0] // rows, shape[1] // columns
-    if min(height, width) < 3:
-        raise CaptureError(f"frames of {shape[1]} × {shape[0]} pixels are too small to be judged; use larger ones")
-    unknown: tuple[float | None, ...] = (None,) * patterns
-    return tuple(
-        Tile(f"r{row}c{column}", column * width, row * height, width, height, 0, unknown)
-        for row in range(rows)
-        for column in range(columns)
-    )
+def _parts(tile: Tile, taps: Sequence[TapDescription]) -> list[Tile]:
+    """Return the parts of a tile that different amplifiers read, without those that are too narrow.
+
+    Each amplifier has its own gain, black level and noise. What two of them read together follows the law of neither.
+    """
+    found = []
+    for tap in taps:
+        x, y = max(tile.x, tap.x), max(tile.y, tap.y)
+        width = min(tile.x + tile.width, tap.x + tap.width) - x
+        height = min(tile.y + tile.height, tap.y + tap.height) - y
+        if (width, height) == (tile.width, tile.height):
+            return [tile]
+        if min(width, height) >= _NARROWEST_PX:
+            found.append(replace(tile, x=x, y=y, width=width, height=height, margin=0))
+    return found or [tile]
+
+
+def _grid_tiles(header: CaptureHeader, shape: tuple[int, int]) -> tuple[Tile, ...]:
+    """Return the cells of an unknown scene: those of each amplifier where the camera has several."""
+    patterns = len(_patterns(header))
+    areas = [(f"tap {tap.name} ", tap.patch) for tap in header.camera.taps or ()]
+    for name, area in areas:
+        if not area.fits(shape):
+            raise CaptureError(
+                f"{name}({area.x}, {area.y}, {area.width} × {area.height}) is outside the "
+                f"{shape[1]} × {shape[0]} frames; correct camera.taps in capture.yaml"
+            )
+    tiles = list[Tile]()
+    for name, area in areas or [("", Patch(0, 0, shape[1], shape[0]))]:
+        rows = _cells(GRID_ROWS, area.height, shape[0])
+        columns = _cells(GRID_COLUMNS, area.width, shape[1])
+        height, width = area.height // rows, area.width // columns
+        if min(height, width) < _NARROWEST_PX:
+            raise CaptureError(
+                f"{name or 'frames '}of {area.width} × {area.height} pixels are too small to be judged; use larger ones"
+            )
+        for row, column in itertools.product(range(rows), range(columns)):
+            place = (area.x + column * width, area.y + row * height, width, height)
+            tiles.append(Tile(f"{name}r{row}c{column}", len(tiles), *place, 0, (None,) * patterns))
+    return tuple(tiles)
+
+
+def _cells(whole: int, length: int, frame: int) -> int:
+    """Return how many of a frame's cells an area takes along one side: one at least, none too narrow."""
+    return max(1, min(round(whole * length / frame), length // SMALLEST_TILE_PX))
 
 
 SHORTEST_PART_PX: Final = 4  # of a line, below which it is unknown whether it is even

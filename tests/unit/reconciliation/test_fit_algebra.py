@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.linear import Groups, LinearFit, RowBlock, cholesky, leave_one_group_out
+from radiometer.reconciliation.fit.state import EffectParameters
 from radiometer.reconciliation.search.localise import Covariate
 
 seeds = st.integers(0, 10**6)
@@ -163,3 +165,11 @@ def test_waves_begin_with_half_a_turn():
     assert basis[[0, 100, 200], 0, 0] == pytest.approx([1.0, 0.0, -1.0], abs=1e-12)
     for number, wave in enumerate(basis[:, 0].T, 1):
         assert np.count_nonzero(np.diff(np.sign(wave[np.abs(wave) > 1e-9]))) == number
+
+
+@pytest.mark.parametrize("kind", whole_catalogue().values(), ids=lambda kind: kind.name)
+def test_every_fitted_parameter_has_a_size_by_which_it_moves(kind):
+    """A step of the fit is a share of it: of a parameter that all trials begin at nothing it is a size, too."""
+    for trial in kind.trials:
+        own = EffectParameters.of((kind(**trial),), 4095.0)
+        assert (own.scale > 1e-9).all()  # a nanosecond, or less of any other unit, is none

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from radiometer.data import TapDescription
 from radiometer.reconciliation.fit import descent
 from radiometer.reconciliation.fit.descent import (
     FullFits,
@@ -167,6 +168,33 @@ def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_captu
             reported[name] += largest > 1.0
             assert jacobian[cut, column] == pytest.approx(change[cut], rel=5e-3, abs=1e-3 * largest + 1e-6)
     assert min(reported.values()) >= 3
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_patch_that_two_amplifiers_read_has_one_radiance(make_capture: Callable[..., Any], known: bool) -> None:
+    """It is two tiles with separate statistics; its error moves the means of both as the derivatives state."""
+    captured = make_capture(5, plan=LADDER[:3], known=known)
+    (height, width), patch = captured.frames[0].shape, captured.header.patches[3]
+    at = patch.x + patch.width // 2
+    taps = (TapDescription(name="1", x=0, y=0, width=at, height=height),
+            TapDescription(name="2", x=at, y=0, width=width - at, height=height))  # fmt: skip
+    camera = captured.header.camera.model_copy(update={"taps": taps})
+    design = Design.of(captured.header.model_copy(update={"camera": camera}), captured.frames[0].shape)
+    parts = [n for n, tile in enumerate(design.tiles) if tile.name == patch.name]
+    left, right = (design.tiles[n] for n in parts)
+    assert left.x + left.width == at == right.x
+    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    column, step, moved = len(state.layout.scalars) + 3, 1e-6, state.values.copy()
+    moved[column] += step
+    there = state.layout.unpack(design, moved)
+    assert np.flatnonzero(there.log_radiance[0] != state.nuisance.log_radiance[0]).tolist() == parts
+    assert np.ptp((state.model.radiance * np.exp(there.log_radiance))[0, parts]) == 0.0
+    change = -(state.comparison.residual(state.model.predict(there)) - state.plain_residual) / step
+    cut, block = state.comparison.cuts["mean"], state.nuisance_jacobian
+    own = np.zeros(change.size)
+    data = block.rows < change.size
+    own[block.rows[data]] = block.values[data][:, column]
+    assert own[cut] == pytest.approx(change[cut], rel=5e-3, abs=1e-3 * np.abs(change[cut]).max())
 
 
 def test_length_of_a_tilt_is_that_of_its_tiles(plain: FitState) -> None:
