@@ -116,7 +116,7 @@ class DisplayReport(Result):
         """Return every figure and note in plain lines."""
         found = []
         for one in self.sections:
-            found.append(one.title)
+            found.append(f"{one.title}  (± by k = 2)" if one.figures else one.title)
             found += [f"  {_in_words(each.name):<28} {each.text}" for each in one.figures]
             found += [f"  note: {note}" for note in one.notes]
         return found

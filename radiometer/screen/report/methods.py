@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
@@ -27,6 +28,7 @@ from radiometer.typing import Array
 _FIELD: Final = f"measuring field {100 * FIELD_SHARE:g} % of the screen's height"
 _TOP: Final = 255  # highest of the 8-bit levels that patches are made of
 _STEEP: Final = 0.9  # of the drive: above it the logarithm that a local gamma is divided by is nearly 0
+_CONTRADICTION_REL: Final = 0.01  # of white: below it, assumed spectra agree as well as cameras measure
 _LIMITS: Final = (0.05, 0.01)  # warm-up is over within 5 %, or within 1 %, of the final luminance
 _PRIMARIES: Final[Mapping[str, DisplayPatch]] = {
     "red": DisplayPatch((1.0, 0.0, 0.0)),
@@ -207,15 +209,22 @@ def _local(values: Array, drive: float) -> float:
 
 def _primaries(examined: Examined) -> Section:
     rows, figures, notes = [], [], []
-    for name, patch in (*_PRIMARIES.items(), ("white", WHITE)):
-        (reading,) = examined.shown(patch)
+    read = {name: examined.shown(patch)[0].radiance for name, patch in (*_PRIMARIES.items(), ("white", WHITE))}
+    doubt = _doubt_of_spectra(examined, read)
+    for name, radiance in read.items():
         channel = "grey" if name == "white" else name
         if channel not in examined.lights:
-            figures.append(Figure(f"{name}_radiance", reading.radiance))
+            figures.append(Figure(f"{name}_radiance", radiance))
             continue
-        light = examined.luminance(reading.radiance, channel)
+        light = examined.luminance(radiance, channel)
+        light = replace(light, u=math.hypot(light.u, light.value * doubt))
         figures.append(Figure(f"{name}_luminance", light))
-        rows.append((name, reading.radiance, light, examined.lights[channel].spectrum))
+        rows.append((name, radiance, light, examined.lights[channel].spectrum))
+    if doubt > _CONTRADICTION_REL:
+        notes.append(
+            f"the assumed spectra contradict each other: the luminances of the primaries and of white differ by "
+            f"{100 * doubt:.2g} % more than their radiances, which u holds; state --white and --primaries"
+        )
     if len(rows) == 1:
         notes.append("luminances of the primaries need their spectra: --primaries")
     notes.append("a grey camera does not see chromaticity: measure it with radiometer colour")
@@ -228,6 +237,15 @@ def _primaries(examined: Examined) -> Section:
         tuple(rows),
         tuple(notes),
     )
+
+
+def _doubt_of_spectra(examined: Examined, read: Mapping[str, Quantity]) -> float:
+    """Return by which share of white the luminances of the primaries miss it, where their radiances do not."""
+    if any(name not in examined.lights for name in (*_PRIMARIES, "grey")):
+        return 0.0
+    lit = {name: examined.luminance(one, "grey" if name == "white" else name).value for name, one in read.items()}
+    of_light = sum(lit[name] for name in _PRIMARIES) / lit["white"]
+    return abs(of_light - sum(read[name].value for name in _PRIMARIES) / read["white"].value)
 
 
 def _additivity(examined: Examined) -> Section:

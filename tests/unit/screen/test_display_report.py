@@ -232,3 +232,14 @@ def test_screen_too_small_in_the_picture_is_refused(tmp_path: Path, capsys: pyte
     words = ["--display", "oled", "--area", "0,0,30,20", "--warm-up", "0", "--methods", "white"]
     assert run(["screen", "report", *words]) == 2
     assert "move the camera closer" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_spectra_that_contradict_each_other_are_in_the_u_of_luminances() -> None:
+    """The radiances of the primaries add up to white; where luminances do not, u covers the gap and a note names it."""
+    section = rm.screen_report(display="lcd", methods=["primaries"], warm_up_s=0.0, seed=1_720_001).section("primaries")
+    light = {name: section.figure(f"{name}_luminance").quantity for name in ("red", "green", "blue", "white")}
+    gap = light["red"].value + light["green"].value + light["blue"].value - light["white"].value
+    assert gap > 0.05 * light["white"].value
+    assert gap <= 2.0 * light["white"].u
+    assert any("contradict" in note for note in section.notes)
