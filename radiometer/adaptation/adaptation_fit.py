@@ -19,7 +19,8 @@ from radiometer.adaptation.branch_fit import HUBER, MODELS, REWEIGHTINGS, Branch
 from radiometer.adaptation.intervals import Interval, bootstrap_values, percentile_interval, profile_interval
 from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.errors import MeasurementError
+from radiometer.errors import MeasurementError, UsageError
+from radiometer.plausible import PLAUSIBLE
 from radiometer.progress import Progress, unseen
 from radiometer.statistics.model_choice import CLEARLY_BETTER, STATED_IS_WRONG, is_supported
 from radiometer.typing import Array
@@ -212,8 +213,13 @@ def fit_adaptation(
     """Return the fit of the family's best member, with intervals.
 
     Raises:
-        MeasurementError: If the series shows no adaptation, or none that a branch model describes.
+        MeasurementError: If the series has one time alone, shows no adaptation, or none that a branch model describes.
+        UsageError: If the criterion is no threshold.
     """
+    if request.criterion is not None:
+        PLAUSIBLE["log10_threshold"].check("criterion", request.criterion, UsageError)
+    if series.time_min[0] == series.time_min[-1]:
+        raise MeasurementError(f"all thresholds are of one time, {series.time_min[0]:g} min: they show no recovery")
     chosen, fits, evidence = _chosen(series)
     if not _has_break(chosen):
         evidence = with_power(evidence, chosen)

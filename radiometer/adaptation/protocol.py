@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -10,6 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from radiometer.adaptation.bleach import bleached_fraction, retinal_illuminance_td
 from radiometer.data.config_files import shipped_config
 from radiometer.data.guards import safe_name
+from radiometer.data.json_text import json_text
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, InputError, UsageError
@@ -238,6 +240,10 @@ class AdaptationProtocol(ConfigSection):
     shows: Literal["break", "recovery"] = "break"
     watch: Watch = Watch()
     safety: Safety = Safety()
+
+    def content_hash(self) -> str:
+        """Return a hash of all that it asks for: equal means the same test."""
+        return hashlib.sha256(json_text(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()[:16]
 
     @field_validator("name")
     @classmethod

@@ -185,12 +185,18 @@ class _Run:
         wall_s = self.stage.wall_s()
         name = self.protocol.name
         facts: dict[str, Any] = {"format": FORMAT, "subject": self.subject, "protocol": name, "seed": self.seed}
+        facts["protocol_hash"] = self.protocol.content_hash()
         if self.eye is not None:
             facts["eye"] = self.eye
         self.note(START, **{**facts, **self.visit}, unix_s=wall_s, facts=facts_of(self.protocol))
 
     def _check_journal(self) -> None:
         begun = self.journal.events[0]
+        if begun.get("protocol_hash", self.protocol.content_hash()) != self.protocol.content_hash():
+            raise UsageError(
+                f"{self.journal.path}: protocol {self.protocol.name!r} has changed since this run began; restore "
+                "it, or name another journal"
+            )
         mine_by_key = {"subject": self.subject, "protocol": self.protocol.name, "seed": self.seed}
         later = {"eye": self.eye, "age_years": self.visit.get("age_years"), "pupil_mm": self.visit.get("pupil_mm")}
         for key, mine in {**mine_by_key, **later}.items():

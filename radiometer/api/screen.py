@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -214,6 +214,8 @@ def screen_calibrate(
     with opened_screen(display, bench, camera, calibration, patch, port, announce) as opened:
         serial = opened.instrument.camera.description.serial or ""
         asked = asdict(options) | {"display": display, "camera": serial, **opened.measured_with}
+        known = opened.instrument.calibration
+        asked |= {"patch": astuple(opened.instrument.patch), "content": None if known is None else known.content_hash()}
         asked["spectra"] = {name: light.spectrum for name, light in lamps.items()}
         with kept_until_written(target, RUN_FORMAT, asked, notice) as journal:
             found = calibrate_screen(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -115,7 +115,8 @@ def asked_of(opened: OpenedBox, instrument: Instrument, request: SurveyRequest) 
         "responsivity": None if request.responsivity is None else str(request.responsivity),
         "box": opened.box.identity.serial,
         "camera": instrument.camera.identity.serial,
-        "calibration": None if calibration is None else calibration.created,
+        "patch": astuple(instrument.patch),
+        "calibration": None if calibration is None else calibration.content_hash(),
     }
 
 

@@ -21,10 +21,10 @@ class StandardErrorLogger:
     """Writes finished lines to whatever standard error is at that moment."""
 
     def msg(self, message: str) -> None:
-        """Write one line; where standard error is closed the line is lost, not the program."""
+        """Write one line; where standard error is closed, full or has no reader the line is lost, not the program."""
         try:
             print(message, file=sys.stderr, flush=True)
-        except ValueError:
+        except (ValueError, OSError):
             return
 
     debug = info = warning = error = critical = exception = fatal = msg

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import AwareDatetime, Field, model_validator
 
 from radiometer.data.capture_header import CameraDescription, LensDescription
+from radiometer.data.json_text import json_text
 from radiometer.data.provenance import Provenance, is_out_of_date, utc_now
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
@@ -251,6 +253,10 @@ class Calibration:
             "provenance": self.provenance.to_mapping(),
             "response": _compact(self.response.to_mapping()) if self.response else None,
         }
+
+    def content_hash(self) -> str:
+        """Return a hash of all that it states: equal means the same readings."""
+        return hashlib.sha256(json_text(self.to_mapping(), sort_keys=True).encode()).hexdigest()[:16]
 
     def write(self, path: Path) -> None:
         """Write the calibration as one YAML file, whole or not at all.

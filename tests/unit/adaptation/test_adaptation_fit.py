@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from radiometer.adaptation.branch_fit import CONE_S2, CONE_S2_S3, MODELS, ONE_BR
 from radiometer.adaptation.intervals import Interval, percentile_interval, profile_interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.cli.main import run
-from radiometer.errors import InputError, MeasurementError
+from radiometer.errors import InputError, MeasurementError, UsageError
 from testing.golden.dark_adaptation import DARK_THETA, dark_p7
 
 TIMES = np.arange(0.5, 30.0, 0.5)
@@ -147,6 +148,12 @@ def test_no_adaptation_is_a_verdict_and_no_fit(values, message):
     data = ThresholdSeries(np.arange(values.size, dtype=float), values)
     with pytest.raises(MeasurementError, match=message):
         fit_adaptation(data, QUICK, np.random.default_rng(0))
+    at_once = ThresholdSeries(np.full(values.size, 5.0), values)
+    with pytest.raises(MeasurementError, match="one time"):
+        fit_adaptation(at_once, QUICK, np.random.default_rng(0))
+    for criterion in (math.nan, 1e308):
+        with pytest.raises(UsageError, match="criterion"):
+            fit_adaptation(data, replace(QUICK, criterion=criterion), np.random.default_rng(0))
 
 
 def test_csv_forms(tmp_path):

@@ -133,6 +133,20 @@ def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: Adaptati
         run_test(classic, ScriptedStage(eye, classic), journal, subject="B2", seed=3)
 
 
+def test_a_run_is_not_taken_up_with_a_protocol_that_has_changed(tmp_path: Path, classic: AdaptationProtocol) -> None:
+    """Coarser steps under the same name: thresholds of two methods in one table would share one bias."""
+    broken = ScriptedStage(eye, classic)
+    broken.dies_after = 125.0
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(DeviceLost):
+        run_test(classic, broken, journal, subject="A1", seed=3)
+    method = classic.method.model_copy(update={"step_log10": 3 * classic.method.step_log10})
+    changed = classic.model_copy(update={"method": method})
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(UsageError, match="has changed since this run began"):
+        run_test(
+            classic.model_copy(update={"method": method}), ScriptedStage(eye, classic), journal, subject="A1", seed=3
+        )
+
+
 def test_a_run_is_not_taken_up_with_another_age_or_pupil(tmp_path: Path, classic: AdaptationProtocol) -> None:
     """Its head states them once; a run that stated none may learn them later."""
     broken = ScriptedStage(eye, classic)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import radiometer as rm
+from radiometer.data import Calibration
+from radiometer.data.config_files import shipped_config
 from radiometer.errors import UsageError
 
 
@@ -88,3 +91,13 @@ def test_levels_of_another_calibration_are_refused(calibrate: Calibrate, other: 
     journal.write_text('{"sequence": 0, "kind": "start", "format": "radiometer-adaptation/1", "time_s": 0}\n')
     with pytest.raises(UsageError, match="no journal of this kind"):
         calibrate(out)
+
+
+def test_levels_are_not_joined_under_a_calibration_that_has_changed(tmp_path: Path) -> None:
+    """A scale corrected under the same name and date would turn half of the levels into another unit."""
+    known = Calibration.read(shipped_config("calibrations/simulated.yaml"))
+    for scale in (known.scale, known.scale.model_copy(update={"value": 2.0 * known.scale.value})):
+        replace(known, scale=scale).write(tmp_path / "cal.yaml")
+        interrupted = scale is known.scale
+        with pytest.raises(KeyboardInterrupt if interrupted else UsageError):
+            _screen(tmp_path / "parts.yaml", calibration=tmp_path / "cal.yaml", progress=Interrupt(1))

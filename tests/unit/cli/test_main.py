@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import io
 import logging
@@ -307,6 +308,21 @@ def test_who_asks_for_everything_gets_the_traceback_without_its_variables(capsys
     printed = capsys.readouterr().err
     assert "Traceback" in printed
     assert "49999" not in printed
+
+
+def test_a_log_that_cannot_be_written_ends_no_program(monkeypatch):
+    """A full disk, or a pipe whose reader has ended: the daemon goes on, and its alarms are on every interface."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    for target in (os.open("/dev/full", os.O_WRONLY), writer):
+        with open(target, "w", buffering=1, closefd=False) as full:
+            monkeypatch.setattr("sys.stderr", full)
+            configure_logging()
+            structlog.get_logger("test").warning("patch main is beyond its limit")
+            monkeypatch.undo()
+            with contextlib.suppress(OSError):
+                full.close()
+        os.close(target)
 
 
 def test_an_event_without_an_error_says_nothing_of_one(capsys):
