@@ -142,9 +142,7 @@ def test_a_run_is_not_taken_up_with_a_protocol_that_has_changed(tmp_path: Path, 
     method = classic.method.model_copy(update={"step_log10": 3 * classic.method.step_log10})
     changed = classic.model_copy(update={"method": method})
     with RunJournal(tmp_path / "j") as journal, pytest.raises(UsageError, match="has changed since this run began"):
-        run_test(
-            classic.model_copy(update={"method": method}), ScriptedStage(eye, classic), journal, subject="A1", seed=3
-        )
+        run_test(changed, ScriptedStage(eye, classic), journal, subject="A1", seed=3)
 
 
 def test_a_run_is_not_taken_up_with_another_age_or_pupil(tmp_path: Path, classic: AdaptationProtocol) -> None:
