@@ -25,6 +25,7 @@ DISTINCT_RATIO = 2.0**0.5
 _BIN_WIDTH = 0.01
 _COVER = 2  # frames in which every pixel is well exposed: one alone could not show that it contradicts
 _MAXIMUM_FRAMES = 64  # a ladder of 1/3 stop over 21 stops; more is a slip in --stops
+_LONGEST_S = 86_400.0  # of exposures in sum for one reading: a day
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +192,7 @@ def repeats_for(
         target_u_rel: Wanted relative standard uncertainty (k = 1) of the region's mean from noise, above 0.
 
     Raises:
-        UsageError: If the target is not above 0.
+        UsageError: If the target is not above 0, or takes exposures of more than a day.
     """
     if not target_u_rel > 0:
         raise UsageError(f"a relative uncertainty of {target_u_rel:g} cannot be reached; ask for more than 0")
@@ -208,7 +209,13 @@ def repeats_for(
     if information == 0:
         return 1
     per_pass = 1.0 / math.sqrt(information * max(1, rates_dn_per_s.size))
-    return max(1, math.ceil((per_pass / target_u_rel) ** 2 - 1e-9))
+    passes, longest = (per_pass / target_u_rel) ** 2, max(_LONGEST_S / sum(plan.exposures_s), 1.0)
+    if passes > longest:
+        raise UsageError(
+            f"a relative uncertainty of {target_u_rel:g} needs exposures of more than a day in sum; ask for "
+            f"{per_pass / math.sqrt(longest):.2g} or more"
+        )
+    return max(1, math.ceil(passes - 1e-9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,6 +38,7 @@ LAG_S: Final = 0.1  # a machine that is later than this cannot keep up
 # struct avr_t of sim_avr.h, libsimavr 1.6 and 1.7 on 64-bit machines
 _STATE, _FREQUENCY, _VCC, _AVCC, _AREF, _CYCLE, _RUN_LIMIT, _RUN, _SLEEP = 60, 64, 68, 72, 76, 80, 96, 160, 168
 _CRASHED: Final = 7  # cpu_Crashed
+_LONGEST_PROGRAM: Final = 1_000_000  # characters: 32 KiB of flash memory are 90,000 in Intel HEX
 _UART_INPUT, _UART_OUTPUT = 0, 1  # numbers of simavr's interrupts, avr_uart.h
 _Notify = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p)
 _Sleep = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_uint64)
@@ -163,7 +164,11 @@ def read_intel_hex(path: Path) -> bytes:
     """
     code = bytearray()
     try:
-        for number, line in enumerate(path.read_text(encoding="ascii").split(), 1):
+        with path.open(encoding="ascii") as stream:  # devices have no end
+            text = stream.read(_LONGEST_PROGRAM + 1)
+        if len(text) > _LONGEST_PROGRAM:
+            raise InputError(f"{path} is no program of this board: it has more than {_LONGEST_PROGRAM} characters")
+        for number, line in enumerate(text.split(), 1):
             record = bytes.fromhex(line.removeprefix(":"))
             if len(record) < 5 or sum(record) % 256 or record[0] != len(record) - 5:
                 raise InputError(f"{path}, line {number}: damaged Intel HEX record")
