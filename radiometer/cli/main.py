@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import importlib
 import os
 import sys
@@ -14,6 +15,7 @@ import radiometer
 from radiometer.cli.commands import COMMANDS, COMPLETING
 from radiometer.errors import RadiometerError, UsageError
 
+_TAKES_NOTHING = (errno.ENOSPC, errno.EDQUOT, errno.EBADF)  # a full disk; what the caller has closed
 _INTRODUCTION = """\
 Usage: radiometer [-v] COMMAND [ARGUMENTS]
 
@@ -58,14 +60,10 @@ def _flushed(code: int) -> int:
 
 
 def _place_of(error: OSError) -> str:
-    """Return the name of the file that an error is of; it has none where it is of standard output."""
+    """Return the name of the file that an error is of, or "standard output": outputs name their file themselves."""
     if error.filename:
         return f"{error.filename}: "
-    try:
-        sys.stdout.flush()
-    except OSError:  # it still holds what it did not get rid of
-        return "standard output: "
-    return ""
+    return "standard output: " if error.errno in _TAKES_NOTHING else ""
 
 
 def _drop_output() -> None:
