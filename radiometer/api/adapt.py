@@ -34,7 +34,7 @@ from radiometer.data.event_journal import Event
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import check_outputs, write_text_atomic
-from radiometer.errors import MeasurementError, UsageError
+from radiometer.errors import MeasurementError, OutputRefused, UsageError
 from radiometer.numbers import rounded, unit_text
 from radiometer.plausible import PLAUSIBLE
 from radiometer.progress import Progress, unseen
@@ -196,6 +196,8 @@ def adapt_run(
         if remark is not None:
             notice(remark)
     table_file = Path(csv) if csv else journal.with_suffix(".csv")
+    if journal.exists() and not resumed:
+        raise OutputRefused(f"{journal} exists already, and a journal is never replaced; name another with -o")
     check_outputs(None if resumed else journal, table_file, force=force or resumed)
     refuse_inputs([table_file], [one for one in (known, presets, screens, benches) if one is not None])
     with (

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import unicodedata
 from collections.abc import Iterable
+from typing import Final
 
 from radiometer.data import Reading
 
+_ASCII: Final = str.maketrans({"×": "x", "·": " ", "−": "-", "–": "-", "±": "+-", "μ": "u", "°": ""})  # after NFKD
 NOT_A_NUMBER = "9.91E+37"  # SCPI-99, volume 1, 7.2.1.5
 INFINITY = "9.9E+37"
 
@@ -14,16 +17,22 @@ INFINITY = "9.9E+37"
 def number(value: float) -> str:
     """Return a number as <NR3 NUMERIC RESPONSE DATA> with ten digits."""
     if math.isnan(value):
-        return NOT_A_NUMBER
+        return _ASCII: Final = str.maketrans({"×": "x", "·": " ", "−": "-", "–": "-", "±": "+-", "μ": "u", "°": ""})  # after NFKD
+NOT_A_NUMBER
     if math.isinf(value):
         return INFINITY if value > 0 else "-" + INFINITY
     return f"{value:.9E}"
 
 
-def string(text: str) -> str:
-    """Return <STRING RESPONSE DATA>: in quotes, quotes doubled, one line of ASCII."""
-    clean = "".join(char if " " <= char <= "~" else "?" for char in text)
-    return '"' + clean.replace('"', '""') + '"'
+def string(text: str, longest: int | None = None) -> str:
+    """Return <STRING RESPONSE DATA>: in quotes, quotes doubled, one line of ASCII; W·sr⁻¹ as W sr-1, ± as +-.
+
+    Args:
+        longest: Characters between the quotes at most; None for all.
+    """
+    plain = unicodedata.normalize("NFKD", text).translate(_ASCII)
+    clean = "".join(char if " " <= char <= "~" else "?" for char in plain)
+    return '"' + clean[:longest].replace('"', '""') + '"'
 
 
 def block(content: bytes) -> str:
