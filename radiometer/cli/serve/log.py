@@ -80,7 +80,17 @@ def _show(found: LoggedReadings) -> None:
     table = Table(box=None, pad_edge=False)
     names = {id(one): place.name for place in found.places for one in place.readings}
     several = len(found.places) > 1
-    for title in ("number", "time (UTC)", *(["place"] if several else []), "radiance", "U (95 %)", "k", "unit", "luminance (cd·m⁻²)", "flags"):
+    for title in (
+        "number",
+        "time (UTC)",
+        *(["place"] if several else []),
+        "radiance",
+        "U (95 %)",
+        "k",
+        "unit",
+        "luminance (cd·m⁻²)",
+        "flags",
+    ):
         table.add_column(title, justify="left" if title in ("time (UTC)", "place", "unit", "flags") else "right")
     for reading in found.readings[-_SHOWN:]:
         table.add_row(*_cells(reading, [names[id(reading)]] if several else []))

@@ -17,8 +17,7 @@ INFINITY = "9.9E+37"
 def number(value: float) -> str:
     """Return a number as <NR3 NUMERIC RESPONSE DATA> with ten digits."""
     if math.isnan(value):
-        return _ASCII: Final = str.maketrans({"×": "x", "·": " ", "−": "-", "–": "-", "±": "+-", "μ": "u", "°": ""})  # after NFKD
-NOT_A_NUMBER
+        return NOT_A_NUMBER
     if math.isinf(value):
         return INFINITY if value > 0 else "-" + INFINITY
     return f"{value:.9E}"
