@@ -29,12 +29,13 @@ from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of_visit, visit_at, visit_in, visits_html
 from radiometer.api.files import PathLike
 from radiometer.api.result import Notice, Result, require_other, unheard
+from radiometer.data.capture_set import refuse_inputs
 from radiometer.data.event_journal import Event
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs, write_text_atomic
-from radiometer.errors import MeasurementError, UsageError
+from radiometer.errors import MeasurementError, OutputRefused, UsageError
 from radiometer.numbers import rounded, unit_text
 from radiometer.plausible import PLAUSIBLE
 from radiometer.progress import Progress, unseen
@@ -197,7 +198,10 @@ def adapt_run(
         if remark is not None:
             notice(remark)
     table_file = Path(csv) if csv else journal.with_suffix(".csv")
+    if journal.exists() and not resumed:
+        raise OutputRefused(f"{journal} exists already, and a journal is never replaced; name another with -o")
     check_outputs(None if resumed else journal, table_file, force=force or resumed)
+    refuse_inputs([table_file], [one for one in (known, presets, screens, benches) if one is not None])
     with (
         open_session(request, journal, Controls(linger_s=slow_s), announce=announce, notice=notice) as session,
         ExitStack() as held,

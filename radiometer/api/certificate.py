@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,6 +14,7 @@ from radiometer.analysis.exports.certificate import COVERAGE_FACTORS, Certified,
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
+from radiometer.data.capture_set import refuse_inputs
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import check_outputs, read_text, write_text_atomic
 from radiometer.errors import InputError, UsageError
@@ -122,7 +124,9 @@ def certificate(
         raise UsageError("--identifier: a certificate needs a number")
     target = None if out is None else Path(out)
     page = None if target is None else target.with_suffix(".html")
-    check_outputs(*(file for file in (target, page) if file is not None), force=force)
+    written = [file for file in (target, page) if file is not None]
+    check_outputs(*written, force=force)
+    refuse_inputs(written, [Path(one) for one in (source, laboratory) if isinstance(one, str | os.PathLike)])
     known = Laboratory.read(Path(laboratory))
     content = _certified(source, known, identifier.strip())
     made = Certificate(content, known, target, page)

@@ -19,6 +19,7 @@ from radiometer.data.drawing import new_axes, picture
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.storage import check_new_folder as check_new_folder  # the command line asks here
 from radiometer.data.storage import check_outputs as check_outputs
+from radiometer.data.storage import new_files_stay_new as new_files_stay_new
 from radiometer.errors import CaptureError, UsageError
 from radiometer.photographs.scene import Photographs
 

@@ -19,6 +19,7 @@ from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Drawn, Progress
 from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, ResponseCurve
+from radiometer.data.capture_set import refuse_inputs
 from radiometer.data.drawing import check_plot_name, new_axes
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.data.storage import check_outputs
@@ -189,8 +190,9 @@ def recover_response(
             f"--known-ratio is for methods that find the ratios themselves: --method {' or '.join(RATIO_METHODS)}"
         )
     target, drawn = (Path(one) if one is not None else None for one in (output, plot))
-    _refuse_targets(target, drawn, names, force=force)
     several = [sources] if isinstance(sources, Stack | Bracket | str | os.PathLike) else list(sources)
+    inputs = [Path(one) for one in several if isinstance(one, str | os.PathLike)]
+    _refuse_targets(target, drawn, names, inputs, force=force)
     notes: list[str] = []
     found: dict[str, list[Bracket]] = {}
     for one in several:
@@ -211,17 +213,23 @@ def recover_response(
     return Response(tuple(estimates), tuple(files), drawn, tuple(notes))
 
 
-def _refuse_targets(output: Path | None, plot: Path | None, methods: Sequence[str], *, force: bool) -> None:
+def _refuse_targets(
+    output: Path | None, plot: Path | None, methods: Sequence[str], inputs: Sequence[Path], *, force: bool
+) -> None:
     """Refuse what cannot be written before the work is done, not after."""
     if output is not None and output.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"cannot write {output}: a curve's ending must be one of {', '.join(_SUFFIXES)}")
     if plot is not None:
         check_plot_name(plot)
     check_outputs(output, plot, force=force)
+    written = [one for one in (output, plot) if one is not None]
     if output is not None:  # several curves carry channel and method in their files' names
         parts = ["", *(f"-{channel}" for channel in ("red", "green", "blue"))]
         names = [f"{part}{method}" for part in parts for method in ("", *(f"-{name}" for name in methods))]
-        check_outputs(*(output.with_stem(output.stem + name) for name in names if name), force=force)
+        named = [output.with_stem(output.stem + name) for name in names if name]
+        check_outputs(*named, force=force)
+        written += named
+    refuse_inputs(written, inputs)
 
 
 def _read(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, astuple, dataclass, replace
@@ -13,6 +14,7 @@ from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
 from radiometer.bench.screen import BROWSER, SIMULATED_SIZE, ScreenBench, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
+from radiometer.data.capture_set import refuse_inputs
 from radiometer.data.drawing import check_plot_name, new_axes
 from radiometer.data.event_journal import kept_until_written
 from radiometer.data.statements import StatementMap
@@ -199,6 +201,8 @@ def screen_calibrate(
     kinds = _kinds(export)
     if out is not None:
         check_outputs(*_export_files(kinds, Path(out)), force=force)
+        read = [Path(one) for one in (bench, calibration, primaries) if isinstance(one, str | os.PathLike)]
+        refuse_inputs(_export_files(kinds, Path(out)), read)
     if plot is not None:
         check_plot_name(Path(plot))
     target = Path(out) if out is not None else None
@@ -483,6 +487,7 @@ def screen_export(
     file = Path(calibration)
     base = Path(out or file.parent) / file.name
     check_outputs(*_export_files(chosen, base), force=force)
+    refuse_inputs(_export_files(chosen, base), [file])
     return _exports(ScreenCalibration.read(file), chosen, base, notice)
 
 

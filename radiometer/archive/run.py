@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import errno
+import fcntl
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +20,7 @@ from radiometer.archive.jobs import COLUMNS, JobSettings, Row, run_job
 from radiometer.data.event_journal import journal_of
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.storage import write_bytes_atomic
-from radiometer.errors import DeviceNotFound, MissingLibrary, OutputError, UsageError
+from radiometer.errors import DeviceNotFound, MissingLibrary, OutputError, OutputRefused, UsageError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reporting.plain_text import spreadsheet_cell
 
@@ -39,6 +41,7 @@ _TRIM_THRESHOLD: Final = -1
 _MMAP_THRESHOLD: Final = -3  # malloc.h of glibc
 _LARGEST_BLOCK: Final = 32 << 20  # glibc's own upper limit on 64 bits
 _KEPT_BYTES: Final = 256 << 20  # a capture's frames are read again and again: giving them back costs page faults
+_BEGINNING: Final = f'[{{"{COLUMNS[0]}":'  # of every journal, even where a kill cut its first line short
 TABLE_ENDINGS = (".parquet", ".csv")
 
 
@@ -59,14 +62,29 @@ class ResultJournal:
         self._descriptor = -1
 
     def __enter__(self) -> Self:
-        self._rows = list(self._read())
         try:
             self._descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            self._take_lock()
+            self._rows = list(self._read())
             if self.path.stat().st_size and not self.path.read_bytes().endswith(b"\n"):
                 os.write(self._descriptor, b"\n")
         except OSError as error:
+            self.__exit__()
             raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
+        except OutputRefused:
+            self.__exit__()
+            raise
         return self
+
+    def _take_lock(self) -> None:
+        """Let no other program add to the table: each would write it without the rows of the other."""
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise OutputRefused(f"another program adds to {self.table}; wait for it, or name another table") from error
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):  # a file system without locks
+                raise
 
     def add(self, finished: list[list[Row]]) -> None:
         """Append the rows of some capture sets, a line each. Raises OutputError if the disk refuses them."""
@@ -109,7 +127,8 @@ class ResultJournal:
         return len(frame)
 
     def __exit__(self, *_: object) -> None:
-        os.close(self._descriptor)
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
 
     def _without_old_failures(self) -> Iterable[Row]:
         """Leave out what a later run of the same capture and job has replaced."""
@@ -117,9 +136,10 @@ class ResultJournal:
         return [r for r in self._rows if last[r["capture"], r["job"]] == (r["fingerprint"], r["status"])]
 
     def _read(self) -> Iterable[Row]:
-        if not self.path.exists():
-            return
-        for line in self.path.read_text(encoding="utf-8", errors="replace").splitlines():
+        text = self.path.read_text(encoding="utf-8", errors="replace")
+        if not _BEGINNING.startswith(text[: len(_BEGINNING)]):
+            raise OutputRefused(f"{self.path} is no journal of a table; move it away, or name another table")
+        for line in text.splitlines():
             try:
                 rows = parsed_json(line)
             except (ValueError, RecursionError):

@@ -380,6 +380,7 @@ def _refuse_unfit(time_s: Array, value: Array, u: Array, patch: str) -> None:
         raise InputError(f"patch {patch!r}: all readings are of one time; a drift needs a span")
 
 
+_SQLITE: Final = b"SQLite format 3\0"  # www.sqlite.org/fileformat.html, section 1.3
 _LONGEST_HEADING: Final = 10_000  # bytes; a batch writes some 300, and pandas takes a minute for a million columns
 
 
@@ -419,6 +420,12 @@ def _csv(table: Path) -> pd.DataFrame:
     import pandas as pd
 
     with table.open("rb") as stream:
+        if stream.read(len(_SQLITE)) == _SQLITE:
+            raise InputError(
+                f"{table}: this is a journal of the daemon; a trend needs the table of `radiometer batch`. "
+                "Of a journal, `radiometer log --plot` draws the readings"
+            )
+        stream.seek(0)
         if len(stream.readline(_LONGEST_HEADING + 1)) > _LONGEST_HEADING:
             raise InputError(f"{table}: its first line is longer than {_LONGEST_HEADING} bytes; this is no table")
     return pd.read_csv(table)

@@ -7,7 +7,6 @@ import hashlib
 import os
 import socket
 import struct
-import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,8 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from radiometer.data.storage import state_folder
 from radiometer.errors import DeviceError, DeviceInUse, OutputError
 
+STATE_VARIABLE: Final = "RADIOMETER_STATE"
 _PATIENCE_S: Final = 3.0  # the box answers, or is dark by its dead-man timer, in less
 _LONGEST_WORD: Final = 4400  # characters: a path of 4095 bytes, a serial number and a process
 
@@ -31,13 +32,21 @@ class HeldBox:
     address: Path  # socket on which that program can be asked
 
 
-def runtime_folder(name: str) -> Path:
-    """Return a folder of this user alone, made where missing.
+def account_folder() -> Path:
+    """Return where the account of retinal exposure is kept: in RADIOMETER_STATE, else in the XDG state folder.
+
+    Every program that may light a box writes there, whatever session, service or scheduler started it.
+    """
+    return Path.home() / (os.environ.get(STATE_VARIABLE) or state_folder())
+
+
+def own_folder(name: str) -> Path:
+    """Return a folder of this user alone next to the account of retinal exposure, made where missing.
 
     Raises:
         OutputError: If it cannot be made, is no folder, or belongs to (or is open to) another user.
     """
-    folder = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / f"{name}-{os.getuid()}"
+    folder = account_folder() / name
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         owner = folder.lstat()
@@ -46,7 +55,7 @@ def runtime_folder(name: str) -> Path:
     if not is_ours(folder):
         raise OutputError(
             f"{folder} belongs to user {owner.st_uid} or is open to others (mode {owner.st_mode & 0o777:o}):"
-            " remove it, or set XDG_RUNTIME_DIR to a folder of your own"
+            f" remove it, or set {STATE_VARIABLE} to a folder of your own"
         )
     return folder
 
@@ -60,6 +69,11 @@ def is_ours(folder: Path) -> bool:
     return folder.is_dir() and not folder.is_symlink() and found.st_uid == os.getuid() and not found.st_mode & 0o022
 
 
+def _held_here() -> str:
+    """Return the name of this machine's folder of sockets: a home folder may be that of several machines."""
+    return f"held-boxes-{os.uname().nodename}"
+
+
 @contextmanager
 def holding(serial: str, port: str, darken: Callable[[], None]) -> Iterator[None]:
     """Let other programs of this user ask for darkness while the block runs.
@@ -68,7 +82,7 @@ def holding(serial: str, port: str, darken: Callable[[], None]) -> Iterator[None
         serial: Serial number of the box held.
         darken: Darkens every channel, or raises DeviceError; called from a separate thread.
     """
-    folder = runtime_folder("radiometer-held-boxes")
+    folder = own_folder(_held_here())
     address = folder / f"{hashlib.sha256(port.encode()).hexdigest()[:12]}-{os.getpid()}-{threading.get_ident()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         with _short(address) as short:
@@ -88,8 +102,10 @@ def holding(serial: str, port: str, darken: Callable[[], None]) -> Iterator[None
 
 def held_boxes() -> list[HeldBox]:
     """Return the light boxes that programs of this user hold; what a killed program left behind is removed."""
+    if not (account_folder() / _held_here()).exists():
+        return []
     found = []
-    for address in sorted(runtime_folder("radiometer-held-boxes").iterdir()):
+    for address in sorted(own_folder(_held_here()).iterdir()):
         words = _asked(address, "who").split(" ", 2)
         if len(words) == 3 and words[1].isdigit():
             found.append(HeldBox(words[0], words[2], int(words[1]), address))

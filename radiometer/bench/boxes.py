@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -20,7 +19,7 @@ from pydantic import Field, model_validator
 from drivers.light_box.box import FLASH, SerialLightBox
 from drivers.light_box.link import BoxLink
 from drivers.light_box.serial_line import SerialLine, SerialPort, list_serial_ports
-from radiometer.bench.box_holder import ask_for_darkness, held_boxes, holding, is_ours
+from radiometer.bench.box_holder import account_folder, ask_for_darkness, held_boxes, holding, is_ours
 from radiometer.data.config_files import shipped_config
 from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
@@ -48,14 +47,13 @@ SIMULATED: Final = "sim"
 SIMULATED_SERIAL: Final = "SIM00001"
 DEFAULT_PRESET: Final = "light_boxes/reference.yaml"
 PORT_VARIABLE: Final = "RADIOMETER_LIGHT_BOX_PORTS"
-STATE_VARIABLE: Final = "RADIOMETER_STATE"
 TEND_SLICE_S: Final = 0.2  # a fifth of the box's dead-man time
 _SILENT: Final[
     dict[str, float]
 ] = {}  # ports that were asked and did not answer as a box, and when they were plugged in
 _DIMMEST_REL: Final = 1e-4  # of the preset's bound: neutral filters before a spot have a density of 3
 _LINKED_WITHIN_S: Final = 0.1  # a box links its terminal at once; the clock of file times ticks in 4 ms
-SIMULATED_PORTS: Final = "radiometer-light-boxes"
+SIMULATED_PORTS: Final = "simulated-boxes"
 _FORMAT: Final = "radiometer-known-boxes/1"
 
 
@@ -229,8 +227,7 @@ def _when_plugged(port: str) -> float:
 
 def simulated_port_folder() -> Path:
     """Return the folder in which `radiometer simulate box` keeps links to its ports."""
-    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    return Path(base) / f"{SIMULATED_PORTS}-{os.getuid()}"
+    return account_folder() / SIMULATED_PORTS
 
 
 def find_boxes() -> tuple[list[LightBoxIdentity], list[str]]:
@@ -330,8 +327,8 @@ def calibration_file(serial: str) -> Path:
 
 
 def exposure_store() -> FileStore:
-    """Return the account of retinal exposure of this user: in RADIOMETER_STATE, else in the XDG state folder."""
-    return FileStore(Path.home() / (os.environ.get(STATE_VARIABLE) or state_folder()))
+    """Return the account of retinal exposure of this user."""
+    return FileStore(account_folder())
 
 
 def confirm_unexposed(serial: str | None) -> None:

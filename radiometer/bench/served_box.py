@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.bench.box_holder import runtime_folder
+from radiometer.bench.box_holder import own_folder
 from radiometer.bench.boxes import SIMULATED_PORTS, LightBoxConfig, exposure_store, read_preset
 from radiometer.errors import OutputError, OutputRefused, UsageError
 from simulators.light_box.avr_box import AvrBox
@@ -94,7 +94,7 @@ def served_box(
         MissingLibrary: If simavr is asked for and not installed.
         UnsafeStimulus: If the account of its exposure cannot be stored.
     """
-    place = link or runtime_folder(SIMULATED_PORTS) / serial
+    place = link or own_folder(SIMULATED_PORTS) / serial
     if place.exists() and not place.is_symlink():
         raise OutputRefused(f"{place} exists already and is no link; name another place with --link")
     try:

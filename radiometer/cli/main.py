@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import importlib
 import os
 import sys
@@ -14,6 +15,7 @@ import radiometer
 from radiometer.cli.commands import COMMANDS, COMPLETING
 from radiometer.errors import RadiometerError, UsageError
 
+_TAKES_NOTHING = (errno.ENOSPC, errno.EDQUOT, errno.EBADF)  # a full disk; what the caller has closed
 _INTRODUCTION = """\
 Usage: radiometer [-v] COMMAND [ARGUMENTS]
 
@@ -33,7 +35,40 @@ def main() -> None:
     """Run the command line and leave with exit code 0 (done), 1 (failed) or 2 (misused)."""
     if not {"-v", "-vv", "--verbose"} & set(sys.argv):
         sys.excepthook = _report_defect
-    sys.exit(run(sys.argv[1:]))
+    _stand_in_for_closed_streams()
+    sys.exit(_flushed(run(sys.argv[1:])))
+
+
+def _stand_in_for_closed_streams() -> None:
+    """Open what a caller closed: no file may get the number of a standard stream, and no reading may get lost."""
+    for name, how in (("stdin", os.O_RDONLY), ("stdout", os.O_RDONLY), ("stderr", os.O_WRONLY)):
+        if getattr(sys, name) is None:
+            handle = os.open(os.devnull, how)  # results cannot be written to what was opened to read: an error
+            setattr(sys, name, os.fdopen(handle, "r" if name == "stdin" else "w", encoding="utf-8"))
+
+
+def _flushed(code: int) -> int:
+    """Return the exit code once standard output has taken everything: 1 where it did not."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        _drop_output()
+        if code == 0 and not isinstance(error, BrokenPipeError):
+            return _report(f"standard output: {error.strerror or error}", 1)
+        return code or 1  # the reason was reported, or the reader has left
+    return code
+
+
+def _place_of(error: OSError) -> str:
+    """Return the name of the file that an error is of, or "standard output": outputs name their file themselves."""
+    if error.filename:
+        return f"{error.filename}: "
+    return "standard output: " if error.errno in _TAKES_NOTHING else ""
+
+
+def _drop_output() -> None:
+    """Let nothing that standard output did not take be tried again as Python leaves."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def run(arguments: list[str]) -> int:
@@ -49,11 +84,10 @@ def run(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         return _report("stopped by the user", 1)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return 1
     except OSError as error:
-        name = f"{error.filename}: " if error.filename else ""
-        return _report(f"{name}{error.strerror or error}", 1)
+        return _report(f"{_place_of(error)}{error.strerror or error}", 1)
     except MemoryError:
         return _report("not enough memory; try fewer or smaller frames", 1)
 

@@ -34,17 +34,18 @@ def writes(*files: str, folder: str | None = None) -> Callable[[_Command], _Comm
 
         @functools.wraps(command)
         def checked(*args: Any, force: bool = False, **kwargs: Any) -> Any:
-            from radiometer.api.files import check_new_folder, check_outputs, refuse_inputs
+            from radiometer.api.files import check_new_folder, check_outputs, new_files_stay_new, refuse_inputs
 
             given = signature.bind(*args, **kwargs, **({"force": force} if asks_itself else {}))
             given.apply_defaults()
             outputs = [path for name in files for path in _paths(given.arguments[name])]
-            check_outputs(*outputs, force=force)
-            read = [path for name, value in given.arguments.items() if name not in files for path in _read(value)]
-            refuse_inputs(outputs, read)
-            if folder is not None and given.arguments[folder] is not None:
-                check_new_folder(Path(given.arguments[folder]))
-            return command(*given.args, **given.kwargs)
+            with new_files_stay_new():
+                check_outputs(*outputs, force=force)
+                read = [path for name, value in given.arguments.items() if name not in files for path in _read(value)]
+                refuse_inputs(outputs, read)
+                if folder is not None and given.arguments[folder] is not None:
+                    check_new_folder(Path(given.arguments[folder]))
+                return command(*given.args, **given.kwargs)
 
         if files and not asks_itself:
             parameters.append(_FORCE)

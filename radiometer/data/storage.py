@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
 import stat
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,20 @@ from radiometer.errors import InputError, OutputError, OutputRefused
 
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+_NEW_FILES: ContextVar[set[Path] | None] = ContextVar("_NEW_FILES", default=None)
+_NO_HARD_LINKS = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)  # link(2): FAT, some network file systems
+
+
+@contextlib.contextmanager
+def new_files_stay_new() -> Iterator[None]:
+    """Let no output replace, in the block, a file that appears after `check_outputs` has looked for it."""
+    token = _NEW_FILES.set(set())
+    try:
+        yield
+    finally:
+        _NEW_FILES.reset(token)
 
 
 class _Loader(_SafeLoader):  # type: ignore[misc]
@@ -49,7 +65,7 @@ def check_outputs(*paths: Path | None, force: bool = False) -> None:
     """
     named = [path for path in paths if path is not None]
     for number, path in enumerate(named):
-        if any(path.resolve() == other.resolve() for other in named[:number]):
+        if any(_resolved(path) == _resolved(other) for other in named[:number]):
             raise OutputRefused(f"{path} is named for two outputs; name one file for each")
         if _exists(path):
             if path.exists() and not path.is_file():
@@ -57,7 +73,18 @@ def check_outputs(*paths: Path | None, force: bool = False) -> None:
                 raise OutputRefused(f"cannot write {path}: it is {kind}; name a file")
             if not force:
                 raise OutputRefused(f"{path} exists already; name another file, or replace it with --force")
-        _refuse_folder(path, path.resolve().parent)
+        _refuse_folder(path, _resolved(path).parent)
+        if not force and (new := _NEW_FILES.get()) is not None:
+            new.add(path.resolve())
+
+
+def _resolved(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError) as error:  # Python 3.12 and earlier raise RuntimeError for a loop
+        raise OutputRefused(
+            f"cannot write {path}: it is a link that leads back to itself; name another file"
+        ) from error
 
 
 def check_new_folder(path: Path) -> None:
@@ -118,7 +145,7 @@ def write_bytes_atomic(path: Path, content: bytes, *, rescue: bool = True) -> No
     """
     try:
         _write_whole(path.resolve(), content)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         reason = f"cannot write {path}: {getattr(error, 'strerror', None) or error}"
         saved = _save_elsewhere(path, content) if rescue else None
         if saved is not None:
@@ -140,11 +167,29 @@ def _write_whole(target: Path, content: bytes) -> None:
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
-        temporary.replace(target)
+        _publish(temporary, target)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
     flush_folder(target.parent)
+
+
+def _publish(temporary: Path, target: Path) -> None:
+    """Give a finished file its name. Raises FileExistsError where the name was free, and is to be still."""
+    new = _NEW_FILES.get()
+    if new is not None and target in new:
+        try:
+            os.link(temporary, target)  # unlike a rename, it replaces nothing
+        except FileExistsError as error:
+            raise FileExistsError(errno.EEXIST, "another program has written it meanwhile") from error
+        except OSError as error:
+            if error.errno not in _NO_HARD_LINKS:
+                raise
+        else:
+            temporary.unlink()
+            new.discard(target)  # a second writing replaces this program's own file
+            return
+    temporary.replace(target)
 
 
 def flush_folder(folder: Path) -> None:

@@ -96,7 +96,8 @@ def assemble(
     if not known:
         raise CaptureError(
             f"{root}: {'; '.join(without)}. Name it: radiometer import … --map exposure=PLACE:UNIT, "
-            "or --map exposure=NUMBER:UNIT where one number is true of all frames"
+            "or --map exposure=NUMBER:UNIT where one number is true of all frames, or write a file exposures.txt into "
+            "the folder with one line per file: `name seconds`"
         )
     lines = [*left_out, *without]
     ordered = _plain_patterns(_by_time(known))

@@ -6,7 +6,7 @@ import glob
 import hashlib
 import math
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -34,6 +34,7 @@ from radiometer.importing.file_bytes import kind_of
 from radiometer.importing.fits_files import read_fits_headers, read_fits_pixels
 from radiometer.importing.found import FoundFrame, ImportOptions
 from radiometer.importing.micro_manager import FACT as ACQUISITION
+from radiometer.importing.photograph_times import PhotographSettings, find_list, read_list
 from radiometer.importing.record import ImportRecord, named, record_in
 from radiometer.importing.statistics_table import is_statistics_table, read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
@@ -348,10 +349,10 @@ def _found_in(
     files: Iterable[tuple[Path, bool]], mapped: StatementMap, report: Callable[[int, int], None] | None
 ) -> tuple[list[FoundFrame], list[str]]:
     frames, left_out = list[FoundFrame](), list[str]()
-    listed = list(files)
+    listed, lists = list(files), dict[Path, Mapping[str, PhotographSettings]]()
     for number, (file, is_named) in enumerate(listed, start=1):
         try:
-            frames += _headers(file, mapped)
+            frames += [_listed_time(frame, lists) for frame in _headers(file, mapped)]
         except CaptureError as error:
             if is_named and len(listed) == 1:
                 raise
@@ -359,6 +360,25 @@ def _found_in(
         if report is not None:
             report(number, len(listed))
     return frames, left_out
+
+
+def _listed_time(frame: FoundFrame, lists: dict[Path, Mapping[str, PhotographSettings]]) -> FoundFrame:
+    """Return a frame whose file states no time with that of the list in its folder (exposures.txt), if there is one.
+
+    Args:
+        lists: The lists read so far, by folder; one that is met first is added.
+    """
+    folder = frame.file.parent
+    if frame.exposure_known:
+        return frame
+    if folder not in lists:
+        listing = find_list(folder)
+        lists[folder] = {} if listing is None else read_list(listing)
+    if (stated := lists[folder].get(frame.file.name)) is None:
+        return frame
+    settings = replace(frame.settings, exposure_s=stated.exposure_s)
+    taken = {**frame.taken, "exposure_s": "list of exposure times"}
+    return replace(frame, settings=settings, taken=taken, exposure_known=True)
 
 
 def _headers(file: Path, mapped: StatementMap) -> list[FoundFrame]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from radiometer.errors import InputError, MeasurementError
+from radiometer.errors import InputError, MeasurementError, OutputRefused
 
 if TYPE_CHECKING:
     from radiometer.analysis.response.displacement import Displacement
@@ -339,9 +339,11 @@ def _kept(file: Path, key: str) -> ResponseCurve | None:
         return None
     try:
         curve = ResponseCurve.read(file)
-    except InputError:
-        return None
-    return curve if curve.provenance.parameters.get(_KEY) == key else None
+        made_for = curve.provenance.parameters[_KEY]
+    except (InputError, KeyError) as error:
+        reason = "exists already and is no response that was recovered for a map; name another map, or move it away"
+        raise OutputRefused(f"{file} {reason}") from error
+    return curve if made_for == key else None
 
 
 def _is_of_this_version(curve: ResponseCurve) -> bool:

@@ -22,7 +22,6 @@ from testing.patience import within
 def surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """Keep data and ports of this test apart from the user's."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path / "state"))
     return dict(os.environ)
 

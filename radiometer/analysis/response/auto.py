@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -258,7 +259,7 @@ def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, floa
 
 def _with_times(samples: ResponseSamples, found: FittedResponse) -> FittedResponse:
     """Return the fit with small errors of all exposure times freed where left-out quadrants are predicted better."""
-    if np.unique(samples.frame_log_time).size < 4 or not samples.without_quadrant:
+    if np.unique(samples.frame_log_time).size < 4 or not samples.without_quadrant or not _overlaps(samples):
         return found
     loose = settle(samples, found.log_exposure, found.choices.free, None, found.choices.known)
     if not loose.fit.time_spread:
@@ -266,6 +267,13 @@ def _with_times(samples: ResponseSamples, found: FittedResponse) -> FittedRespon
     before, after = error_of_quadrants(samples, found), error_of_quadrants(samples, loose)
     predicted_better = np.all(after <= before) and after.sum() <= _LEAST_GAIN_OF_TIMES * before.sum()
     return loose if predicted_better else found
+
+
+def _overlaps(samples: ResponseSamples) -> bool:
+    """Return whether some digital number occurs at two exposure times: an even field shows the curve or the times."""
+    times = samples.frame_log_time[samples.frame]
+    ranges = [(samples.dn[times == one].min(), samples.dn[times == one].max()) for one in np.unique(times)]
+    return any(top >= bottom for (_, top), (bottom, _) in pairwise(ranges))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -174,7 +174,7 @@ def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
     raise MeasurementError(
         f"{where or 'the frames'}: no response follows from these frames: between {low} and {high} DN "
         f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1). Check that the pictures differ as "
-        "their exposure times state, or take more of them, a stop apart"
+        "their exposure times state, or take more of them, a stop apart, of a scene with bright and dark parts"
     )
 
 

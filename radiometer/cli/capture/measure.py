@@ -90,6 +90,7 @@ def command(
             for assumption in reading.more["assumptions"]:
                 note(f"assumed: {assumption}")
             _show(reading, budget=budget)
+        _note_page(report)
         return
     with progress(shown=not json) as shown:
         for reading in rm.readings(
@@ -101,6 +102,13 @@ def command(
                 print(reading.to_json(), flush=True)
             else:
                 _show(reading, budget=budget)
+    _note_page(report)
+
+
+def _note_page(report: Path | None) -> None:
+    """Print where the page of a reading was written."""
+    if report is not None:
+        note(f"report: {report}")
 
 
 def _silent(line: str) -> None:

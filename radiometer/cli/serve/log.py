@@ -80,21 +80,34 @@ def _show(found: LoggedReadings) -> None:
         note("no reading matches")
         return
     table = Table(box=None, pad_edge=False)
-    for title in ("number", "time (UTC)", "radiance", "U (95 %)", "k", "unit", "luminance (cd·m⁻²)", "flags"):
-        table.add_column(title, justify="left" if title in ("time (UTC)", "unit", "flags") else "right")
+    names = {id(one): place.name for place in found.places for one in place.readings}
+    several = len(found.places) > 1
+    for title in (
+        "number",
+        "time (UTC)",
+        *(["place"] if several else []),
+        "radiance",
+        "U (95 %)",
+        "k",
+        "unit",
+        "luminance (cd·m⁻²)",
+        "flags",
+    ):
+        table.add_column(title, justify="left" if title in ("time (UTC)", "place", "unit", "flags") else "right")
     for reading in found.readings[-_SHOWN:]:
-        table.add_row(*_cells(reading))
+        table.add_row(*_cells(reading, [names[id(reading)]] if several else []))
     out = console()
     out.print(table)
     for place in found.places:
         out.print(place.summary(), markup=False)
 
 
-def _cells(reading: dict[str, Any]) -> list[str]:
+def _cells(reading: dict[str, Any], place: list[str]) -> list[str]:
     radiance, luminance = reading["radiance"], reading["luminance"]
     return [
         str(reading["sequence"]),
         reading["time"][:23].replace("T", " "),
+        *place,
         *_shown(radiance, reading["coverage_factor"], "below_noise" in reading["flags"]),
         f"{reading['coverage_factor']:.3g}",
         unit_text(radiance["unit"]),

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import unicodedata
 from typing import Final
 
 from radiometer.daemon.journal import JournalError
+from radiometer.daemon.scpi.formats import string
 from radiometer.errors import (
     CalibrationError,
     DeviceError,
@@ -16,7 +16,6 @@ from radiometer.errors import (
     UsageError,
 )
 
-_ASCII: Final = str.maketrans({"×": "x", "·": " ", "−": "-", "–": "-", "±": "+-", "μ": "u", "°": ""})  # after NFKD
 MESSAGES: Final = {
     0: "No error",
     -101: "Invalid character",
@@ -72,9 +71,7 @@ class ScpiError(Exception):
     def entry(self) -> str:
         """Return the reply to SYSTem:ERRor?, at most 255 characters in the quotes as the standard wants."""
         text = MESSAGES[self.number] + (f";{self.detail}" if self.detail else "")
-        plain = unicodedata.normalize("NFKD", text).translate(_ASCII)
-        clean = "".join(char if " " <= char <= "~" else "?" for char in plain)
-        return f'{self.number},"{clean[:255].replace(chr(34), chr(34) * 2)}"'
+        return f"{self.number},{string(text, longest=255)}"
 
     @property
     def event_bit(self) -> int:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import unicodedata
 from collections.abc import Iterable
+from typing import Final
 
 from radiometer.data import Reading
 
+_ASCII: Final = str.maketrans({"×": "x", "·": " ", "−": "-", "–": "-", "±": "+-", "μ": "u", "°": ""})  # after NFKD
 NOT_A_NUMBER = "9.91E+37"  # SCPI-99, volume 1, 7.2.1.5
 INFINITY = "9.9E+37"
 
@@ -20,10 +23,15 @@ def number(value: float) -> str:
     return f"{value:.9E}"
 
 
-def string(text: str) -> str:
-    """Return <STRING RESPONSE DATA>: in quotes, quotes doubled, one line of ASCII."""
-    clean = "".join(char if " " <= char <= "~" else "?" for char in text)
-    return '"' + clean.replace('"', '""') + '"'
+def string(text: str, longest: int | None = None) -> str:
+    """Return <STRING RESPONSE DATA>: in quotes, quotes doubled, one line of ASCII; W·sr⁻¹ as W sr-1, ± as +-.
+
+    Args:
+        longest: Characters between the quotes at most; None for all.
+    """
+    plain = unicodedata.normalize("NFKD", text).translate(_ASCII)
+    clean = "".join(char if " " <= char <= "~" else "?" for char in plain)
+    return '"' + clean[:longest].replace('"', '""') + '"'
 
 
 def block(content: bytes) -> str:

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from radiometer.cli.main import run
+from radiometer.daemon.journal import Journal
 
 HEAD = "captured,quantity,patch,value,u,unit,status\n"
 
@@ -54,6 +55,14 @@ def test_trend_gives_json_and_a_report(table, tmp_path, capsys):
     assert re.match(r"1 of 2 patches drift.* lamp", sentence)
     assert run(["trend", str(table), "--report", str(page), "--force"]) == 0
     assert f"report: {page}" in capsys.readouterr().err.replace("\n", "")
+
+
+def test_trend_of_a_journal_names_what_it_needs(tmp_path, capsys):
+    """The daemon's readings are no table of results."""
+    with Journal(tmp_path / "week.sqlite"):
+        pass
+    assert run(["trend", str(tmp_path / "week.sqlite")]) == 1
+    assert "the table of `radiometer batch`" in capsys.readouterr().err
 
 
 def test_trend_of_a_quantity_that_is_not_there(table, capsys):

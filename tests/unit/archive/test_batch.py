@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from radiometer.archive.jobs import COLUMNS, JOBS, JobSettings
-from radiometer.archive.run import run_batch
+from radiometer.archive.run import ResultJournal, run_batch
 from radiometer.archive.sessions import find_captures
 from radiometer.data import Calibration, CaptureSet, LensDescription, Scale, SensorNoise
-from radiometer.errors import DeviceNotFound, InputError, UsageError
+from radiometer.errors import DeviceNotFound, InputError, OutputRefused, UsageError
 from testing.patience import within
 
 pd = pytest.importorskip("pandas", reason="the extra `cluster` is not installed")
@@ -131,6 +131,23 @@ def test_a_journal_cut_in_the_middle_of_a_line_loses_that_capture_only(make_arch
     os.truncate(journal, journal.stat().st_size - 30)
     again = batch(root, tmp_path / "results.csv")
     assert (again.done, again.skipped, again.rows_in_table) == (1, 2, 3)
+
+
+def test_a_journal_of_something_else_is_kept(make_archive, tmp_path):
+    """No line is added to it, and no second program adds to a table at the same time."""
+    table = tmp_path / "t.csv"
+    journal = tmp_path / "t.csv.journal"
+    journal.write_text("precious")
+    with pytest.raises(OutputRefused, match="no journal of a table"):
+        batch(make_archive(1), table)
+    assert journal.read_text() == "precious"
+    journal.unlink()
+    with (
+        ResultJournal(table),
+        pytest.raises(OutputRefused, match="another program adds to"),
+        ResultJournal(table),
+    ):
+        pass
 
 
 @pytest.mark.slow

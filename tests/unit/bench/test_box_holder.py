@@ -18,7 +18,7 @@ import pytest
 
 from drivers.light_box.serial_line import SerialPort
 from radiometer.bench import boxes
-from radiometer.bench.box_holder import ask_for_darkness, darken_held, held_boxes, holding, is_ours, runtime_folder
+from radiometer.bench.box_holder import ask_for_darkness, darken_held, held_boxes, holding, is_ours, own_folder
 from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box, simulated_port_folder
 from radiometer.bench.served_box import served_box
 from radiometer.cli.main import run
@@ -29,7 +29,7 @@ from testing.patience import within
 
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
 
 
@@ -47,11 +47,27 @@ def test_light_off_works_while_another_program_holds_the_box(capsys: pytest.Capt
     assert printed == {"box": "HELD0001", "darkened_by": os.getpid()}
 
 
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("session", [None, "another"])
+def test_light_off_works_from_another_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, session: str | None, named: bool
+) -> None:
+    """The holder was started at a desk; cron or a service has no XDG_RUNTIME_DIR or TMPDIR of that desk."""
+    with served_box("HELD0001", tmp_path / "link").server as server, open_light_box(server.port) as opened:
+        opened.box.set_level("spot", DriveLevel(1000))
+        for name in ("XDG_RUNTIME_DIR", "TMPDIR"):
+            monkeypatch.delenv(name, raising=False)
+            if session:
+                monkeypatch.setenv(name, str(tmp_path / session))
+        assert run(["light", "off", *(["--box", str(tmp_path / "link")] if named else [])]) == 0
+        assert opened.box.read_channel("spot").drive.level == 0
+
+
 def test_light_off_darkens_all_that_answer_whatever_else_is_there(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """Two boxes, a link that leads nowhere, a holder that does not answer, a damaged calibration: both are dark."""
-    folder = runtime_folder("radiometer-light-boxes")
+    folder = own_folder("simulated-boxes")
     (folder / "DEAD0001").symlink_to("/dev/pts/99999")
     damaged = tmp_path / "data" / "radiometer" / "light_boxes" / "ONES0001.yaml"
     damaged.parent.mkdir(parents=True)
@@ -88,7 +104,8 @@ def test_a_program_that_hangs_while_it_holds_a_box_is_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A stopped program takes the question and never answers: `light off` fails with its number."""
-    monkeypatch.chdir(runtime_folder("radiometer-held-boxes"))
+    with holding("AAAA0001", "/dev/a", lambda: None):
+        monkeypatch.chdir(held_boxes()[0].address.parent)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as hangs:
         hangs.bind(f"0123456789ab-{os.getppid()}-1")  # the whole path may be longer than a socket's
         hangs.listen(4)
@@ -139,9 +156,8 @@ def test_pages_darken_every_box_that_is_held() -> None:
 
 def test_what_a_killed_holder_left_behind_is_removed(tmp_path: Path) -> None:
     """A socket without a server is no holder."""
-    import socket
-
-    left = runtime_folder("radiometer-held-boxes") / "left"
+    with holding("AAAA0001", "/dev/a", lambda: None):
+        left = held_boxes()[0].address.with_name("left")
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(left))
     assert held_boxes() == []
@@ -218,7 +234,7 @@ class Stranger:
 @pytest.fixture
 def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stranger]:
     """Return such a device; no other port exists, and no one waits for a boot loader."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.delenv(boxes.PORT_VARIABLE, raising=False)

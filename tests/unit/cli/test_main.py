@@ -83,6 +83,21 @@ def test_misuse_gets_one_clear_line_and_code_two(words, code, message, capsys):
     assert "Traceback" not in printed
 
 
+@pytest.mark.parametrize("words", ["--help", "measure"])
+@pytest.mark.parametrize(
+    ("streams", "code"), [("2>&-", 0), (">/dev/full", 1), (">&-", 1), (">/dev/full 2>&-", 1), ("<&- >&- 2>&-", 1)]
+)
+def test_a_standard_stream_that_takes_nothing(words, streams, code):
+    """A result that no one gets is a failure that its last line names; remarks that no one gets are none."""
+    call = f"{sys.executable} -m radiometer {words} {streams}"
+    ended = subprocess.run(["sh", "-c", call], capture_output=True, text=True, check=False)
+    assert ended.returncode == code
+    assert bool(ended.stdout) == (code == 0)
+    if "2>&-" not in streams:
+        assert ended.stderr.splitlines()[-1].startswith("error: standard output: ")
+        assert ended.stderr.count("error:") == 1
+
+
 def test_version_is_reported(capsys):
     """`--version` prints name and number."""
     assert run(["--version"]) == 0

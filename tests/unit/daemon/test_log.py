@@ -27,10 +27,12 @@ def journal(tmp_path: Path, make_reading: Callable[..., Reading]) -> Path:
     return tmp_path / "j.sqlite"
 
 
-def test_readings_of_another_place_do_not_count_in_a_mean(journal, capsys):
+def test_readings_of_another_place_do_not_count_in_a_mean(journal, capsys, monkeypatch):
     """The wall's standard deviation is 0.0021 (0.7 %), not the 69 % of all three; the lamp has its own line."""
+    monkeypatch.setenv("COLUMNS", "160")
     assert run(["log", str(journal)]) == 0
-    wall, lamp = capsys.readouterr().out.splitlines()[-2:]
+    *table, wall, lamp = capsys.readouterr().out.splitlines()
+    assert [("1,2 3" in line, "50,60" in line) for line in table[1:]] == [(True, False), (False, True), (True, False)]
     assert wall.startswith("patch 1,2 3 × 4: 2 readings")
     assert wall.endswith("mean 0.3015, standard deviation 0.0021 (0.7 %)")
     assert lamp.startswith("patch 50,60 7 × 8: 1 readings")

@@ -167,6 +167,12 @@ async def test_a_blocked_journal_is_one_alarm_among_others(session, station, up,
     assert int(await ask(session, "STAT:QUES:COND?")) & (0b111 << 9 | 1 << 12) == bit
 
 
+async def test_units_and_signs_are_legible_in_ascii(session, station):
+    """An alarm's value keeps its sign and its unit."""
+    station.alarms.put_up("limit light", "0.9 ± 0.1 W·sr⁻¹·m⁻²")
+    assert await ask(session, "SYST:ALAR?") == '"limit light: 0.9 +- 0.1 W sr-1 m-2"'
+
+
 @pytest.mark.parametrize("command", ["ABOR", "*CLS", "*RST"])
 async def test_what_is_aborted_does_not_go_on(session, command):
     """ABORt, *CLS and *RST end the measurement itself, not only the waiting for it."""

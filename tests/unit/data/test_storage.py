@@ -84,6 +84,43 @@ def test_one_file_for_two_outputs_is_refused(tmp_path):
         storage.check_outputs(tmp_path / "x", tmp_path / "a" / ".." / "x")
 
 
+def test_a_link_to_itself_is_no_output(tmp_path):
+    """One line, with and without --force."""
+    loop = tmp_path / "loop.exr"
+    loop.symlink_to(loop)
+    with pytest.raises(OutputRefused, match="leads back to itself"):
+        storage.check_outputs(loop, force=True)
+    with pytest.raises(OutputError, match="cannot write"):
+        storage.write_text_atomic(loop, "new")
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_file_that_another_program_wrote_meanwhile_is_kept(tmp_path, monkeypatch, links):
+    """Without --force only: its result is saved elsewhere; a file written twice by one program is its own."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    target = tmp_path / "map.exr"
+    for force, held in ((True, "mine"), (False, "theirs")):
+        with storage.new_files_stay_new():
+            storage.check_outputs(target, force=force)
+            target.write_text("theirs")
+            with contextlib.nullcontext() if force else pytest.raises(OutputError, match=r"meanwhile.*saved as"):
+                storage.write_text_atomic(target, "mine")
+        assert target.read_text() == held
+        target.unlink()
+    if not links:  # as on FAT
+        monkeypatch.setattr(storage.os, "link", _no_links)
+    with storage.new_files_stay_new():
+        storage.check_outputs(target)
+        storage.write_text_atomic(target, "first")
+        storage.write_text_atomic(target, "second")
+    assert target.read_text() == "second"
+    assert [one.name for one in tmp_path.iterdir() if one.name.startswith(".")] == []
+
+
+def _no_links(*_paths):
+    raise OSError(errno.EPERM, "Operation not permitted")
+
+
 def test_a_folder_is_never_replaced(tmp_path):
     """A new or empty one is filled, and made with those above it; one with content or below a file is refused."""
     storage.check_new_folder(tmp_path)

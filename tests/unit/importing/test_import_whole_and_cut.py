@@ -46,6 +46,21 @@ def test_an_import_is_a_capture_set(write_fits, run_command, tmp_path):
     assert imported_of(capture).taken
 
 
+def test_a_list_gives_the_times_that_files_do_not_state(write_fits, run_command, tmp_path):
+    """A file's own time counts before the list; one that neither states is left out and named."""
+    folder = write_fits("s/a.fits", PICTURE, EXPTIME=1.0).parent
+    for name in ("b", "c"):
+        write_fits(f"s/{name}.fits", PICTURE)
+    (folder / "exposures.txt").write_text("a.fits 9\nb.fits 20 ms\n")
+    code, _, err = run_command("import", folder, "-o", tmp_path / "out")
+    assert (code, "c.fits" in err) == (0, True)
+    assert [e.exposure_s for e in CaptureSet.read(tmp_path / "out").header.frames] == [1.0, 0.02]
+    (folder / "exposures.txt").unlink()
+    (folder / "a.fits").unlink()
+    code, _, err = run_command("import", folder, "-o", tmp_path / "none")
+    assert (code, "exposures.txt" in err) == (1, True)
+
+
 def test_several_bands_become_several_sets(write_raw_tiff, run_command, tmp_path):
     """Each band has its folder."""
     write_raw_tiff("s/IMG_1.tif", PICTURE, band="Blue")

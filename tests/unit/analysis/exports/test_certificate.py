@@ -13,7 +13,7 @@ import yaml
 import radiometer as rm
 from radiometer.analysis.exports.certificate import SCHEMA_VERSION, read_certificate
 from radiometer.data import Contribution, Patch, Quantity, Reading
-from radiometer.errors import ConfigurationError, InputError, UsageError
+from radiometer.errors import ConfigurationError, InputError, OutputRefused, UsageError
 
 LABORATORY = """\
 format: radiometer-laboratory/1
@@ -114,6 +114,17 @@ def test_a_reading_in_a_file_is_certified_as_the_reading(tmp_path: Path, laborat
     assert of_file.content.results == rm.certificate(reading(), laboratory=laboratory, identifier="1").content.results
 
 
+@pytest.mark.parametrize("read", ["source", "laboratory"])
+def test_the_page_next_to_a_certificate_replaces_no_input(tmp_path: Path, laboratory: Path, read: str) -> None:
+    """Not even with --force, whatever its input is called."""
+    content = json.dumps(reading().to_mapping()) if read == "source" else LABORATORY
+    (page := tmp_path / "c.html").write_text(content, encoding="utf-8")
+    source, stated = (page, laboratory) if read == "source" else (reading(), page)
+    with pytest.raises(OutputRefused, match="belongs to the input"):
+        rm.certificate(source, tmp_path / "c.xml", laboratory=stated, identifier="1", force=True)
+    assert page.read_text(encoding="utf-8") == content
+
+
 def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -> None:
     """What cannot be certified is refused."""
     with pytest.raises(UsageError, match="relative"):
@@ -146,7 +157,7 @@ def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -
 def test_no_certificate_of_what_no_reading_states(tmp_path: Path, laboratory: Path, key: str, value, why: str) -> None:
     """An impossible number, unit, time or character is refused by its name, and nothing is written."""
     (tmp_path / "r.json").write_text(json.dumps({**reading().to_mapping(), key: value}))
-    with pytest.raises((InputError, UsageError), match=why):
+    with pytest.raises((InputError, OutputRefused, UsageError), match=why):
         rm.certificate(tmp_path / "r.json", tmp_path / "c.xml", laboratory=laboratory, identifier="1")
     assert not (tmp_path / "c.xml").exists()
 

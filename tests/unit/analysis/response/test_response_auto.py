@@ -10,8 +10,21 @@ import pytest
 
 import radiometer as rm
 from radiometer.analysis.response.auto import recover_response_auto
-from radiometer.data import Bracket
+from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.data.storage import write_yaml_atomic
+from radiometer.errors import MeasurementError
+
+
+def test_an_even_field_gives_no_response():
+    """Where no number occurs at two times, the frames separate no curve from the times: one clear line."""
+    rng = np.random.default_rng(1)
+    frames = []
+    for exposure_s in np.repeat([0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6], 2):
+        electrons = rng.poisson(9000.0 * exposure_s, (64, 80)) + rng.normal(0.0, 4.0, (64, 80))
+        dn = np.rint(200.0 + 0.5 * electrons).astype(np.uint16)
+        frames.append(Frame(dn, 16, FrameSettings(float(exposure_s))))
+    with pytest.raises(MeasurementError, match="no response follows"):
+        rm.recover_response(Bracket.from_frames(frames))
 
 
 @pytest.mark.slow
