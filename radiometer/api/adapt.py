@@ -172,6 +172,7 @@ def adapt_run(
 
     Raises:
         UsageError: If arguments exclude or need each other, or the journal holds a finished or another run.
+        OutputRefused: If the journal exists already and is none that can be taken up.
         CalibrationError: If a calibration is too old or of another device.
         MeasurementError: If the room is not dark.
         UnsafeStimulus: If the light is too much for the eye.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import errno
-import importlib
 import os
 import sys
 import textwrap
@@ -135,11 +134,9 @@ def _run_command(name: str, arguments: list[str]) -> int:
 
     from radiometer.cli.tree import application
 
-    own_parser = getattr(importlib.import_module(COMMANDS[name].module), "app", None)
-    run_words = own_parser if callable(own_parser) else application(name).main
     click_error: Any = typer.BadParameter.__mro__[2]  # typer carries its own copy of click
     try:
-        result = run_words(arguments, prog_name=f"radiometer {name}", standalone_mode=False)
+        result = application(name).main(arguments, prog_name=f"radiometer {name}", standalone_mode=False)
     except typer.Exit as leaving:
         return int(leaving.exit_code)
     except typer.Abort:

@@ -135,17 +135,26 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         warnings.append(f"PstLM is not determined: the record has {waveform.duration_s:.3g} s and no repetition")
     else:
         pst = with_u(short_term_severity)
-        # The measure squares what it sees, so noise adds to it; whether that is of the light, a record cannot show.
-        quietest = math.sqrt(max(pst.value**2 - noise_severity(part, period) ** 2, 0.0))
-        pst = Quantity(pst.value, math.hypot(pst.u, (pst.value - quietest) / math.sqrt(3.0)), "1")
-        if pst.value - quietest > _NOISY_REL * pst.value:
-            warnings.append(f"PstLM counts the noise of the record as light: without it, it may be {quietest:.2g}")
+        pst, doubts = _with_noise(pst, part, period)
+        warnings += doubts
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
     frequency = None if period is None else Quantity(period.frequency_hz, period.u_hz, "Hz")
     k = float(student_t.ppf(0.5 + _COVERAGE / 2.0, blocks - 1)) if blocks else 2.0
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+
+
+def _with_noise(pst: Quantity, part: Waveform, period: Period | None) -> tuple[Quantity, list[str]]:
+    """Return PstLM with the noise of the record in u, and a warning where that is much.
+
+    The measure squares what it sees, so noise adds to it; whether that is of the light, a record cannot show.
+    """
+    quietest = math.sqrt(max(pst.value**2 - noise_severity(part, period) ** 2, 0.0))
+    found = Quantity(pst.value, math.hypot(pst.u, (pst.value - quietest) / math.sqrt(3.0)), "1")
+    if pst.value - quietest <= _NOISY_REL * pst.value:
+        return found, []
+    return found, [f"PstLM counts the noise of the record as light: without it, it may be {quietest:.2g}"]
 
 
 def _shape(waveform: Waveform, period: Period | None) -> tuple[ShapeMeasures, str]:

@@ -164,18 +164,22 @@ def profile(
         width_px: Width to average over.
 
     Raises:
-        InputError: If an end is outside the map, or both are the same.
+        InputError: If an end or the width leaves the map, or both ends are the same.
     """
     height, width = found.shape
-    for at_x, at_y in (start, end):
-        if not (0 <= at_x <= width - 1 and 0 <= at_y <= height - 1):
-            raise InputError(f"profile: the point {at_x:g},{at_y:g} is outside the map of {width} × {height} pixels")
     length = math.dist(start, end)
     if length < 1.0:
         raise InputError("profile: the two points are less than a pixel apart")
+    normal = ((start[1] - end[1]) / length, (end[0] - start[0]) / length)
+    for off in (-(width_px - 1) / 2.0, (width_px - 1) / 2.0):
+        for at_x, at_y in ((one[0] + off * normal[0], one[1] + off * normal[1]) for one in (start, end)):
+            if not (-0.5 <= at_x <= width - 0.5 and -0.5 <= at_y <= height - 0.5):
+                raise InputError(
+                    f"profile: {at_x:g},{at_y:g}, within its width of {width_px} pixels, is outside the map of "
+                    f"{width} × {height} pixels"
+                )
     steps = np.linspace(0.0, 1.0, math.ceil(length) + 1)
     across = (np.arange(width_px) - (width_px - 1) / 2.0)[:, None]
-    normal = ((start[1] - end[1]) / length, (end[0] - start[0]) / length)
     x = start[0] + (end[0] - start[0]) * steps + normal[0] * across
     y = start[1] + (end[1] - start[1]) * steps + normal[1] * across
     lost = np.where((found.mask & LOST) != 0, np.nan, found.radiance).astype(np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
@@ -50,7 +51,7 @@ def command(
     Gives mean, median, extremes, uniformity and deviation of each region, each with its uncertainty.
     """
     found = rm.analyse(
-        source, regions=dict(_region(word) for word in region or ()),
+        source, regions=_regions(region or ()),
         contrast=None if contrast is None else cast(tuple[str, str], _numbered(contrast, 2, "--contrast BRIGHT,DARK")),
         line=None if line is None else _line(line), line_width=line_width, box=box, spectrum=spectrum, fisheye=fisheye,
         field_of_view=field_of_view, field_of_view_u=field_of_view_u, radius=radius, glare=glare,
@@ -79,11 +80,16 @@ def _numbered(text: str, count: int, option: str) -> tuple[str, ...]:
     return parts
 
 
-def _region(text: str) -> tuple[str, Patch]:
-    name, colon, where = text.rpartition(":")
-    if not colon or not name:
-        raise UsageError(f"--region {text!r}: expected NAME:X,Y,W,H, such as centre:100,80,40,40")
-    return name, parse_patch(where)
+def _regions(texts: Sequence[str]) -> dict[str, Patch]:
+    found: dict[str, Patch] = {}
+    for text in texts:
+        name, colon, where = text.rpartition(":")
+        if not colon or not name:
+            raise UsageError(f"--region {text!r}: expected NAME:X,Y,W,H, such as centre:100,80,40,40")
+        if name in found:
+            raise UsageError(f"--region {text!r}: {name} is named twice; give each region another name")
+        found[name] = parse_patch(where)
+    return found
 
 
 def _line(text: str) -> tuple[float, float, float, float]:

@@ -114,6 +114,7 @@ def read_meter_table(path: Path) -> tuple[MeterRow, ...]:
 
     Raises:
         InputError: If a column is missing or a value is no positive number; the message gives the line.
+        UnsettledError: If a column states no unit, or its numbers can be none of a meter.
     """
     table = read_table(path, f"the columns {_NEEDS}", named=True)
     columns = {fact: _column(table, fact) for fact in _NAMES}

@@ -325,6 +325,24 @@ def test_who_asks_for_everything_gets_the_traceback_without_its_variables(capsys
     assert "49999" not in printed
 
 
+def _numbers(command: Any, *path: str) -> Iterator[tuple[str, ...]]:
+    """Yield each option of a command and of those below it that takes a number, after the words of its command."""
+    for option in command.params:
+        if option.param_type_name == "option" and option.type_descriptor.annotation is float:
+            yield (*path, option.opts[0])
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _numbers(inner, *path, name)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_option_takes_what_is_no_number(name, tmp_path, monkeypatch):
+    """A limit lets nan pass, and without one infinity passes, too; each is refused before anything happens."""
+    monkeypatch.chdir(tmp_path)
+    for words in _numbers(application(name), name):
+        assert [run([*words, value]) for value in ("nan", "inf")] == [2, 2], words
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_log_that_cannot_be_written_ends_no_program(monkeypatch):
     """A full disk, or a pipe whose reader has ended: the daemon goes on, and its alarms are on every interface."""
     reader, writer = os.pipe()
@@ -333,7 +351,7 @@ def test_a_log_that_cannot_be_written_ends_no_program(monkeypatch):
         with open(target, "w", buffering=1, closefd=False) as full:
             monkeypatch.setattr("sys.stderr", full)
             configure_logging()
-            structlog.get_logger("test").warning("patch main is beyond its limit")
+            assert structlog.get_logger("test").warning("patch main is beyond its limit") is None
             monkeypatch.undo()
             with contextlib.suppress(OSError):
                 full.close()

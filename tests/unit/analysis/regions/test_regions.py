@@ -145,6 +145,7 @@ def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
         ({"fisheye": "equidistant", "field_of_view": 400.0}, InputError),
         ({"line": (0, 0, 99, 0)}, InputError),
         ({"line": (3, 3, 3, 3)}, InputError),
+        ({"line": (3, 3, 9, 3), "line_width": 1_000_000}, InputError),
     ],
 )
 def test_what_does_not_fit_the_map_is_refused(
