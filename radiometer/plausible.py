@@ -55,6 +55,9 @@ PLAUSIBLE: Final[Mapping[str, Range]] = {
     "read_noise": Range(0.0, 1e9, "e-"),
     "radiance": Range(1e-18, 1e18, "W sr-1 m-2"),  # a dark sky 10⁻⁷, the sun 2·10⁷, lasers 10¹⁵
     "width": Range(1e-6, 1000.0, "nm"),  # of a line: lasers 10⁻⁶, phosphors 100
+    "wavelength_u": Range(0.0, 50.0, "nm"),  # of a spectrum's scale: prisms and filter sets reach some 5
+    "length": Range(1e-6, 1e6, "m"),  # of a source, or to it
+    "angle": Range(0.1, 180.0, "°"),  # of half intensity: laser diodes some tenths
     "screen": Range(-1.0, 1e6, "cd m-2"),  # the brightest walls have 10⁴; noise may bring black below 0
     "luminance": Range(0.0, 1e15, "cd m-2"),  # the sun 1.6·10⁹
     "scotopic_ratio": Range(0.0, 1000.0),  # the greatest, in the violet, is some 60

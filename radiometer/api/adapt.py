@@ -390,13 +390,22 @@ def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[
         mapped: Columns and units, as for `adapt_fit`.
 
     Raises:
-        UsageError: If their number is odd.
+        UsageError: If their number is odd, or a pair is of two subjects, eyes or protocols.
         MeasurementError: If thresholds determine no branch.
     """
     if len(visits) % 2:
         raise UsageError(f"{len(visits)} tables: give two for each subject, first and second visit")
     known = StatementMap.of(mapped)
-    fits = [_fitted(Path(one), known).fit for one in visits]
+    curves = [_fitted(Path(one), known) for one in visits]
+    for first, second in zip(curves[::2], curves[1::2], strict=True):
+        for name in ("subject", "eye", "protocol"):
+            then, now = (one.series.facts.get(name) for one in (first, second))
+            if then is not None and now is not None and then != now:
+                raise UsageError(
+                    f"{first.name} and {second.name} are of {name} {then} and {now}; give first and second visit "
+                    "of each subject, in turn"
+                )
+    fits = [one.fit for one in curves]
     return Retest(tuple(compare_visits(list(zip(fits[::2], fits[1::2], strict=True)))))
 
 

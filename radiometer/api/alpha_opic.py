@@ -21,6 +21,7 @@ from radiometer.data.drawing import new_axes
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UsageError
+from radiometer.plausible import PLAUSIBLE
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 
 if TYPE_CHECKING:
@@ -161,7 +162,10 @@ def alpha_opic(
         assumptions.append(f"the spectrum {named} is exact; --spectrum-u-rel states how well it is known")
     if (size_m is None) != (distance_m is None) or (u_distance_m and distance_m is None):
         raise UsageError("--size and --distance need each other, and --distance-u both")
+    PLAUSIBLE["wavelength_u"].check("--wavelength-u", wavelength_u_nm, UsageError)
     if size_m is not None and distance_m is not None:
+        for name, length_m in (("--distance", distance_m), *(("--size", one) for one in size_m)):
+            PLAUSIBLE["length"].check(name, length_m, UsageError)
         source = facing_irradiance(source, size_m, distance_m, u_distance_m)
         assumptions.append("the source is evenly bright, alike in all directions, and straight before the plane")
     light = spectrum_of(named)

@@ -51,6 +51,7 @@ from radiometer.data import (
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.data.reading import RADIANCE_UNIT
 from radiometer.data.setup import Setup
+from radiometer.data.validation import validate
 from radiometer.devices import CameraPreset
 from radiometer.errors import InputError, UsageError
 from radiometer.importing import imported_of, open_capture
@@ -579,7 +580,7 @@ def _uncertainties(stated: Mapping[str, float] | None, preset: CameraPreset | No
         raise UsageError(f"there is no uncertainty {unknown[0]!r}; there are: {there}")
     if any(not 0.0 <= u < float("inf") for u in figures.values()):
         raise UsageError("an uncertainty must be 0 or more, and finite")
-    return StatedUncertainties(**figures)
+    return validate(StatedUncertainties, figures, "stated uncertainties", UsageError)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, fit_drive_law
 from radiometer.analysis.flux.estimate import led_flux
@@ -30,8 +30,11 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.importing.drive_table import read_drive_table
 from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
+from radiometer.plausible import PLAUSIBLE
 
 __all__ = ["Flux", "FluxReport", "Quantity", "flux"]
+
+_MOST_U_REL: Final = 0.25  # of a length: beyond it the square in solid angles is no line within u
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,6 +239,12 @@ def _emitter(
     for name, value in (("--diameter", diameter), ("--distance", distance), ("--datasheet-mw", datasheet_mw)):
         if value is not None and not value > 0:
             raise UsageError(f"{name} {value:g}: must be above 0")
+    PLAUSIBLE["angle"].check("--half-angle", half_angle, UsageError)
+    for name, value, u in (("--diameter", diameter, diameter_u), ("--distance", distance, distance_u)):
+        if value is not None:
+            PLAUSIBLE["length"].check(name, 1e-3 * value, UsageError)
+            if u > _MOST_U_REL * value:
+                raise UsageError(f"{name} {value:g} mm: known to ± {u:g} mm; state both in mm, and closer")
     return Emitter(
         Quantity(half_angle, half_angle_u, "°"),
         None if diameter is None else Quantity(diameter, diameter_u, "mm"),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from radiometer.acquire.characterisation_ladder import LadderRequest, take_ladder
 from radiometer.analysis.characterise import Characterisation, read_subject
 from radiometer.analysis.characterise import characterise as characterise_subject
-from radiometer.analysis.characterise.emva_export import export_descriptor
+from radiometer.analysis.characterise.emva_export import export_descriptor, images_folder
 from radiometer.analysis.characterise.report import datasheet, draw_telling
 from radiometer.analysis.characterise.result import SYMBOLS, as_printed
 from radiometer.analysis.characterise.subject import Subject, with_known_radiance
@@ -35,7 +35,7 @@ from radiometer.bench.config import BenchConfig
 from radiometer.bench.instrument import central_patch
 from radiometer.data import CaptureSetWriter, LensDescription, Patch, PatchDescription, Quantity
 from radiometer.data.drawing import new_axes, picture
-from radiometer.data.storage import write_text_atomic, write_yaml_atomic
+from radiometer.data.storage import check_new_folder, write_text_atomic, write_yaml_atomic
 from radiometer.devices import Camera, CameraCapabilities
 from radiometer.errors import UsageError
 from radiometer.importing import open_capture
@@ -182,12 +182,15 @@ def characterise(
 
     Raises:
         UsageError: If neither or both of path and camera are named.
+        OutputRefused: If a descriptor's folder of images holds files.
         CaptureError: If the frames are missing or inconsistent.
         MeasurementError: If they do not determine the figures.
         DeviceError: If the camera fails.
     """
     if (path is None) == (camera is None):
         raise UsageError("name a capture set (or descriptor file), or a camera with --camera; one of both")
+    if emva_descriptor is not None:
+        check_new_folder(images_folder(Path(emva_descriptor)))
     region = as_patch(patch)
     with tempfile.TemporaryDirectory(prefix="radiometer-") as scratch:
         limits, folder = None, Path(path) if path is not None else Path(keep or Path(scratch) / "capture")

@@ -158,7 +158,9 @@ def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
     merged = merge_frames(capture_set.bracket(), Setup(header.camera, header.lens, calibration))
     if settings.maps:
-        write_map(merged, Path(settings.maps) / f"{capture_set.path.name}-{capture_set.content_hash()[:12]}.zarr")
+        # Another calibration gives another map, and the one before still belongs to its table.
+        name = f"{capture_set.path.name}-{capture_set.content_hash()[:12]}-{settings.fingerprint()[:8]}.zarr"
+        write_map(merged, Path(settings.maps) / name)
     good = merged.mask == 0
     count = int(good.sum())
     if not count:

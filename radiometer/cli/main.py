@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import importlib
 import os
 import sys
 import textwrap
@@ -134,9 +135,10 @@ def _run_command(name: str, arguments: list[str]) -> int:
 
     from radiometer.cli.tree import application
 
+    whole_words = getattr(importlib.import_module(COMMANDS[name].module), "whole_words", list)
     click_error: Any = typer.BadParameter.__mro__[2]  # typer carries its own copy of click
     try:
-        result = application(name).main(arguments, prog_name=f"radiometer {name}", standalone_mode=False)
+        result = application(name).main(whole_words(arguments), prog_name=f"radiometer {name}", standalone_mode=False)
     except typer.Exit as leaving:
         return int(leaving.exit_code)
     except typer.Abort:

@@ -71,7 +71,7 @@ class _Images:
         """Return the image's name relative to the descriptor, with backslashes; writes it where it is a part."""
         if self.region is None:
             return os.path.relpath(file, self._path.parent).replace("/", "\\")
-        folder = self._path.parent / f"{self._path.stem}_images"
+        folder = images_folder(self._path)
         make_folder(folder)
         target = folder / f"{file.stem}.png"
         if target not in self._written:
@@ -79,6 +79,11 @@ class _Images:
             write_bytes_atomic(target, cv2.imencode(".png", part)[1].tobytes())
             self._written.add(target)
         return f"{folder.name}\\{target.name}"
+
+
+def images_folder(descriptor: Path) -> Path:
+    """Return the folder of the images that belong to a descriptor alone."""
+    return descriptor.parent / f"{descriptor.stem}_images"
 
 
 def make_folder(folder: Path) -> None:

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -72,19 +72,8 @@ def command(
     _print_summary(found, time.monotonic() - started)
 
 
-def app(arguments: Sequence[str], **how: Any) -> Any:
-    """Run the command; `--plot` may stand alone, which Typer itself does not know.
-
-    Args:
-        arguments: Words after `radiometer response`.
-    """
-    inner = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    inner.command(name="response", context_settings={"help_option_names": ["-h", "--help"]})(command)
-    return inner(_with_plot_name(list(arguments)), **how)
-
-
-def _with_plot_name(words: list[str]) -> list[str]:
-    """Put an empty name behind a `--plot` that has none."""
+def whole_words(words: Sequence[str]) -> list[str]:
+    """Return the words of the command line with an empty name behind a `--plot` that has none: Typer asks for one."""
     result: list[str] = []
     for word, following in zip(words, [*words[1:], None], strict=True):
         bare = word == "--plot" and (following is None or following.startswith("-") or Path(following).is_dir())

@@ -225,3 +225,6 @@ def test_maps_are_written_whole_on_request(make_archive, tmp_path):
     table = pd.read_csv(tmp_path / "r.csv")
     mean = table.query("quantity == 'radiance'")["value"].iloc[0]
     assert group["radiance"][:].mean() == pytest.approx(mean, rel=1e-5)
+    other = JobSettings("merge", calibration=calibration_of(tmp_path / "archive", tmp_path), maps=settings.maps)
+    run_batch(find_captures(str(tmp_path / "archive"))[0], other, tmp_path / "other.csv")
+    assert len(list((tmp_path / "maps").iterdir())) == 4  # the first table's maps are still its own

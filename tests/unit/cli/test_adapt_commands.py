@@ -64,6 +64,9 @@ def test_retest_gives_limits_of_agreement(tmp_path: Path, capsys: pytest.Capture
     assert found["upper"]["low"] < found["upper"]["value"] < found["upper"]["high"]
     assert run(["adapt", "retest", *files[:3]]) == 2
     assert "two for each subject" in capsys.readouterr().err
+    others = [_table(tmp_path / f"{one}.csv", 8.0, 1, f"# subject: {one}\n# eye: right\n") for one in ("S1", "S2")]
+    assert run(["adapt", "retest", *others]) == 2
+    assert "of subject S1 and S2" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -147,6 +147,7 @@ def test_a_known_luminance_goes_through_the_spectrum(capture, tmp_path):
         (["{capture}", "-o", "{out}", "--stated", "glare_u"], 2, "NAME=U"),
         (["{capture}", "-o", "{out}", "--stated", "glare_u=-0.1"], 2, "0 or more"),
         (["{capture}", "-o", "{out}", "--stated", "glare_u=inf"], 2, "finite"),
+        (["{capture}", "-o", "{out}", "--stated", "glare_u=1e300"], 2, "no quantity has this size"),
         (["{capture}", "-o", "{out}", "--dynamic-range", "254,1/2000"], 2, "--response"),
         (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "254"], 2, "M,TIME"),
         (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "254,1/2000,1,2"], 2, "M,TIME"),

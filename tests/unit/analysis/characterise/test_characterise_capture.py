@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import radiometer as rm
 from radiometer.analysis.characterise import (
     Characterisation,
     EmvaDescriptor,
@@ -24,7 +25,7 @@ from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
-from radiometer.errors import InputError, MeasurementError
+from radiometer.errors import InputError, MeasurementError, OutputRefused
 from radiometer.numbers import with_u
 from radiometer.reporting.page import prose
 from simulators.chain.camera_model import CameraModel
@@ -256,6 +257,10 @@ def test_descriptor_export_of_a_region_writes_that_part(tmp_path: Path) -> None:
     assert (descriptor.width, descriptor.height) == (64, 48)
     assert [len(g.files) for g in descriptor.groups] == [2] * 32 + [3, 3]
     assert "emva_images\\0000.png" in (tmp_path / "emva.txt").read_text()
+    kept = (tmp_path / "emva_images" / "0000.png").read_bytes()
+    with pytest.raises(OutputRefused, match="emva_images exists already and is not empty"):
+        rm.characterise(capture.path, patch=(0, 0, 64, 48), emva_descriptor=tmp_path / "emva.dat")
+    assert (tmp_path / "emva_images" / "0000.png").read_bytes() == kept
 
 
 def test_that_the_whole_frame_was_used_is_reported_of_light_without_patches_only(capture: CaptureSet) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+import radiometer as rm
 from radiometer.analysis.flux.estimate import (
     captured_fraction,
     flux_of_radiance,
@@ -234,6 +235,20 @@ def test_saturated_brackets_and_missing_figures_are_refused() -> None:
         flux_scale(CameraDescription(bit_depth=12, pixel_pitch_um=18.0), setup.scene().source, None)
     with pytest.raises(UsageError, match="half angle 95° is out of range"):
         led_flux(setup.frames(), scale, setup.lens, replace(_emitter(setup), half_angle=Quantity(95.0, 0.0, "°")))
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ({"distance": 0.5}, r"--distance 0\.5 mm: known to ± 0\.5 mm"),
+        ({"distance": 1e300}, "outside 1e-06 to 1e\\+06 m"),
+        ({"half_angle": 1e-9}, "--half-angle"),
+    ],
+)
+def test_lengths_and_angles_that_cannot_be_are_refused(how: dict[str, float], message: str) -> None:
+    """Metres typed in place of mm, before any frame is read: a distance of its own u is no distance."""
+    with pytest.raises(UsageError, match=message):
+        rm.flux("nowhere", **({"half_angle": 60.0, "distance": 336.0, "diameter": 3.0} | how))
 
 
 def test_the_step_through_the_pupil_says_what_share_it_takes_in() -> None:

@@ -122,6 +122,8 @@ def test_a_source_of_known_size_and_distance_gives_the_illuminance_at_the_eye() 
         ({"value": 1.0, "level": 3, "spectrum": "cie_a"}, UsageError),
         ({"value": 1.0, "unit": "fc", "spectrum": "cie_a"}, UsageError),
         ({"value": 1.0, "wavelength_u_nm": 1.0}, UsageError),
+        ({"value": 1.0, "spectrum": "cie_a", "wavelength_u_nm": 500.0}, UsageError),
+        ({"value": 1.0, "spectrum": "cie_a", "size_m": (1.0,), "distance_m": 1e-300}, UsageError),
         ({"value": 1.0, "spectrum": "line:1064"}, InputError),
         ({"value": -1.0, "spectrum": "cie_a"}, InputError),
         ({"value": float("nan"), "spectrum": "cie_a"}, InputError),
