@@ -92,7 +92,7 @@ def imported(
         meter_u_rel: Relative standard uncertainty of the meter's scale, shared by all levels.
 
     Raises:
-        InputError: If there are fewer than three levels of grey.
+        InputError: If there are fewer than three levels of grey, or their light does not rise.
     """
     channels = {"grey": _curve("grey", readings.grey, lights["grey"], readings, meter_u_rel)}
     shared = []
@@ -118,6 +118,11 @@ def _curve(
 ) -> ChannelCurve:
     if len(levels) < 3:
         raise InputError(f"{readings.name}: {len(levels)} levels of {name} are too few; three at least are needed")
+    if not np.mean(levels[max(levels)]) > np.mean(levels[min(levels)]):
+        raise InputError(
+            f"{readings.name}: {name} is no brighter at level {max(levels)} than at {min(levels)}; state what is level "
+            "and what is luminance by --map"
+        )
     ordered = sorted(levels)
     means = np.array([float(np.mean(levels[n])) for n in ordered])
     counts = np.array([len(levels[n]) for n in ordered])

@@ -58,7 +58,10 @@ def parse_levels(text: str) -> tuple[int, ...]:
         return tuple(sorted({round(n) for n in np.linspace(0, TOP, numbers[0])}))
     if len(numbers) == 1 or min(numbers) < 0 or max(numbers) > TOP:
         raise UsageError(f"--levels {text!r}: a count is 3 to {TOP + 1}; levels are 0 to {TOP}")
-    return tuple(sorted({0, TOP, *numbers}))
+    found = tuple(sorted({0, TOP, *numbers}))
+    if len(found) < 3:
+        raise UsageError(f"--levels {text!r}: black and white alone show no curve; name a level between 0 and {TOP}")
+    return found
 
 
 def make_plan(levels: tuple[int, ...], channels: tuple[str, ...], rng: np.random.Generator) -> list[ScreenStep]:

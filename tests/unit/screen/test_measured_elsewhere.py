@@ -115,6 +115,9 @@ def test_a_primary_of_which_only_the_top_was_read_has_the_shape_of_grey() -> Non
     known = imported(readings, lights("white_led", "led_lcd"), 0.04, "x")
     assert [known.channel("red").at(n, LUMINANCE).value for n in (0, 128, 255)] == pytest.approx([1.0, 11.0, 51.0])
     assert any(line.startswith("red: curve as grey's") for line in known.provenance.assumptions)
+    falling = ScreenReadings("y", {0: [200.0], 64: [100.0], 255: [1.0]})
+    with pytest.raises(InputError, match="no brighter at level 255 than at 0"):
+        imported(falling, lights("white_led", "led_lcd"), 0.04, "y")
 
 
 def test_readings_that_zigzag_by_levels_are_as_doubtful() -> None:

@@ -261,7 +261,7 @@ def test_levels_are_read(text: str, expected: tuple[int, ...]) -> None:
     assert parse_levels(text) == expected
 
 
-@pytest.mark.parametrize("text", ["2", "some", "-1,5", "5,300", "300"])
+@pytest.mark.parametrize("text", ["2", "some", "-1,5", "5,300", "300", "0,0,0", "0,255"])
 def test_senseless_levels_are_refused(text: str) -> None:
     """The message repeats the word and says what is allowed."""
     with pytest.raises(UsageError, match="--levels"):
