@@ -29,6 +29,8 @@ Watcher = Callable[[Event], None]
 SUBJECT: Final = "subject"
 SWITCHED_OFF: Final = "light off"  # who ended a test whose lights another program switched off
 HOPELESS: Final = 15  # trials without one threshold, but with false presses, after which the test is over
+# Of a stage's facts, those that may not change within a run; warnings and firmware may.
+_SAME_STAGE: Final = ("box", "screen", "calibrated", "distance_mm", "pixel_mm", "filter_density", "eye")
 SAME_TIME_S: Final = 1e-4  # to which the journal gives times
 ABOVE_LOG10: Final = 1.0  # how far above the last threshold a spot is that only lapses miss; half of it at least
 LOST_OF: Final = (2, 3)  # of so many checks of fixation in a row so many seen: the subject is asked to look at the mark
@@ -179,6 +181,7 @@ class _Run:
             self._prepare()
             return
         if not self.journal.of_kind("end"):
+            self._check_stage()
             self._take_up()
 
     def _begin(self) -> None:
@@ -203,6 +206,19 @@ class _Run:
             known = begun.get(key, later.get(key))  # a run that began without may state it now
             if known != mine and mine is not None:
                 raise UsageError(f"{self.journal.path}: belongs to {key} {known!r}, not {mine!r}; name another journal")
+
+    def _check_stage(self) -> None:
+        """Refuse to go on with another box or screen: thresholds of two calibrations are no curve."""
+        noted = self.journal.of_kind("stage")
+        if not noted or not isinstance(self.stage, DescribedStage):
+            return
+        now = self.stage.facts()
+        for name in _SAME_STAGE:
+            if name in noted[0] and name in now and noted[0][name] != now[name]:
+                raise UsageError(
+                    f"{self.journal.path}: begun with {name} {noted[0][name]!r}, not {now[name]!r}; go on with what "
+                    "it was begun with, or name another journal"
+                )
 
     def _take_up(self) -> None:
         """Set the clock: the eye went on adapting while the program was away, simulated time stood still."""

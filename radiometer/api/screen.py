@@ -358,7 +358,8 @@ def screen_verify(
     chosen = parse_levels(levels)
     with opened_screen(display, bench, camera, camera_calibration, patch, port, announce) as opened:
         found = verify_screen(
-            opened, known, chosen, warm_up_limit_s=warm_up_s, patch_size=size, progress=_advance(progress),
+            opened, known, chosen, warm_up_limit_s=warm_up_s, patch_size=size,
+            same_meter=dict(known.measured_with) == opened.measured_with, progress=_advance(progress),
             waiting=warming(progress),
         )  # fmt: skip
         warn_of_page(opened.display, notice)

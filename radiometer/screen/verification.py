@@ -28,11 +28,14 @@ class VerifiedLevel:
     level: int
     calibrated: Quantity
     measured: Quantity
+    # Relative standard uncertainty that both share: the scale of one camera under one calibration; 0 of two cameras
+    shared_u_rel: float = 0.0
 
     @property
     def difference(self) -> Quantity:
-        """Return measured minus calibrated, with the standard uncertainty of both."""
-        u = math.hypot(self.calibrated.u, self.measured.u)
+        """Return measured minus calibrated, with the standard uncertainty of both; what they share drops out."""
+        covariance = self.calibrated.value * self.measured.value * self.shared_u_rel**2
+        u = math.sqrt(max(self.calibrated.u**2 + self.measured.u**2 - 2.0 * covariance, 0.0))
         return Quantity(self.measured.value - self.calibrated.value, u, RADIANCE)
 
     @property
@@ -61,6 +64,7 @@ def verify_screen(
     *,
     warm_up_limit_s: float = 900.0,
     patch_size: float = 1.0,
+    same_meter: bool = False,
     progress: Progress | None = None,
     waiting: Callable[[float, float], None] | None = None,
 ) -> Verified:
@@ -72,6 +76,7 @@ def verify_screen(
         levels: Levels to measure, as far as the calibration covers them.
         warm_up_limit_s: Longest wait for the screen to settle in s.
         patch_size: Patch as a share of the screen's width and height.
+        same_meter: The camera, its lens and its calibration are those of the screen's calibration.
         progress: Called after every patch.
         waiting: Called while the screen warms up with the time so far and the longest time, both in s.
 
@@ -102,6 +107,7 @@ def verify_screen(
         u = math.hypot(
             one.u_independent, one.radiance * one.u_common_rel, one.radiance * warm_up.drift_rel / np.sqrt(3.0)
         )
-        known = calibration.channel(name).radiance_at(level)
-        found.append(VerifiedLevel(name, level, known, Quantity(one.radiance, u, RADIANCE)))
+        curve = calibration.channel(name)
+        shared = min(curve.u_common_rel, one.u_common_rel) if same_meter else 0.0
+        found.append(VerifiedLevel(name, level, curve.radiance_at(level), Quantity(one.radiance, u, RADIANCE), shared))
     return Verified(tuple(found), warm_up)

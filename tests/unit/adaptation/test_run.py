@@ -133,6 +133,32 @@ def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: Adaptati
         run_test(classic, ScriptedStage(eye, classic), journal, subject="B2", seed=3)
 
 
+class _Described(ScriptedStage):
+    """A stage with a screen of one calibration."""
+
+    calibrated = "2026-01-01"
+
+    def facts(self) -> dict[str, str]:
+        return {"screen": "desk", "calibrated": self.calibrated, "warnings": self.calibrated}
+
+    def health(self) -> dict[str, str]:
+        return {}
+
+
+def test_a_run_is_not_taken_up_on_a_screen_that_was_calibrated_anew(
+    tmp_path: Path, classic: AdaptationProtocol
+) -> None:
+    """Levels of two calibrations in one curve would show as a break."""
+    broken = _Described(eye, classic)
+    broken.dies_after = 125.0
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(DeviceLost):
+        run_test(classic, broken, journal, subject="A1", seed=3)
+    other = _Described(eye, classic)
+    other.calibrated = "2026-02-02"
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(UsageError, match="begun with calibrated '2026-01-01'"):
+        run_test(classic, other, journal, subject="A1", seed=3)
+
+
 def test_a_run_is_not_taken_up_with_a_protocol_that_has_changed(tmp_path: Path, classic: AdaptationProtocol) -> None:
     """Coarser steps under the same name: thresholds of two methods in one table would share one bias."""
     broken = ScriptedStage(eye, classic)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from radiometer.data import Quantity
 from radiometer.devices import DisplayPatch
 from radiometer.errors import CalibrationError, MeasurementError, SettingOutOfRange, UsageError
 from radiometer.screen import ChannelCurve, ScreenCalibration
@@ -21,6 +22,7 @@ from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep, make_plan, parse_levels
 from radiometer.screen.run import Drift, Light, Measured, curves_of, measure_steps
 from radiometer.screen.transfer_models import MODELS, fit_transfer
+from radiometer.screen.verification import VerifiedLevel
 
 
 def _reading(value: float, time_s: float = 0.0, u: float = 1e-4) -> ScreenReading:
@@ -353,3 +355,11 @@ def test_rising_weighs_by_uncertainty() -> None:
     """Of two values in the wrong order the better known one stays nearly where it is."""
     fitted = rising([1.0, 3.0, 2.0, 4.0], [0.1, 1.0, 0.01, 0.1])
     assert fitted[1] == fitted[2] == pytest.approx(2.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("shared_u_rel", "agrees"), [(0.0, True), (0.005, False)])
+def test_what_both_readings_share_hides_no_dimming(shared_u_rel: float, agrees: bool) -> None:
+    """A screen dimmed by 1.4 %, twice read by one camera to 0.2 % each: its scale, known to 0.5 %, drops out."""
+    u = math.hypot(0.002, 0.005)
+    level = VerifiedLevel("grey", 255, Quantity(1.0, u, "x"), Quantity(0.986, u * 0.986, "x"), shared_u_rel)
+    assert level.agrees == agrees
