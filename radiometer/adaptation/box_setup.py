@@ -121,6 +121,7 @@ class BoxStage:
             "box": self.box.identity.serial,
             "firmware": self.box.identity.firmware,
             "u_scale_log10": round(self.lights.u_scale_log10, 4),
+            "fixation_w_sr_m2": float(f"{self.lights.fixation_w_sr_m2:.6g}"),
         }
         if self.lights.no_fixation_check:
             known["no_fixation_check"] = self.lights.no_fixation_check

@@ -78,11 +78,11 @@ class Spot(ConfigSection):
     peak_nm: float = Field(gt=360, lt=780)
     size_deg: float = Field(1.5, gt=0, le=30)
     eccentricity_deg: float = Field(8.0, ge=0, le=60)
-    on_s: float = Field(0.3, gt=0)
-    off_s: float = Field(0.7, ge=0)
+    on_s: float = Field(0.3, gt=0, le=10)
+    off_s: float = Field(0.7, ge=0, le=60)
     filter_density: float = Field(0.0, ge=0, le=6)
-    lowest_log10: float = -5.5
-    highest_log10: float = 1.5
+    lowest_log10: float = Field(-5.5, ge=-8, le=5)
+    highest_log10: float = Field(1.5, ge=-8, le=5)
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -174,8 +174,8 @@ class QuestPlusMethod(ConfigSection):
     false_alarms: float = Field(0.01, ge=0, lt=0.5)
     lapses: float = Field(0.02, ge=0, lt=0.5)
     stop_sd_log10: float = Field(0.1, gt=0, le=1)
-    least_blinks: int = Field(4, ge=1)
-    most_blinks: int = Field(25, ge=2)
+    least_blinks: int = Field(4, ge=1, le=1000)
+    most_blinks: int = Field(25, ge=2, le=1000)
 
 
 class Ending(ConfigSection):
@@ -206,21 +206,21 @@ class Watch(ConfigSection):
 
     catch_share: float = Field(0.1, ge=0, le=0.5)
     lapse_share: float = Field(0.04, ge=0, le=0.2)
-    fastest_press_s: float = Field(0.12, ge=0)
-    pause_between_s: float = Field(4.0, ge=0)
+    fastest_press_s: float = Field(0.12, ge=0, le=1)
+    pause_between_s: float = Field(4.0, ge=0, le=600)
     hold_to_pause_s: float = Field(2.0, gt=0, le=30)
     longest_pause_min: float = Field(10.0, gt=0, le=60)
     blind_min: float = Field(5.0, ge=0, le=30)
-    most_blinks: int = Field(90, ge=5)
-    absent_after: int = Field(3, ge=1)
+    most_blinks: int = Field(90, ge=5, le=1000)
+    absent_after: int = Field(3, ge=1, le=100)
     most_false_share: float = Field(0.33, gt=0, le=1)
 
 
 class Safety(ConfigSection):
     """Limits that the run keeps to."""
 
-    darkest_room_cd_m2: float = Field(1e-3, gt=0)  # the most that the dark room may have
-    calibration_days: float = Field(30.0, gt=0)  # the greatest age of the calibration of box or screen
+    darkest_room_cd_m2: float = Field(1e-3, gt=0, le=10)  # the most that the dark room may have
+    calibration_days: float = Field(30.0, gt=0, le=3660)  # the greatest age of the calibration of box or screen
 
 
 class AdaptationProtocol(ConfigSection):

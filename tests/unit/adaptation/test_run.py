@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.controls import Controls
@@ -20,6 +21,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.session import prompts_after
+from radiometer.data.config_files import shipped_config
 from radiometer.data.event_journal import Event, read_events
 from radiometer.errors import ConfigurationError, DeviceLost, InputError, MeasurementError, OutputError, UsageError
 from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
@@ -632,4 +634,20 @@ def test_a_protocols_name_leads_to_no_other_folder(tmp_path: Path, project_root:
     text = (project_root / "configs/protocols/quick.yaml").read_text()
     (tmp_path / "p.yaml").write_text(text.replace("name: quick", f"name: '{name}'", 1))
     with pytest.raises(ConfigurationError, match="name"):
+        read_protocol(tmp_path / "p.yaml")
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["pause_between_s: 1.0e9", "on_s: 1.0e6", "highest_log10: 300", "most_blinks: 1000000", "calibration_days: 1.0e9"],
+)
+def test_a_protocol_with_an_endless_time_or_level_is_refused(tmp_path: Path, line: str) -> None:
+    """A time or level far beyond any test is a slip of the pen, and would run without end."""
+    name = line.split(":")[0]
+    text = shipped_config("protocols/classic.yaml").read_text(encoding="utf-8")
+    section = {"pause_between_s": "watch", "most_blinks": "watch", "calibration_days": "safety"}.get(name, "spot")
+    kept = yaml.safe_load(text)
+    kept.setdefault(section, {}).update(yaml.safe_load(line))
+    (tmp_path / "p.yaml").write_text(yaml.safe_dump(kept), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=name):
         read_protocol(tmp_path / "p.yaml")
