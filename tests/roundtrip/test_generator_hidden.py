@@ -31,6 +31,7 @@ SHOWS = {
     "first_frame_offset": ("first",),
     "series_settling": ("first",),
     "brighter_fatter": ("variance",),
+    "charge_transfer_inefficiency": ("neighbour",),
     "crosstalk": ("variance", "neighbour", "edge"),
     "shutter_dead_time": ("first", "mean"),
     "rolling_shutter_banding": ("flicker_row",),
