@@ -38,11 +38,14 @@ class OfTaps(CatalogueEffect):
     """An effect whose size is even within each tap: of quarters and halves by three parameters, of others by a table.
 
     Attributes:
-        table: Name of the parameter that holds a size for every tap that the camera describes, in its order; only
-            their differences count.
+        table: Name of the parameter that holds a size for every tap that the camera describes, in its order.
+        table_start: Size of each tap from which a table starts.
+        first_fitted: First tap whose size is fitted: the second where only differences count.
     """
 
     table: ClassVar[str]
+    table_start: ClassVar[float] = 0.0
+    first_fitted: ClassVar[int] = 1
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
@@ -57,12 +60,14 @@ class OfTaps(CatalogueEffect):
             (2 * tap.x + tap.width < geometry.sensor_width, 2 * tap.y + tap.height < geometry.sensor_height)
             for tap in taps
         }
-        return (cls(**{cls.table: (0.0,) * len(taps)}),) if len(taps) > len(quarters) else ()
+        return (cls(**{cls.table: (cls.table_start,) * len(taps)}),) if len(taps) > len(quarters) else ()
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the table where there is one, but for its first tap."""
+        """Return the parameters to fit: the table where there is one, from `first_fitted` on."""
         sizes = getattr(self, self.table)
-        return tuple(f"{self.table}[{index}]" for index in range(1, len(sizes))) if sizes else self.fitted
+        return (
+            tuple(f"{self.table}[{index}]" for index in range(self.first_fitted, len(sizes))) if sizes else self.fitted
+        )
 
     def sizes(self, context: ExposureContext) -> Any:
         """Return the size at every place, less the mean of the taps."""

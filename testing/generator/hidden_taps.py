@@ -80,6 +80,25 @@ def amplifier_glow(world: World, rng: np.random.Generator, scale: float) -> Trut
     return {"peak_e_per_s": 15 * scale, "x_px": float(x0), "y_px": float(y0)}
 
 
+@entry("charge_transfer_inefficiency", "image_y", "signal")
+def charge_transfer_inefficiency(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Leave 2e-4 of every packet behind at each of its moves to the first row, or to the last one."""
+    per_move, from_below = 2e-4 * scale, bool(rng.choice([False, True]))
+
+    def shift(charge: np.ndarray, shot: Shot, before: np.ndarray) -> np.ndarray:
+        register = charge[::-1].copy() if from_below else charge.copy()
+        arrived = np.empty_like(register)
+        for row in range(len(register)):
+            arrived[row] = register[0]
+            left = per_move * register
+            left[0] = 0.0  # read out whole
+            register = np.vstack([(register - left)[1:], np.zeros((1, register.shape[1]))]) + left
+        return arrived[::-1] if from_below else arrived
+
+    world.charge.append(shift)
+    return {"share": per_move * world.rig.rows, "from_below": float(from_below)}
+
+
 @variant("tap_gain", "halves", "image_x", "image_y", "signal")
 def tap_gain_of_halves(world: World, rng: np.random.Generator, scale: float) -> Truth:
     """Read the right half through an amplifier that is 0.8 % stronger or weaker."""

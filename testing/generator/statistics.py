@@ -40,6 +40,7 @@ def _tiles(tiles: np.ndarray) -> dict[str, Block]:
     uneven = still - still.mean(axis=2, keepdims=True) - still.mean(axis=3, keepdims=True)
     spatial = (uneven + still.mean(axis=(2, 3), keepdims=True)).var(axis=(2, 3))
     pairs = (noise[..., 1:] * noise[..., :-1]).mean(axis=(1, 3, 4)) / ((noise**2).mean(axis=(1, 3, 4)) + TINY)
+    down = (noise[..., 1:, :] * noise[..., :-1, :]).mean(axis=(1, 3, 4)) / ((noise**2).mean(axis=(1, 3, 4)) + TINY)
     # 15 × 15 degrees of freedom are left of 16 × 16 once the profiles are out: hence 1.07 in the uncertainty.
     means = tiles.mean(axis=(3, 4))
     first = means[:, 0] - means[:, 1:].mean(axis=1)
@@ -51,6 +52,7 @@ def _tiles(tiles: np.ndarray) -> dict[str, Block]:
             np.hypot(spatial, variance / n / np.sqrt(n - 1)) * np.sqrt(2 / pixels) * 1.07,
         ),
         "neighbour": (pairs, np.full(pairs.shape, 1 / np.sqrt((n - 1) * pixels))),
+        "neighbour_down": (down, np.full(down.shape, 1 / np.sqrt((n - 1) * pixels))),
         "first": (first, np.sqrt(variance / pixels * (1 + 1 / (n - 1)))),
     }
 

@@ -26,7 +26,7 @@ def reconciled(session: Session, rows: int, columns: int) -> ReconcileResult:
 @pytest.mark.parametrize(
     ("name", "seed"),
     [("tap_offset", 9411), ("tap_gain", 9412), ("tap_noise", 9413), ("tap_nonlinearity", 9414), ("half_timing", 9415),
-     ("amplifier_glow", 9416)],
+     ("amplifier_glow", 9416), ("charge_transfer_inefficiency", 9417)],
 )  # fmt: skip
 def test_an_amplifier_s_effect_is_named_alone(name: str, seed: int) -> None:
     """Twice its smallest usual size in a rich session: the effect is named and nothing else is."""

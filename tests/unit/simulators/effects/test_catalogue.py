@@ -43,7 +43,7 @@ defocus fnumber_tstop_error angle_dependence polarisation spectral_mismatch sour
 led_thermal_droop pwm_flicker mains_ripple display_gamma_error display_black_leak ambient_light_leak
 quantum_efficiency_temperature nominal_settings exposure_label_error source_not_proportional_to_exposure
 lamp_step first_frame_offset readout_dark_charge series_settling line_start_offset
-correlated_read_noise row_dependent_exposure dark_frame_subtracted
+correlated_read_noise row_dependent_exposure dark_frame_subtracted charge_transfer_inefficiency
 """.split()  # noqa: SIM905
 
 # Those whose flexible forms need no further settings than those of one frame.
@@ -296,7 +296,7 @@ def test_amplified_offset_may_bend_with_the_gain() -> None:
 
 
 # These mix pixels or codes, or leave what the light brings to the responsivity: each has a test of its own.
-APART = {"brighter_fatter", "crosstalk", "conversion_gain_error", "missing_codes"}
+APART = {"brighter_fatter", "charge_transfer_inefficiency", "crosstalk", "conversion_gain_error", "missing_codes"}
 NEEDS_A_PICTURE = {"ghost", "stray_light_kernel"}
 
 

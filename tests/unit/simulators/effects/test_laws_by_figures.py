@@ -196,8 +196,9 @@ def test_taps_that_are_no_quarters_have_a_size_each() -> None:
     assert cover.free() == ("taps_rel[1]", "taps_rel[2]", "taps_rel[3]")
     known = replace(cover, taps_rel=(0.0, 0.01, 0.02, 0.05))
     np.testing.assert_allclose(known.mean(np.full((3, 4), 100.0), context), [[98.0, 99.0, 100.0, 103.0]] * 3)
-    noisy = replace(TapNoise(), taps_e2=(4.0, 1.0, 1.0, 9.0))
-    np.testing.assert_allclose(noisy.variance(np.full((3, 4), 100.0), context), [[3.0, 0.0, 0.0, 8.0]] * 3)
+    for table, added in (((4.0, 1.0, 1.0, 9.0),) * 2, ((0.0, -3.0, -3.0, 5.0), (3.0, 0.0, 0.0, 8.0))):  # none below 0
+        noisy = replace(TapNoise(), taps_e2=table)
+        np.testing.assert_allclose(noisy.variance(np.full((3, 4), 100.0), context), [added] * 3)
     halves = (taps[0].model_copy(update={"width": 2}), taps[2].model_copy(update={"width": 2}))
     assert TapGain.covers(replace(context, camera=CAMERA.model_copy(update={"taps": halves}))) == ()
 
