@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,20 +25,19 @@ from radiometer.data import (
     BlackLevel,
     Bracket,
     Calibration,
-    CameraDescription,
     CaptureSet,
     Frame,
-    LensDescription,
     PixelMask,
     RadianceMap,
     ResponseCurve,
     Scale,
     SensorNoise,
+    SourceDescription,
 )
 from radiometer.data.drawing import new_axes
 from radiometer.data.mosaic import COLOURS
 from radiometer.data.pile_up import with_white_levels
-from radiometer.data.setup import Setup
+from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.data.storage import check_outputs
 from radiometer.errors import CaptureError, MissingLibrary, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture
@@ -95,6 +93,7 @@ class Radiance(Drawn):
         falloff: What fall-off was taken out, in a sentence; None where none was.
         notes: What a user should know, a sentence each.
         bounds: Lowest and highest value of the false colours; None takes those of the picture.
+        spectrum: Name of the light's spectrum where the caller or the capture states it; None where neither does.
     """
 
     maps: Mapping[str, RadianceMap]
@@ -104,6 +103,7 @@ class Radiance(Drawn):
     falloff: str | None = None
     notes: tuple[str, ...] = ()
     bounds: tuple[float, float] | None = None
+    spectrum: str | None = None
 
     def __getitem__(self, channel: str) -> Radiance:
         """Return one channel alone. Raises KeyError for one that is not there."""
@@ -358,7 +358,7 @@ def merge(
         vignetting: Fall-off of photographs: "lensfun", or the file of a calibration with a flat field.
         lens: Name of the lens for lensfun; EXIF's by default.
         luminance: Return cd·m⁻² instead of W·sr⁻¹·m⁻².
-        spectrum: Spectrum for the luminance; the calibration's by default.
+        spectrum: Spectrum of the light; what the capture states by default, else the calibration's.
         scale: Lowest and highest value of the false colours; the picture's by default.
         taps: Of a capture set: output amplifiers, "2x2" for columns × rows of equal parts, or "find". By default those
             that the capture set or the calibration states.
@@ -385,7 +385,7 @@ def merge(
     map_path = files[0] if files else None
     asked = _Asked(
         known, response, channel, dict(measured_iso or {}), iso, f_number, linear, demosaic, align, keep_ghosts,
-        None if vignetting is None else str(vignetting), lens, map_path, taps,
+        None if vignetting is None else str(vignetting), lens, map_path, taps, spectrum,
     )  # fmt: skip
     found = (
         _of_stack(source, asked, pattern, progress or unseen)
@@ -393,7 +393,7 @@ def merge(
         else _of_path(Path(source), asked, pattern, progress)
     )
     if luminance:
-        light = spectrum_of(spectrum or (known.spectrum if known else "equal_energy"))
+        light = spectrum_of(spectrum or found.spectrum or (known.spectrum if known else "equal_energy"))
         found = replace(found, maps={name: in_luminance(one, light) for name, one in found.maps.items()})
     found = replace(found, bounds=scale, files=files)
     for file in files:
@@ -419,6 +419,7 @@ class _Asked:
     lens: str | None
     map_path: Path | None
     taps: str | None
+    spectrum: str | None
 
     def curves(self, bit_depth: int) -> dict[str, ResponseCurve]:
         """Return the response as given, by channel."""
@@ -458,11 +459,21 @@ def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress 
     notes = tuple(imported_of(capture).lines()) if capture.store is not None else ()
     dark, lit = capture.lit_indices(pattern)
     levels = [capture.header.frames[i].settings.black_level_dn for i in lit]
+    header, light = capture.header, _light(asked, capture.header.source)
     maps, camera = {}, camera_with_taps(capture, asked.taps)
     for name, plane in _planes(capture, asked):
         frames = _streamed(plane, (*dark, *lit), counted(progress, "merging"))
-        maps[name] = _of_capture(frames, levels, camera, capture.header.lens, asked, capture.header.taken).map
-    return Radiance(maps, notes=tuple(f"{path.name}: {line}" for line in notes))
+        maps[name] = _of_capture(frames, levels, Setup(camera, header.lens, None, *light, header.taken), asked)
+    return Radiance(maps, notes=tuple(f"{path.name}: {line}" for line in notes), spectrum=_stated(light))
+
+
+def _light(asked: _Asked, source: SourceDescription | None) -> tuple[SourceDescription | None, str]:
+    """Return what is known of the light and its spectrum: as asked, as the capture states, or the calibration's."""
+    return source, asked.spectrum or (source.spectrum if source else None) or AS_CALIBRATED
+
+
+def _stated(light: tuple[SourceDescription | None, str]) -> str | None:
+    return None if light[1] == AS_CALIBRATED else light[1]
 
 
 def _planes(capture: CaptureSet, asked: _Asked) -> Iterator[tuple[str, CaptureSet]]:
@@ -493,27 +504,26 @@ def _of_stack(stack: Stack, asked: _Asked, pattern: str | None, progress: Progre
     chosen = stack.chosen(pattern)
     bracket = Bracket.from_frames(with_white_levels(chosen.every_frame), origin=chosen.origin)
     levels = [frame.settings.black_level_dn for frame in bracket.light]
-    return replace(_of_capture(bracket, levels, stack.camera, stack.lens, asked, stack.taken), notes=stack.notes)
+    light = _light(asked, stack.source)
+    merged = _of_capture(bracket, levels, Setup(stack.camera, stack.lens, None, *light, stack.taken), asked)
+    return Radiance({"mono": merged}, notes=stack.notes, spectrum=_stated(light))
 
 
 def _of_capture(
     frames: Bracket | Iterator[Frame],
     levels: Sequence[float | None],
-    camera: CameraDescription,
-    lens: LensDescription,
+    setup: Setup,
     asked: _Asked,
-    taken: dt.datetime | None = None,
-) -> Radiance:
+) -> RadianceMap:
     """Return the map of a capture set: dark frames first, then light ones.
 
     Args:
         frames: The frames.
         levels: Black level in DN that each light frame states.
-        camera: As the capture set describes it.
-        lens: As the capture set describes it.
+        setup: Camera, lens and light as the capture set describes them, without calibration.
         asked: What is asked for.
-        taken: When it was taken, with time zone; None where that is not known.
     """
+    lens = setup.lens
     if asked.vignetting:
         raise UsageError("--vignetting belongs to photographs; a capture set takes its calibration's flat field")
     if asked.measured_iso or asked.iso is not None:
@@ -522,7 +532,7 @@ def _of_capture(
         if lens.f_number is not None:
             raise UsageError(f"--f-number: the capture set states f/{lens.f_number:.4g} itself; leave it out")
         lens = lens.model_copy(update={"f_number": asked.f_number})
-    known = asked.calibration
+    camera, known = setup.camera, asked.calibration
     curve = curve_of_channel(asked.curves(camera.bit_depth), "mono")
     if known is None and curve is not None:
         # The frames' own statement comes first: it was read back from the device, the camera's is a data sheet's.
@@ -535,8 +545,7 @@ def _of_capture(
             noise=SensorNoise.of(camera),
             black_level=BlackLevel(dn=next(black for black in stated if black is not None)),
         )
-    setup = Setup(camera, lens, known, taken=taken)
-    return Radiance({"mono": merge_bracket(frames, setup)})
+    return merge_bracket(frames, replace(setup, lens=lens, calibration=known))
 
 
 def _of_photographs(photographs: Photographs, asked: _Asked, progress: Progress) -> Radiance:

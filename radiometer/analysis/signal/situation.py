@@ -69,9 +69,29 @@ def situation_of(setup: Setup) -> Situation:
     model = signal_model(calibration.camera, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
     of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()
     factor, correction = spectral_correction(calibration)
-    assumed = (*of_source, *correction, *calibration.noise.assumptions)
+    assumed = (*of_source, *_contradicted(setup), *correction, *calibration.noise.assumptions)
     scale, used = calibration.scale.value * factor, lens_in_use(calibration, lens)
     return Situation(setup, model, black, stated, scale, used, assumed)
+
+
+def _contradicted(setup: Setup) -> tuple[str, ...]:
+    """Return what to say where the light counts as of another spectrum than bench or capture states."""
+    stated = setup.source.spectrum if setup.source else None
+    used = setup.calibration.spectrum if setup.calibration and setup.calibration.absolute else None
+    if stated is None or used is None or _same_line(stated, used):
+        return ()
+    return (f"the light counts as {used}, though bench or capture states {stated}; values hold for {used} only",)
+
+
+def _same_line(first: str, second: str) -> bool:
+    """Return whether two names mean one spectrum: "line:550" and "line:550.0" do."""
+    if first == second:
+        return True
+    try:
+        wavelengths_nm = [float(name.removeprefix("line:")) for name in (first, second)]
+    except ValueError:
+        return False
+    return wavelengths_nm[0] == wavelengths_nm[1]
 
 
 def spectral_correction(calibration: Calibration) -> tuple[float, tuple[str, ...]]:

@@ -55,7 +55,7 @@ def command(
     ] = None,
     lens: Annotated[str | None, typer.Option(help="Name of the lens for --vignetting lensfun; EXIF's.")] = None,
     luminance: Annotated[bool, typer.Option("--luminance", help="Write cd·m⁻² instead of W·sr⁻¹·m⁻².")] = False,
-    spectrum: Annotated[str | None, typer.Option(help="Spectrum for the luminance; the calibration's.")] = None,
+    spectrum: Annotated[str | None, typer.Option(help="Spectrum of the light; the capture's or calibration's.")] = None,
     scale: Annotated[str | None, typer.Option(help="LOW,HIGH of the false colours; the picture's.")] = None,
     taps: TapsOption = None,
     json: Annotated[bool, typer.Option("--json", help="Report as JSON on standard output.")] = False,
