@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import radiometer as rm
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.reading import budget, reading
 from radiometer.cli.main import run
 from tests.unit.api.test_dark_frames import CAMERA, LENS, calibration
@@ -126,3 +128,18 @@ def _compared(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _compared(one) for key, one in value.items() if key not in NOT_COMPARED}
     return [_compared(one) for one in value] if isinstance(value, list) else value
+
+
+@pytest.mark.parametrize("source", ["set", "stack"])
+@pytest.mark.parametrize("spectrum", [None, "line:550.0", "white_led"])
+def test_luminance_of_maps_and_readings_is_of_the_stated_wavelength(desk: Path, source: str, spectrum: str | None):
+    """K of 550 nm is 679.7 lm/W (CIE 018). A spectrum that contradicts the capture counts, and both are named."""
+    capture = rm.read(desk / "set") if source == "stack" else desk / "set"
+    maps = rm.merge(capture, calibration=calibration(), luminance=True, spectrum=spectrum)
+    radiance = rm.merge(capture, calibration=calibration()).value
+    reading = rm.measure_photographs(desk / "set", PATCH, calibration=calibration(), spectrum=spectrum)
+    expected = 679.7 if spectrum != "white_led" else luminous_efficacy_lm_per_w(spectrum_of("white_led"))
+    assert np.median(maps.value / radiance) == pytest.approx(expected, rel=1e-3)
+    assert reading.luminance.value / reading.radiance.value == pytest.approx(expected, rel=1e-3)
+    for assumptions in (reading.more["assumptions"], maps.map.provenance.assumptions):
+        assert any("states line:550" in text for text in assumptions) == (spectrum == "white_led")
