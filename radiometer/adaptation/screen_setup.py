@@ -80,7 +80,7 @@ class SpotLevels:
         value = np.maximum.accumulate(added[first:])
         relative = u[first:] / value / math.log(10)
         at_eye = np.log10(value) - filter_density
-        return cls(channel, codes[first:], at_eye, relative, curve.u_common_rel / math.log(10))
+        return cls(channel, codes[first:], at_eye, relative, curve.u_shared_rel(SCOTOPIC) / math.log(10))
 
     @property
     def reach(self) -> tuple[float, float]:

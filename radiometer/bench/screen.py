@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.analysis.colour.plausible import GRID_NM, display_primaries, display_whites
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.photometry.photometry import (
     CRT,
@@ -33,6 +35,7 @@ from radiometer.reporting.origin import moment
 from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.run import Light
+from radiometer.typing import Array
 
 SIMULATED_DISPLAYS: Final = ("lcd", "pwm_lcd", "oled")
 BROWSER: Final = "browser"
@@ -132,7 +135,7 @@ def lights(white: str = "white_led", primaries: str | None = None) -> dict[str, 
     Raises:
         InputError: If a spectrum or type is unknown, or the file cannot be used.
     """
-    found = {"grey": _light(white)}
+    found = {"grey": _light(white, () if _is_measured(white) else tuple(display_whites().values()))}
     if primaries is None:
         return found
     if primaries.lower().endswith(".csv"):
@@ -140,7 +143,8 @@ def lights(white: str = "white_led", primaries: str | None = None) -> dict[str, 
     if primaries not in DISPLAY_TYPES:
         raise InputError(f"primaries {primaries!r}: choose a display type ({', '.join(DISPLAY_TYPES)}) or name a CSV")
     names = {one: f"display_{one}" if primaries == CRT else f"display:{primaries}:{one}" for one in PRIMARIES}
-    return found | {one: _light(name) for one, name in names.items()}
+    displays = np.stack(display_primaries(primaries), axis=1)  # (primaries, displays, wavelengths)
+    return found | {one: _light(names[one], (displays[i],)) for i, one in enumerate(PRIMARIES)}
 
 
 def primaries_of(display: str, channels: Sequence[str], primaries: str | None) -> str | None:
@@ -168,8 +172,35 @@ def _measured_primaries(path: Path) -> dict[str, Light]:
     }
 
 
-def _light(name: str) -> Light:
-    return _light_of(spectrum(name))
+def _is_measured(name: str) -> bool:
+    """Return whether a spectrum is not that of a typical display: one of a file, or a line."""
+    return name.lower().endswith(".csv") or name.startswith("line:")
+
+
+def _light(name: str, displays: Sequence[Array] = ()) -> Light:
+    """Return a light that displays of each type may have instead, shape (displays, wavelengths) by type."""
+    light = _light_of(spectrum(name))
+    if not displays:
+        return light
+    photopic, scotopic = (
+        [[luminous_efficacy_lm_per_w(Spectrum("", GRID_NM, one), observer) for one in kind] for kind in displays]
+        for observer in _OBSERVERS
+    )
+    off = [
+        [(p / light.photopic_lm_per_w, s / light.scotopic_lm_per_w) for p, s in zip(*kind, strict=True)]
+        for kind in zip(photopic, scotopic, strict=True)
+    ]
+
+    def u_rel(of: Callable[[float, float], float]) -> float:
+        """Return the root mean square of a ratio's distance from 1; all types of display count alike."""
+        return math.sqrt(np.mean([np.mean([(of(p, s) - 1.0) ** 2 for p, s in kind]) for kind in off]))
+
+    return replace(
+        light,
+        u_photopic_rel=u_rel(lambda p, s: p),
+        u_scotopic_rel=u_rel(lambda p, s: s),
+        u_ratio_rel=u_rel(lambda p, s: s / p),
+    )
 
 
 def _light_of(source: Spectrum) -> Light:

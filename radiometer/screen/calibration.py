@@ -90,6 +90,9 @@ class ChannelCurve:
     spectrum: str  # name of the spectrum that the efficacies assume
     detection_limit: float = 0.0  # radiance in W·sr⁻¹·m⁻² below which a level could not be distinguished from no light
     bits: int = 8  # bits per level
+    # By unit: relative standard uncertainty, shared by all levels, for the assumed spectrum; the unit that was measured
+    # has none
+    u_spectrum_rel: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         counts = {len(self.levels), len(self.radiance), len(self.u_independent)}
@@ -132,11 +135,26 @@ class ChannelCurve:
         Raises:
             SettingOutOfRange: If the level is outside what was measured.
         """
+        return self.at(level)
+
+    def at(self, level: float, unit: str = RADIANCE) -> Quantity:
+        """Return radiance, luminance or scotopic luminance at a level, with the total standard uncertainty.
+
+        Raises:
+            SettingOutOfRange: If the level is outside what was measured.
+            CalibrationError: If the unit is none of the three.
+        """
+        factor = self.efficacy(unit)
         low, high = self.levels[0], self.levels[-1]
         if not low <= level <= high:
             raise SettingOutOfRange(f"screen channel {self.name}", "level", level, low, high, "")
         value = float(self.table.at(level / self.top_level))
-        return Quantity(value, math.hypot(self.u_shape_at(level), value * self.u_common_rel), RADIANCE)
+        u = math.hypot(self.u_shape_at(level), value * self.u_shared_rel(unit))
+        return Quantity(value * factor, u * factor, unit)
+
+    def u_shared_rel(self, unit: str) -> float:
+        """Return the relative standard uncertainty that all levels share in a unit: scale, lens, assumed spectrum."""
+        return math.hypot(self.u_common_rel, self.u_spectrum_rel.get(unit, 0.0))
 
     def u_shape_at(self, level: float) -> float:
         """Return the standard uncertainty in W·sr⁻¹·m⁻² at a level without what all levels share."""
@@ -173,11 +191,6 @@ class ChannelCurve:
         if unit not in known:
             raise CalibrationError(f"unit {unit!r}: a screen is known in {', '.join(known)}")
         return known[unit]
-
-    def at(self, level: float, unit: str = RADIANCE) -> Quantity:
-        """Return radiance, luminance or scotopic luminance at a level. Raises SettingOutOfRange, CalibrationError."""
-        radiance, factor = self.radiance_at(level), self.efficacy(unit)
-        return Quantity(radiance.value * factor, radiance.u * factor, unit)
 
     def level_for(self, target: float, unit: str = RADIANCE) -> int:
         """Return the whole level whose value is nearest to a target.
@@ -219,6 +232,7 @@ class ChannelCurve:
             "radiance_W_per_sr_m2": list(self.radiance),
             "u_independent": list(self.u_independent),
             "u_common_rel": self.u_common_rel,
+            "u_spectrum_rel": dict(self.u_spectrum_rel),
             "photopic_lm_per_W": self.photopic_lm_per_w,
             "scotopic_lm_per_W": self.scotopic_lm_per_w,
             "spectrum": self.spectrum,
@@ -249,6 +263,7 @@ class ChannelCurve:
                 str(mapping["spectrum"]),
                 float(mapping.get("detection_limit", 0.0)),
                 int(mapping.get("bits", 8)),
+                {str(unit): float(u) for unit, u in mapping.get("u_spectrum_rel", {}).items()},
             )
         except KeyError as error:
             raise CalibrationError(f"{where}: channel {name}: key {error} is missing") from error

@@ -107,7 +107,7 @@ def calibrate_screen(
         "drift_u_rel": drift.u_rel,
         "additivity_rel": _additivity(measured),
     }
-    assumptions = [f"{name}: spectrum {lights[name].spectrum}" for name in channels]
+    assumptions = [f"{name}: {lights[name].in_words()}" for name in channels]
     assumptions += [] if set(channels) <= set(options.chromaticities) else [f"exports: {ASSUMPTION}"]
     return ScreenCalibration(
         options.name,

@@ -21,7 +21,7 @@ from radiometer.data.statements import StatementMap
 from radiometer.data.text_table import TextTable, finite, read_export, read_table
 from radiometer.errors import InputError, UnsettledError
 from radiometer.plausible import PLAUSIBLE
-from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
+from radiometer.screen.calibration import LUMINANCE, ChannelCurve, ScreenCalibration
 from radiometer.screen.run import Light
 from radiometer.typing import Array
 from radiometer.units import heading_parts
@@ -104,7 +104,7 @@ def imported(
         else:
             channels[name] = _like_grey(name, levels, channels["grey"], lights, meter_u_rel)
             shared.append(name)
-    assumptions = [f"{name}: spectrum {lights[name].spectrum}" for name in channels]
+    assumptions = [f"{name}: {lights[name].in_words()}" for name in channels]
     assumptions += [f"meter's scale: {100 * meter_u_rel:g} % (k = 1)"]
     assumptions += [f"{', '.join(shared)}: curve as grey's, to {100 * SHARED_SHAPE_U_REL:g} %"] if shared else []
     return ScreenCalibration(
@@ -142,6 +142,7 @@ def _curve(
         light.photopic_lm_per_w,
         light.scotopic_lm_per_w,
         light.spectrum,
+        u_spectrum_rel=light.u_rel_where_measured_in(LUMINANCE),
     )
 
 
@@ -169,6 +170,7 @@ def _like_grey(
         light.photopic_lm_per_w,
         light.scotopic_lm_per_w,
         light.spectrum,
+        u_spectrum_rel=light.u_rel_where_measured_in(LUMINANCE),
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiometer.devices import Display
 from radiometer.errors import MeasurementError
-from radiometer.screen.calibration import ChannelCurve
+from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve
 from radiometer.screen.meter import Meter, ScreenReading
 from radiometer.screen.plan import ScreenStep
 
@@ -67,6 +67,26 @@ class Light:
     photopic_lm_per_w: float
     scotopic_lm_per_w: float
     spectrum: str
+    # Relative standard uncertainties for the assumed spectrum: of both efficacies, and of scotopic over photopic
+    u_photopic_rel: float = 0.0
+    u_scotopic_rel: float = 0.0
+    u_ratio_rel: float = 0.0
+
+    def in_words(self) -> str:
+        """Return the assumed spectrum, and how far other displays are from it."""
+        if not self.u_photopic_rel:
+            return f"spectrum {self.spectrum}"
+        photopic, scotopic = (f"{100 * u:.2g} %" for u in (self.u_photopic_rel, self.u_scotopic_rel))
+        return (
+            f"spectrum {self.spectrum}; other displays differ by {photopic} in lm/W, {scotopic} scotopic (k = 1), "
+            "which u holds"
+        )
+
+    def u_rel_where_measured_in(self, unit: str) -> dict[str, float]:
+        """Return by unit what the assumed spectrum adds to values that were measured in radiance or luminance."""
+        photopic, scotopic, ratio = self.u_photopic_rel, self.u_scotopic_rel, self.u_ratio_rel
+        by_radiance = {LUMINANCE: photopic, SCOTOPIC: scotopic}
+        return by_radiance if unit == RADIANCE else {RADIANCE: photopic, SCOTOPIC: ratio}
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,4 +226,5 @@ def _curve(
         light.scotopic_lm_per_w,
         light.spectrum,
         detection_limit=limits[0],
+        u_spectrum_rel=light.u_rel_where_measured_in(RADIANCE),
     )

@@ -123,6 +123,16 @@ def display_primaries(kind: str) -> list[Array]:
     return found + [np.stack([_primary(LINES[kind][one], wider=factor) for one in COLOURS]) for factor in _WIDTHS]
 
 
+@cache
+def display_whites() -> dict[str, Array]:
+    """Return whites of the colour of daylight D65 by type of display, shape (displays, wavelengths) each."""
+    white = tristimulus_of(on_grid(spectrum("cie_d65"))[None])[0]
+    return {
+        kind: np.stack([np.linalg.solve(tristimulus_of(one).T, white) @ one for one in display_primaries(kind)])
+        for kind in DISPLAY_TYPES
+    }
+
+
 def _primary(parts: Sequence[tuple[float, float, float]], moved_nm: float = 0.0, wider: float = 1.0) -> Array:
     """Return the power of a primary; its parts that are no lines are moved and wider."""
     found = np.zeros(GRID_NM.size)

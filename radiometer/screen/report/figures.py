@@ -101,8 +101,10 @@ class Examined:
 
     def luminance(self, radiance: Quantity, channel: str = "grey") -> Quantity:
         """Return the luminance in cd·m⁻² of a radiance in a channel's light."""
-        factor = self.lights[channel].photopic_lm_per_w
-        return Quantity(radiance.value * factor, radiance.u * factor, "cd m-2")
+        light = self.lights[channel]
+        factor = light.photopic_lm_per_w
+        u = math.hypot(radiance.u, radiance.value * light.u_photopic_rel)
+        return Quantity(radiance.value * factor, u * factor, "cd m-2")
 
 
 def derived(
