@@ -102,7 +102,7 @@ def test_plain_gamma_errs_where_black_shines(calibrated: tuple[str, ScreenCalibr
 
 @pytest.mark.slow
 def test_luminance_by_an_assumed_white_holds_the_displays_own(calibrated: tuple[str, ScreenCalibration]) -> None:
-    """White of the simulated displays has 340 lm/W, where white_led has 317: 7 %, which the scale's 1 % does not hold."""
+    """White of the simulated displays has 340 lm/W, where white_led has 317: 7 %, more than the scale's 1 %."""
     name, calibration = calibrated
     white = calibration.channel().at(255, LUMINANCE)
     assert abs(340.0 * _grey(name, 255) - white.value) < 2 * white.u < 0.25 * white.value
