@@ -55,6 +55,7 @@ import pyvisa
 instrument = pyvisa.ResourceManager("@py").open_resource(
     "TCPIP::127.0.0.1::5025::SOCKET", read_termination="\\n", write_termination="\\n"
 )
+
 instrument.timeout = 30_000  # ms: a measurement takes its exposures, up to some seconds
 radiance, u = map(float, instrument.query("MEAS:RAD? 400,300,64,64").split(","))
 ```
