@@ -55,7 +55,8 @@ import pyvisa
 instrument = pyvisa.ResourceManager("@py").open_resource(
     "TCPIP::127.0.0.1::5025::SOCKET", read_termination="\\n", write_termination="\\n"
 )
-
+"""
+_EXAMPLE_QUERY = """\
 instrument.timeout = 30_000  # ms: a measurement takes its exposures, up to some seconds
 radiance, u = map(float, instrument.query("MEAS:RAD? 400,300,64,64").split(","))
 ```
@@ -67,7 +68,7 @@ radiance, u = map(float, instrument.query("MEAS:RAD? 400,300,64,64").split(","))
 def manual(table: CommandTable | None = None) -> str:
     """Return the text of the manual."""
     commands = sorted((table or command_table()).commands, key=lambda command: _ORDER.index(command.group))
-    parts = [_INTRODUCTION, "\n", *(f"* {rule}\n" for rule in _RULES), _EXAMPLE]
+    parts = [_INTRODUCTION, "\n", *(f"* {rule}\n" for rule in _RULES), _EXAMPLE, _EXAMPLE_QUERY]
     for group, members in groupby(commands, key=lambda command: command.group):
         parts.append(f"\n## {group}\n")
         parts += [_entry(command) for command in members]
