@@ -267,7 +267,9 @@ def _conditions(
         *geometry.conditions,
         f"camera {model}; calibration: {scale}",
         f"the screen fills {area.width} × {area.height} pixels at {area.x},{area.y} of the camera's picture",
-        f"luminance assumes the spectrum {white} for grey" + (f", {primaries} for the primaries" if primaries else ""),
+        f"luminance assumes the spectrum {white} for grey"
+        + (f", {primaries} for the primaries" if primaries else "")
+        + "; u of each luminance holds how displays differ from it",
         "light of the room is in every figure; the room is assumed dark",
     ]
     if lens.focal_length_mm and lens.f_number:
