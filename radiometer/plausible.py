@@ -66,5 +66,8 @@ PLAUSIBLE: Final[Mapping[str, Range]] = {
     "scale": Range(1e-15, 1e6, "J m-2"),
     "time_in_dark": Range(0.0, 1440.0, "min"),  # a day; recovery ends within an hour
     "log10_threshold": Range(-20.0, 20.0),  # eyes span 10⁻⁶ to 10⁸ cd·m⁻²; other units shift that by some powers
+    "u_rel": Range(0.0, 1.0),  # relative standard uncertainty; above 1 nothing is known
+    "hold": Range(0.0, 1e7, "s"),  # of a light or a wait: four months
+    "frames": Range(0.0, 1e6),  # of one setting
     "journal_number": Range(-(2.0**62), 2.0**62),  # the journal counts in 64 bits
 }

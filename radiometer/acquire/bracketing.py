@@ -12,6 +12,7 @@ from radiometer.acquire.metering import meter
 from radiometer.data import Frame, Patch
 from radiometer.devices import Camera
 from radiometer.errors import DeviceError, UsageError
+from radiometer.plausible import PLAUSIBLE
 
 # Progress: how many frames are done, how many there will be, and the frame just taken.
 Progress = Callable[[int, int, Frame], None]
@@ -33,9 +34,10 @@ def plan_for_scene(camera: Camera, request: BracketRequest) -> ExposurePlan:
     """Meter the scene and return the exposures that cover it.
 
     Raises:
-        UsageError: If the region leaves the frame or the time limit is not above 0.
+        UsageError: If the region leaves the frame, the time limit is not above 0, or dark frames are below 0.
         DeviceError: If the camera fails.
     """
+    PLAUSIBLE["frames"].check("dark frames", request.dark_frames, UsageError)
     if not request.time_limit_s > 0:
         raise UsageError(f"a time limit of {request.time_limit_s:g} s leaves no time for a frame; ask for more than 0")
     limits = camera.capabilities.exposure_s

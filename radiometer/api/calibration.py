@@ -58,6 +58,7 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
 from radiometer.photographs.stated import at_iso, reference_iso, with_f_number, with_gains, with_iso
+from radiometer.plausible import PLAUSIBLE
 from radiometer.progress import counted
 from radiometer.units import exact_exposure_s
 
@@ -472,6 +473,7 @@ def _known_source(
         raise UsageError("a known radiance needs frames of it: name a capture set, or --camera")
     if uncertainty is None:
         raise UsageError("--u-rel is missing: without the source's uncertainty the scale has none")
+    PLAUSIBLE["u_rel"].check("u_rel", uncertainty, UsageError)
     return KnownSource(stated, uncertainty, "radiance" if luminance is None else "luminance")
 
 

@@ -38,6 +38,7 @@ from radiometer.devices.exposure_account import name_of_eye
 from radiometer.devices.light_box import Level
 from radiometer.errors import DeviceError, DeviceNotFound, UsageError
 from radiometer.importing.drive_table import DriveTable, read_drive_table
+from radiometer.plausible import PLAUSIBLE
 
 RUN_FORMAT: Final = "radiometer-light-run/1"  # of the journal of an unfinished calibration
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
@@ -134,6 +135,7 @@ def light_set(
         UnsafeStimulus: If it is too much for the eye or the box.
         DeviceError: If the box fails or ends the light early.
     """
+    _require_hold(hold_s)
     expected, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     with _opened(box, calibration, preset, looks, notice) as opened:
         found = _found(opened, opened.box.set_level(channel, expected), radiance)
@@ -216,6 +218,7 @@ def light_blink(
     Raises:
         RadiometerError: As `light_set`.
     """
+    _require_hold(hold_s)
     drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     lit_s = hold_s if hold_s is not None else (on_s + off_s) * count if count else None
     with _opened(box, calibration, preset, looks, notice) as opened:
@@ -223,6 +226,12 @@ def light_blink(
         lit(found)
         _stay(opened, lit_s, channel if count == 0 else None, notice)
     return found
+
+
+def _require_hold(hold_s: float | None) -> None:
+    """Refuse a time that is no time in s. Raises UsageError."""
+    if hold_s is not None:
+        PLAUSIBLE["hold"].check("hold_s", hold_s, UsageError)
 
 
 @dataclass(frozen=True, repr=False)
@@ -362,6 +371,7 @@ def light_watch_buttons(
     Raises:
         DeviceError: If the box fails.
     """
+    _require_hold(hold_s)
     presses = 0
     with open_light_box(box) as opened:
         start_s = opened.box.link.line.now()
