@@ -47,6 +47,7 @@ def reading(unit: str = "W sr-1 m-2") -> Reading:
 
 
 def test_a_certificate_states_value_uncertainty_budget_item_and_conditions(tmp_path: Path, laboratory: Path) -> None:
+    """A certificate states value uncertainty budget item and conditions."""
     made = rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="2026-7")
     root = ET.parse(tmp_path / "c.xml").getroot()
     radiance = root.find(".//si:real[si:label='radiance']", NAMES)
@@ -74,12 +75,14 @@ def test_a_printed_reading_is_certified_with_its_budget_and_calibration(tmp_path
 
 
 def test_a_certified_source_gives_a_calibration_its_value_and_uncertainty(tmp_path: Path, laboratory: Path) -> None:
+    """A certified source gives a calibration its value and uncertainty."""
     rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="1")
     assert read_certificate(tmp_path / "c.xml", "W sr-1 m-2") == Quantity(0.3, pytest.approx(0.003), "W sr-1 m-2")
     assert read_certificate(tmp_path / "c.xml", "cd m-2").u == pytest.approx(1.2)
 
 
 def test_a_calibration_is_certified_as_its_camera(project_root: Path, laboratory: Path, tmp_path: Path) -> None:
+    """A calibration is certified as its camera."""
     stored = project_root / "configs" / "calibrations" / "simulated.yaml"
     made = rm.certificate(stored, tmp_path / "c.xml", laboratory=laboratory, identifier="2")
     name, scale, k = made.content.results[0]
@@ -105,6 +108,7 @@ def test_certificates_are_valid_against_the_schema(project_root: Path, tmp_path:
 
 
 def test_a_reading_in_a_file_is_certified_as_the_reading(tmp_path: Path, laboratory: Path) -> None:
+    """A reading in a file is certified as the reading."""
     (tmp_path / "r.json").write_text(json.dumps(reading().to_mapping()))
     of_file = rm.certificate(tmp_path / "r.json", laboratory=laboratory, identifier="1")
     assert of_file.content.results == rm.certificate(reading(), laboratory=laboratory, identifier="1").content.results
@@ -122,6 +126,7 @@ def test_the_page_next_to_a_certificate_replaces_no_input(tmp_path: Path, labora
 
 
 def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -> None:
+    """What cannot be certified is refused."""
     with pytest.raises(UsageError, match="relative"):
         rm.certificate(reading("relative"), laboratory=laboratory, identifier="1")
     with pytest.raises(UsageError, match="identifier"):
@@ -196,6 +201,7 @@ def test_what_a_certificate_must_state_cannot_be_left_empty(tmp_path: Path, part
 def test_what_does_not_state_one_value_with_its_uncertainty_is_refused(
     tmp_path: Path, laboratory: Path, change, why: str
 ) -> None:
+    """What does not state one value with its uncertainty is refused."""
     text = rm.certificate(reading(), laboratory=laboratory, identifier="1").to_xml()
     (tmp_path / "c.xml").write_text(change(text), encoding="utf-8")
     with pytest.raises(InputError, match=why):

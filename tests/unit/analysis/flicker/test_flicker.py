@@ -28,6 +28,7 @@ def light_at(rate_hz: float, seconds: float) -> np.ndarray:
 def test_a_sinusoid_has_its_depth_its_index_over_pi_and_its_depth_over_the_threshold(
     frequency: float, depth: float
 ) -> None:
+    """A sinusoid has its depth its index over π and its depth over the threshold."""
     light = 40.0 * (1.0 + depth * np.sin(2.0 * np.pi * frequency * light_at(RATE_HZ, 1.0) + 1.0))
     found = measure_flicker(Waveform(light, RATE_HZ, "sine"))
     assert found.frequency is not None
@@ -41,6 +42,7 @@ def test_a_sinusoid_has_its_depth_its_index_over_pi_and_its_depth_over_the_thres
 
 @pytest.mark.parametrize("duty", [0.2, 0.5, 0.8])
 def test_a_rectangle_has_depth_1_and_the_dark_share_of_its_period_as_index(duty: float) -> None:
+    """A rectangle has depth 1 and the dark share of its period as index."""
     light = (light_at(100_000.0, 0.5) * 125.0 % 1.0 < duty).astype(float)
     found = measure_flicker(Waveform(light, 100_000.0, "pwm"))
     assert found.modulation_depth.value == pytest.approx(1.0, abs=0.01)
@@ -54,6 +56,7 @@ def test_a_rectangle_has_depth_1_and_the_dark_share_of_its_period_as_index(duty:
 
 @pytest.mark.parametrize(("frequency", "depth"), [(15.0, 0.01), (20.0, 0.02), (30.0, 0.05)])
 def test_the_severity_of_a_sinusoid_is_the_gain_of_its_filters(frequency: float, depth: float) -> None:
+    """The severity of a sinusoid is the gain of its filters."""
     # A sensation that hardly moves exceeds all percentiles alike: Pst = √(Σ weights · P).
     at = [2.0 * np.pi * frequency]
     eye = freqs([0.041661, 44.758, 2715.6, 29839.0, 0.0], [1.0, 196.32, 11781.0, 534820.0, 3505380.0], at)[1][0]
@@ -65,12 +68,14 @@ def test_the_severity_of_a_sinusoid_is_the_gain_of_its_filters(frequency: float,
 
 
 def test_a_change_of_one_percent_each_half_second_is_just_irritating() -> None:
+    """A change of one percent each half second is just irritating."""
     # Rectangular changes at 1 Hz: the severity is 1 at 1.0 % peak (IEC TR 61547-1, the eye without the lamp).
     light = 1.0 + 0.01 * np.sign(np.sin(2.0 * np.pi * light_at(4000.0, 120.0) + 0.1))
     assert short_term_severity(Waveform(light, 4000.0, "steps")) == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_short_record_counts_as_repeated_and_says_so() -> None:
+    """A short record counts as repeated and says so."""
     light = 1.0 + 0.02 * np.sin(2.0 * np.pi * 20.0 * light_at(10_000.0, 0.43))
     short = measure_flicker(Waveform(light, 10_000.0, "short"))
     long = 1.0 + 0.02 * np.sin(2.0 * np.pi * 20.0 * light_at(10_000.0, 90.0))
@@ -80,6 +85,7 @@ def test_a_short_record_counts_as_repeated_and_says_so() -> None:
 
 
 def test_the_uncertainty_holds_for_noisy_records() -> None:
+    """The uncertainty holds for noisy records."""
     rng = np.random.default_rng(46_001)
     t = light_at(RATE_HZ, 0.1)
     inside = {"modulation_depth": 0, "flicker_index": 0, "svm": 0, "frequency": 0}
@@ -166,6 +172,7 @@ def test_the_exposure_of_each_sample_of_a_table_is_corrected(tmp_path: Path) -> 
 
 
 def test_darkness_scales_every_modulation_and_counts_in_u() -> None:
+    """Darkness scales every modulation and counts in u."""
     light = 1.0 + 0.3 * np.sin(2.0 * np.pi * 100.0 * light_at(RATE_HZ, 0.5))
     bare = measure_flicker(Waveform(light, RATE_HZ, "lamp"))
     lifted = measure_flicker(Waveform(light + 0.5, RATE_HZ, "lamp", u_dark=0.03))
@@ -176,6 +183,7 @@ def test_darkness_scales_every_modulation_and_counts_in_u() -> None:
 
 
 def test_what_a_record_cannot_give_is_not_determined() -> None:
+    """What a record cannot give is not determined."""
     slow = measure_flicker(Waveform(1.0 + 0.1 * np.sin(np.arange(1000.0)), 1000.0, "slow"))
     assert slow.svm is None
     assert slow.pst_lm is None
@@ -195,6 +203,7 @@ def rolling_frame(frequency: float, row_time_s: float, exposure_s: float, depth:
 
 
 def test_the_rows_of_a_rolling_shutter_give_the_waveform_and_its_exposure_is_corrected_in_svm() -> None:
+    """The rows of a rolling shutter give the waveform and its exposure is corrected in SVM."""
     frame = rolling_frame(480.0, 20e-6, 400e-6)
     flat = rolling_frame(480.0, 20e-6, 400e-6, depth=0.0)
     found = measure_flicker(waveform_of_rows(frame, 20e-6, 400e-6, "frame", 64.0, flat))
@@ -207,6 +216,7 @@ def test_the_rows_of_a_rolling_shutter_give_the_waveform_and_its_exposure_is_cor
 
 
 def test_a_source_of_known_frequency_gives_the_row_time(tmp_path: Path) -> None:
+    """A source of known frequency gives the row time."""
     cv2 = pytest.importorskip("cv2")
     cv2.imwrite(str(tmp_path / "frame.tif"), rolling_frame(480.0, 20e-6, 200e-6).round().astype(np.uint16))
     found = rm.flicker(tmp_path / "frame.tif", known_frequency=480.0, exposure=200e-6, black_level=64.0)
@@ -228,6 +238,7 @@ def test_a_source_of_known_frequency_gives_the_row_time(tmp_path: Path) -> None:
     ],
 )
 def test_a_table_that_holds_no_waveform_is_refused(tmp_path: Path, text: str, error: type[Exception], why: str) -> None:
+    """A table that holds no waveform is refused."""
     (tmp_path / "lamp.csv").write_text(text)
     with pytest.raises(error, match=why):
         read_waveform(tmp_path / "lamp.csv")
@@ -235,6 +246,7 @@ def test_a_table_that_holds_no_waveform_is_refused(tmp_path: Path, text: str, er
 
 @pytest.mark.parametrize(("heading", "step"), [("t/ms", 0.05), ("time (us)", 50.0), ("Zeit_s", 5e-5)])
 def test_the_unit_of_time_comes_from_the_heading(tmp_path: Path, heading: str, step: float) -> None:
+    """The unit of time comes from the heading."""
     rows = "".join(f"{n * step:.6g};{1.0 + 0.1 * math.sin(0.2 * n):.5f}\n" for n in range(400))
     (tmp_path / "lamp.csv").write_text(f"{heading};CH1 (V)\n{rows}")
     mapped = ("timestamp=Zeit_s:s",) if heading.startswith("Zeit") else ()

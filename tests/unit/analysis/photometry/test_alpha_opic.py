@@ -26,6 +26,7 @@ DAYLIGHT = {
 
 @pytest.mark.parametrize("receptor", RECEPTORS)
 def test_daylight_is_its_own_equivalent_and_has_the_efficacy_of_the_standard(receptor: str) -> None:
+    """Daylight is its own equivalent and has the efficacy of the standard."""
     one = rm.alpha_opic(250.0, "lx", spectrum="cie_d65")[receptor]
     assert one.efficacy_mw_lm.value == pytest.approx(DAYLIGHT[receptor], abs=5e-5)
     assert one.quantity.value == pytest.approx(0.25 * DAYLIGHT[receptor], rel=1e-4)
@@ -45,11 +46,13 @@ def test_daylight_is_its_own_equivalent_and_has_the_efficacy_of_the_standard(rec
     ],
 )
 def test_the_efficacies_of_common_lights_are_those_of_a_peer(name: str, efficacies: tuple[float, ...]) -> None:
+    """The efficacies of common lights are those of a peer."""
     found = rm.alpha_opic(1.0, spectrum=name)
     assert [one.efficacy_mw_lm.value for one in found.quantities] == pytest.approx(efficacies, rel=3e-4)
 
 
 def test_a_line_excites_by_its_action_spectrum() -> None:
+    """A line excites by its action spectrum."""
     wavelength, columns = table("alpha_opic.csv")
     at_490 = columns["melanopic"][wavelength == 490.0][0]
     found = rm.alpha_opic(3.0, "W/m2", spectrum="line:490")["melanopic"]
@@ -58,6 +61,7 @@ def test_a_line_excites_by_its_action_spectrum() -> None:
 
 
 def test_radiance_and_luminance_of_one_light_give_the_same() -> None:
+    """Radiance and luminance of one light give the same."""
     from radiometer.analysis.photometry.photometry import luminance_cd_m2
 
     watts, candela = (
@@ -71,6 +75,7 @@ def test_radiance_and_luminance_of_one_light_give_the_same() -> None:
 
 @pytest.mark.parametrize("unit", ["cd m-2", "W sr-1 m-2"])
 def test_the_uncertainty_of_the_spectrum_is_that_of_drawn_spectra(unit: str) -> None:
+    """The uncertainty of the spectrum is that of drawn spectra."""
     light, rng = spectrum("white_led"), np.random.default_rng(46_002)
     stated = alpha_opic_quantities(Quantity(100.0, 0.0, unit), light, 0.05, 0.8)
     drawn = []
@@ -83,6 +88,7 @@ def test_the_uncertainty_of_the_spectrum_is_that_of_drawn_spectra(unit: str) -> 
 
 
 def test_a_level_of_a_screen_and_a_reading_are_sources(tmp_path: Path) -> None:
+    """A level of a screen and a reading are sources."""
     screen = rm.screen_calibrate(display="lcd", quick=True).calibration
     luminance = screen.channel("grey").at(200, "cd m-2")
     of_level = rm.alpha_opic(screen=screen, level=200)
@@ -128,6 +134,7 @@ def test_a_source_of_known_size_and_distance_gives_the_illuminance_at_the_eye() 
     ],
 )
 def test_what_gives_no_quantity_is_refused(given: dict[str, object], error: type[Exception]) -> None:
+    """What gives no quantity is refused."""
     with pytest.raises(error):
         rm.alpha_opic(**given)  # type: ignore[arg-type]
 

@@ -25,6 +25,7 @@ def map_of(values: np.ndarray, u: float = 0.01, common: float = 0.02, unit: str 
 
 
 def test_mean_and_uniformity_of_a_ramp_are_those_by_hand() -> None:
+    """Mean and uniformity of a ramp are those by hand."""
     ramp = np.tile(np.linspace(1.0, 2.0, 101), (40, 1))
     found = region_figures(map_of(ramp, u=1e-6), "ramp", Patch(0, 0, 101, 40), box_px=1)
     assert found.mean.value == pytest.approx(1.5)
@@ -34,6 +35,7 @@ def test_mean_and_uniformity_of_a_ramp_are_those_by_hand() -> None:
 
 
 def test_the_uncertainties_hold_for_drawn_noise() -> None:
+    """The uncertainties hold for drawn noise."""
     rng = np.random.default_rng(46_003)
     truth = 5.0 + np.tile(np.linspace(0.0, 0.4, 60), (50, 1))
     exact = region_figures(map_of(truth, u=1e-9, common=0.0), "x", Patch(0, 0, 60, 50))
@@ -48,6 +50,7 @@ def test_the_uncertainties_hold_for_drawn_noise() -> None:
 
 
 def test_what_all_pixels_share_drops_out_of_a_contrast() -> None:
+    """What all pixels share drops out of a contrast."""
     values = np.full((20, 40), 100.0)
     values[:, 20:] = 4.0
     found = map_of(values, u=0.04, common=0.05)
@@ -59,6 +62,7 @@ def test_what_all_pixels_share_drops_out_of_a_contrast() -> None:
 
 @pytest.mark.parametrize("projection", ["equidistant", "equisolid", "stereographic", "orthographic"])
 def test_an_even_hemisphere_gives_pi_times_its_luminance(projection) -> None:
+    """An even hemisphere gives π times its luminance."""
     found = map_of(np.full((401, 401), 50.0))
     lux = vertical_illuminance(found, projection, 180.0, 0.0, None)
     assert lux.value == pytest.approx(math.pi * 50.0, rel=0.006)
@@ -66,6 +70,7 @@ def test_an_even_hemisphere_gives_pi_times_its_luminance(projection) -> None:
 
 
 def test_a_small_source_on_the_axis_and_off_it() -> None:
+    """A small source on the axis and off it."""
     values = np.zeros((401, 401))
     values[200, 200] = values[200, 300] = 1000.0  # on the axis, and at 45° of an equidistant lens of 180°
     per_area = (math.pi / 2.0) ** 2 / 200.5**2
@@ -76,6 +81,7 @@ def test_a_small_source_on_the_axis_and_off_it() -> None:
 
 
 def test_a_profile_follows_its_line_and_its_noise_averages_over_the_width() -> None:
+    """A profile follows its line and its noise averages over the width."""
     found = map_of(np.tile(np.arange(50.0), (30, 1)), u=0.3, common=0.0)
     distance, value, u = profile(found, (5.0, 10.0), (25.0, 10.0), 9)
     assert value == pytest.approx(5.0 + distance)
@@ -96,6 +102,7 @@ def test_a_profile_goes_in_equal_steps_from_its_start_to_its_end(start, end) -> 
 
 
 def test_saturated_and_missing_pixels_are_flagged_or_refused() -> None:
+    """Saturated and missing pixels are flagged or refused."""
     found = map_of(np.full((10, 10), 3.0))
     found.mask[0, 0] = PixelMask.SATURATED
     assert "saturated" in region_figures(found, "x", Patch(0, 0, 10, 10)).flags[0]
@@ -108,6 +115,7 @@ def test_saturated_and_missing_pixels_are_flagged_or_refused() -> None:
 
 
 def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
+    """A written map is analysed as the map."""
     taken = {"camera": "FLIR BFS-U3-19S4M 22500001", "taken": "2026-11-21 12:00:00"}
     made = Provenance("merge", parameters={"origin": taken}, created="2026-11-22T08:00:00Z")
     values = np.random.default_rng(1).uniform(1, 2, (30, 40))
@@ -143,6 +151,7 @@ def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
 def test_what_does_not_fit_the_map_is_refused(
     tmp_path: Path, options: dict[str, object], error: type[Exception]
 ) -> None:
+    """What does not fit the map is refused."""
     write_tiff(tmp_path / "map.tiff", MapPicture({"mono": map_of(np.ones((30, 40)), unit="W sr-1 m-2")}))
     with pytest.raises(error):
         rm.analyse(tmp_path / "map.tiff", **options)  # type: ignore[arg-type]
