@@ -233,7 +233,7 @@ class StreamingMerge:
     def _merged(self, batch: list[MergeSample]) -> Images:
         """Return radiance, uncertainty and mask, flat, from the sums so far and a last batch."""
         (height, width), tables = self._known_shape(), merge_tables(self._terms, self._situation.model)
-        passes, sums = merge_passes(batch, self._terms[0].exposure), self._sums
+        passes, sums = merge_passes(batch, self._terms), self._sums
         if sums is not None or self._finished:
             sums = self._known_sums()
             images = sums.first, sums.second, sums.mask
@@ -249,10 +249,11 @@ class StreamingMerge:
                 kept = idle.pop()
             except IndexError:  # asked first, another thread might take the last between question and answer
                 kept = tables.kept()
-            room = sums or ScratchSums.of(images, block_size(width), len(self._terms))
+            room = sums or ScratchSums.of(images, block_size(width), self._terms)
             for begin, end in blocks(start, stop, width):
                 part = room.part(begin, end)
                 part.add(passes, begin)
+                part.take_lowest(self._terms)
                 # The sums make room for the result.
                 image = self._factor(begin, end - begin), part.first, part.second
                 summed = part.first, part.second, part.squares, part.patterns(), part.mask
@@ -374,9 +375,10 @@ class StreamingMerge:
         """Merge some pixels of some frames, and put the result in its place."""
         samples = [one.only(pixels, index) for index, one in enumerate(kept)]
         sums = MergeSums.zeros(pixels.size)
-        sums.make_room(len(samples))
         terms = [one.terms for one in samples]
-        sums.add(merge_passes(samples, terms[0].exposure), 0)
+        sums.make_room(terms)
+        sums.add(merge_passes(samples, terms), 0)
+        sums.take_lowest(terms)
         tables = merge_tables(terms, self._situation.model)
         place = self._factor_at(pixels)
         place = place * np.float32(self._terms[0].exposure / terms[0].exposure)
@@ -401,7 +403,7 @@ class StreamingMerge:
 
     def _take_in(self) -> None:
         """Add the frames of the batch to the sums and release them."""
-        sums, passes = self._known_sums(), merge_passes(self._pending, self._terms[0].exposure)
+        sums, passes = self._known_sums(), merge_passes(self._pending, self._terms)
         self._pending = []
         on_all_cores(self._known_shape(), lambda start, stop: sums.part(start, stop).add(passes, start))
 
@@ -471,7 +473,7 @@ class StreamingMerge:
             raise MeasurementError("the result was returned already; start a new merge")
         height, width = self._known_shape()
         self._sums = self._sums or MergeSums.zeros(height * width)
-        self._sums.make_room(len(self._terms))
+        self._sums.make_room(self._terms)
         return self._sums
 
     def _factor(self, start: int, size: int) -> NDArray[np.float32]:

@@ -13,7 +13,8 @@ between the levels where rounding is tabulated for the frame that shows most. Th
 asks.
 
 Near clipping it enters with its censored likelihood, or the choice of frames by their own noisy values would bias the
-result (Tobin 1958, Econometrica 26, 24).
+result (Tobin 1958, Econometrica 26, 24). Where frames are cut off at black, those that are not are too bright on
+average, by what the truncated normal distribution states, which is subtracted.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.merge.frames import FrameTerms
+from radiometer.analysis.merge.frames import FrameTerms, longest_of
 from radiometer.analysis.signal.model import SignalModel
 from radiometer.compiled import compiled, compiled_apart, compiled_within
 from radiometer.data.radiance_map import PixelMask
@@ -67,8 +68,9 @@ _HASH = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio (Knuth, vol.
     ROOT,
     NEAREST,
     NEXT,
-) = range(24)
-RECORD_SIZE = 24  # the places above
+    DIM,
+) = range(25)
+RECORD_SIZE = 25  # the places above
 FIRST_POWER = 0.35  # of the exposure: within 1.5 % of the best variance (see above)
 # A frame expected to clip by more than this says nothing new: its censored score is below 0.001 sigma.
 CENSORED_SIGMA = 3.5
@@ -114,18 +116,20 @@ def fill_record(
     r1·E. With var E_b − cov = p0 + p1·E, var E_a − cov = r − p. The best share of E_a is p/r. PLENTY is how often the
     expected scatter is still consistent whatever the level: by Cauchy and Schwarz the degrees of freedom are at most
     the frames. PLENTY0 + PLENTY1·E is that scatter. Below the rate NEAR the frame NEAREST may not have had to clip,
-    below NEXT others as well. ROOT times √E is 1 where the frame that shows most is at the end of the response curve.
+    below NEXT others as well. Below the rate DIM frames that are used may have been cut off at black. ROOT times √E is 1
+    where the frame that shows most is at the end of the response curve.
 
     Args:
         record: float64, shape (RECORD_SIZE,), overwritten.
         pattern: Bits of the frames used.
-        frames: float64, shape (n, 6): t, c, x at clipping, its sigma there, common uncertainty of the dark level, and
-            what c is at clipping.
+        frames: float64, shape (n, 8): t, c, x at clipping, its sigma there, common uncertainty of the dark level, what
+            c is at clipping, x where the frame is cut off at black, and what c is there.
         kappa: Shot noise variance per unit of x.
         gains: Gain factor of every frame.
         top: x of the curve's end; of no meaning for a linear sensor.
     """
     record[:] = 0.0
+    record[DIM] = -math.inf
     longest, s1, s2 = -1.0, 0.0, 0.0
     var_a0, var_a1, var_b0, var_b1, both0, both1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(frames.shape[0]):
@@ -142,6 +146,8 @@ def fill_record(
             record[D1] += w * frames[i, 4]
             record[D2] += t * frames[i, 4]
             record[COUNT] += 1.0
+            cut_sigma = math.sqrt(frames[i, 7] + kappa * max(frames[i, 6], 0.0))
+            record[DIM] = max(record[DIM], (frames[i, 6] + CENSORED_SIGMA * cut_sigma) / t)
             record[ROOT] = max(record[ROOT], math.sqrt(t * gains[i] / top))
             if t > longest:
                 longest = t
@@ -313,10 +319,15 @@ def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables
     kappa = 1.0 / model.electrons_per_unit
     frames = np.array(
         [
-            [o.exposure / reference, o.variance, o.clips_at, o.sigma_clip, o.u_dark, _at_clipping(o, kappa, model)]
+            [
+                *(o.exposure / reference, o.variance, o.clips_at, o.sigma_clip, o.u_dark),
+                *(_at_end(o, o.clips_at, o.sigma_clip, model), o.cut_at, _at_end(o, o.cut_at, o.sigma_cut, model)),
+            ]
             for o in terms
         ]
     )
+    if terms[longest_of(terms)].low_dn > 1:
+        frames[longest_of(terms), 6] = -math.inf  # it counts whatever it shows
     agreement = _AGREEMENT_ASSUMED_REL if model.noise.assumed else _AGREEMENT_REL
     lower_bound = float((frames[:, 2] / frames[:, 0]).max())
     darkest = float((model.table(terms[0].settings)[1] - model.table(terms[0].settings)[0]) / frames[:, 0].max())
@@ -329,9 +340,10 @@ def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables
     )
 
 
-def _at_clipping(one: FrameTerms, kappa: float, model: SignalModel) -> float:
-    """Return the variance of x at clipping but for its shot noise: behind a curve what arises there as well."""
-    return one.variance if model.linear else max(one.sigma_clip**2 - kappa * one.clips_at, one.variance)
+def _at_end(one: FrameTerms, signal: float, sigma: float, model: SignalModel) -> float:
+    """Return the variance of x at an end but for its shot noise: behind a curve what arises there as well."""
+    shot = max(signal, 0.0) / model.electrons_per_unit
+    return one.variance if model.linear else max(sigma**2 - shot, one.variance)
 
 
 def _root_tables(model: SignalModel) -> tuple[Array | None, Array | None, float, Array]:
@@ -480,6 +492,42 @@ def near_clipping(
 
 
 @compiled
+def above_black(
+    rate: float, variance: float, share: float, pattern: Any, record: Any, frames: Any, kappa: float
+) -> tuple[float, float]:  # pragma: no cover (compiled)
+    """Return (rate, variance) without what it adds on average that frames count only where they are not cut off at black.
+
+    A normal variable of mean m and deviation σ that is known to be above b has the mean m + σ·h((b − m)/σ), h being the
+    hazard, and the variance σ²·(1 − h·(h − (b − m)/σ)) (Johnson, Kotz and Balakrishnan 1994, 10.1).
+
+    Args:
+        rate: Estimate from the frames that count.
+        variance: Its variance.
+        share: Share of the first of the two estimates that it mixes.
+        pattern: Bits of the frames that count.
+        record: Their record.
+        frames: As in `fill_record`.
+        kappa: Shot noise variance per unit of x.
+    """
+    estimate, cut, whole = rate, 0.0, 0.0
+    for _ in range(2):
+        excess, cut, whole = 0.0, 0.0, 0.0
+        for i in range(frames.shape[0]):
+            if not (pattern >> np.uint64(i)) & np.uint64(1):
+                continue
+            t, black = frames[i, 0], frames[i, 6]
+            weight = share * t**FIRST_POWER * record[INV1] + (1.0 - share) * t * record[INV2]
+            noise = frames[i, 7] + kappa * max(estimate, 0.0) * t
+            z = (black - estimate * t) / math.sqrt(noise)
+            rise = hazard(z) if z > -CENSORED_SIGMA else 0.0
+            excess += weight * math.sqrt(noise) * rise
+            whole += weight * weight * noise
+            cut += weight * weight * noise * (1.0 - rise * (rise - z) if rise > 0.0 else 1.0)
+        estimate = rate - excess
+    return estimate, variance * cut / whole if whole > 0.0 else variance
+
+
+@compiled
 def marks(rate: float, variance: float) -> Any:  # pragma: no cover (compiled)
     """Return the mask of a pixel that is below the noise, or of one that is not."""
     below = (rate < 0.0) | (rate * rate < NOISE_FLOOR_SIGMA**2 * variance)
@@ -536,7 +584,7 @@ def straight(
         scatter = np.float64(squares[i]) - rate * (2.0 * sum_b - rate * records[k, S2])
         plenty = records[k, PLENTY0] + records[k, PLENTY1] * seen
         rates[i], variances[i] = rate, variance
-        more = np.uint8((scatter > plenty) | (bits[i] == 0))
+        more = np.uint8((scatter > plenty) | (bits[i] == 0) | (rate < records[k, DIM]))
         doubtful[i] = more | near if rate < records[k, NEAR] else more
     for i in range(bits.size):
         mask[i] = mask[i] if doubtful[i] else marks(rates[i], variances[i])
@@ -560,7 +608,7 @@ def straight_curved(
             last, longest = pattern, int(records[slot, LONGEST])
             of_longest, per_root = frames[longest, 0] * gains[longest], records[slot, ROOT] * steps
             inv1, inv2, s2, near = records[slot, INV1], records[slot, INV2], records[slot, S2], records[slot, NEAR]
-            plenty, d1, d2 = records[slot, PLENTY], records[slot, D1], records[slot, D2]
+            plenty, d1, d2, dim = records[slot, PLENTY], records[slot, D1], records[slot, D2], records[slot, DIM]
         sum_b = np.float64(second[i])
         rate_b = sum_b * inv2
         apart = np.float64(first[i]) * inv1 - rate_b
@@ -585,6 +633,8 @@ def straight_curved(
         scatter = np.float64(squares[i]) - rate * (2.0 * sum_b - rate * s2)
         if scatter > plenty * total:
             continue
+        if rate < dim:
+            rate, variance = above_black(rate, variance, share, pattern, records[slot], frames, kappa)
         level = max(rate, 0.0) * of_longest
         level_u = from_root_table(level, curve, top)
         found = EXTRAPOLATED if (level < valid[0]) | (level > valid[1]) else np.uint8(0)
@@ -798,6 +848,8 @@ def _single(
         tolerance = (bounds[2] ** 2 + (AGREEMENT_SIGMA * level_u) ** 2) * rate**2 * s2
         if scatter > total * scatter_limit(total**2 / extra) + tolerance:
             found |= INCONSISTENT
+    if rate < records[slot, DIM]:
+        rate, variance = above_black(rate, variance, share, pattern, records[slot], frames, kappa)
     if rate < near:
         rate, variance, contradiction = near_clipping(rate, variance, pattern, slot, records, frames, kappa)
         if contradiction:

@@ -31,6 +31,8 @@ class FrameTerms:
     high_dn: int  # digital number from which the frame clips
     clips_at: float  # x at clipping
     sigma_clip: float  # standard deviation of x there
+    cut_at: float  # x below which the frame is cut off at black; -inf where no number is
+    sigma_cut: float  # standard deviation of x there
     dark: NDArray[np.float32]  # dark signal x: of the whole frame (size 1) or of every pixel (flat)
     u_dark: float  # uncertainty of the dark signal that all frames share
     black_dn: float  # black level in DN
@@ -59,22 +61,30 @@ def frame_terms(
     gain = gain_factor(settings.gain_db)
     level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
     dark, extra = _dark_map(settings, dark_frames, model, level.signal)
-    high = math.ceil(model.saturation_dn(settings))
+    low, high = _lowest_dn(model, settings), math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
+    cut_at = float(model.at_dn(model.table(settings), low - 0.5)) - level.signal if low > 0 else -math.inf
     return FrameTerms(
         settings,
         settings.exposure_s * (lens_factor_sr(situation.lens, settings.f_number) if through_lens else 1.0),
         gain,
         _dark_variance(model, settings, gain) + extra,
-        _lowest_dn(model, settings, gain),
+        low,
         high,
         clips_at,
         float(np.sqrt(model.variance(clips_at, settings))),
+        cut_at,
+        float(np.sqrt(model.variance(max(cut_at, 0.0), settings))),
         dark,
         math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)),
         model.black_of(settings),
         level.u_unstated,
     )
+
+
+def longest_of(terms: Sequence[FrameTerms]) -> int:
+    """Return which frame has the longest exposure, the first of several: below a curve's data it counts as well."""
+    return max(range(len(terms)), key=lambda k: terms[k].exposure)
 
 
 def with_taps(terms: FrameTerms, frame: Frame, model: SignalModel) -> FrameTerms:
@@ -92,9 +102,16 @@ def _dark_variance(model: SignalModel, settings: FrameSettings, gain: float) -> 
     return (model.noise.read_noise_e**2 + dark_e) / model.electrons_per_unit**2 + quantisation
 
 
-def _lowest_dn(model: SignalModel, settings: FrameSettings, gain: float) -> int:
-    sigma_dn = model.noise.read_noise_e * model.noise.gain_dn_per_e(settings.gain_db)
-    return 0 if model.black_of(settings) >= _BLACK_HEADROOM_SIGMA * sigma_dn else 1
+def _lowest_dn(model: SignalModel, settings: FrameSettings) -> int:
+    """Return the lowest digital number whose signal counts: all do where the black level keeps the noise whole.
+
+    Where it cuts noise off, a mean over the numbers above 0 is too high; so is one through the straight line that
+    stands for a response curve below its data.
+    """
+    black = model.black_of(settings)
+    if black >= _BLACK_HEADROOM_SIGMA * model.noise.read_noise_e * model.noise.gain_dn_per_e(settings.gain_db):
+        return 0
+    return 1 if model.linear else max(1, model.valid_dn[0] + round(black - model.black_dn))
 
 
 def _dark_map(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.merge.finish import FIRST_POWER
-from radiometer.analysis.merge.frames import FrameTerms
+from radiometer.analysis.merge.frames import FrameTerms, longest_of
 from radiometer.compiled import compiled
 from radiometer.data.radiance_map import PixelMask
 
@@ -157,16 +157,26 @@ class MergeSample:
     # x less the dark signal by digital number, 0 where it is not used; None without a table, or where the dark signal
     # is that of every pixel
     usable: NDArray[np.float32] | None = None
+    # x by digital number below those that are used, nan at 0, inf above; None where only 0 is below
+    below: NDArray[np.float32] | None = None
 
     @classmethod
     def of(cls, dn: NDArray[Any], terms: FrameTerms, table: NDArray[np.float32] | None, index: int) -> MergeSample:
         """Return a frame's sample with what follows from its table; arguments as the attributes."""
         sample = cls(dn, terms, table, index)
-        if table is None or terms.dark.size > 1:
+        if table is None:
             return sample
         low, high = sample.limits
         # As long as its type has digital numbers: the compiled loop asks of none whether the table holds it.
-        usable = np.zeros(int(np.iinfo(dn.dtype).max) + 1, np.float32)
+        size = int(np.iinfo(dn.dtype).max) + 1
+        if low > 1:
+            below = np.full(size, np.inf, np.float32)
+            below[1:low] = table[1:low]
+            below[0] = np.nan
+            sample = replace(sample, below=below)
+        if terms.dark.size > 1:
+            return sample
+        usable = np.zeros(size, np.float32)
         usable[low:high] = table[low:high] - terms.dark
         return replace(sample, usable=usable)
 
@@ -223,6 +233,8 @@ class MergeSums:
     mask: NDArray[np.uint8]  # whether a frame was clipped at white so far, as PixelMask bit, uint8
     # Bits of the frames used, uint16, a plane for every 16 frames
     planes: list[NDArray[np.uint16]] = field(default_factory=list)
+    # x of the longest frame where it is below the numbers that are used, float32; no plane where only 0 is below
+    lowest: list[NDArray[np.float32]] = field(default_factory=list)
 
     @classmethod
     def zeros(cls, size: int) -> MergeSums:
@@ -230,16 +242,18 @@ class MergeSums:
         first, second, squares = (np.zeros(size, np.float32) for _ in range(3))
         return cls(first, second, squares, np.zeros(size, np.uint8))
 
-    def make_room(self, frames: int) -> None:
-        """Make sure that the bits of `frames` frames can be kept."""
-        while len(self.planes) * MANY < frames:
+    def make_room(self, terms: Sequence[FrameTerms]) -> None:
+        """Make sure that there is room for the bits of some frames, and for what is below their numbers."""
+        while len(self.planes) * MANY < len(terms):
             self.planes.append(np.zeros(self.first.size, np.uint16))
+        if not self.lowest and any(one.low_dn > 1 for one in terms):
+            self.lowest.append(np.zeros(self.first.size, np.float32))
 
     def part(self, start: int, stop: int) -> MergeSums:
         """Return the sums of the pixels from `start` to `stop` as views."""
         cut = slice(start, stop)
-        planes = [plane[cut] for plane in self.planes]
-        return MergeSums(self.first[cut], self.second[cut], self.squares[cut], self.mask[cut], planes)
+        planes, lowest = [plane[cut] for plane in self.planes], [plane[cut] for plane in self.lowest]
+        return MergeSums(self.first[cut], self.second[cut], self.squares[cut], self.mask[cut], planes, lowest)
 
     def patterns(self) -> NDArray[np.uint16] | NDArray[np.uint64]:
         """Return the bits of all frames used in each pixel."""
@@ -249,6 +263,23 @@ class MergeSums:
         for number, plane in enumerate(self.planes[1:], start=1):
             bits |= plane.astype(np.uint64) << np.uint64(number * MANY)
         return bits
+
+    def take_lowest(self, terms: Sequence[FrameTerms]) -> None:
+        """Count the longest frame where it is below the numbers that are used as well.
+
+        Args:
+            terms: Of all frames, in the order of their bits.
+        """
+        if not self.lowest:
+            return
+        longest = longest_of(terms)
+        # The number 0 is what other frames correct; alone it is no value.
+        below = (self.lowest[0] < np.inf) | (np.isnan(self.lowest[0]) & (self.patterns() != 0))
+        x, t = np.nan_to_num(self.lowest[0][below]), np.float32(terms[longest].exposure / terms[0].exposure)
+        self.first[below] += t ** np.float32(FIRST_POWER) * x
+        self.second[below] += t * x
+        self.squares[below] += x * x
+        self.planes[longest // MANY][below] |= np.uint16(1 << (longest % MANY))
 
     def add(self, passes: Sequence[MergePass], start: int) -> None:
         """Add the pixels of frames from `start` on, as many as there are sums.
@@ -268,15 +299,17 @@ class MergeSums:
 MergePass = Callable[[MergeSums, int], None]
 
 
-def merge_passes(samples: Sequence[MergeSample], reference: float) -> list[MergePass]:
+def merge_passes(samples: Sequence[MergeSample], terms: Sequence[FrameTerms]) -> list[MergePass]:
     """Return the passes over the sums that take frames in, as few as can be.
 
     What the compiled loops are given of the frames is made once, not for every block of pixels anew.
 
     Args:
-        reference: Exposure that exposures are counted in.
+        terms: Of all frames so far, these included, in the order of their bits.
     """
-    passes, waiting = [], list(samples)
+    passes, waiting, reference = [], list(samples), terms[0].exposure
+    longest = terms[longest_of(terms)]
+    passes += [_keep_lowest(one) for one in samples if one.terms is longest and one.below is not None]
     while waiting:
         one = waiting[0]
         alike = list(itertools.takewhile(one.is_like, waiting[:MANY])) or [one]
@@ -315,6 +348,17 @@ def _single(one: MergeSample, reference: float) -> MergePass:
     return add
 
 
+def _keep_lowest(one: MergeSample) -> MergePass:
+    """Return the pass that keeps what the longest frame shows below the numbers that are used."""
+    below, dark = one.below, one.terms.dark
+
+    def add(sums: MergeSums, start: int) -> None:
+        here = slice(start, start + sums.first.size)
+        sums.lowest[0][:] = below[one.dn[here]] - (dark if dark.size == 1 else dark[here])
+
+    return add
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ScratchSums:
     """Sums of one block of pixels after another, each used up before the next: only the result is kept of all."""
@@ -322,30 +366,25 @@ class ScratchSums:
     first: NDArray[np.float32]  # place of the radiance of all pixels, and of a block's Σt^0.35·x before
     second: NDArray[np.float32]  # place of its uncertainty, and of a block's Σt·x before
     mask: NDArray[np.uint8]  # place of the mask, uint8
-    squares: NDArray[np.float32]  # Σx² of a block
-    planes: list[NDArray[np.uint16]]  # bits of the frames used in a block
+    block: MergeSums  # its other sums are those of a block
 
     @classmethod
-    def of(cls, images: Images, most: int, frames: int) -> ScratchSums:
-        """Return sums of blocks of `most` pixels and `frames` frames.
+    def of(cls, images: Images, most: int, terms: Sequence[FrameTerms]) -> ScratchSums:
+        """Return sums of blocks of `most` pixels.
 
         Args:
             images: Places of radiance, uncertainty and mask of all pixels, flat.
             most: Pixels of the largest block.
-            frames: Number of frames.
+            terms: Of all frames.
         """
         block = MergeSums.zeros(most)
-        block.make_room(frames)
-        return cls(*images, block.squares, block.planes)
+        block.make_room(terms)
+        return cls(*images, block)
 
     def part(self, start: int, stop: int) -> MergeSums:
         """Return empty sums of the pixels from `start` to `stop`; those of the part before are lost."""
-        cut, size = slice(start, stop), stop - start
-        planes = [plane[:size] for plane in self.planes]
-        part = MergeSums(self.first[cut], self.second[cut], self.squares[:size], self.mask[cut], planes)
-        for one in (part.first, part.second, part.squares):
-            one.fill(0.0)
-        part.mask.fill(0)
-        for plane in planes:
-            plane.fill(0)
+        cut, block = slice(start, stop), self.block.part(0, stop - start)
+        part = replace(block, first=self.first[cut], second=self.second[cut], mask=self.mask[cut])
+        for one in (part.first, part.second, part.squares, part.mask, *part.planes):
+            one.fill(0)
         return part

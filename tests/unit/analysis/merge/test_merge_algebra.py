@@ -311,11 +311,12 @@ def test_several_frames_at_a_time_are_the_same_sums(bits, curved, count, first):
     numbers[:, :40] = rng.choice([0, 1, (1 << bits) - 2, (1 << bits) - 1], (count, 40))
     samples = _samples(calibration, numbers, bits, first)
     together, singly = (MergeSums.zeros(600) for _ in range(2))
+    terms = [samples[0].terms] * first + [one.terms for one in samples]
     for sums in (together, singly):
-        sums.make_room(first + count)
-    together.add(merge_passes(samples, 1.0), 0)
+        sums.make_room(terms)
+    together.add(merge_passes(samples, terms), 0)
     for one in samples:
-        singly.add(merge_passes([one], 1.0), 0)
+        singly.add(merge_passes([one], terms), 0)
     for name in ("first", "second", "squares", "mask"):
         assert np.array_equal(getattr(together, name), getattr(singly, name)), name
     assert np.array_equal(together.patterns(), singly.patterns())

@@ -42,7 +42,7 @@ from radiometer.errors import MeasurementError
 
 def tables(exposures, *, variance=25.0, kappa=0.0, slack=0.01, clips_at=4000.0, sigma_clip=5.0, bounds=(4000.0, 1.0)):
     """Return the tables of linear frames of the same noise."""
-    frames = np.array([[t, variance, clips_at, sigma_clip, 0.0, variance] for t in exposures])
+    frames = np.array([[t, variance, clips_at, sigma_clip, 0.0, variance, -np.inf, variance] for t in exposures])
     return MergeTables(frames, kappa, np.array([*bounds, slack]), np.ones(len(exposures)), None, None, 1.0, np.zeros(2))
 
 
@@ -247,10 +247,13 @@ def test_stripes_are_left_where_they_are():
     assert found == pytest.approx(STILL, abs=1e-4)
 
 
-# Exposure, noise variance and clipping level of each frame, as `fill_record` has them, with the noise at clipping last.
-FRAMES = np.array(
-    [[1.0, 25.0, 4000.0, 1.0, 0.0, 25.0], [2.0, 49.0, 215.0, 1.0, 0.0, 49.0], [3.0, 64.0, 312.0, 1.0, 0.0, 64.0]]
-)
+def frame_row(exposure, variance, clips_at, at_clipping=None, cut_at=-np.inf):
+    """Return a frame as `fill_record` has it: noise variance in the dark, and at clipping where that is another."""
+    at_clipping = variance if at_clipping is None else at_clipping
+    return [exposure, variance, clips_at, 1.0, 0.0, at_clipping, cut_at, variance]
+
+
+FRAMES = np.array([frame_row(1.0, 25.0, 4000.0), frame_row(2.0, 49.0, 215.0), frame_row(3.0, 64.0, 312.0)])
 
 
 def likeliest(rate, variance, frames, kappa):
@@ -325,7 +328,7 @@ def test_many_pixels_at_a_time_hear_their_nearest_frame():
 
 def test_a_frame_without_noise_in_the_dark_is_heard_or_passed_over_in_numbers():
     """No read noise and no light: a frame far above contradicts or says nothing, and no value is lost to 0 times ∞."""
-    frames = np.array([[1.0, 0.0, 40.0, 1.0, 0.0, 0.0], [4.0, 0.0, 40.0, 1.0, 0.0, 0.0]])
+    frames = np.array([frame_row(1.0, 0.0, 40.0), frame_row(4.0, 0.0, 40.0)])
     for rate in (-0.3, 0.0):
         found = with_censored(rate, 0.2, np.uint64(0b01), frames, 0, 2, 0.3)
         assert found == (rate, pytest.approx(0.2, rel=1e-12), False)
@@ -337,7 +340,7 @@ def test_noise_that_arises_behind_the_curve_counts_at_clipping():
     Its only noise is that of the codes at clipping; the estimate lies 2 u below 0, its u times the exposure far above
     the clipping level.
     """
-    frames = np.array([[1.0, 0.0, 4.6, 0.0, 0.0, 0.0], [1e4, 0.0, 4.6, 1.3e-2, 0.0, 1.7e-4]])
+    frames = np.array([frame_row(1.0, 0.0, 4.6), frame_row(1e4, 0.0, 4.6, at_clipping=1.7e-4)])
     value, variance, contradiction = with_censored(-2e-3, 1e-6, np.uint64(0b01), frames, 0, 2, 4e-7)
     assert -2e-3 < value < 4.6e-4 + 2e-3
     assert 0.0 < variance < 1e-6
