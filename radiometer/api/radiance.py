@@ -187,9 +187,10 @@ class Radiance(Drawn):
         }
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return an xarray.Dataset with `radiance`, its two uncertainties and `mask`: units and flags as in CF.
+        """Return an xarray.Dataset with `radiance`, its uncertainties and `mask`: units and flags as in CF.
 
-        `u_radiance` is each pixel's own, `u_common` what all share; their attributes state how errors of pixels are
+        `u_radiance` is each pixel's noise, `u_shared` what pixels of one level share, `u_common` what all share; their
+        attributes state how errors of pixels are
         correlated, as obsarray reads it (`unc_comps`, `err_corr_…`). `to_netcdf(…, engine="h5netcdf")` keeps all of it.
 
         Raises:
@@ -270,20 +271,24 @@ def _variables(radiance: Radiance) -> dict[str, Any]:
         "flag_masks": np.array([int(bit) for bit in bits], dtype=np.uint8),
         "flag_meanings": " ".join(map(_meaning, bits)),
     }
+    noise, by_level = (part.astype(np.float32) for part in radiance.map.parts_of_u(np.s_[:, :]))
     own = {"units": unit, "long_name": "standard uncertainty of each pixel's own (k = 1)"} | _correlation("random")
+    alike = {"units": unit, "long_name": "standard uncertainty shared by pixels of one level (k = 1)"}
     shared = {"units": unit, "long_name": "standard uncertainty shared by all pixels (k = 1)"} | _correlation(
         "systematic"
     )
+    parts: dict[str, Any] = {"u_radiance": (dims, noise, own), "u_common": (dims, common, shared)}
+    if radiance.map.u_shared is not None:
+        parts["u_shared"] = (dims, by_level, alike | _correlation("systematic"))
     held = {
         "units": unit,
         "long_name": "radiance",
-        "ancillary_variables": "u_radiance u_common mask",
-        "unc_comps": ["u_radiance", "u_common"],
+        "ancillary_variables": " ".join([*parts, "mask"]),
+        "unc_comps": list(parts),
     }
     return {
         "radiance": (dims, radiance.value, held),
-        "u_radiance": (dims, radiance.u, own),
-        "u_common": (dims, common, shared),
+        **parts,
         "mask": (dims, radiance.mask, named),
     }
 

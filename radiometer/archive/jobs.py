@@ -7,6 +7,7 @@ same keys whatever the job, so that all rows fit one table.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import shutil
 from collections.abc import Callable
@@ -54,7 +55,7 @@ def code_hash() -> str:
 
 
 def write_map(merged: RadianceMap, path: Path) -> None:
-    """Write a radiance map as a Zarr group with the arrays radiance, u_radiance and mask; whole or not at all.
+    """Write a radiance map as a Zarr group of the arrays radiance, u_radiance, mask and u_shared; whole or not at all.
 
     Args:
         path: Folder of the group; one that exists is replaced.
@@ -73,8 +74,10 @@ def write_map(merged: RadianceMap, path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         group = zarr.open_group(str(unfinished), mode="w")
-        for name in ("radiance", "u_radiance", "mask"):
+        for name in ("radiance", "u_radiance", "mask", "u_shared"):
             values = getattr(merged, name)
+            if values is None:  # pixels share nothing
+                continue
             group.create_array(name, shape=values.shape, dtype=values.dtype)[:] = values
         group.attrs.update(
             unit=merged.unit, u_rel_common=merged.u_rel_common, provenance=merged.provenance.to_mapping()
@@ -166,7 +169,8 @@ def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     if not count:
         raise MeasurementError(f"{capture_set.path}: no pixel is well exposed in any frame, so there is no mean")
     mean = float(merged.radiance[good].mean(dtype=np.float64))
-    noise = float(np.sqrt(np.square(merged.u_radiance[good], dtype=np.float64).sum())) / count
+    own, shared = merged.parts_of_u(good)
+    noise = math.hypot(float(np.sqrt(np.square(own).sum())) / count, float(shared.mean()))
     return [
         {
             "patch": "frame",

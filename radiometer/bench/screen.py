@@ -81,8 +81,8 @@ class ScreenBench:
     def map_of(self, area: Patch) -> RadianceMap:
         """Return the radiance of every pixel of an area. Raises DeviceError, MeasurementError."""
         whole = merge(self.instrument.at(area).take_bracket(), self.instrument.setup)
-        parts = {name: getattr(whole, name)[area.slices] for name in ("radiance", "u_radiance", "mask")}
-        return replace(whole, **parts)
+        planes = {name: getattr(whole, name) for name in ("radiance", "u_radiance", "mask", "u_shared")}
+        return replace(whole, **{name: plane[area.slices] for name, plane in planes.items() if plane is not None})
 
     def check_flicker(self) -> Flicker:
         """Return whether the display's light changes from one short frame to the next. Raises DeviceError."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.provenance import Provenance
+from radiometer.typing import Array
 
 
 class PixelMask(IntFlag):
@@ -29,7 +31,7 @@ class RadianceMap:
     """Radiance per pixel."""
 
     radiance: NDArray[np.float32]  # radiance, shape (height, width), float32, in `unit`
-    # Standard uncertainty per pixel (noise only; what is common to all pixels is in `u_rel_common`)
+    # Standard uncertainty per pixel: noise and `u_shared`; what is common to all pixels is in `u_rel_common`
     u_radiance: NDArray[np.float32]
     mask: NDArray[np.uint8]  # PixelMask bits per pixel, uint8
     unit: str = "relative"  # "W sr-1 m-2", or "relative"
@@ -37,6 +39,21 @@ class RadianceMap:
     exposures_s: tuple[float, ...] = ()  # exposure times merged, in s
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))  # method, inputs, assumptions
     not_in_u: tuple[str, ...] = ()  # what neither `u_radiance` nor `u_rel_common` holds, in words with its size
+    # Part of `u_radiance` that pixels of one level and place share, so that no mean makes it smaller (response curve,
+    # dark level, fall-off, exposure), float32; None where there is none
+    u_shared: NDArray[np.float32] | None = None
+
+    def parts_of_u(self, where: Any) -> tuple[Array, Array]:
+        """Return the noise of some pixels, and the uncertainty that they share, float64, in `unit`.
+
+        Args:
+            where: Which pixels, as numpy takes it: rows and columns, or a mask.
+        """
+        own = self.u_radiance[where].astype(np.float64)
+        if self.u_shared is None:
+            return own, np.zeros_like(own)
+        shared = self.u_shared[where].astype(np.float64)
+        return np.sqrt(np.maximum(own**2 - shared**2, 0.0)), shared
 
     @property
     def shape(self) -> tuple[int, int]:

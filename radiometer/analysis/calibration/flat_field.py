@@ -106,7 +106,7 @@ def _tiles(even: RadianceMap) -> _Tiles:
         )
     y, x = np.mgrid[:height, :width][:, cut[0], cut[1]].astype(np.float64)
     value = total(np.where(sound, even.radiance[cut], 0.0).astype(np.float64))
-    variance = total(np.where(sound, even.u_radiance[cut].astype(np.float64) ** 2, 0.0))
+    variance = total(np.where(sound, even.parts_of_u(cut)[0] ** 2, 0.0))
     n = np.maximum(count, 1.0)
     mean_x, mean_y = (total(np.where(sound, axis, 0.0)) / n for axis in (x, y))
     return _Tiles(mean_x[used], mean_y[used], (value / n)[used], (np.sqrt(variance) / n)[used])

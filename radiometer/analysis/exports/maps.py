@@ -25,6 +25,7 @@ from radiometer.reporting.origin import moment
 
 _LABELS: Final = {RADIANCE_UNIT: "radiance in W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance in cd·m⁻²"}
 _LETTERS: Final = {"red": "R", "green": "G", "blue": "B"}  # channels of colour pictures, as programs know them
+_SHARED: Final = "shared standard uncertainty"  # name of the page with what pixels of one level share
 _CLIPPED_COLOUR: Final = "#ff40ff"
 _MOST_DECADES: Final = 6.0  # more than an eye can tell apart in one picture
 
@@ -33,7 +34,8 @@ def write_exr(path: Path, picture: MapPicture) -> None:
     """Write a picture as OpenEXR.
 
     Channels are Y (or R, G, B) for the values, Y.u (R.u, …) for their standard uncertainty, both 32-bit floating
-    point, and Y.mask (R.mask, …) for the PixelMask bits. Several quantities have their own names. The header names the
+    point, and Y.mask (R.mask, …) for the PixelMask bits. Where pixels of one level share a part of the uncertainty,
+    that is Y.shared (R.shared, …). Several quantities have their own names. The header names the
     unit of the first channel and of each, what all pixels share (`u_rel_common`), and what is in no uncertainty
     (`not_in_u`).
 
@@ -71,6 +73,8 @@ def _channels(picture: MapPicture) -> dict[str, Any]:
         channels[letter] = np.ascontiguousarray(found.radiance)
         channels[f"{letter}.u"] = np.ascontiguousarray(found.u_radiance)
         channels[f"{letter}.mask"] = found.mask.astype(np.uint32)
+        if found.u_shared is not None:
+            channels[f"{letter}.shared"] = np.ascontiguousarray(found.u_shared)
     return channels
 
 
@@ -123,6 +127,8 @@ def rgbe(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 def write_tiff(path: Path, picture: MapPicture) -> None:
     """Write a picture as TIFF of three pages: values and standard uncertainty as float32, mask bits as uint8.
 
+    Where pixels of one level share a part of the uncertainty, that is a fourth page.
+
     Each page's description is JSON with the quantity and the unit; with the names and units of the channels where they
     are no colours. The first holds `origin` as well: when and with what the frames were taken and merged.
 
@@ -136,6 +142,9 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
         "standard uncertainty": np.stack([one.u_radiance for one in found], axis=-1),
         "mask": np.stack([one.mask for one in found], axis=-1),
     }
+    if any(one.u_shared is not None for one in found):
+        none = np.zeros(found[0].shape, np.float32)
+        pages[_SHARED] = np.stack([none if one.u_shared is None else one.u_shared for one in found], axis=-1)
     stream = io.BytesIO()
     with tifffile.TiffWriter(stream) as tiff:
         for quantity, values in pages.items():
@@ -171,6 +180,7 @@ def read_tiff(path: Path) -> MapPicture:
                 facts = parsed_json(page.description)
                 pages[str(facts["quantity"])] = (page.asarray(), facts)
         (values, facts), (u, _), (mask, _) = (pages[name] for name in ("value", "standard uncertainty", "mask"))
+        shared = pages[_SHARED][0].reshape(*u.shape[:2], -1) if _SHARED in pages else None
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; write a map by `radiometer merge -o {path.name}`") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError, tifffile.TiffFileError) as error:
@@ -184,7 +194,11 @@ def read_tiff(path: Path) -> MapPicture:
     provenance = Provenance("read", (str(path),), parameters={"origin": stated if isinstance(stated, dict) else {}})
     return MapPicture(
         {
-            name: RadianceMap(value[..., n], own[..., n], bits[..., n], str(units[n]), common, provenance=provenance)
+            name: RadianceMap(
+                *(value[..., n], own[..., n], bits[..., n], str(units[n]), common),
+                provenance=provenance,
+                u_shared=None if shared is None else shared[..., n],
+            )
             for n, name in enumerate(names)
         }
     )
@@ -292,7 +306,11 @@ def in_luminance(found: RadianceMap, spectrum: Spectrum) -> RadianceMap:
         raise UsageError("a relative map has no luminance; merge with a calibration")
     efficacy = luminous_efficacy_lm_per_w(spectrum)
     return replace(
-        found, radiance=found.radiance * efficacy, u_radiance=found.u_radiance * efficacy, unit=LUMINANCE_UNIT
+        found,
+        radiance=found.radiance * efficacy,
+        u_radiance=found.u_radiance * efficacy,
+        u_shared=None if found.u_shared is None else found.u_shared * efficacy,
+        unit=LUMINANCE_UNIT,
     )
 
 

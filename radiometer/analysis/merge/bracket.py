@@ -521,8 +521,45 @@ class StreamingMerge:
             return 0.0
         return frame_u_rel(calibration, situation.lens, numbers, settings, situation.setup.taken)
 
-    def _doubt_falloff(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> None:
-        """Add to the uncertainty of every pixel that of a natural fall-off that is neither declared nor measured."""
+    def _share(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> NDArray[np.float32] | None:
+        """Add to the uncertainty of every pixel what pixels of one level and place share; return what they share.
+
+        Returns:
+            None where they share nothing. What they share holds the frames' common dark level as well, which the
+            uncertainty held already.
+        """
+        shared = np.zeros_like(radiance)
+        levels = merge_tables(self._terms, self._situation.model).at_levels()
+        curve, dark = levels.curve_u_rel.astype(np.float32), levels.dark_u.astype(np.float32)
+        if curve.any():
+            self._by_level(radiance, shared, lambda value, factor: curve[levels.places(value / factor)] * value)
+        self._doubt_falloff(radiance, shared)
+        self._doubt_exposures(radiance, shared)
+        self._doubt_dark_current(shared)
+        self._doubt_taps(radiance, shared)
+        np.hypot(u_radiance, shared, out=u_radiance)
+        if dark.any():
+            self._by_level(radiance, shared, lambda value, factor: dark[levels.places(value / factor)] * factor)
+            np.minimum(shared, u_radiance, out=shared)
+        return shared if shared.any() else None
+
+    def _by_level(
+        self,
+        radiance: NDArray[np.float32],
+        shared: NDArray[np.float32],
+        u: Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.float32]],
+    ) -> None:
+        """Add to what pixels share an uncertainty u(radiance, radiance per rate), block by block."""
+        values, own = radiance.ravel(), shared.ravel()
+
+        def work(start: int, stop: int) -> None:
+            part = slice(start, stop)
+            np.hypot(own[part], u(values[part], self._factor(start, stop - start)), out=own[part])
+
+        on_all_cores(self._known_shape(), work)
+
+    def _doubt_falloff(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> None:
+        """Add to what pixels share that of a natural fall-off that is neither declared nor measured."""
         calibration, lens = self._calibration, self._situation.lens
         if calibration is None or calibration.flat_field is not None or falloff_known(self._camera, lens) != "assumed":
             return
@@ -530,22 +567,30 @@ class StreamingMerge:
         place = relative_sensitivity(self._camera, lens, None, (radiance.shape[0], radiance.shape[1]), columns, rows)
         lost = np.abs(place - calibration.scale.conditions.sensitivity) / place
         doubt = calibration.uncertainties.falloff_u_rel * lost * radiance
-        np.hypot(u_radiance, doubt.astype(np.float32), out=u_radiance)
+        np.hypot(shared, doubt.astype(np.float32), out=shared)
 
-    def _doubt_dark_current(self, u_radiance: NDArray[np.float32]) -> None:
-        """Add to the uncertainty of every pixel that of a dark current that nothing states: the frame that limits it.
+    def _doubt_dark_current(self, shared: NDArray[np.float32]) -> None:
+        """Add to what pixels share that of a dark current that nothing states: the frame that limits it.
 
         It is not noise: a pixel that it may explain is still above the noise.
         """
         u_rate = min(terms.u_unstated / terms.exposure for terms in self._terms)
         if u_rate > 0.0:
             on_axis = self._on_axis() * self._terms[0].exposure
-            np.hypot(u_radiance, np.float32(u_rate * on_axis), out=u_radiance)
+            np.hypot(shared, np.float32(u_rate * on_axis), out=shared)
+
+    def _doubt_taps(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> None:
+        """Add to what pixels share that of the gains of their taps."""
+        if (taps := self._taps) is None or taps.gain is None:
+            return
+        scaled_in = self._calibration.scale.conditions.tap if self._calibration else None
+        u_rel = taps.u_rel(scaled_in).astype(np.float32)[taps.number]
+        np.hypot(shared, u_rel * radiance, out=shared)
 
     def _of_taps(
-        self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32], mask: NDArray[np.uint8]
+        self, radiance: NDArray[np.float32], mask: NDArray[np.uint8]
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Mark what gathers no light, add the uncertainty of the taps' gains, and return what to say of the taps.
+        """Mark what gathers no light, and return what to say of the taps.
 
         Returns:
             What was used of them; and what the uncertainty does not hold.
@@ -556,10 +601,6 @@ class StreamingMerge:
         unlit = ~taps.lit
         radiance[unlit] = 0.0
         mask[unlit] = PixelMask.UNLIT | PixelMask.BELOW_NOISE
-        if taps.gain is not None:
-            scaled_in = self._calibration.scale.conditions.tap if self._calibration else None
-            u_rel = taps.u_rel(scaled_in).astype(np.float32)[taps.number]
-            np.hypot(u_radiance, u_rel * radiance, out=u_radiance)
         gains_db = {terms.settings.gain_db for terms in self._terms}
         return taps.notes(has_darks=gains_db <= set(taps.by_darks_dn)), ()
 
@@ -591,8 +632,8 @@ class StreamingMerge:
         there = self._calibration.scale.conditions.inverse_exposure_per_s
         return self._calibration.uncertainties.exposure_u_s * abs(1.0 / shortest - there)
 
-    def _doubt_exposures(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> None:
-        """Add to the uncertainty of every pixel that of an offset of all exposures.
+    def _doubt_exposures(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> None:
+        """Add to what pixels share that of an offset of all exposures.
 
         A pixel's value is Σx/Σt over the frames that do not clip there: an offset δ of n exposures changes it by
         δ·n/Σt, less what the calibration's own exposures share. Bright pixels rest on short exposures alone.
@@ -608,7 +649,7 @@ class StreamingMerge:
         counts, sums = np.arange(times.size, 0, -1), np.cumsum(times[::-1])[::-1]
         u_rel = np.append(u_s * np.abs(counts / sums - there), off).astype(np.float32)
         on_axis = self._on_axis() * self._terms[0].exposure  # radiance per rate
-        bounds, values, own = ends[order] * on_axis, radiance.ravel(), u_radiance.ravel()
+        bounds, values, own = ends[order] * on_axis, radiance.ravel(), shared.ravel()
         for start in range(0, values.size, BLOCK_PIXELS):
             part = slice(start, start + BLOCK_PIXELS)
             np.hypot(own[part], u_rel[np.searchsorted(bounds, values[part])] * values[part], out=own[part])
@@ -636,13 +677,11 @@ class StreamingMerge:
     def _map(self, flat: Images) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration
         images = flat[0].reshape(shape), flat[1].reshape(shape), flat[2].reshape(shape)
-        self._doubt_falloff(*images[:2])
         repair_defects(*images, calibration.defects if calibration else ())
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
-        self._doubt_exposures(*images[:2])
-        self._doubt_dark_current(images[1])
-        used, doubtful = self._of_taps(*images)
+        used, doubtful = self._of_taps(images[0], images[2])
+        shared = self._share(*images[:2])
         of_time = self._exposure_offset()
         in_u = of_time if self._exposures_in_u else ()
         of_light = self._stray_light(images[0])
@@ -663,6 +702,7 @@ class StreamingMerge:
                 },
             ),
             not_in_u=not_in_u,
+            u_shared=shared,
         )
 
     def _origin(self) -> dict[str, str]:

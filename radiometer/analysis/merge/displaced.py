@@ -21,7 +21,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.merge.finish import AGREEMENT_SIGMA, CONTRADICTION_SIGMA, MergeTables, scatter_limit
+from radiometer.analysis.merge.finish import (
+    AGREEMENT_SIGMA,
+    CONTRADICTION_SIGMA,
+    PER_FOLD,
+    MergeTables,
+    scatter_limit,
+)
 from radiometer.analysis.merge.sums import MergeSample
 from radiometer.compiled import compiled
 from radiometer.typing import Array
@@ -31,8 +37,6 @@ _AGREE_SIGMA: Final = 4.0
 # A neighbour of so many contradicting pixels (of eight) shows the edge of what moved.
 _OF_EIGHT: Final = 4.0
 _CHUNK: Final = 1 << 13  # pixels of which 18 frames' values stay in the caches
-# Levels per e-fold at which the weights of the frames are worked out: they change little between.
-_PER_FOLD: Final = 16.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +179,7 @@ class MeanDisplacement:
     """√Σp² of the weights p of the frames, by the level of a pixel."""
 
     lowest: float  # ln of the lowest rate that it is given for
-    factors: Array  # at steps of 1/`_PER_FOLD` from there, float64
+    factors: Array  # at steps of 1/`PER_FOLD` from there, float64
 
     @classmethod
     def of(cls, tables: MergeTables) -> MeanDisplacement:
@@ -184,14 +188,8 @@ class MeanDisplacement:
         Args:
             tables: As the last step of the merge uses them, for all frames.
         """
-        exposure, clips_at = tables.frames[:, :1], tables.frames[:, 2:3]
-        lowest, highest = np.log(tables.bounds[1]), np.log(tables.bounds[0])
-        log_rate = np.arange(lowest, max(highest, lowest) + 1.0 / _PER_FOLD, 1.0 / _PER_FOLD)
-        expected = exposure * np.exp(log_rate)
-        information = np.where(expected < clips_at, exposure**2 / tables.variance(expected)[0], 0.0)
-        total = information.sum(axis=0)
-        factors = np.sqrt((information**2).sum(axis=0)) / np.where(total > 0.0, total, 1.0)
-        return cls(float(lowest), np.where(total > 0.0, factors, 1.0))
+        levels = tables.at_levels()
+        return cls(levels.lowest, np.sqrt((levels.weights**2).sum(axis=0)))
 
 
 def relative_shift(radiance: NDArray[np.float32], u_radiance: NDArray[np.float32], px: float) -> NDArray[np.float32]:
@@ -266,7 +264,7 @@ def _add_shift(
     for i in range(radiance.size):
         if shift[i] <= 0.0 or radiance[i] <= 0.0:
             continue
-        place = (np.log(radiance[i] / per_unit[i * step]) - lowest) * _PER_FOLD
+        place = (np.log(radiance[i] / per_unit[i * step]) - lowest) * PER_FOLD
         level = min(max(int(place + 0.5), 0), factors.size - 1)
         added = shift[i] * factors[level] * radiance[i]
         u_radiance[i] = np.sqrt(u_radiance[i] ** 2 + added * added)

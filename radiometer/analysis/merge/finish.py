@@ -90,6 +90,8 @@ LEVEL_SIZE = 4
 # Lower levels are worked out singly: so near to zero straight lines over √E are off by more than 0.1 %.
 FIRST_LEVEL = 16
 _ROOT_TABLE_SIZE = 2048
+# Levels per e-fold at which the weights of the frames are worked out for all pixels: they change little between.
+PER_FOLD = 16.0
 # Sets of frames, a power of 2: a bracket of 16 has some hundred; memory is taken by those that occur.
 _KEPT_SETS = 256
 # Frames that agree to this are consistent whatever the noise; more slack where the noise is only a typical one.
@@ -116,8 +118,8 @@ def fill_record(
     r1·E. With var E_b − cov = p0 + p1·E, var E_a − cov = r − p. The best share of E_a is p/r. PLENTY is how often the
     expected scatter is still consistent whatever the level: by Cauchy and Schwarz the degrees of freedom are at most
     the frames. PLENTY0 + PLENTY1·E is that scatter. Below the rate NEAR the frame NEAREST may not have had to clip,
-    below NEXT others as well. Below the rate DIM frames that are used may have been cut off at black. ROOT times √E is 1
-    where the frame that shows most is at the end of the response curve.
+    below NEXT others as well. Below the rate DIM frames that are used may have been cut off at black. ROOT times √E is
+    1 where the frame that shows most is at the end of the response curve.
 
     Args:
         record: float64, shape (RECORD_SIZE,), overwritten.
@@ -260,6 +262,22 @@ def at_rate(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class AtLevels:
+    """What becomes of the frames in a pixel, by its level: at steps of 1/`PER_FOLD` in ln of the rate."""
+
+    lowest: float  # ln of the lowest rate
+    weights: Array  # of each frame, sum 1, shape (frames, levels)
+    curve_u_rel: Array  # relative standard uncertainty that the curve brings to the value
+    dark_u: Array  # standard uncertainty of the rate that the frames' common dark level brings
+
+    def places(self, rates: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return the nearest level of each rate; the first for rates at or below 0."""
+        log_rate = np.log(np.maximum(rates, np.float32(math.exp(self.lowest))))
+        place = np.rint((log_rate - self.lowest) * PER_FOLD).astype(np.intp)
+        return np.minimum(place, self.dark_u.size - 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class MergeTables:
     """What the merge's last step is given besides the pixels."""
 
@@ -288,6 +306,20 @@ class MergeTables:
             np.zeros((_KEPT_SETS, RECORD_SIZE)),
             np.zeros((_KEPT_SETS, levels, LEVEL_SIZE)),
         )
+
+    def at_levels(self) -> AtLevels:
+        """Return what the merge does to a pixel, by its level, with the maximum-likelihood weights."""
+        exposure, clips_at, cut_at = (self.frames[:, k][:, None] for k in (0, 2, 6))
+        lowest, highest = np.log(self.bounds[1]), np.log(self.bounds[0])
+        log_rate = np.arange(lowest, max(highest, lowest) + 1.0 / PER_FOLD, 1.0 / PER_FOLD)
+        expected = exposure * np.exp(log_rate)
+        variance, curve = self.variance(expected)
+        counts = (expected < clips_at) & (expected > cut_at)
+        counts[np.argmax(exposure)] |= ~counts.any(axis=0)  # one remains, or the table ends
+        weights = np.where(counts, exposure**2 / variance, 0.0)
+        weights /= weights.sum(axis=0)
+        dark = (weights * self.frames[:, 4:5] / exposure).sum(axis=0)
+        return AtLevels(float(lowest), weights, (weights * curve).sum(axis=0), dark)
 
     def variance(self, expected: Array) -> tuple[Array, Array]:
         """Return the variance of every frame's signal x, and the relative uncertainty of the curve there.
@@ -495,7 +527,7 @@ def near_clipping(
 def above_black(
     rate: float, variance: float, share: float, pattern: Any, record: Any, frames: Any, kappa: float
 ) -> tuple[float, float]:  # pragma: no cover (compiled)
-    """Return (rate, variance) without what it adds on average that frames count only where they are not cut off at black.
+    """Return (rate, variance) without the excess of frames that count only where they are not cut off at black.
 
     A normal variable of mean m and deviation σ that is known to be above b has the mean m + σ·h((b − m)/σ), h being the
     hazard, and the variance σ²·(1 − h·(h − (b − m)/σ)) (Johnson, Kotz and Balakrishnan 1994, 10.1).
@@ -597,7 +629,7 @@ def straight_curved(
     """Do as `straight` does behind a response curve, in half of the time of `_single`; the others are `finish`'s."""
     first, second, squares, bits, mask = sums
     _, records, levels = kept
-    frames, kappa, _, gains, curve, top, valid = tables
+    frames, kappa, _, gains, _, top, valid = tables
     steps, last = levels.shape[1] - 1, np.uint64(0)
     for i in range(bits.size):
         pattern, slot = np.uint64(bits[i]), slots[i]
@@ -636,13 +668,12 @@ def straight_curved(
         if rate < dim:
             rate, variance = above_black(rate, variance, share, pattern, records[slot], frames, kappa)
         level = max(rate, 0.0) * of_longest
-        level_u = from_root_table(level, curve, top)
         found = EXTRAPOLATED if (level < valid[0]) | (level > valid[1]) else np.uint8(0)
         if rate < near:
             rate, variance, contradiction = near_clipping(rate, variance, pattern, slot, records, frames, kappa)
             found |= INCONSISTENT if contradiction else np.uint8(0)
         variance += (d2 + share * (d1 - d2)) ** 2
-        rates[i], variances[i], mask[i] = rate, variance + (level_u * rate) ** 2, marks(rate, variance) | found
+        rates[i], variances[i], mask[i] = rate, variance, marks(rate, variance) | found
         doubtful[i] = 0
 
 
@@ -856,7 +887,7 @@ def _single(
             found |= INCONSISTENT
     dark = d2 + share * (d1 - d2)
     variance += dark * dark
-    return rate, variance + (level_u * rate) ** 2, found | marks(rate, variance)
+    return rate, variance, found | marks(rate, variance)
 
 
 @compiled

@@ -350,7 +350,8 @@ def _single(one: MergeSample, reference: float) -> MergePass:
 
 def _keep_lowest(one: MergeSample) -> MergePass:
     """Return the pass that keeps what the longest frame shows below the numbers that are used."""
-    below, dark = one.below, one.terms.dark
+    dark = one.terms.dark
+    below = np.zeros(0, np.float32) if one.below is None else one.below
 
     def add(sums: MergeSums, start: int) -> None:
         here = slice(start, start + sums.first.size)
@@ -385,6 +386,9 @@ class ScratchSums:
         """Return empty sums of the pixels from `start` to `stop`; those of the part before are lost."""
         cut, block = slice(start, stop), self.block.part(0, stop - start)
         part = replace(block, first=self.first[cut], second=self.second[cut], mask=self.mask[cut])
-        for one in (part.first, part.second, part.squares, part.mask, *part.planes):
-            one.fill(0)
+        for sums in (part.first, part.second, part.squares):
+            sums.fill(0.0)
+        part.mask.fill(0)
+        for plane in part.planes:
+            plane.fill(0)
         return part

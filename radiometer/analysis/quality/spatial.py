@@ -64,7 +64,7 @@ def _tile_means(radiance: RadianceMap) -> tuple[Tiles, Tiles]:
                 used = half[cut]
                 if used.mean() < 0.25:
                     raise MeasurementError("a tenth of the picture clips; take shorter exposures of the even source")
-                noise = np.square(radiance.u_radiance[cut][used], dtype=np.float64)
+                noise = np.square(radiance.parts_of_u(cut)[0][used])
                 means.append(float(radiance.radiance[cut][used].mean(dtype=np.float64)))
                 errors.append(math.sqrt(float(noise.mean()) / float(used.sum())))
         halves.append((np.array(means), np.array(errors)))
@@ -172,7 +172,7 @@ def smear(frames: RadianceMap, patch: Patch) -> Figure:
     lit = values[patch.y : patch.y + patch.height, columns]
     bright = lit > 0.5 * float(np.percentile(lit, 99.0))
     level = float(np.mean(lit[bright]))
-    noise = frames.u_radiance[patch.y : patch.y + patch.height, columns].astype(np.float64)[bright]
+    noise = frames.parts_of_u((slice(patch.y, patch.y + patch.height), columns))[0][bright]
     u_level_rel = float(np.sqrt(np.mean(noise**2) / noise.size)) / level
     tall = float(bright.sum(axis=0).mean()) / height
     factor = _SOURCE_HEIGHT / (tall * level)

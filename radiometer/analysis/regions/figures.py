@@ -32,13 +32,15 @@ class RegionFigures:
     deviation: Quantity  # standard deviation over the pixels, their noise taken off
     uniformity: Quantity  # lowest over highest
     good_share: float  # share of pixels with a value
+    u_rel_shared: float = 0.0  # relative uncertainty of the mean that its pixels share beyond what all pixels share
     flags: tuple[str, ...] = ()  # what makes a figure doubtful, a sentence each
 
 
 def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5) -> RegionFigures:
     """Return the figures of a region.
 
-    Noise of single pixels averages out; what all pixels share does not, and drops out of ratios. Extremes are of means
+    Noise of single pixels averages out; what pixels share does not. What all share drops out of ratios, and what those
+    of one level share does as far as the levels are alike (`u_of_ratio`). Extremes are of means
     over a box, for single pixels' extremes are those of the noise. The expected extreme of the noise of n boxes,
     √(2·ln n) standard deviations, counts as a rectangular bound; the boxes overlap, so n is the number of pixels.
 
@@ -55,7 +57,7 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     if not patch.fits(found.shape):
         raise InputError(f"region {name}: leaves the map of {found.shape[1]} × {found.shape[0]} pixels")
     values = found.radiance[patch.slices].astype(np.float64)
-    own = found.u_radiance[patch.slices].astype(np.float64)
+    own, shared = found.parts_of_u(patch.slices)
     mask = found.mask[patch.slices]
     good = (mask & LOST) == 0
     share = float(good.mean())
@@ -63,8 +65,10 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
         raise MeasurementError(
             f"region {name}: only {100 * share:.0f} % of its pixels have a value; merge more exposures"
         )
-    common, unit, count = found.u_rel_common, found.unit, int(good.sum())
+    unit, count = found.unit, int(good.sum())
     level = float(values[good].mean())
+    by_level = float(shared[good].mean()) / max(abs(level), 1e-30)  # relative
+    common = math.hypot(found.u_rel_common, by_level)
     u_mean = math.sqrt(float(np.sum(own[good] ** 2))) / count
     boxes, noise = _boxes(values, own, good, box_px)
     bound = noise * math.sqrt(2.0 * math.log(max(2, values.size))) / math.sqrt(3.0)
@@ -72,7 +76,10 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     u_low, u_high = math.hypot(noise, bound), math.hypot(noise, bound)
     spread = spread_beyond_noise(float(values[good].var(ddof=1)), float(np.mean(own[good] ** 2)), count)
     uniformity = low / high if high > 0 else math.nan
-    u_uniformity = uniformity * math.hypot(u_low / low, u_high / high) if low > 0 else u_low / max(high, 1e-30)
+    u_uniformity = u_low / max(high, 1e-30)
+    if low > 0:
+        u_levels = u_of_ratio(low, high, by_level, by_level)
+        u_uniformity = uniformity * math.hypot(u_low / low, u_high / high, u_levels)
     return RegionFigures(
         name,
         patch,
@@ -83,8 +90,19 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
         Quantity(spread.value, math.hypot(spread.u, spread.value * common), unit),
         Quantity(uniformity, u_uniformity, "1"),
         share,
+        by_level,
         _flags(mask),
     )
+
+
+def u_of_ratio(one: float, other: float, u_rel_one: float, u_rel_other: float) -> float:
+    """Return the relative uncertainty of a ratio of two levels that what pixels of one level share brings.
+
+    The correlation of its errors at two levels is taken as the ratio of the lower to the higher: 1 where both are the
+    same, and little where they rest on other exposures and other parts of the response curve.
+    """
+    alike = min(one, other) / max(one, other, 1e-30)
+    return math.sqrt(max(u_rel_one**2 + u_rel_other**2 - 2.0 * alike * u_rel_one * u_rel_other, 0.0))
 
 
 def spread_beyond_noise(variance: float, noise_variance: float, count: float) -> Quantity:
@@ -148,8 +166,9 @@ def ratio_of(first: RegionFigures, second: RegionFigures, common_u_rel: float) -
     if second.mean.value <= 0.0:
         raise MeasurementError(f"region {second.name}: its mean is not above 0, so the contrast has no bound")
     ratio = first.mean.value / second.mean.value
-    own = [math.sqrt(max(one.mean.u_rel**2 - common_u_rel**2, 0.0)) for one in (first, second)]
-    return Quantity(ratio, ratio * math.hypot(*own), "1")
+    noise = [math.sqrt(max(one.mean.u_rel**2 - common_u_rel**2 - one.u_rel_shared**2, 0.0)) for one in (first, second)]
+    levels = u_of_ratio(first.mean.value, second.mean.value, first.u_rel_shared, second.u_rel_shared)
+    return Quantity(ratio, ratio * math.hypot(*noise, levels), "1")
 
 
 def profile(
@@ -184,8 +203,8 @@ def profile(
     y = start[1] + (end[1] - start[1]) * steps + normal[1] * across
     lost = np.where((found.mask & LOST) != 0, np.nan, found.radiance).astype(np.float64)
     values = map_coordinates(lost, [y, x], order=1, mode="nearest").mean(axis=0)
-    own = map_coordinates(found.u_radiance.astype(np.float64), [y, x], order=1, mode="nearest")
-    u_own = np.sqrt(np.mean(own**2, axis=0) / width_px)
+    own, shared = (map_coordinates(part, [y, x], order=1, mode="nearest") for part in found.parts_of_u(np.s_[:, :]))
+    u_own = np.hypot(np.sqrt(np.mean(own**2, axis=0) / width_px), np.mean(shared, axis=0))
     return steps * length, values, np.hypot(u_own, values * found.u_rel_common)
 
 
@@ -208,9 +227,10 @@ def vertical_illuminance(
     def total(field_deg: float) -> tuple[float, float]:
         cosine, solid = _angles(r[inside] / radius, math.radians(field_deg) / 2.0, projection)
         weight = np.where(cosine > 0.0, cosine * solid, 0.0) / radius**2
-        own = float(np.sum((weight * found.u_radiance[inside]) ** 2))
-        return float(np.sum(weight * found.radiance[inside])), math.sqrt(own)
+        own = math.sqrt(float(np.sum((weight * noise) ** 2)))
+        return float(np.sum(weight * found.radiance[inside])), math.hypot(own, float(np.sum(weight * shared)))
 
+    noise, shared = found.parts_of_u(inside)
     value, u_own = total(field_of_view_deg)
     moved = [total(field_of_view_deg + way * u_field_deg)[0] for way in (-1.0, 1.0)] if u_field_deg else [value, value]
     u = math.hypot(u_own, value * found.u_rel_common, abs(moved[1] - moved[0]) / 2.0)

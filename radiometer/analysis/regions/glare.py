@@ -54,14 +54,15 @@ def glare_of(
         raise InputError("glare needs a map in cd·m⁻²: name the light's spectrum with --spectrum")
     if not _HEMISPHERE_DEG <= field_of_view_deg <= 360.0:
         raise InputError(f"field of view {field_of_view_deg:g}°: UGR and DGP need the hemisphere, 180° or more")
-    luminance, own, radius = _circle(found, radius_px)
+    luminance, own, shared, radius = _circle(found, radius_px)
     rng = np.random.default_rng(seed)
 
     def indices(values: Array, field_deg: float) -> Array:
         return evaluate(_picture(values, radius, projection, field_deg))
 
     value = indices(luminance, field_of_view_deg)
-    moved = [(indices(luminance * (1 + s * found.u_rel_common), field_of_view_deg) - value) / s for s in (-1, 1)]
+    together = np.hypot(luminance * found.u_rel_common, shared)
+    moved = [(indices(np.maximum(luminance + s * together, 0.0), field_of_view_deg) - value) / s for s in (-1, 1)]
     variance = np.mean(np.square(moved), axis=0)
     if u_field_deg > 0.0:
         # Less than a hemisphere is refused, so the field is moved upwards alone.
@@ -96,19 +97,20 @@ def _evalglare() -> Callable[[bytes], Array]:
     return evaluate
 
 
-def _circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Array, float]:
-    """Return luminance, its own uncertainty and the radius in pixels, as squares around the axis, 0 outside."""
+def _circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Array, Array, float]:
+    """Return luminance, its noise, what pixels share and the radius in pixels: squares around the axis, 0 outside."""
     _, inside, radius = image_circle(found, radius_px)
     # A side as odd or even as the picture's keeps the axis where it is, to half a pixel where the sides differ.
     odd = min(found.shape) % 2
     side = 2 * math.ceil(radius - 0.5 * odd) + odd
     luminance = np.where(inside & ((found.mask & LOST) == 0), np.maximum(found.radiance, 0.0), 0.0)
-    squares = [_square(one, (side, side)) for one in (luminance, np.where(inside, found.u_radiance, 0.0))]
+    parts = (luminance, *(np.where(inside, part, 0.0) for part in found.parts_of_u(np.s_[:, :])))
+    luminance, own, shared = (_square(one, (side, side)) for one in parts)
     factor = math.ceil(side / _LARGEST_PX)
     if factor == 1:
-        return squares[0], squares[1], radius
-    luminance = _binned(squares[0], factor)
-    return luminance, np.sqrt(_binned(squares[1] ** 2, factor)) / factor, radius / factor
+        return luminance, own, shared, radius
+    own = np.sqrt(_binned(own**2, factor)) / factor
+    return _binned(luminance, factor), own, _binned(shared, factor), radius / factor
 
 
 def _square(values: Array, shape: tuple[int, int]) -> Array:

@@ -48,7 +48,7 @@ def mura_of(found: RadianceMap) -> Mura:
     light = np.where(good, found.radiance, 0.0).astype(np.float64)
     shading = _shading(light, good)
     flat = np.where(good, light / shading, 0.0)
-    own = np.where(good, found.u_radiance / shading, 0.0)
+    own = np.where(good, found.parts_of_u(np.s_[:, :])[0] / shading, 0.0)
     height, width = flat.shape
     fine, coarse = FINE_SHARE * height, COARSE_SHARE * height
     weight = _blurred(good.astype(np.float64), fine)

@@ -169,6 +169,20 @@ def test_dark_pixels_are_unbiased_where_black_cuts_the_noise_off(curved, electro
     assert np.allclose(streamed.radiance, found.radiance, rtol=1e-5)
 
 
+def test_the_curve_s_uncertainty_is_shared_by_pixels_of_one_level():
+    """5 % of the curve is what pixels share of u; noise alone remains next to it. A linear camera shares none."""
+    camera, calibration = _behind_a_curve((17, 250))
+    curve = replace(calibration.response, u_log_exposure=np.full(256, 0.05))
+    frame = Frame(np.full((4, 4), 128, np.uint8), 8, FrameSettings(1.0))
+    found = merge([frame], Setup(camera, LENS, replace(calibration, response=curve)))
+    noise, shared = found.parts_of_u(np.s_[:, :])
+    x = (128 / 255) ** 2.2
+    assert shared[0, 0] / found.radiance[0, 0] == pytest.approx(0.05, rel=0.01)
+    rounding = 2.2 * x / 128 / np.sqrt(12.0)
+    assert noise[0, 0] == pytest.approx(np.hypot(np.sqrt(3000.0 * x + 25.0) / 3000.0, rounding), rel=0.02)
+    assert merged(frames(1, (1.0, 2.0))).u_shared is None
+
+
 def test_below_the_curve_s_data_the_longest_frame_stands_alone():
     """10 and 8 of a curve with data from 17 on: the straight line to black at 10, flagged, whatever 8 says."""
     camera, calibration = _behind_a_curve((17, 250))

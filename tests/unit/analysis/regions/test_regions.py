@@ -246,3 +246,31 @@ def test_what_evalglare_cannot_judge_is_refused() -> None:
     mask = np.where(room.radiance > 1000, 1, 0).astype(np.uint8)
     with pytest.raises(MeasurementError, match="saturated"):
         glare_of(RadianceMap(room.radiance, room.u_radiance, mask, "cd m-2"), "equidistant", 180.0)
+
+
+def test_what_pixels_of_one_level_share_is_not_averaged_away() -> None:
+    """A curve known to 3 % makes means, profiles and lux as uncertain; within one level it cancels."""
+    values = np.full((40, 80), 100.0)
+    values[:, 40:] = 10.0
+    own = map_of(values, u=1.0, common=0.0)
+    found = replace(own, u_radiance=np.hypot(own.u_radiance, 0.03 * own.radiance), u_shared=0.03 * own.radiance)
+    bright, dark = (region_figures(found, name, Patch(x, 0, 40, 40)) for name, x in (("bright", 0), ("dark", 40)))
+    assert bright.mean.u == pytest.approx(math.hypot(3.0, 1.0 / 40.0), rel=1e-4)
+    alone = region_figures(own, "bright", Patch(0, 0, 40, 40))
+    assert bright.uniformity.u == pytest.approx(alone.uniformity.u, rel=1e-3)
+    assert ratio_of(bright, dark, 0.0).u == pytest.approx(10.0 * 0.03 * math.sqrt(2.0 - 2.0 * 0.1), rel=0.01)
+    assert profile(found, (2, 5), (20, 5), 5)[2] == pytest.approx(math.hypot(3.0, 1.0 / math.sqrt(5.0)), rel=1e-3)
+    level = np.full((40, 80), 0.3, np.float32)
+    even = replace(own, radiance=np.full((40, 80), 10.0, np.float32), u_radiance=level, u_shared=level)
+    lux = vertical_illuminance(even, "equidistant", 180.0, 0.0, None)
+    assert lux.u / lux.value == pytest.approx(0.03, rel=0.01)
+
+
+def test_a_file_keeps_what_pixels_share(tmp_path: Path) -> None:
+    """TIFF writes it as a page of its own and reads it back; a map without has three pages as before."""
+    own = map_of(np.full((6, 8), 2.0))
+    for shared in (None, np.full((6, 8), 0.005, np.float32)):
+        write_tiff(tmp_path / "map.tiff", MapPicture({"mono": replace(own, u_shared=shared)}))
+        back = read_tiff(tmp_path / "map.tiff").first
+        assert (back.u_shared is None) == (shared is None)
+        assert np.array_equal(back.parts_of_u(np.s_[:, :])[1], np.zeros((6, 8)) if shared is None else shared)
