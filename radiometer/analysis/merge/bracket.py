@@ -537,7 +537,8 @@ class StreamingMerge:
         self._doubt_exposures(radiance, shared)
         self._doubt_dark_current(shared)
         self._doubt_taps(radiance, shared)
-        np.hypot(u_radiance, shared, out=u_radiance)
+        if shared.any():
+            np.hypot(u_radiance, shared, out=u_radiance)
         if dark.any():
             self._by_level(radiance, shared, lambda value, factor: dark[levels.places(value / factor)] * factor)
             np.minimum(shared, u_radiance, out=shared)

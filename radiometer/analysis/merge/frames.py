@@ -106,7 +106,7 @@ def _lowest_dn(model: SignalModel, settings: FrameSettings) -> int:
     """Return the lowest digital number whose signal counts: all do where the black level keeps the noise whole.
 
     Where it cuts noise off, a mean over the numbers above 0 is too high; so is one through the straight line that
-    stands for a response curve below its data.
+    continues a response curve below its data.
     """
     black = model.black_of(settings)
     if black >= _BLACK_HEADROOM_SIGMA * model.noise.read_noise_e * model.noise.gain_dn_per_e(settings.gain_db):
