@@ -531,18 +531,18 @@ class StreamingMerge:
         shared = np.zeros_like(radiance)
         levels = merge_tables(self._terms, self._situation.model).at_levels()
         curve, dark = levels.curve_u_rel.astype(np.float32), levels.dark_u.astype(np.float32)
-        if curve.any():
+        if bends := bool(curve.any()):
             self._by_level(radiance, shared, lambda value, factor: curve[levels.places(value / factor)] * value)
-        self._doubt_falloff(radiance, shared)
-        self._doubt_exposures(radiance, shared)
-        self._doubt_dark_current(shared)
-        self._doubt_taps(radiance, shared)
-        if shared.any():
+        doubts = self._doubt_falloff, self._doubt_exposures, self._doubt_dark_current, self._doubt_taps
+        added = [doubt(radiance, shared) for doubt in doubts]
+        if bends or any(added):
             np.hypot(u_radiance, shared, out=u_radiance)
+        elif not dark.any():
+            return None
         if dark.any():
             self._by_level(radiance, shared, lambda value, factor: dark[levels.places(value / factor)] * factor)
             np.minimum(shared, u_radiance, out=shared)
-        return shared if shared.any() else None
+        return shared
 
     def _by_level(
         self,
@@ -559,19 +559,20 @@ class StreamingMerge:
 
         on_all_cores(self._known_shape(), work)
 
-    def _doubt_falloff(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> None:
-        """Add to what pixels share that of a natural fall-off that is neither declared nor measured."""
+    def _doubt_falloff(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
+        """Add to what pixels share that of a fall-off neither declared nor measured; return whether there is."""
         calibration, lens = self._calibration, self._situation.lens
         if calibration is None or calibration.flat_field is not None or falloff_known(self._camera, lens) != "assumed":
-            return
+            return False
         rows, columns = np.ogrid[: radiance.shape[0], : radiance.shape[1]]
         place = relative_sensitivity(self._camera, lens, None, (radiance.shape[0], radiance.shape[1]), columns, rows)
         lost = np.abs(place - calibration.scale.conditions.sensitivity) / place
         doubt = calibration.uncertainties.falloff_u_rel * lost * radiance
         np.hypot(shared, doubt.astype(np.float32), out=shared)
+        return True
 
-    def _doubt_dark_current(self, shared: NDArray[np.float32]) -> None:
-        """Add to what pixels share that of a dark current that nothing states: the frame that limits it.
+    def _doubt_dark_current(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
+        """Add to what pixels share that of a dark current that nothing states; return whether there is such a one.
 
         It is not noise: a pixel that it may explain is still above the noise.
         """
@@ -579,14 +580,16 @@ class StreamingMerge:
         if u_rate > 0.0:
             on_axis = self._on_axis() * self._terms[0].exposure
             np.hypot(shared, np.float32(u_rate * on_axis), out=shared)
+        return u_rate > 0.0
 
-    def _doubt_taps(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> None:
-        """Add to what pixels share that of the gains of their taps."""
+    def _doubt_taps(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
+        """Add to what pixels share that of the gains of their taps; return whether there are any."""
         if (taps := self._taps) is None or taps.gain is None:
-            return
+            return False
         scaled_in = self._calibration.scale.conditions.tap if self._calibration else None
         u_rel = taps.u_rel(scaled_in).astype(np.float32)[taps.number]
         np.hypot(shared, u_rel * radiance, out=shared)
+        return True
 
     def _of_taps(
         self, radiance: NDArray[np.float32], mask: NDArray[np.uint8]
@@ -633,15 +636,15 @@ class StreamingMerge:
         there = self._calibration.scale.conditions.inverse_exposure_per_s
         return self._calibration.uncertainties.exposure_u_s * abs(1.0 / shortest - there)
 
-    def _doubt_exposures(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> None:
-        """Add to what pixels share that of an offset of all exposures.
+    def _doubt_exposures(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
+        """Add to what pixels share that of an offset of all exposures; return whether it counts.
 
         A pixel's value is Σx/Σt over the frames that do not clip there: an offset δ of n exposures changes it by
         δ·n/Σt, less what the calibration's own exposures share. Bright pixels rest on short exposures alone.
         """
         calibration, off = self._calibration, self._brightest_off()
         if calibration is None or not self._exposures_in_u or off < _REPORTED_REL:
-            return
+            return False
         u_s, there = calibration.uncertainties.exposure_u_s, calibration.scale.conditions.inverse_exposure_per_s
         # From the brightest rate that a frame takes on, it no longer counts: ends ascend with shorter exposures.
         ends = np.array([one.clips_at / one.exposure for one in self._terms])
@@ -654,6 +657,7 @@ class StreamingMerge:
         for start in range(0, values.size, BLOCK_PIXELS):
             part = slice(start, start + BLOCK_PIXELS)
             np.hypot(own[part], u_rel[np.searchsorted(bounds, values[part])] * values[part], out=own[part])
+        return True
 
     def _bend(self) -> tuple[str, ...]:
         """Return how far the response bends as it was found, which a map keeps."""
