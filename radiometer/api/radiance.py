@@ -228,6 +228,7 @@ class Radiance(Drawn):
         drawn = where.imshow(shown, norm=LogNorm(low, high), cmap="viridis")
         figure: Any = where.figure
         figure.colorbar(drawn, ax=where, label=quantity_in_words(self.unit))
+        where.set(xlabel="x in pixels", ylabel="y in pixels")
         return where
 
     def __repr__(self) -> str:
