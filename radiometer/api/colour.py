@@ -336,8 +336,8 @@ def colour_measure(
     signal, own, flags = seen.signal(where, str(seen.origin))
     readings = seen.covariance(signal, own)
     xyz, covariance = known.convert(signal, readings, kind)
-    if not xyz.sum() > _NOISE_FLOOR_SIGMA * math.sqrt(covariance.sum()):
-        raise MeasurementError(f"{seen.origin}: X + Y + Z is not above the noise: the patch shows no light")
+    if not (xyz.sum() > 0.0 and (signal > _NOISE_FLOOR_SIGMA * own).any()):
+        raise MeasurementError(f"{seen.origin}: no channel is above the noise: the patch shows no light")
     found = coordinates(xyz, covariance)
     values, u = (one.tolist() for one in found.figures(xyz, covariance))
     raw = zip(seen.maps, signal.tolist(), np.sqrt(np.diag(readings)).tolist(), strict=True)
