@@ -77,7 +77,7 @@ def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
 
 
 def outcome(result: ReconcileResult) -> str:
-    """Return the verdict with each name and its size with U (k = 2), with where no name explains it, or with the gap."""
+    """Return the verdict with names and their sizes with U (k = 2), where it shows if it has no name, or the gap."""
     named = [
         " or ".join((f"{effect.name}{_size(effect)}", *effect.alternatives))
         for effect in result.effects

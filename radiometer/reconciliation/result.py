@@ -314,7 +314,7 @@ class ReconcileResult:
             return (
                 "An effect is missing that has more than one name; with any of them simulation and measurement agree."
             )
-        if self.verdict is Verdict.EFFECTS_FOUND and len(self.effects) > 1:
+        if self.verdict is Verdict.EFFECTS_FOUND and sum(one.name != "unnamed" for one in self.effects) > 1:
             return "The missing effects were found; with them simulation and measurement agree."
         return _SENTENCES[self.verdict]
 
