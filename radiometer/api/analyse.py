@@ -24,6 +24,7 @@ from radiometer.analysis.regions.figures import (
     vertical_illuminance,
 )
 from radiometer.analysis.regions.glare import glare_of
+from radiometer.analysis.signal.situation import contradicted, same_light
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import Radiance, quantity_in_words
@@ -186,7 +187,13 @@ class MapAnalysis(Drawn):
         outcome = f"Mean {quantity}: {', '.join(self._means[:_MOST_IN_HEADLINE])}{more} (k = 2)"
         known = self.map.provenance.parameters.get("origin", {})
         exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
-        facts = (("map", self.origin), ("merged", str(known.get("merged", ""))), ("exposure times", exposures))
+        light = str(known.get("light") or known.get("spectrum", ""))
+        facts = (
+            ("map", self.origin),
+            ("merged", str(known.get("merged", ""))),
+            ("exposure times", exposures),
+            ("light", light),
+        )
         origin = Origin.of_map(known, further=facts)
         write_text_atomic(Path(path), page("Figures of a radiance map", outcome, parts, kind="analyse", origin=origin))
 
@@ -310,8 +317,19 @@ def analyse(
         assumptions.append("glare: sources as evalglare finds them by its defaults; nothing beyond the circle shines")
     along = None if line is None else profile(found, line[:2], line[2:], line_width)
     if spectrum is not None:
-        assumptions.append(f"luminance: the light has the spectrum {spectrum} everywhere")
+        assumptions += _of_light(spectrum, found.provenance.parameters.get("origin", {}))
     return MapAnalysis(origin, found, tuple(figures.values()), ratio, along, line, lux, ugr, dgp, tuple(assumptions))
+
+
+def _of_light(spectrum: str, origin: Mapping[str, str]) -> tuple[str, ...]:
+    """Return what a luminance assumes of the light, by what the map states of it."""
+    assumed = (f"luminance: the light has the spectrum {spectrum} everywhere",)
+    doubt = contradicted(spectrum, origin.get("light") or None)
+    merged = origin.get("spectrum") or spectrum
+    if same_light(merged, spectrum):
+        return (*assumed, *doubt)
+    again = f"the map's radiance is for light of {merged}: merge again with --spectrum {spectrum}"
+    return (*assumed, *doubt, again)
 
 
 def _or_limit(one: Quantity, noise_u: float, apart: float = math.inf) -> str:

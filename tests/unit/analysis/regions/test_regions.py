@@ -185,6 +185,28 @@ def test_lowest_and_highest_show_their_difference_below_what_all_pixels_share(tm
 
 
 @pytest.mark.parametrize(
+    ("light", "merged", "asked", "said"),
+    [
+        ("line:550", "line:550", "line:550.0", None),
+        ("line:550", "line:550", "white_led", "though bench or capture states line:550"),
+        ("line:550", "line:550", "white_led", "merge again with --spectrum white_led"),
+        ("line:550", "white_led", "white_led", "though bench or capture states line:550"),
+        ("", "equal_energy", "white_led", "radiance is for light of equal_energy"),
+        ("", "white_led", "white_led", None),
+    ],
+)
+def test_a_luminance_is_compared_with_the_light_that_the_map_states(
+    tmp_path: Path, light: str, merged: str, asked: str, said: str | None
+) -> None:
+    """What the capture states of its light, and what the radiance is for, travel with the map and are compared."""
+    origin = Provenance("merge", parameters={"origin": {"light": light, "spectrum": merged}})
+    found = replace(map_of(np.ones((20, 20)), unit="W sr-1 m-2"), provenance=origin)
+    write_tiff(tmp_path / "map.tiff", MapPicture({"mono": found}))
+    doubts = rm.analyse(tmp_path / "map.tiff", spectrum=asked).assumptions[1:]
+    assert any(said in one for one in doubts) if said else doubts == ()
+
+
+@pytest.mark.parametrize(
     ("options", "error"),
     [
         ({"regions": {"a": (35, 0, 10, 10)}}, InputError),
