@@ -14,16 +14,18 @@ _MOST_DECIMALS: Final = 7  # more zeros behind the point are hard to count: a po
 ONE_SIDED_95: Final = 1.645  # of a normal distribution: the limit that 95 % of it is below
 
 
-def rounded(value: float, expanded: float) -> tuple[str, str]:
+def rounded(value: float, expanded: float, apart: float = math.inf) -> tuple[str, str]:
     """Return a value and its expanded uncertainty, both to two digits of the uncertainty.
 
     Args:
         value: The value.
         expanded: Its expanded uncertainty, same unit; where it is unknown, the value has five digits and it is "–".
+        apart: Difference from another value that shares most of the uncertainty: where it is smaller, its two digits
+            are shown.
     """
     if not (math.isfinite(expanded) and expanded > 0 and math.isfinite(value)):
         return f"{value:.5g}", "–"
-    decimals = _decimals(expanded)
+    decimals = _decimals(min(expanded, apart))
     if decimals > _MOST_DECIMALS:
         power = _power(value, expanded)
         scaled = [f"{v / 10.0**power:.{max(0, decimals + power)}f}e{power:+03d}" for v in (value, expanded)]
@@ -48,7 +50,7 @@ def unit_text(unit: str) -> str:
     return re.sub(r"e-(?![\w])", "e⁻", raised).replace(" ", "·").replace("log10", "log₁₀")
 
 
-def with_u(value: float, expanded: float, unit: str = "", k: float | None = None) -> str:
+def with_u(value: float, expanded: float, unit: str = "", k: float | None = None, apart: float = math.inf) -> str:
     """Return "value ± U unit (k = 2)", to two digits of U; without ± where there is no uncertainty.
 
     An uncertainty of 100 or more has its two digits before a power of ten: (4.10 ± 0.78)·10³.
@@ -58,15 +60,16 @@ def with_u(value: float, expanded: float, unit: str = "", k: float | None = None
         expanded: Its expanded uncertainty, same unit.
         unit: Unit, in the form of the files ("W sr-1 m-2") or as it is printed.
         k: Coverage factor of the expanded uncertainty; None where it is stated once for all.
+        apart: As for `rounded`.
     """
     printed = unit_text(unit)
     behind = (f" {printed}" if printed else "") + ("" if k is None else f" (k = {k:.3g})")
-    shown, u = rounded(value, expanded)
+    shown, u = rounded(value, expanded, apart)
     if u == "–":
         return f"{shown}{f' {printed}' if printed else ''}"
     if expanded >= 99.5 or "e" in shown:
         power = _power(value, expanded)
-        digits = max(0, _decimals(expanded) + power)
+        digits = max(0, _decimals(min(expanded, apart)) + power)
         shown, u = (f"{number / 10.0**power:.{digits}f}" for number in (value, expanded))
         return f"({shown} ± {u})·10{str(power).translate(_RAISED)}{behind}"
     return f"({shown} ± {u}){behind}" if printed.startswith(("%", "°")) else f"{shown} ± {u}{behind}"
@@ -82,12 +85,15 @@ def upper_limit(value: float, u: float) -> float:
     return max(value, 0.0) + ONE_SIDED_95 * u
 
 
-def below(limit: float, unit: str = "") -> str:
-    """Return "< limit unit, 95 %", to two digits."""
+def below(limit: float, unit: str = "", *, bare: bool = False) -> str:
+    """Return "< limit unit, 95 %", to two digits; bare without both, for where they are stated once for all."""
     decimals = _decimals(limit) if limit > 0 and math.isfinite(limit) else 0
     printed = unit_text(unit)
-    shown = f"{limit:.{decimals}f}" if 0 <= decimals <= _MOST_DECIMALS else f"{limit:.2g}"
-    return f"< {shown}{f' {printed}' if printed else ''}, 95 %"
+    shown = f"{limit:.{max(0, decimals)}f}" if decimals <= _MOST_DECIMALS else f"{limit:.2g}"
+    if decimals < 0:
+        power = _power(limit, limit)
+        shown = f"{limit / 10.0**power:.1f}·10{str(power).translate(_RAISED)}"
+    return f"< {shown}" if bare else f"< {shown}{f' {printed}' if printed else ''}, 95 %"
 
 
 def _decimals(expanded: float) -> int:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
 from radiometer.analysis.exports.maps import MapPicture, in_luminance, read_tiff
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.regions.figures import (
+    Profile,
     Projection,
     RegionFigures,
     profile,
@@ -22,24 +24,28 @@ from radiometer.analysis.regions.figures import (
     vertical_illuminance,
 )
 from radiometer.analysis.regions.glare import glare_of
+from radiometer.analysis.signal.situation import contradicted, same_light
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import Radiance, quantity_in_words
 from radiometer.api.result import Drawn
 from radiometer.data import Patch, Quantity, RadianceMap
-from radiometer.data.drawing import new_axes, picture
+from radiometer.data.drawing import new_axes
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
+from radiometer.numbers import below, upper_limit
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
-from radiometer.reporting.pictures import label, mark
-from radiometer.typing import Array
+from radiometer.reporting.pictures import MODEL, dress, label, mark, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _MOST_IN_HEADLINE: Final = 3
 _FIGURES = ("mean", "median", "lowest", "highest", "deviation", "uniformity")
+_COVERAGE: Final = 2.0
+_TOP_SHARE: Final = 0.1  # of the map's height, where a name above its region would leave the picture
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,6 +58,7 @@ class MapAnalysis(Drawn):
         regions: Figures by region.
         contrast: Ratio of two regions' means.
         profile: Distance in pixels, values and standard uncertainty along the line.
+        line: (x1, y1, x2, y2) of its ends in pixels.
         illuminance: Vertical illuminance of a fisheye picture.
         ugr: Unified glare rating of a fisheye picture.
         dgp: Daylight glare probability of a fisheye picture.
@@ -62,11 +69,13 @@ class MapAnalysis(Drawn):
     map: RadianceMap
     regions: tuple[RegionFigures, ...]
     contrast: Quantity | None = None
-    profile: tuple[Array, Array, Array] | None = None
+    profile: Profile | None = None
+    line: tuple[float, float, float, float] | None = None
     illuminance: Quantity | None = None
     ugr: Quantity | None = None
     dgp: Quantity | None = None
     assumptions: tuple[str, ...] = field(default=())
+    coverage: ClassVar[str] = "k = 2, < at 95 %"  # of all figures of a table
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
@@ -89,8 +98,7 @@ class MapAnalysis(Drawn):
             "assumptions": list(self.assumptions),
         }
         if self.profile is not None:
-            names = ("distance_px", "value", "u")
-            mapping["profile"] = {name: one.tolist() for name, one in zip(names, self.profile, strict=True)}
+            mapping["profile"] = {name: one.tolist() for name, one in self.profile._asdict().items()}
         return mapping
 
     @property
@@ -99,55 +107,139 @@ class MapAnalysis(Drawn):
         named = {"contrast": self.contrast, "vertical illuminance": self.illuminance, "UGR": self.ugr, "DGP": self.dgp}
         return {name: one for name, one in named.items() if one is not None}
 
+    def region_rows(self, names: Sequence[str] = _FIGURES) -> list[tuple[str, ...]]:
+        """Return name and figures of each region as they are printed, U at k = 2; below the noise a limit.
+
+        Lowest and highest share what all pixels share, so they have the digits of their difference.
+        """
+        rows = []
+        for one in self.regions:
+            texts = {"deviation": one.deviation.text(_COVERAGE, bare=True)}
+            texts |= self._texts({"mean": one.mean, "median": one.median})
+            texts |= self._texts({"lowest": one.lowest, "highest": one.highest}, side_by_side=True)
+            texts["uniformity"] = _or_limit(one.uniformity, one.uniformity.u)
+            rows.append((one.name, *(texts[name] for name in names)))
+        return rows
+
+    def profile_rows(self) -> list[tuple[str, str, str]]:
+        """Return name, distance in pixels and value of the profile's start, extremes and end, as they are printed."""
+        if self.profile is None:
+            return []
+        points = self.profile.points(self.map.unit, self.map.u_rel_common)
+        if not points:
+            return []
+        texts = self._texts({name: one for name, (_, one) in points.items()}, side_by_side=True)
+        return [(name, f"{distance:.1f}", texts[name]) for name, (distance, _) in points.items()]
+
+    @property
+    def profile_title(self) -> str:
+        """Return between which points the profile runs, and how long it is; "" without one."""
+        if self.profile is None or self.line is None:
+            return ""
+        x1, y1, x2, y2 = (f"{one:g}" for one in self.line)
+        return f"Profile from {x1},{y1} to {x2},{y2}, {self.profile.distance_px[-1]:.1f} px"
+
+    def _texts(self, figures: Mapping[str, Quantity], *, side_by_side: bool = False) -> dict[str, str]:
+        """Return figures in the map's unit as they are printed, without it."""
+        common, values = self.map.u_rel_common, [one.value for one in figures.values()]
+        own = {name: math.sqrt(max(one.u**2 - (one.value * common) ** 2, 0.0)) for name, one in figures.items()}
+        finest = max(max(values) - min(values), _COVERAGE * max(own.values())) if side_by_side else math.inf
+        return {name: _or_limit(one, own[name], finest or math.inf) for name, one in figures.items()}
+
     @property
     def flags(self) -> list[str]:
         """Return what makes a figure doubtful, a sentence each."""
         return [f"{one.name}: {flag}" for one in self.regions for flag in one.flags]
 
     def write_csv(self, path: PathLike) -> None:
-        """Write a row for each figure; one of no region has no name. Raises OutputError."""
+        """Write a row for each figure and each point of the profile; one of no region has no name.
+
+        Raises:
+            OutputError: If it cannot be written.
+        """
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["region", "figure", "value", "u", "unit"])
+        writer.writerow(["region", "figure", "value", "u", "unit", "distance_px"])
         figures = [(one.name, name, getattr(one, name)) for one in self.regions for name in _FIGURES]
         figures += [("", name.split()[-1].lower(), one) for name, one in self.of_picture.items()]
-        writer.writerows([region, name, one.value, one.u, one.unit] for region, name, one in figures)
+        writer.writerows([region, name, one.value, one.u, one.unit, ""] for region, name, one in figures)
+        for distance, *point in zip(*self.profile, strict=True) if self.profile is not None else ():
+            known = ["" if math.isnan(one) else one for one in point]
+            writer.writerow(["", "profile", *known, self.map.unit, distance])
         write_text_atomic(Path(path), stream.getvalue())
 
     def write_report(self, path: PathLike) -> None:
         """Write a self-contained page. Raises OutputError if it cannot be written."""
         quantity = quantity_in_words(self.map.unit)
-        rows = [(one.name, *(getattr(one, name).text(bare=True) for name in _FIGURES)) for one in self.regions]
+        height, width = self.map.shape
+        tall = min(2.0, max(0.5, height / width))
+        further = [f"{name}: {one.text()}" for name, one in self.of_picture.items()]
         parts = [
-            picture(self.plot, f"{self.origin}: {quantity}"),
-            section(f"Regions: {quantity}, k = 2", table(("region", *_FIGURES), rows, words=(0,))),
+            picture(self._draw_map, f"{self.origin}: {quantity}", (8.0, 6.5 * tall), (4.0, 3.4 * tall)),
             section(
-                "Further figures, k = 2", listed([f"{name}: {one.text()}" for name, one in self.of_picture.items()])
+                f"Regions: {quantity}, {self.coverage}", table(("region", *_FIGURES), self.region_rows(), words=(0,))
             ),
+            self._profile_section(quantity),
+            section("Further figures, k = 2", listed(further)),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
         more = ", …" if len(self.regions) > _MOST_IN_HEADLINE else ""
         outcome = f"Mean {quantity}: {', '.join(self._means[:_MOST_IN_HEADLINE])}{more} (k = 2)"
         known = self.map.provenance.parameters.get("origin", {})
         exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
-        further = (("map", self.origin), ("merged", str(known.get("merged", ""))), ("exposure times", exposures))
-        origin = Origin.of_map(known, further=further)
+        light = str(known.get("light") or known.get("spectrum", ""))
+        facts = (
+            ("map", self.origin),
+            ("merged", str(known.get("merged", ""))),
+            ("exposure times", exposures),
+            ("light", light),
+        )
+        origin = Origin.of_map(known, further=facts)
         write_text_atomic(Path(path), page("Figures of a radiance map", outcome, parts, kind="analyse", origin=origin))
 
     @property
     def _means(self) -> list[str]:
-        return [f"{one.name} {one.mean.text(bare=True)}" for one in self.regions]
+        return [" ".join(row) for row in self.region_rows(("mean",))]
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the map in false colours with its regions."""
+        """Draw the map in false colours with its regions and the line of its profile."""
         from matplotlib.patches import Rectangle
 
         where = Radiance({"mono": self.map}).plot(axes if axes is not None else new_axes())
         for one in self.regions:
             corner = (one.patch.x - 0.5, one.patch.y - 0.5)
             where.add_patch(Rectangle(corner, one.patch.width, one.patch.height, fill=False, color="red"))
-            mark(where, label(one.name), corner, (0, 2), "red", va="bottom")
+            inside = one.patch.y < _TOP_SHARE * self.map.shape[0]
+            mark(where, label(one.name), corner, (2, -3 if inside else 2), "red", va="top" if inside else "bottom")
+        if self.line is not None:
+            x1, y1, x2, y2 = self.line
+            where.plot([x1, x2], [y1, y2], color="red", lw=1.2)
+            mark(
+                where, "profile", min((x1, y1), (x2, y2)), (2, 3), "red", va="bottom"
+            )  # its left end: bar at the right
         return where
+
+    def _draw_map(self, figure: Figure, _narrow: bool) -> None:
+        self.plot(figure.subplots())
+
+    def _profile_section(self, quantity: str) -> str:
+        rows = self.profile_rows()
+        if not rows:
+            return ""
+        caption = f"{quantity} along the line; the band is U, k = 2, of each point"
+        return section(
+            f"{self.profile_title}, {self.coverage}",
+            picture(self._draw_profile, caption, (8.0, 3.6), (4.0, 3.2)),
+            table(("point", "distance in px", quantity), rows),
+        )
+
+    def _draw_profile(self, figure: Figure, _narrow: bool) -> None:
+        if self.profile is None:
+            return
+        axes, (distance, value, u) = figure.subplots(), self.profile
+        axes.fill_between(distance, value - _COVERAGE * u, value + _COVERAGE * u, color=MODEL, alpha=0.25, lw=0)
+        axes.plot(distance, value, color=MODEL, lw=1.2)
+        dress(axes, "distance in pixels", quantity_in_words(self.map.unit))
 
     def __str__(self) -> str:
         """Return the regions' means in one line."""
@@ -225,8 +317,26 @@ def analyse(
         assumptions.append("glare: sources as evalglare finds them by its defaults; nothing beyond the circle shines")
     along = None if line is None else profile(found, line[:2], line[2:], line_width)
     if spectrum is not None:
-        assumptions.append(f"luminance: the light has the spectrum {spectrum} everywhere")
-    return MapAnalysis(origin, found, tuple(figures.values()), ratio, along, lux, ugr, dgp, tuple(assumptions))
+        assumptions += _of_light(spectrum, found.provenance.parameters.get("origin", {}))
+    return MapAnalysis(origin, found, tuple(figures.values()), ratio, along, line, lux, ugr, dgp, tuple(assumptions))
+
+
+def _of_light(spectrum: str, origin: Mapping[str, str]) -> tuple[str, ...]:
+    """Return what a luminance assumes of the light, by what the map states of it."""
+    assumed = (f"luminance: the light has the spectrum {spectrum} everywhere",)
+    doubt = contradicted(spectrum, origin.get("light") or None)
+    merged = origin.get("spectrum") or spectrum
+    if same_light(merged, spectrum):
+        return (*assumed, *doubt)
+    again = f"the map's radiance is for light of {merged}: merge again with --spectrum {spectrum}"
+    return (*assumed, *doubt, again)
+
+
+def _or_limit(one: Quantity, noise_u: float, apart: float = math.inf) -> str:
+    """Return a figure that is not negative as it is printed without its unit, or its limit where it may be noise."""
+    if one.value < _COVERAGE * noise_u:
+        return below(upper_limit(one.value, one.u), bare=True)
+    return one.text(_COVERAGE, bare=True, apart=apart)
 
 
 def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[RadianceMap, str]:

@@ -29,6 +29,7 @@ from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.analysis.response.dynamic_range import DynamicRange, RangePoint, dynamic_range, with_dynamic_range
 from radiometer.analysis.signal.model import black_from_darks
+from radiometer.analysis.signal.situation import contradicted
 from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
 from radiometer.api.files import PathLike, stack_of
 from radiometer.api.result import Progress, Result
@@ -253,6 +254,7 @@ def calibrate(
     if seen is not None and needed:
         seen = _with_f_number(seen, f_number, required=luminance_meter_k is None)
     settings = _meter_settings(luminance_meter_k, f_number, exposure_s, real_iso, as_printed=as_printed)
+    of_light = contradicted(spectrum, seen.source.spectrum if seen is not None else None)
     spectrum = spectrum or (seen.source.spectrum if seen is not None else None)
     source = _known_source(seen, radiance, luminance, u_rel, spectrum or "equal_energy")
     if source is None and settings is None:
@@ -281,6 +283,7 @@ def calibrate(
         *_of_taps(base, seen),
         *(seen.assumed if seen else ()),
         *_of_dials(settings, exposure_s, f_number),
+        *of_light,
     )
     done = make.scaled_calibration(base, chosen, inputs, other, further)
     if out is not None:

@@ -58,6 +58,7 @@ _WRITERS: Final = {".exr": write_exr, ".tif": write_tiff, ".tiff": write_tiff}
 _SYMBOLS: Final = {"u_prime": "u′", "v_prime": "v′", "cct": "CCT", "duv": "Duv"}
 _ELLIPSE_K: Final = 2.4477  # radius that holds 95 % of a normal distribution in two dimensions
 _ROWS: Final = 64  # of a picture that are converted at a time
+_NOISE_FLOOR_SIGMA: Final = 2.0  # as of a pixel: below, a patch need not differ from darkness
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -335,8 +336,8 @@ def colour_measure(
     signal, own, flags = seen.signal(where, str(seen.origin))
     readings = seen.covariance(signal, own)
     xyz, covariance = known.convert(signal, readings, kind)
-    if not xyz.sum() > 0.0:
-        raise MeasurementError(f"{seen.origin}: X + Y + Z is not above 0: the patch shows no light")
+    if not (xyz.sum() > 0.0 and (signal > _NOISE_FLOOR_SIGMA * own).any()):
+        raise MeasurementError(f"{seen.origin}: no channel is above the noise: the patch shows no light")
     found = coordinates(xyz, covariance)
     values, u = (one.tolist() for one in found.figures(xyz, covariance))
     raw = zip(seen.maps, signal.tolist(), np.sqrt(np.diag(readings)).tolist(), strict=True)
@@ -569,7 +570,7 @@ def _converted(seen: _Channels, known: ColourCalibration, kind: str | None) -> M
     for start in range(0, len(signal), _ROWS):
         rows = slice(start, start + _ROWS)
         xyz, covariance = known.convert(signal[rows], seen.covariance(signal[rows], own[rows]), kind)
-        lit = (xyz.sum(axis=-1) > 0.0) & ((mask[rows] & LOST) == 0)
+        lit = (xyz.sum(axis=-1) > 0.0) & ((mask[rows] & (LOST | PixelMask.BELOW_NOISE)) == 0)
         found = coordinates(np.where(lit[..., None], xyz, 1.0), covariance)
         mask[rows][lit & known.is_outside(found.xy, found.xy_covariance, kind)] |= np.uint8(PixelMask.EXTRAPOLATED)
         for whole, part in zip((values, u), found.figures(xyz, covariance), strict=True):

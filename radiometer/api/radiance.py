@@ -229,6 +229,7 @@ class Radiance(Drawn):
         drawn = where.imshow(shown, norm=LogNorm(low, high), cmap="viridis")
         figure: Any = where.figure
         figure.colorbar(drawn, ax=where, label=quantity_in_words(self.unit))
+        where.set(xlabel="x in pixels", ylabel="y in pixels")
         return where
 
     def __repr__(self) -> str:
@@ -550,7 +551,20 @@ def _of_capture(
             noise=SensorNoise.of(camera),
             black_level=BlackLevel(dn=next(black for black in stated if black is not None)),
         )
-    return merge_bracket(frames, replace(setup, lens=lens, calibration=known))
+    used = replace(setup, lens=lens, calibration=known)
+    return _with_light(merge_bracket(frames, used), used.calibration, setup.source)
+
+
+def _with_light(found: RadianceMap, known: Calibration | None, source: SourceDescription | None) -> RadianceMap:
+    """Return a map that states the spectrum which its radiance is for, and that of the light as captured."""
+    light = {
+        "spectrum": known.spectrum if known is not None and known.absolute else "",
+        "light": (source.spectrum if source else None) or "",
+    }
+    origin = found.provenance.parameters.get("origin", {}) | light
+    return replace(
+        found, provenance=replace(found.provenance, parameters={**found.provenance.parameters, "origin": origin})
+    )
 
 
 def _of_photographs(photographs: Photographs, asked: _Asked, progress: Progress) -> Radiance:
@@ -569,6 +583,7 @@ def _of_photographs(photographs: Photographs, asked: _Asked, progress: Progress)
         progress=progress,
     )
     maps = merge_photographs(ready, asked.calibration, flat, keep_ghosts=asked.keep_ghosts, progress=progress)
+    maps = {name: _with_light(one, asked.calibration, None) for name, one in maps.items()}
     return Radiance(maps, (), ready.files, ready.alignment, falloff, ready.notes)
 
 

@@ -27,6 +27,7 @@ from radiometer.reporting.origin import moment
 from radiometer.reporting.pictures import label
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen
+from radiometer.screen.checks import checks_in_words
 from radiometer.screen.exports import EXPORTS, NOTES, write_export
 from radiometer.screen.exports.chromaticity import argyll_line
 from radiometer.screen.exports.icc import check_profile
@@ -74,6 +75,10 @@ class CalibratedScreen(Drawn):
         """Return the luminance in cd·m⁻² that the darkest level is below; None where it was measured."""
         lost = curve.radiance_is_lost(curve.levels[0])
         return curve.detection_limit * curve.efficacy(LUMINANCE) if lost else None
+
+    def checks_in_words(self) -> dict[str, str]:
+        """Return what warm-up, drift, flicker, uniformity and additivity showed, by name."""
+        return checks_in_words(self.calibration.checks)
 
     def argyll_lines(self) -> list[str]:
         """Return the line that ArgyllCMS's spotread prints, for every level measured."""

@@ -101,9 +101,12 @@ class Quantity:
         """Return it times a factor that is exact, in another unit."""
         return Quantity(self.value * factor, self.u * abs(factor), unit)
 
-    def text(self, k: float = 2.0, *, bare: bool = False, with_k: bool = False) -> str:
-        """Return "value ± U unit" with U = k·u; bare without the unit, for where that is stated once for all."""
-        return with_u(self.value, k * self.u, "" if bare else self.unit, k if with_k else None)
+    def text(self, k: float = 2.0, *, bare: bool = False, with_k: bool = False, apart: float = math.inf) -> str:
+        """Return "value ± U unit" with U = k·u; bare without the unit, for where that is stated once for all.
+
+        Values that share most of their u get the digits of their difference, `apart`.
+        """
+        return with_u(self.value, k * self.u, "" if bare else self.unit, k if with_k else None, apart)
 
     def to_mapping(self) -> dict[str, Any]:
         """Return {value, u, unit}."""

@@ -77,17 +77,18 @@ def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
 
 
 def outcome(result: ReconcileResult) -> str:
-    """Return in one sentence what was missing, with the size of each and its U (k = 2), or that nothing was."""
-    named = [f"{effect.name}{_size(effect)}" for effect in result.effects if effect.name != "unnamed"]
-    names = " and ".join(part for part in (", ".join(named[:-1]), *named[-1:]) if part)
+    """Return the verdict with names and their sizes with U (k = 2), where it shows if it has no name, or the gap."""
+    named = [
+        " or ".join((f"{effect.name}{_size(effect)}", *effect.alternatives))
+        for effect in result.effects
+        if effect.name != "unnamed"
+    ]
     if result.verdict is Verdict.AGREES:
-        return f"Nothing is missing: simulation and measurement agree (gap {result.gap_after:.3g}; 1 is noise alone)."
-    if result.verdict is Verdict.EFFECTS_FOUND:
-        return f"The missing effect was found: {names}. With {'it' if len(named) == 1 else 'them'} they agree."
+        return f"{result.sentence.removesuffix('.')} (gap {result.gap_after:.3g}; 1 is noise alone)."
     if result.verdict is Verdict.UNNAMED:
         where = next((along(effect.where) for effect in result.effects if effect.name == "unnamed"), "")
-        return f"Simulation and measurement differ {where}, and no known effect explains it.".replace("  ", " ")
-    return f"Structure remains{'; these names are provisional: ' + names if names else ', and no name is certain'}."
+        return f"{result.sentence} It shows {where}." if where else result.sentence
+    return f"{result.sentence.removesuffix('.')}: {', '.join(named)}." if named else result.sentence
 
 
 def _size(effect: FoundEffect) -> str:
@@ -313,8 +314,8 @@ def story(reconciled: Reconciled) -> str:
         _steps(second, reconciled)
 
     caption = (
-        "Every patch of every setting, measured against simulated, before and after; then how far settings that the "
-        "fit did not see are missed, step by step: at 1 only noise is left."
+        f"Every patch of every setting, measured against simulated{', before and after' if steps else ''}; then how "
+        "far settings that the fit did not see are missed, step by step: at 1 only noise is left."
     )
     return picture(draw, caption, (10.0, 3.9), (4.0, 4.9 + 0.25 * steps))
 
@@ -325,6 +326,8 @@ def _deviations(axes: Axes, reconciled: Reconciled) -> None:
 
     outcome = reconciled.outcome
     states = ((outcome.start, BEFORE, "simulated before"), (outcome.state, AFTER, "simulated after"))
+    if not outcome.steps:  # both are the same
+        states = ((outcome.state, _colour_of_start(reconciled), "simulated"),)
     lit = any(_relative(state)[0].size for state, _, _ in states)
     drawn = [(*(_relative(state) if lit else _absolute(state)), colour, words) for state, colour, words in states]
     for x, deviation, colour, words in drawn:
@@ -345,6 +348,12 @@ def _deviations(axes: Axes, reconciled: Reconciled) -> None:
     for handle in shown.legend_handles:
         if handle is not None:
             handle.set_alpha(1.0)
+
+
+def _colour_of_start(reconciled: Reconciled) -> str:
+    """Return the colour of the starting model: that of the final one where it is the final one and agrees."""
+    agrees = not reconciled.outcome.steps and reconciled.result.verdict is Verdict.AGREES
+    return AFTER if agrees else BEFORE
 
 
 def _relative(state: FitState) -> tuple[Array, Array]:
@@ -370,12 +379,11 @@ def _steps(axes: Axes, reconciled: Reconciled) -> None:
     if steps and abs(gaps[-1] - result.gap_after) > 0.005:
         names, gaps = [*names, "all, fitted together"], [*gaps, result.gap_after]
     place = np.arange(len(gaps))[::-1]
-    agrees = not steps and result.verdict is Verdict.AGREES
-    colours = [AFTER if agrees else BEFORE, *[AFTER] * (len(gaps) - 1)]
+    colours = [_colour_of_start(reconciled), *[AFTER] * (len(gaps) - 1)]
     axes.barh(place, gaps, color=colours, height=0.62)
     for y, gap in zip(place, gaps, strict=True):
-        behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}  # the line of 1 may be there
-        axes.annotate(f"{gap:.3g}", (gap, y), xytext=(3, 0), textcoords="offset points", va="center", bbox=behind)
+        right = max(gap, 1.0)  # of the line of 1
+        axes.annotate(f"{gap:.3g}", (right, y), xytext=(3, 0), textcoords="offset points", va="center")
     axes.axvline(1.0, color=SEEN, lw=1.0, ls="--")
     axes.set_ylim(min(0.0, len(gaps) - _FEWEST_ROWS) - 0.6, len(gaps) - 0.4)
     axes.set_yticks(place, [label(shortened(name, 30)) for name in names])

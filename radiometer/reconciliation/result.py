@@ -266,6 +266,14 @@ def _taken_at(series: Series) -> str:
     return f"({series.exposure_s:.3g} s{warm})"
 
 
+_SENTENCES: Final = {
+    Verdict.AGREES: "Nothing is missing: simulation and measurement agree.",
+    Verdict.EFFECTS_FOUND: "The missing effect was found; with it simulation and measurement agree.",
+    Verdict.UNNAMED: "Simulation and measurement disagree, and no known effect explains it.",
+    Verdict.INCOMPLETE: "Structure remains, so every name is provisional.",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class ReconcileResult:
     """The outcome of one capture set."""
@@ -298,6 +306,17 @@ class ReconcileResult:
     # Sets of names with their posterior probabilities, the most probable first
     models: tuple[tuple[tuple[str, ...], float], ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)  # further entries of the JSON object
+
+    @property
+    def sentence(self) -> str:
+        """Return the verdict in a sentence, as terminal and report begin."""
+        if self.verdict is Verdict.EFFECTS_FOUND and any(effect.alternatives for effect in self.effects):
+            return (
+                "An effect is missing that has more than one name; with any of them simulation and measurement agree."
+            )
+        if self.verdict is Verdict.EFFECTS_FOUND and sum(one.name != "unnamed" for one in self.effects) > 1:
+            return "The missing effects were found; with them simulation and measurement agree."
+        return _SENTENCES[self.verdict]
 
     def written(self, model: str | None, report: str | None) -> ReconcileResult:
         """Return the result with the names of the files that were written."""

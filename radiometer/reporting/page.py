@@ -17,7 +17,9 @@ _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
 _DATE: Final = re.compile(r"\d{4}-\d\d-\d\d( \d\d:\d\d)?")  # no line ends within it
 _MANY_COLUMNS: Final = 4  # a table of so many has no room on a phone: its rows become blocks of names and values
-_MOST_UNBROKEN: Final = 6  # columns of figures that fit a line of text whole; of more, units may wrap
+_MOST_UNBROKEN: Final = (
+    6  # columns of figures that fit a line of text whole; of more, a line may end before ± or a unit
+)
 STYLE: Final = "\n".join(
     (
         ":root{color-scheme:light}*{box-sizing:border-box}",
@@ -55,7 +57,8 @@ STYLE: Final = "\n".join(
         ".many td{display:flex;justify-content:space-between;gap:1rem;border:0;padding:.1rem .2rem .1rem 0;",
         "text-align:right;min-width:0}td:not(:first-child,.words){white-space:normal}",
         ".many td:first-child{font-weight:600;overflow-wrap:anywhere;text-align:left}.many td:empty{display:none}",
-        ".many td::before{content:attr(data-head);color:#555;text-align:left;font-weight:400;flex:none}",
+        ".many td::before{content:attr(data-head);color:#555;text-align:left;font-weight:400;flex:0 1 auto;",
+        "overflow-wrap:anywhere;min-width:4.5rem}",
         ".many td[data-head='']::before{content:none}}",
         "@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}",
         "figure,.do,.flag,tr{break-inside:avoid}.do,.flag{background:none}.wide{overflow:visible}",
@@ -98,6 +101,7 @@ def prose(text: str) -> str:
     text = re.sub(r"(?<![\w.,-])-(?=\d)", "\u2212", text)
     text = re.sub(r"\be-(?!\w)", "e⁻", text)
     kept = escaped(text).replace(" %", "\u00a0%").replace("± ", "±\u00a0").replace(" ±", "\u00a0±")
+    kept = re.sub(r"(&[lg]t;) (?=\d)", "\\1\u00a0", kept)
     kept = re.sub(r"(±\u00a0[\d.]+) (?=(?:K|s|ms|nm|DN|°C)\b)", "\\1\u00a0", kept)
     return kept.replace("k = ", "k\u00a0=\u00a0")
 
@@ -133,17 +137,18 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: Sequence
         rows: Texts; the first column is of words, the others of numbers.
         words: Further columns of words.
     """
-    many = len(head) >= _MANY_COLUMNS
+    many, packed = len(head) >= _MANY_COLUMNS, len(head) > _MOST_UNBROKEN
 
     def line(cells: Sequence[str], name: str) -> str:
         kinds = [" class='words'" if number in words else "" for number in range(len(cells))]
         heads = [f' data-head="{escaped(one)}"' if many and name == "td" else "" for one in head or cells]
-        parts = zip(kinds, heads, cells, strict=True)
-        return "".join(f"<{name}{kind}{of_head}>{prose(cell)}</{name}>" for kind, of_head, cell in parts)
+        shown = [prose(cell).replace("\u00a0±", " ±") if packed else prose(cell) for cell in cells]
+        parts = zip(kinds, heads, shown, strict=True)
+        return "".join(f"<{name}{kind}{of_head}>{cell}</{name}>" for kind, of_head, cell in parts)
 
     body = "".join(f"<tr>{line(row, 'td')}</tr>" for row in rows)
     top = f"<thead><tr>{line(head, 'th')}</tr></thead>" if head else ""
-    kind = f" class='many{' packed' if len(head) > _MOST_UNBROKEN else ''}'" if many else ""
+    kind = f" class='many{' packed' if packed else ''}'" if many else ""
     return f"<div class='wide'><table{kind}>{top}<tbody>{body}</tbody></table></div>" if body else ""
 
 

@@ -110,3 +110,42 @@ def additivity(whites: Mapping[str, float], blacks: float) -> float | None:
 def as_mapping(check: WarmUp | Flicker | Uniformity) -> dict[str, Any]:
     """Return a check as it is written to the file."""
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(check).items()}
+
+
+def checks_in_words(checks: Mapping[str, Any]) -> dict[str, str]:
+    """Return what the checks of a calibration found, by name, as every face states it.
+
+    Args:
+        checks: As its file holds them; those that were not made, or that the file states otherwise, are left out.
+    """
+    warm = _part(checks, "warm_up", "steady", "waited_s")
+    flicker = _part(checks, "flicker", "found", "scatter_rel", "exposure_s")
+    grid = _part(checks, "uniformity", "lowest", "highest")
+    drift, u_drift, additive, repeats = (
+        value if isinstance(value := checks.get(name), float | int) else None
+        for name in ("drift_rel", "drift_u_rel", "additivity_rel", "repeats")
+    )
+    found = {}
+    if warm:
+        state = "steady" if warm["steady"] else "still drifting"
+        found["warm-up"] = f"{state} after {warm['waited_s']:.0f} s"
+    if drift is not None:
+        found["drift"] = f"{100 * drift:.2g} % while measuring, taken out"
+        found["drift"] += "" if u_drift is None else f"; {100 * u_drift:.2g} % (k = 1) remains"
+    if flicker and flicker["found"]:
+        found["flicker"] = (
+            f"light changes by {100 * flicker['scatter_rel']:.2g} % between frames of "
+            f"{1e3 * flicker['exposure_s']:.3g} ms (PWM dimming?): {repeats} readings are averaged"
+        )
+    if grid:
+        found["uniformity"] = f"{100 * grid['lowest']:.1f} to {100 * grid['highest']:.1f} % of the middle"
+    if additive is not None:
+        found["additivity"] = f"primaries add up to white within {100 * additive:.2g} %"
+    return found
+
+
+def _part(checks: Mapping[str, Any], name: str, *keys: str) -> Mapping[str, Any]:
+    """Return a check that holds numbers under all keys, or nothing."""
+    part = checks.get(name)
+    known = isinstance(part, Mapping) and all(isinstance(part.get(key), float | int) for key in keys)
+    return part if isinstance(part, Mapping) and known else {}

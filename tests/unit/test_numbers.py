@@ -58,6 +58,15 @@ def test_limit_below_the_noise_is_never_negative() -> None:
     assert upper_limit(-3.0, 1.0) == upper_limit(0.0, 1.0) == pytest.approx(1.645)
     assert upper_limit(2.0, 1.0) == pytest.approx(3.645)
     assert below(0.00104, "W sr-1 m-2") == "< 0.0010 W·sr⁻¹·m⁻², 95 %"
+    assert below(643.0) == "< 6.4·10², 95 %"
+    assert below(0.0214, "cd m-2", bare=True) == "< 0.021"
+
+
+def test_values_that_share_their_uncertainty_show_their_difference() -> None:
+    """Of two values with ± 160 that differ by 10 or by 0.31, the two digits of the difference; of 500, those of U."""
+    assert [with_u(one, 160.0, apart=10.0) for one in (681.0, 671.0)] == ["(6.81 ± 1.60)·10²", "(6.71 ± 1.60)·10²"]
+    assert [with_u(one, 1.6, apart=0.31) for one in (68.13, 67.82)] == ["68.13 ± 1.60", "67.82 ± 1.60"]
+    assert with_u(681.0, 160.0, apart=500.0) == "(6.8 ± 1.6)·10²"
 
 
 def test_units_are_printed_as_the_field_does():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,9 @@ from radiometer.data import Patch, PixelMask, Quantity, RadianceMap
 from radiometer.errors import InputError, MeasurementError
 from radiometer.typing import Array
 
-LOST: Final = PixelMask.SATURATED | PixelMask.BELOW_NOISE
+# What has no value. A pixel below the noise has one, which scatters about its light as others do: without it a mean of
+# dim light would be one of the pixels that noise made brighter.
+LOST: Final = PixelMask.SATURATED | PixelMask.UNLIT
 _MOST_LOST: Final = 0.01  # share of an image circle without a value
 Projection = Literal["equidistant", "equisolid", "orthographic", "stereographic"]
 
@@ -25,7 +27,7 @@ class RegionFigures:
 
     name: str  # its name
     patch: Patch  # where it is
-    mean: Quantity  # mean of the good pixels
+    mean: Quantity  # mean of the pixels with a value
     median: Quantity  # median of them
     lowest: Quantity  # least mean over a box
     highest: Quantity  # greatest mean over a box
@@ -43,6 +45,8 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     of one level share does as far as the levels are alike (`u_of_ratio`). Extremes are of means
     over a box, for single pixels' extremes are those of the noise. The expected extreme of the noise of n boxes,
     √(2·ln n) standard deviations, counts as a rectangular bound; the boxes overlap, so n is the number of pixels.
+    Pixels below the noise count by their values. The value of one that is black in every frame is the most that its
+    light can be, and its light is anywhere from 0 to there.
 
     Args:
         found: The map.
@@ -63,17 +67,18 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     share = float(good.mean())
     if share < 0.5:
         raise MeasurementError(
-            f"region {name}: only {100 * share:.0f} % of its pixels have a value; merge more exposures"
+            f"region {name}: only {100 * share:.0f} % of its pixels have a value; merge shorter exposures"
         )
     unit, count = found.unit, int(good.sum())
     level = float(values[good].mean())
     by_level = float(shared[good].mean()) / max(abs(level), 1e-30)  # relative
     common = math.hypot(found.u_rel_common, by_level)
-    u_mean = math.sqrt(float(np.sum(own[good] ** 2))) / count
+    black = _black(values, found.u_radiance[patch.slices], mask)
+    u_mean = math.hypot(math.sqrt(float(np.sum(own[good] ** 2))), float(values[black].sum()) / math.sqrt(3.0)) / count
     boxes, noise = _boxes(values, own, good, box_px)
-    bound = noise * math.sqrt(2.0 * math.log(max(2, values.size))) / math.sqrt(3.0)
-    low, high = float(boxes.min()), float(boxes.max())
-    u_low, u_high = math.hypot(noise, bound), math.hypot(noise, bound)
+    ends = [int(boxes.argmin()), int(boxes.argmax())]
+    low, high = (float(boxes[at]) for at in ends)
+    u_low, u_high = (math.hypot(noise[at], _extreme_u(noise[at], values.size)) for at in ends)
     spread = spread_beyond_noise(float(values[good].var(ddof=1)), float(np.mean(own[good] ** 2)), count)
     uniformity = low / high if high > 0 else math.nan
     u_uniformity = u_low / max(high, 1e-30)
@@ -91,7 +96,7 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
         Quantity(uniformity, u_uniformity, "1"),
         share,
         by_level,
-        _flags(mask),
+        _flags(mask, black),
     )
 
 
@@ -133,23 +138,34 @@ def image_circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Ar
     return r, r <= radius, radius
 
 
-def _boxes(values: Array, own: Array, good: Array, box_px: int) -> tuple[Array, float]:
-    """Return means over a box where all of it is good, and the standard deviation of their noise."""
+def _boxes(values: Array, own: Array, good: Array, box_px: int) -> tuple[Array, Array]:
+    """Return means over a box where all of it is good, and the standard deviation of the noise of each."""
     side = max(1, min(box_px, *values.shape))
     weight = uniform_filter(good.astype(np.float64), side, mode="constant")
-    mean = uniform_filter(np.where(good, values, 0.0), side, mode="constant")
     whole = weight > 1.0 - 0.5 / side**2
     if not whole.any():
-        return values[good], float(np.sqrt(np.mean(own[good] ** 2)))
-    return mean[whole], float(np.sqrt(np.mean(own[good] ** 2))) / side
+        return values[good], own[good]
+    mean, square = (uniform_filter(np.where(good, one, 0.0), side, mode="constant")[whole] for one in (values, own**2))
+    return mean, np.sqrt(np.maximum(square, 0.0)) / side
 
 
-def _flags(mask: NDArray[np.uint8]) -> tuple[str, ...]:
+def _extreme_u(noise: float, count: int) -> float:
+    """Return the expected extreme of n noises as a rectangular bound."""
+    return noise * math.sqrt(2.0 * math.log(max(2, count))) / math.sqrt(3.0)
+
+
+def _black(values: Array, own: Array, mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return which pixels may be black in every frame: those within their u where no dim pixel is below 0."""
+    dim = (mask & (PixelMask.BELOW_NOISE | LOST)) == PixelMask.BELOW_NOISE
+    return np.asarray(dim & (values > 0.0) & (values <= 1.001 * own) & ~(dim & (values < 0.0)).any())
+
+
+def _flags(mask: NDArray[np.uint8], black: NDArray[np.bool_]) -> tuple[str, ...]:
     found = []
     if (mask & PixelMask.SATURATED).any():
         found.append("saturated: highest, mean and uniformity are bounds")
-    if (mask & PixelMask.BELOW_NOISE).any():
-        found.append("below noise: some pixels have no value; lowest and mean are upper bounds")
+    if black.any():
+        found.append("below noise: some pixels are black in every frame; lowest and mean are upper bounds")
     if (mask & PixelMask.EXTRAPOLATED).any():
         found.append("extrapolated: some pixels are outside the response's data")
     return tuple(found)
@@ -171,9 +187,38 @@ def ratio_of(first: RegionFigures, second: RegionFigures, common_u_rel: float) -
     return Quantity(ratio, ratio * math.hypot(*noise, levels), "1")
 
 
-def profile(
-    found: RadianceMap, start: tuple[float, float], end: tuple[float, float], width_px: int = 1
-) -> tuple[Array, Array, Array]:
+class Profile(NamedTuple):
+    """Values along a line, shape (points,) each; not a number where a pixel has no value."""
+
+    distance_px: Array  # distance from the line's start in pixels
+    value: Array  # values in the map's unit
+    u: Array  # their standard uncertainty, with what all pixels share
+
+    def points(self, unit: str, common_u_rel: float) -> dict[str, tuple[float, Quantity]]:
+        """Return distance and value at the start, the lowest, the highest and the end; without those of no value.
+
+        Args:
+            unit: The map's unit.
+            common_u_rel: Relative standard uncertainty that all pixels share.
+        """
+        known = np.flatnonzero(np.isfinite(self.value))
+        if not known.size:
+            return {}
+        own = np.sqrt(np.maximum(self.u**2 - (self.value * common_u_rel) ** 2, 0.0))[known]
+        low, high = int(self.value[known].argmin()), int(self.value[known].argmax())
+        extremes = {known[at]: _extreme_u(float(own[at]), known.size) for at in (low, high)}
+        places = {"start": 0, "lowest": known[low], "highest": known[high], "end": self.value.size - 1}
+        return {
+            name: (
+                float(self.distance_px[at]),
+                Quantity(float(self.value[at]), math.hypot(self.u[at], extremes.get(at, 0.0)), unit),
+            )
+            for name, at in places.items()
+            if np.isfinite(self.value[at])
+        }
+
+
+def profile(found: RadianceMap, start: tuple[float, float], end: tuple[float, float], width_px: int = 1) -> Profile:
     """Return distance in pixels, values and standard uncertainty along a line, averaged over its width.
 
     Args:
@@ -205,7 +250,7 @@ def profile(
     values = map_coordinates(lost, [y, x], order=1, mode="nearest").mean(axis=0)
     own, shared = (map_coordinates(part, [y, x], order=1, mode="nearest") for part in found.parts_of_u(np.s_[:, :]))
     u_own = np.hypot(np.sqrt(np.mean(own**2, axis=0) / width_px), np.mean(shared, axis=0))
-    return steps * length, values, np.hypot(u_own, values * found.u_rel_common)
+    return Profile(steps * length, values, np.hypot(u_own, values * found.u_rel_common))
 
 
 def vertical_illuminance(

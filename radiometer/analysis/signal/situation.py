@@ -69,21 +69,26 @@ def situation_of(setup: Setup) -> Situation:
     model = signal_model(calibration.camera, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
     of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()
     factor, correction = spectral_correction(calibration)
-    assumed = (*of_source, *_contradicted(setup), *correction, *calibration.noise.assumptions)
+    of_light = setup.source.spectrum if setup.source else None
+    doubt = contradicted(calibration.spectrum if calibration.absolute else None, of_light)
+    assumed = (*of_source, *doubt, *correction, *calibration.noise.assumptions)
     scale, used = calibration.scale.value * factor, lens_in_use(calibration, lens)
     return Situation(setup, model, black, stated, scale, used, assumed)
 
 
-def _contradicted(setup: Setup) -> tuple[str, ...]:
-    """Return what to say where the light counts as of another spectrum than bench or capture states."""
-    stated = setup.source.spectrum if setup.source else None
-    used = setup.calibration.spectrum if setup.calibration and setup.calibration.absolute else None
-    if stated is None or used is None or _same_line(stated, used):
+def contradicted(used: str | None, stated: str | None) -> tuple[str, ...]:
+    """Return what to say where the light counts as of another spectrum than bench or capture states.
+
+    Args:
+        used: Name of the spectrum that values are for; None where they are for none.
+        stated: Name of the one that bench or capture states; None where neither does.
+    """
+    if stated is None or used is None or same_light(stated, used):
         return ()
     return (f"the light counts as {used}, though bench or capture states {stated}; values hold for {used} only",)
 
 
-def _same_line(first: str, second: str) -> bool:
+def same_light(first: str, second: str) -> bool:
     """Return whether two names mean one spectrum: "line:550" and "line:550.0" do."""
     if first == second:
         return True

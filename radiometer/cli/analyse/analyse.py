@@ -66,8 +66,9 @@ def command(
         return
     unit = "relative units" if found.map.unit in ("1", "relative") else unit_text(found.map.unit)
     shown = ("mean", "lowest", "highest", "uniformity")
-    rows = [(one.name, *(getattr(one, name).text(bare=True) for name in shown)) for one in found.regions]
-    show_table(f"{found.origin}: regions in {unit}; k = 2", ("region", *shown), rows)
+    show_table(f"{found.origin}: regions in {unit}; {found.coverage}", ("region", *shown), found.region_rows(shown))
+    if found.profile is not None:
+        show_table(f"{found.profile_title}; {found.coverage}", ("point", "distance in px", unit), found.profile_rows())
     for name, figure in found.of_picture.items():
         console().print(f"{name}: {figure.text()} (k = 2)")
     show_remarks(found.assumptions, flags=found.flags)

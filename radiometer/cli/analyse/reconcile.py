@@ -19,15 +19,6 @@ if TYPE_CHECKING:
 
 Written = TypeVar("Written")
 
-_VERDICTS = {
-    "agrees": "Nothing is missing: simulation and measurement agree.",
-    "effects_found": "The missing effect was found; with it simulation and measurement agree.",
-    "unnamed_effect": "Simulation and measurement disagree, and no known effect explains it.",
-    "incomplete": "Effects were named, but structure remains: the names are provisional.",
-}
-
-_OPEN = "An effect is missing that has more than one name; with any of them simulation and measurement agree."
-
 
 @writes("output", "report", "plan", folder="propose")
 def command(
@@ -158,8 +149,7 @@ def _show_plan(capture: Path, model: Path | None, without: tuple[str, ...], effe
 def show_result(result: ReconcileResult) -> None:
     """Print a result for people."""
     out = console()
-    open_names = any(effect.alternatives for effect in result.effects) and result.verdict == "effects_found"
-    out.print(f"[bold]{_OPEN if open_names else _VERDICTS[result.verdict]}[/bold]")
+    out.print(f"[bold]{result.sentence}[/bold]")
     if result.frames:
         tests = (
             f"; {result.tests[0]} tests, {result.tests[1]} of them significant in the end" if result.tests[0] else ""

@@ -90,7 +90,9 @@ def calibrate(
         print(line)
     for curve in found.calibration.channels.values():
         _print_channel(found, curve)
-    _print_checks(found.calibration.checks)
+    for check, shown in found.checks_in_words().items():
+        line = f"{check:<10} {shown}"
+        console().print(f"[yellow]{line}[/yellow]" if check == "flicker" else line)
     _print_end(found)
 
 
@@ -291,23 +293,3 @@ def _print_channel(found: rm.CalibratedScreen, curve: Any) -> None:
     for fit in curve.fits().values():
         shown = ", ".join(f"{k} {v:.4g}" for k, v in fit.parameters.items())
         out.print(f"  {fit.model:<16} rms error {100 * fit.rms_rel:.2g} %, worst {100 * fit.max_rel:.2g} %   ({shown})")
-
-
-def _print_checks(checks: dict[str, Any]) -> None:
-    out = console()
-    warm, flicker = checks["warm_up"], checks["flicker"]
-    state = "steady" if warm["steady"] else "still drifting"
-    out.print(
-        f"warm-up    {state} after {warm['waited_s']:.0f} s; "
-        f"drift while measuring {100 * checks['drift_rel']:.2g} % (taken out)"
-    )
-    if flicker["found"]:
-        out.print(
-            f"[yellow]flicker    light changes by {100 * flicker['scatter_rel']:.2g} % between frames of "
-            f"{1e3 * flicker['exposure_s']:.3g} ms (PWM dimming?): {checks['repeats']} readings are averaged[/yellow]"
-        )
-    grid = checks.get("uniformity")
-    if grid:
-        out.print(f"uniformity {100 * grid['lowest']:.1f} to {100 * grid['highest']:.1f} % of the middle")
-    if checks.get("additivity_rel") is not None:
-        out.print(f"additivity primaries add up to white within {100 * checks['additivity_rel']:.2g} %")

@@ -11,6 +11,7 @@ from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, section, table
 from radiometer.reporting.pictures import dress, legend, picture
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, ChannelCurve, ScreenCalibration
+from radiometer.screen.checks import checks_in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,11 +19,6 @@ if TYPE_CHECKING:
 
 _COVERAGE: Final = 2.0
 _DEEPEST: Final = 1e-6  # of white: where a plot's logarithmic axis ends for a black that is not known from 0
-_CHECKS: Final = {
-    "drift_rel": "drift while measuring, taken out",
-    "drift_u_rel": "what remains of it (k = 1)",
-    "additivity_rel": "sum of the primaries less white, of white",
-}
 _COLOURS: Final = {"grey": "#333333", "red": "#c0392b", "green": "#27843f", "blue": "#2a5db0"}
 
 
@@ -47,18 +43,13 @@ def to_page(calibration: ScreenCalibration) -> str:
     grey = calibration.channel("grey")
     with_what = calibration.measured_with
     known = (("pixel distance", f"{calibration.pixel_mm:g} mm" if calibration.pixel_mm else ""),)
-    checks = [
-        (words, f"{100 * value:.2g} %")
-        for name, words in _CHECKS.items()
-        if isinstance(value := calibration.checks.get(name), float)
-    ]
     xy = [(name, f"{x:.4f}", f"{y:.4f}") for name, (x, y) in calibration.chromaticities.items()]
     return page(
         f"Calibration of the screen {calibration.name}",
         f"White has {_shown(grey, grey.levels[-1], LUMINANCE)}, black {_shown(grey, grey.levels[0], LUMINANCE)}.",
         [
             picture(draw, "Luminance over level; bands are k = 2.", (10.0, 5.0), (4.0, 4.2)),
-            section("Checks", table((), checks)),
+            section("Checks", table((), list(checks_in_words(calibration.checks).items()), words=(1,))),
             section("Chromaticities (CIE 1931)", table(("channel", "x", "y"), xy)),
             *(folded(f"Levels of {name}", _levels(curve)) for name, curve in calibration.channels.items()),
             section("What was assumed", listed([f"{one}." for one in calibration.provenance.assumptions])),

@@ -131,7 +131,7 @@ def test_photographs_need_to_be_proportional_to_light(bench: Path, tmp_path: Pat
     ("given", "error", "said"),
     [
         ({"patch": (40, 20, 8, 20)}, InputError, "leaves the map"),
-        ({"patch": (0, 0, 2, 2)}, RadiometerError, "have a value"),
+        ({"patch": (0, 0, 2, 1)}, RadiometerError, "no light"),
         ({"kind": "moonlight"}, UsageError, "the calibration knows"),
         ({"source": None}, UsageError, "--filter NAME=FOLDER"),
         ({"maps": "map.png"}, UsageError, r"\.exr"),

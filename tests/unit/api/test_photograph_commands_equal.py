@@ -138,8 +138,13 @@ def test_luminance_of_maps_and_readings_is_of_the_stated_wavelength(desk: Path, 
     maps = rm.merge(capture, calibration=calibration(), luminance=True, spectrum=spectrum)
     radiance = rm.merge(capture, calibration=calibration()).value
     reading = rm.measure_photographs(desk / "set", PATCH, calibration=calibration(), spectrum=spectrum)
+    analysed = rm.analyse(rm.merge(capture, calibration=calibration()), spectrum=spectrum)
+    scaled = rm.calibrate(desk / "set", patch=PATCH, luminance=100.0, u_rel=0.02, spectrum=spectrum).calibration
     expected = 679.7 if spectrum != "white_led" else luminous_efficacy_lm_per_w(spectrum_of("white_led"))
     assert np.median(maps.value / radiance) == pytest.approx(expected, rel=1e-3)
     assert reading.luminance.value / reading.radiance.value == pytest.approx(expected, rel=1e-3)
-    for assumptions in (reading.more["assumptions"], maps.map.provenance.assumptions):
+    for assumptions in (
+        reading.more["assumptions"], maps.map.provenance.assumptions, analysed.assumptions,
+        scaled.provenance.assumptions,
+    ):  # fmt: skip
         assert any("states line:550" in text for text in assumptions) == (spectrum == "white_led")

@@ -80,10 +80,8 @@ def test_the_outcome_names_what_was_missing_with_its_size(glaring):
     result = replace(glaring.result, verdict=Verdict.EFFECTS_FOUND)
     share = result.effects[0].parameters["share"]
     value, expanded = rounded(share.value, 2 * share.u)
-    assert (
-        outcome(result)
-        == f"The missing effect was found: veiling_glare (share {value} ± {expanded}). With it they agree."
-    )
+    assert outcome(result) == f"{result.sentence.removesuffix('.')}: veiling_glare (share {value} ± {expanded})."
+    assert result.sentence == "The missing effect was found; with it simulation and measurement agree."
 
 
 @pytest.mark.slow
@@ -98,10 +96,10 @@ def test_the_outcome_of_each_other_verdict(glaring):
     unnamed = FoundEffect("unnamed", {}, "temperature_C", 2.0, 2.0, block="mean", closest=("gamma_enabled", 0.4))
     disagrees = replace(result, verdict=Verdict.UNNAMED, effects=(unnamed,))
     assert outcome(disagrees) == (
-        "Simulation and measurement differ with the sensor's temperature, and no known effect explains it."
+        "Simulation and measurement disagree, and no known effect explains it. It shows with the sensor's temperature."
     )
     assert outcome(replace(result, verdict=Verdict.INCOMPLETE)).startswith(
-        "Structure remains; these names are provisional: veiling_glare ("
+        "Structure remains, so every name is provisional: veiling_glare ("
     )
     page = report_html(replace(glaring, result=disagrees), "session", Origin())
     part = page[page.index("<h2>Not explained by any known effect") :]
@@ -113,6 +111,10 @@ def test_the_outcome_of_each_other_verdict(glaring):
 def test_rivals_are_reported_in_words(glaring):
     """Each rival with what it is, and that the ± knows nothing of the choice."""
     effect = replace(glaring.result.effects[0], alternatives=("ghost", "another_lab's"))
+    open_names = replace(glaring.result, verdict=Verdict.EFFECTS_FOUND, effects=(effect,))
+    assert outcome(open_names).startswith(open_names.sentence.removesuffix("."))
+    assert "more than one name" in outcome(open_names)
+    assert outcome(open_names).endswith(" or ghost or another_lab's.")
     page = report_html(replace(glaring, result=replace(glaring.result, effects=(effect,))), "session", Origin())
     assert "<li>ghost. " in page
     assert "<li>another_lab&#x27;s.</li>" in page

@@ -223,3 +223,22 @@ def test_page_states_what_the_screen_was_measured_with(screen: ScreenCalibration
     text = str(EXPORTS["page"][0](replace(screen, measured_with={"camera": "FLIR 22500001"})))
     for wanted in ("2026-11-21 12:00:00", "FLIR 22500001", "calibration</dt><dd>not stated"):
         assert wanted in text
+
+
+@pytest.mark.parametrize("odd", [{}, {"warm_up": "yes", "uniformity": {"lowest": None}, "drift_rel": "much"}])
+def test_page_states_the_checks_that_the_terminal_prints(
+    screen: ScreenCalibration, odd: dict[str, object], tmp_path: Path
+) -> None:
+    """A screen that still drifts, its uniformity and its flicker; a file that states a check otherwise has none."""
+    checks = {
+        "warm_up": {"waited_s": 1800.0, "drift_rel": 0.01, "steady": False},
+        "flicker": {"found": True, "scatter_rel": 0.05, "exposure_s": 1e-3},
+        "uniformity": {"grid": [], "lowest": 0.87, "highest": 1.02},
+        "repeats": 12, "drift_rel": 0.012, "drift_u_rel": 0.002, "additivity_rel": -0.004,
+    }  # fmt: skip
+    replace(screen, checks={**checks, **odd}).write(tmp_path / "desk.yaml")
+    rm.screen_export(tmp_path / "desk.yaml", ["page"])
+    text = (tmp_path / "desk.html").read_text(encoding="utf-8").replace("\u00a0", " ")
+    stated = ("still drifting after 1800 s", "87.0 to 102.0 % of the middle", "1.2 % while measuring")
+    assert [one in text for one in stated] == [not odd] * 3
+    assert "12 readings are averaged" in text

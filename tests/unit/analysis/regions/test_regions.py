@@ -60,6 +60,31 @@ def test_what_all_pixels_share_drops_out_of_a_contrast() -> None:
     assert ratio.u == pytest.approx(25.0 * math.hypot(0.04 / 20 / 100, 0.04 / 20 / 4), rel=0.05)
 
 
+@pytest.mark.parametrize("sigmas", [0.0, 1.0, 2.0, 3.0])
+def test_near_the_noise_a_mean_is_not_that_of_the_pixels_that_noise_made_brighter(sigmas) -> None:
+    """Of light of some σ, with every pixel below 2σ marked as merge marks it, mean and median hold 95 % of the time."""
+    rng = np.random.default_rng(45_021)
+    inside = dict.fromkeys(("mean", "median", "lowest", "highest"), 0)
+    for _ in range(100):
+        found = map_of(rng.normal(sigmas, 1.0, (20, 30)), u=1.0, common=0.0)
+        found.mask[found.radiance < 2.0] = PixelMask.BELOW_NOISE
+        figures = region_figures(found, "dim", Patch(0, 0, 30, 20))
+        for name in inside:
+            one = getattr(figures, name)
+            inside[name] += abs(one.value - sigmas) <= 2.0 * one.u
+    assert min(inside.values()) >= 89, inside
+
+
+def test_pixels_that_are_black_in_every_frame_count_as_bounds() -> None:
+    """Their value is the most that they can be: u holds light anywhere from 0 to there, and the flag says so."""
+    found = map_of(np.full((10, 10), 5.0), u=0.05, common=0.0)
+    found.radiance[:3] = found.u_radiance[:3] = 0.6
+    found.mask[:3] = PixelMask.BELOW_NOISE
+    figures = region_figures(found, "x", Patch(0, 0, 10, 10))
+    assert figures.mean.u == pytest.approx(0.3 * 0.6 / math.sqrt(3.0), rel=0.2)
+    assert "upper bounds" in figures.flags[0]
+
+
 @pytest.mark.parametrize("projection", ["equidistant", "equisolid", "stereographic", "orthographic"])
 def test_an_even_hemisphere_gives_pi_times_its_luminance(projection) -> None:
     """An even hemisphere gives π times its luminance."""
@@ -106,7 +131,7 @@ def test_saturated_and_missing_pixels_are_flagged_or_refused() -> None:
     found = map_of(np.full((10, 10), 3.0))
     found.mask[0, 0] = PixelMask.SATURATED
     assert "saturated" in region_figures(found, "x", Patch(0, 0, 10, 10)).flags[0]
-    found.mask[:6] = PixelMask.BELOW_NOISE
+    found.mask[:6] = PixelMask.UNLIT | PixelMask.BELOW_NOISE
     with pytest.raises(MeasurementError, match="40 %"):
         region_figures(found, "x", Patch(0, 0, 10, 10))
     found.mask[5, 5] = PixelMask.SATURATED
@@ -126,14 +151,59 @@ def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
     report = rm.analyse(tmp_path / "map.tiff", regions={"a": (2, 3, 10, 10)}, line=(0, 0, 9, 9))
     assert report.regions[0].mean.value == region_figures(found, "a", Patch(2, 3, 10, 10)).mean.value
     report.write_csv(tmp_path / "figures.csv")
-    assert (tmp_path / "figures.csv").read_text().splitlines()[1].startswith("a,mean,1.")
+    lines = (tmp_path / "figures.csv").read_text().splitlines()
+    assert lines[1].startswith("a,mean,1.")
+    along = [line.split(",") for line in lines if line.startswith(",profile,")]
+    assert [float(row[2]) for row in along] == [float(one) for one in report.profile.value]
+    assert [float(row[5]) for row in along] == [float(one) for one in report.profile.distance_px]
     report.write_report(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    for stated in ("W·sr⁻¹·m⁻²", *taken.values(), "2026-11-22 08:00:00", "calibration</dt><dd>not stated"):
+    for stated in (
+        "W·sr⁻¹·m⁻²",
+        "Profile from 0,0 to 9,9, 12.7 px",
+        *taken.values(),
+        "2026-11-22 08:00:00",
+        "calibration</dt><dd>not stated",
+    ):
         assert stated in page
     bright = rm.analyse(tmp_path / "map.tiff", spectrum="line:555").regions[0].mean
     assert bright.value == pytest.approx(683.0 * float(found.radiance.mean()), rel=1e-3)
     assert bright.unit == "cd m-2"
+
+
+def test_lowest_and_highest_show_their_difference_below_what_all_pixels_share(tmp_path: Path) -> None:
+    """Of (681 ± 163) and (671 ± 161), the digits of the difference; of light that may be noise, the limit."""
+    values = np.full((20, 20), 671.0)
+    values[:, 10:], values[:5, :5] = 681.0, 0.0
+    write_tiff(tmp_path / "map.tiff", MapPicture({"mono": map_of(values, u=0.5, common=0.12)}))
+    found = rm.analyse(tmp_path / "map.tiff", regions={"a": (5, 5, 15, 15), "dark": (0, 0, 5, 5)}, line=(0, 8, 19, 8))
+    lit, dark = found.region_rows(("lowest", "highest"))
+    assert lit == ("a", "(6.71 ± 1.61)·10²", "(6.81 ± 1.63)·10²")
+    assert dark[1].startswith("< 0.")
+    assert [row[0] for row in found.profile_rows()] == ["start", "lowest", "highest", "end"]
+    assert found.profile_rows()[0][1:] == ("0.0", "(6.71 ± 1.61)·10²")
+
+
+@pytest.mark.parametrize(
+    ("light", "merged", "asked", "said"),
+    [
+        ("line:550", "line:550", "line:550.0", None),
+        ("line:550", "line:550", "white_led", "though bench or capture states line:550"),
+        ("line:550", "line:550", "white_led", "merge again with --spectrum white_led"),
+        ("line:550", "white_led", "white_led", "though bench or capture states line:550"),
+        ("", "equal_energy", "white_led", "radiance is for light of equal_energy"),
+        ("", "white_led", "white_led", None),
+    ],
+)
+def test_a_luminance_is_compared_with_the_light_that_the_map_states(
+    tmp_path: Path, light: str, merged: str, asked: str, said: str | None
+) -> None:
+    """What the capture states of its light, and what the radiance is for, travel with the map and are compared."""
+    origin = Provenance("merge", parameters={"origin": {"light": light, "spectrum": merged}})
+    found = replace(map_of(np.ones((20, 20)), unit="W sr-1 m-2"), provenance=origin)
+    write_tiff(tmp_path / "map.tiff", MapPicture({"mono": found}))
+    doubts = rm.analyse(tmp_path / "map.tiff", spectrum=asked).assumptions[1:]
+    assert any(said in one for one in doubts) if said else doubts == ()
 
 
 @pytest.mark.parametrize(
