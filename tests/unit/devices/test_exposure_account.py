@@ -208,6 +208,16 @@ def test_an_account_that_cannot_be_believed_counts_as_used_up_until_the_window_i
     desk.pulse(desk.open(), 90.0)
 
 
+@pytest.mark.parametrize(
+    ("bright_s", "way_out"), [(math.inf, "the box ends: `light pulse`"), (150.0, "shorten the exp")]
+)
+def test_a_refusal_names_a_way_out_that_helps(desk, bright_s, way_out):
+    """A level that the program would end counts as 10⁴ s, however short it is planned: only light with an end helps."""
+    with pytest.raises(UnsafeStimulus, match=way_out):
+        desk.open().reserve(Stimulus("a", 1000.0, bright_s, bright_s))
+    desk.pulse(desk.open(), 3.0)
+
+
 def test_a_confirmation_ends_what_is_assumed_and_leaves_what_is_known(desk):
     """After it a lost account counts as empty; 8 % that were given since then stay."""
     harm(desk, "missing")
