@@ -203,7 +203,13 @@ def __getattr__(name: str) -> Any:
         close = difflib.get_close_matches(name.lower(), __all__, 1)
         hint = f"did you mean {close[0]!r}?" if close else "dir(radiometer) lists the names"
         raise AttributeError(f"module 'radiometer' has no attribute {name!r}; {hint}")
-    return getattr(importlib.import_module(_HOME_OF[name]), name)
+    found = getattr(importlib.import_module(_HOME_OF[name]), name)
+    if not isinstance(found, type):
+        from radiometer.argument_types import checked
+
+        found = checked(found)
+        found.__module__ = __name__  # where another process finds it by its name
+    return globals().setdefault(name, found)  # the same object each time
 
 
 def __dir__() -> list[str]:

@@ -562,7 +562,7 @@ class SerialLightBox(Opened):
         limit = self._channels[channel].level_limit[level.current_range]
         if not 0 <= level.level <= limit:
             raise SettingOutOfRange(
-                self._name, f"{level.current_range}-current level of {channel}", level.level, 0, limit, "of 65535"
+                self._name, f"{level.current_range}-current level of {channel}", level.level, 0, limit, ""
             )
         return level
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from radiometer.argument_types import with_checked_methods
 from radiometer.bench.sources import Source, open_source
 from radiometer.data import Bracket, CameraDescription, LensDescription, PatchDescription, SourceDescription
 from radiometer.data.capture_set import HEADER_NAME
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 PathLike = str | os.PathLike[str]
 
 
+@with_checked_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Stack:
     """Frames of one camera: one bracket per displayed pattern or colour channel.

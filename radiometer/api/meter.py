@@ -8,6 +8,7 @@ from typing import Self
 
 from radiometer.acquire.bracketing import DEFAULT_TIME_LIMIT_S, BracketRequest, plan_for_scene, take_plan
 from radiometer.api.files import PathLike, Stack
+from radiometer.argument_types import with_checked_methods
 from radiometer.bench.assembly import open_instrument
 from radiometer.bench.instrument import Instrument
 from radiometer.data import Bracket, Calibration, Patch, Reading
@@ -16,6 +17,7 @@ from radiometer.data.pile_up import with_white_levels
 PatchLike = Patch | tuple[int, int, int, int]
 
 
+@with_checked_methods
 class Meter:
     """A camera with its calibration, asked for radiance.
 

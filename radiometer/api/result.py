@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+from radiometer.api.files import PathLike
+from radiometer.argument_types import with_checked_methods
 from radiometer.data.drawing import own_axes, picture, write_figure
 from radiometer.data.json_text import finite_or_null, json_text
 from radiometer.errors import UsageError
@@ -15,8 +17,6 @@ from radiometer.progress import Progress as Progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from radiometer.api.files import PathLike
 
 # Callbacks that functions take, besides `Progress`. An ask returns once somebody has done what it asks for. A notice is
 # one line for the user.
@@ -54,6 +54,11 @@ class Result:
 
     `to_mapping` gives plain values, `to_json` the text that the command line prints with `--json`.
     """
+
+    def __init_subclass__(cls, **named: Any) -> None:
+        """Compare the arguments of every method with its annotations."""
+        super().__init_subclass__(**named)
+        with_checked_methods(cls)
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the result as plain values."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from radiometer.reporting.plain_text import printable
+from radiometer.reporting.plain_text import one_line, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,14 +55,15 @@ def show_remarks(assumptions: Iterable[str] = (), *, flags: Iterable[str] = (), 
     out = console()
     for kind, texts in (("flag", flags), ("warning", warnings)):
         for text in texts:
-            out.print(f"[yellow]{kind}[/yellow]: {text}")
+            out.print(f"[yellow]{kind}[/yellow]: {one_line(text)}")
     for text in assumptions:
-        out.print(f"assumed: {text}")
+        out.print(f"assumed: {one_line(text)}")
 
 
-def note(message: str) -> None:
-    """Print a line on standard error, next to the result."""
-    print(printable(message), file=sys.stderr)
+def note(*lines: str) -> None:
+    """Print lines on standard error, next to the result."""
+    for line in lines:
+        print(one_line(line), file=sys.stderr)
 
 
 @contextmanager
@@ -78,7 +79,7 @@ def progress_bar(*, shown: bool = True) -> Iterator[Progress]:
     )
 
     bar = Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -100,6 +101,7 @@ def progress(*, shown: bool = True) -> Iterator[Callable[[str, int, int | None],
         doing = [""]
 
         def show(what: str, done: int, total: int | None) -> None:
+            what = one_line(what)  # it may be a name from outside
             if what != doing[0]:  # a new step: its time left is not that of the step before
                 doing[0] = what
                 bar.reset(task, description=what, completed=done, total=total)
@@ -117,6 +119,6 @@ def asker() -> Callable[[str], None] | None:
     def ask(wish: str) -> None:
         import typer
 
-        typer.confirm(f"{wish}. Done?", default=True, abort=True, err=True)
+        typer.confirm(f"{one_line(wish)}. Done?", default=True, abort=True, err=True)
 
     return ask

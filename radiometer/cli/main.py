@@ -156,8 +156,8 @@ def _report_defect(kind: type[BaseException], error: BaseException, trace: Trace
 
 
 def _report(message: str, code: int) -> int:
-    from radiometer.reporting.plain_text import printable
+    from radiometer.reporting.plain_text import one_line
 
     colour = sys.stderr.isatty() and "NO_COLOR" not in os.environ
-    print("\x1b[1;31merror:\x1b[0m" if colour else "error:", printable(message), file=sys.stderr)
+    print("\x1b[1;31merror:\x1b[0m" if colour else "error:", one_line(message), file=sys.stderr)
     return code

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from radiometer.cli.arguments import parse_f_number, parse_relative
+from radiometer.errors import UsageError
 
 
 def relative_option(name: str, text: str) -> Any:
@@ -61,12 +63,39 @@ TapsOption = Annotated[
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random draws.")]
 
 
+class OnceCommand(TyperCommand):
+    """A command that refuses an option given twice where it takes one value: the last would win without a word."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Return what is left of the words once its parameters are read."""
+        _, _, order = self.make_parser(ctx).parse_args(list(args))
+        for one in order:
+            given_once = one.param_type_name == "option" and not (one.multiple or one.count or _is_switch(one))
+            if given_once and order.count(one) > 1:
+                raise UsageError(f"{max(one.opts, key=len)} is given twice; give it once")
+        return super().parse_args(ctx, args)
+
+
+def _is_switch(one: Any) -> bool:
+    """Return whether an option says the same as often as it is given: it has no opposite and no value."""
+    return one.is_flag and not one.secondary_opts
+
+
+class Commands(typer.Typer):
+    """Commands that take each option once, with plain help and no tracebacks."""
+
+    def __init__(self, **how: Any) -> None:
+        """Make it as typer does."""
+        super().__init__(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, **how)
+
+    def command(self, name: str | None = None, **how: Any) -> Any:
+        """Return the decorator of a command."""
+        return super().command(name, cls=OnceCommand, **how)
+
+
 def command_group(text: str) -> typer.Typer:
     """Return an empty group of commands with its help text."""
-    return typer.Typer(
-        add_completion=False,
-        rich_markup_mode=None,
-        pretty_exceptions_enable=False,
+    return Commands(
         no_args_is_help=True,
         context_settings={"help_option_names": ["-h", "--help"]},
         help=text,

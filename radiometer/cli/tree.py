@@ -13,13 +13,14 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from radiometer.cli.commands import COMMANDS
+from radiometer.cli.options import Commands
 
 
 def application(name: str) -> Any:
     """Return one command of the table, ready to run; its module is imported now."""
     module = importlib.import_module(COMMANDS[name].module)
     if hasattr(module, "command"):
-        app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+        app = Commands()
         app.command(name=name, context_settings={"help_option_names": ["-h", "--help"]})(module.command)
     else:
         app = module.app
@@ -43,7 +44,7 @@ def _finite(context: Any, parameter: Any, value: Any) -> Any:
     return value
 
 
-class Commands(TyperGroup):
+class Table(TyperGroup):
     """The whole table; a command is imported when it is asked for, not when it is listed."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -64,7 +65,7 @@ class Commands(TyperGroup):
 
 def group() -> Any:
     """Return the group of all commands, for a shell's completion."""
-    app = typer.Typer(cls=Commands, rich_markup_mode=None)
+    app = typer.Typer(cls=Table, rich_markup_mode=None)
     app.callback()(lambda: None)
     return typer.main.get_command(app)
 

@@ -68,7 +68,8 @@ class Alarms:
     """The alarms that are up.
 
     Args:
-        on_change: Called with kind ("alarm" or "cleared"), name and message whenever one goes up or down.
+        on_change: Called with kind, name and message whenever one goes up ("alarm"), becomes worse ("changed") or goes
+            down ("cleared").
     """
 
     def __init__(self, on_change: Callable[[str, str, str], None]) -> None:
@@ -94,7 +95,7 @@ class Alarms:
             self._active[name] = replace(standing, message=message, announced=standing.announced + worse)
         if standing is None or worse:
             _log.warning("alarm", name=name, message=message)
-            self._on_change("alarm", name, message)
+            self._on_change("alarm" if standing is None else "changed", name, message)
 
     def clear(self, name: str, message: str = "back to normal") -> None:
         """Take an alarm down; one that is not up is left alone."""

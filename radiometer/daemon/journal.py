@@ -8,26 +8,32 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import glob
+import hashlib
 import math
 import os
 import sqlite3
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
 from radiometer.daemon.timestamps import microseconds, now_us
 from radiometer.data import Reading
-from radiometer.data.json_text import json_text
-from radiometer.data.storage import state_folder
+from radiometer.data.guards import MOST_FILE_BYTES
+from radiometer.data.json_text import json_text, parsed_json
+from radiometer.data.storage import state_folder, write_text_atomic
 from radiometer.errors import OutputError, RadiometerError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": identifies a radiometer journal to `file` and to us
 SCHEMA_VERSION: Final = 2  # 1 had no streams
 OWN_STREAM: Final = "own"
 _BUSY_TIMEOUT_S: Final = 2.0  # a reader's snapshot or a backup lasts that long; then an alarm
+_WAITING: Final = "-waiting-"  # after the journal's name: readings that could not be committed at the end
+_NEEDED: Final = {"time", "instrument", "patch", "radiance", "flags", "budget"}  # of a reading that waits
+_NO_STOP: Final = "the run before ended without a stop: killed, a power cut, or a journal that could not be written"
 _RETENTION_CHUNK: Final = 5000  # rows of one transaction: writing is never held up for long
 MINUTE_US: Final = 60_000_000  # a minute in µs
 _TREND_COLUMNS: Final = (
@@ -182,30 +188,88 @@ class Journal:
         Raises:
             JournalError: If they cannot be committed now.
         """
-        numbered: list[Reading] = []
+        rows = [_Row.of(reading) for reading in readings]
         with self._transaction() as connection:
-            (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
-            if last < self._last_sequence:
-                raise JournalError(
-                    f"the content of the journal {self.path} was replaced: its last number is {last}, though"
-                    f" {self._last_sequence} was given already; put the newer file back, or name another with --journal"
-                )
-            for sequence, reading in enumerate(readings, start=last + 1):
-                numbered.append(replace(reading, sequence=sequence))
-            connection.executemany("INSERT INTO readings VALUES (?, ?, ?, ?, ?, ?, ?)", map(_row, numbered))
-            connection.executemany(_ADD_TO_TREND, filter(None, map(_trend_row, numbered)))
-            connection.execute("UPDATE counters SET value = ? WHERE name = 'last_sequence'", (last + len(numbered),))
-        self._last_sequence = last + len(numbered)
-        with suppress(OSError):  # a full disk: the readings are in the journal
-            self._note_given()
-        return numbered
+            last = self._insert(connection, rows)
+        self._note_given(last + len(rows))
+        return [replace(reading, sequence=sequence) for sequence, reading in enumerate(readings, start=last + 1)]
+
+    def _insert(self, connection: sqlite3.Connection, rows: Sequence[_Row]) -> int:
+        """Number readings and write them; return the last number before them."""
+        (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
+        if last < self._last_sequence:
+            raise JournalError(
+                f"the content of the journal {self.path} was replaced: its last number is {last}, though"
+                f" {self._last_sequence} was given already; put the newer file back, or name another with --journal"
+            )
+        connection.executemany(
+            "INSERT INTO readings VALUES (?, ?, ?, ?, ?, ?, ?)",
+            [row.numbered(sequence) for sequence, row in enumerate(rows, start=last + 1)],
+        )
+        connection.executemany(_ADD_TO_TREND, filter(None, (row.trend() for row in rows)))
+        connection.execute("UPDATE counters SET value = ? WHERE name = 'last_sequence'", (last + len(rows),))
+        return int(last)
+
+    def save_waiting(self, readings: Sequence[Reading]) -> Path:
+        """Write readings that cannot be committed into a file next to the journal, and return it.
+
+        `take_in_waiting` of a later daemon commits them. Raises OutputError if the file cannot be written; the message
+        names another place where they are.
+        """
+        journal = self.path.resolve()
+        place = journal.with_name(f"{journal.name}{_WAITING}{now_us()}.jsonl")
+        write_text_atomic(place, "".join(f"{_Row.of(reading).waiting_line()}\n" for reading in readings))
+        return place
+
+    def take_in_waiting(self) -> list[str]:
+        """Commit the readings of the files that `save_waiting` left, delete these files, and return a line for each.
+
+        A file that was committed is known by its content: one that a kill left behind is deleted only. A file that
+        holds no such readings stays.
+
+        Raises:
+            JournalError: If they cannot be committed now.
+        """
+        lines, journal = [], self.path.resolve()
+        for path in sorted(journal.parent.glob(f"{glob.escape(journal.name)}{_WAITING}*.jsonl")):
+            try:
+                if not path.is_file() or path.stat().st_size > MOST_FILE_BYTES:
+                    raise ValueError("no file of readings")
+                content = path.read_bytes()
+                rows = [_Row.of_waiting(line) for line in content.decode().splitlines()]
+            except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+                lines.append(f"the readings that wait in {path.name} were not taken in: {error}")
+                continue
+            if self._take_in(path.name, hashlib.sha256(content).hexdigest(), rows):
+                lines.append(f"{len(rows)} readings that waited in {path.name} were taken in")
+            with suppress(OSError):
+                path.unlink()
+        return lines
+
+    def _take_in(self, name: str, digest: str, rows: Sequence[_Row]) -> bool:
+        """Commit readings and the mark that their file was taken in, together; return False where it was before."""
+        with self._transaction() as connection:
+            mark = f"taken in {digest}"
+            if connection.execute("SELECT 1 FROM counters WHERE name = ?", (mark,)).fetchone():
+                return False
+            last = self._insert(connection, rows)
+            connection.execute("INSERT INTO counters VALUES (?, ?)", (mark, len(rows)))
+        self._note_given(last + len(rows))
+        return True
 
     def note(self, kind: str, message: str) -> None:
-        """Commit an event, such as a lost device. Raises JournalError if it cannot be committed now."""
+        """Commit an event, such as a lost device; a "start" also notes where the run before has no "stop".
+
+        Raises:
+            JournalError: If it cannot be committed now.
+        """
         with self._transaction() as connection:
-            connection.execute(
-                "INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", (now_us(), kind, message)
-            )
+            if kind in ("start", "stop"):
+                running = connection.execute("SELECT 1 FROM counters WHERE name = 'running' AND value").fetchone()
+                if kind == "start" and running:
+                    _insert_event(connection, "stop", _NO_STOP)
+                connection.execute("INSERT OR REPLACE INTO counters VALUES ('running', ?)", (int(kind == "start"),))
+            _insert_event(connection, kind, message)
 
     def keep_patch(self, name: str, line: str | None) -> None:
         """Commit what is known of a patch with a name, as one line of JSON; None forgets it.
@@ -311,12 +375,14 @@ class Journal:
                 " numbers are given again"
             )
 
-    def _note_given(self) -> None:
+    def _note_given(self, last_sequence: int) -> None:
         assert self._lock_file is not None
-        self._lock_file.seek(0)
-        self._lock_file.truncate()
-        self._lock_file.write(f"{self._last_sequence}\n")
-        self._lock_file.flush()
+        self._last_sequence = last_sequence
+        with suppress(OSError):  # a full disk: the readings are in the journal
+            self._lock_file.seek(0)
+            self._lock_file.truncate()
+            self._lock_file.write(f"{last_sequence}\n")
+            self._lock_file.flush()
 
     def _learn_times(self, connection: sqlite3.Connection) -> None:
         """Note the time of the newest reading, and how far the clock that stamped it is in doubt."""
@@ -511,38 +577,73 @@ def default_journal_path() -> Path:
     return state_folder() / "journal.sqlite"
 
 
+def _insert_event(connection: sqlite3.Connection, kind: str, message: str) -> None:
+    connection.execute("INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", (now_us(), kind, message))
+
+
 def stream_of(reading: Reading) -> str:
     """Return the stream that a reading belongs to."""
-    if reading.session:
+    return _stream(reading.name, reading.session)
+
+
+def _stream(name: str, session: str) -> str:
+    if session:
         return OWN_STREAM
-    return f"patch {reading.name}" if reading.name else ""
+    return f"patch {name}" if name else ""
 
 
-def _trend_row(reading: Reading) -> dict[str, Any] | None:
-    """Return what a reading adds to the trend of its minute; None for a client's own, and for what is undefined."""
-    value, u = reading.radiance.value, reading.radiance.u
-    if reading.session or not math.isfinite(value):
-        return None
-    return {
-        "stream": stream_of(reading),
-        "minute": microseconds(reading.time) // MINUTE_US,
-        "unit": reading.radiance.unit,
-        "value": value,
-        "u": u if math.isfinite(u) else 0.0,
-        "flagged": int(bool(reading.flags)),
-    }
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """A reading as the journal's tables keep it."""
 
+    mapping: dict[str, Any]  # its JSON form
+    budget: dict[str, float]  # relative standard uncertainty by contribution
 
-def _row(reading: Reading) -> tuple[int, int, float | None, str, str, str, str]:
-    value = reading.radiance.value
-    budget = {entry.name: entry.u_rel for entry in reading.budget if math.isfinite(entry.u_rel)}
-    flags = " ".join(str(flag) for flag in reading.flags)
-    return (
-        reading.sequence,
-        microseconds(reading.time),
-        value if math.isfinite(value) else None,
-        flags,
-        reading.to_json(),
-        json_text(budget),
-        stream_of(reading),
-    )
+    @classmethod
+    def of(cls, reading: Reading) -> _Row:
+        budget = {entry.name: entry.u_rel for entry in reading.budget if math.isfinite(entry.u_rel)}
+        return cls(reading.to_mapping(), budget)
+
+    @classmethod
+    def of_waiting(cls, line: str) -> _Row:
+        """Return what `waiting_line` wrote. Raises ValueError, LookupError, TypeError or AttributeError for others."""
+        mapping = parsed_json(line)
+        if lacking := _NEEDED - mapping.keys():
+            raise ValueError(f"no {sorted(lacking)[0]} in a line")
+        row = cls(mapping, {str(name): float(u_rel) for name, u_rel in mapping.pop("budget").items()})
+        row.numbered(0)
+        row.trend()  # both raise where something is no number or no time
+        return row
+
+    def waiting_line(self) -> str:
+        """Return the JSON form with the budget."""
+        return json_text({**self.mapping, "budget": self.budget})
+
+    @property
+    def stream(self) -> str:
+        return _stream(self.mapping.get("name", ""), self.mapping.get("session", ""))
+
+    @property
+    def time_us(self) -> int:
+        return microseconds(self.mapping["time"])
+
+    def numbered(self, sequence: int) -> tuple[int, int, float | None, str, str, str, str]:
+        """Return the columns of the table of readings."""
+        value, flags = self.mapping["radiance"]["value"], " ".join(self.mapping["flags"])
+        value = None if value is None else float(value)
+        line = json_text({**self.mapping, "sequence": sequence})
+        return sequence, self.time_us, value, flags, line, json_text(self.budget), self.stream
+
+    def trend(self) -> dict[str, Any] | None:
+        """Return what it adds to the trend of its minute; None for a client's own, and for what is undefined."""
+        radiance = self.mapping["radiance"]
+        if self.stream == OWN_STREAM or radiance["value"] is None:
+            return None
+        return {
+            "stream": self.stream,
+            "minute": self.time_us // MINUTE_US,
+            "unit": radiance["unit"],
+            "value": float(radiance["value"]),
+            "u": float(radiance["u"] or 0.0),
+            "flagged": int(bool(self.mapping["flags"])),
+        }

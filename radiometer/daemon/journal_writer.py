@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Final, TypeVar
 
 import structlog
@@ -15,9 +16,7 @@ from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump, RetentionClock
 from radiometer.daemon.instrument import Origin
 from radiometer.daemon.journal import Journal, JournalError
-from radiometer.daemon.timestamps import now_us
 from radiometer.data import Reading
-from radiometer.data.storage import write_text_atomic
 from radiometer.errors import OutputError
 
 _log = structlog.get_logger(__name__)
@@ -60,8 +59,10 @@ class JournalWriter:
         self._waiting: deque[tuple[Reading, asyncio.Future[Reading], Origin | None]] = deque()
         self._events: deque[tuple[str, str]] = deque(maxlen=capacity)
         self._jumps_us = 0
+        self._may_be_waiting = True  # readings of an earlier daemon, until they are taken in
         self._kept_patches: dict[str, str | None] = {}
         self._retention: RetentionClock | None = None
+        self._committing = asyncio.Lock()
         self._work = asyncio.Event()
         self._room = asyncio.Event()
         self._room.set()
@@ -146,21 +147,21 @@ class JournalWriter:
         Raises:
             OutputError: If readings were not committed; the message names the file that they are in.
         """
-        lines = ""
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(self._closing_s):
                 await self._commit_until_empty()
-        except TimeoutError:
-            lines = "".join(f"{reading.to_json()}\n" for reading, _, _ in self._waiting)
+        async with self._committing:
+            await self._in_thread(self._journal.close)
+        self._thread.shutdown(wait=False)
+        left = [reading for reading, _, _ in self._waiting]
         for _, future, _ in self._waiting:
             future.cancel()
-        await self._in_thread(self._journal.close)
-        self._thread.shutdown(wait=False)
-        if lines:
-            path = self._journal.path
-            place = path.with_name(f"{path.name}-waiting-{now_us()}.jsonl")
-            write_text_atomic(place, lines)  # where the disk is full, in the user's state folder
-            raise OutputError(f"{len(lines.splitlines())} readings are not in the journal {path}: they are in {place}")
+        if left:
+            place = self._journal.save_waiting(left)
+            raise OutputError(
+                f"{len(left)} readings are not in the journal {self._journal.path}: they are in {place}; the next start"
+                " takes them in"
+            )
 
     async def _wait_for_work(self) -> None:
         try:
@@ -170,9 +171,10 @@ class JournalWriter:
             return
 
     async def _commit_until_empty(self) -> None:
-        while self._waiting or self._events or self._kept_patches or self._jumps_us:
+        while self._waiting or self._events or self._kept_patches or self._jumps_us or self._may_be_waiting:
             try:
-                await self._commit_batch()
+                # What the thread has begun ends, though this task is cancelled: else it would be committed again.
+                await asyncio.shield(self._commit_batch())
                 self._alarms.clear(ALARM, "the journal is written again")
             except OutputError as error:
                 paused = "" if self._room.is_set() else "; measuring is paused until it can be written"
@@ -180,6 +182,14 @@ class JournalWriter:
                 await self._sleep(self._retry_s)
 
     async def _commit_batch(self) -> None:
+        async with self._committing:
+            await self._commit_all_kinds()
+
+    async def _commit_all_kinds(self) -> None:
+        if self._may_be_waiting:  # before any reading of this daemon, so that numbers and times rise together
+            for line in await self._in_thread(self._journal.take_in_waiting):
+                self.note("journal", line)
+            self._may_be_waiting = False
         while self._events:
             await self._in_thread(self._journal.note, *self._events[0])
             self._events.popleft()

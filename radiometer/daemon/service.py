@@ -15,6 +15,7 @@ from typing import Final
 
 import structlog
 
+import radiometer
 from radiometer.daemon import memory
 from radiometer.daemon.descriptors import Descriptors
 from radiometer.daemon.epics import PvaOptions, PvaServer
@@ -127,6 +128,7 @@ class Service:
         self._http = HttpServer(station, limits=options.limits, token=options.token)
         self._mqtt = MqttPublisher(station, options.mqtt) if options.mqtt else None
         self._pva = PvaServer(station, options.pva) if options.pva else None
+        self._reason = "ended"
         self._stop, self._descriptors = asyncio.Event(), Descriptors(station.alarms)
         self._reloading: asyncio.Task[None] | None = None
         self._reload_asked = asyncio.Event()
@@ -140,9 +142,10 @@ class Service:
         """
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, self._stop.set)
+            loop.add_signal_handler(number, self._end, f"ended by {number.name}")
         loop.add_signal_handler(signal.SIGHUP, self._reload)
         loop.set_exception_handler(self._descriptors.take_error)
+        self._station.writer.note("start", f"radiometer {radiometer.__version__}, process {os.getpid()}")
         try:
             await self._station.start()
             await self._listen()
@@ -151,6 +154,9 @@ class Service:
             self._notifier.ready(self._summary())
             self._station.on_change.append(lambda: self._notifier.status(self._summary()))
             await self._watch()
+        except RadiometerError as error:
+            self._reason = str(error)
+            raise
         finally:
             self._notifier.stopping()
             await self._close()
@@ -201,10 +207,14 @@ class Service:
         if self._pva is not None:
             await self._pva.stop()
         try:
-            await self._station.stop()
+            await self._station.stop(self._reason)
         finally:
             if self._mqtt is not None:
                 await self._mqtt.stop()
+
+    def _end(self, reason: str) -> None:
+        self._reason = reason
+        self._stop.set()
 
     def _reload(self) -> None:
         """Reload the calibration, or once more after a reload that runs: many signals are one."""

@@ -97,14 +97,20 @@ class Station:
         loops += [keeper.run() for keeper in self._keepers()]
         self._tasks = [asyncio.create_task(loop) for loop in loops]
 
-    async def stop(self) -> None:
-        """End measuring, switch the light off, commit what waits, close everything."""
+    async def stop(self, reason: str = "") -> None:
+        """End measuring, switch the light off, commit what waits, close everything.
+
+        Args:
+            reason: Why, for the event "stop"; "" for no event.
+        """
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         self.hub.close()
         for keeper in self._keepers():
             await keeper.close()
+        if reason:
+            self.writer.note("stop", reason)
         await self.writer.close()
 
     def failed_task(self) -> BaseException | None:

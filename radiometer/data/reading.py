@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
 
+from radiometer.argument_types import with_checked_methods
 from radiometer.data.json_text import finite_or_null, json_text
 from radiometer.data.provenance import Provenance, utc_now
 from radiometer.numbers import below, upper_limit, with_u
@@ -134,6 +135,7 @@ class Contribution:
     note: str = ""
 
 
+@with_checked_methods
 @dataclass(frozen=True, slots=True, repr=False)
 class Reading:
     """The radiance of one patch at one moment.

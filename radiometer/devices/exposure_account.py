@@ -426,8 +426,11 @@ class FileStore:
             # Without waiting: a pipe in its place would hold this program, and the lock, for ever.
             how = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOFOLLOW
             with os.fdopen(os.open(self.path, how), "rb") as stream:
-                if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+                status = os.fstat(stream.fileno())
+                if not stat.S_ISREG(status.st_mode):
                     raise self._no_file("no regular file")
+                if status.st_nlink > 1:  # a writer renames over one name, and the file of the other names stays behind
+                    raise self._no_file("one of several names of a file")
                 content = stream.read(MOST_BYTES + 1)
         except FileNotFoundError:
             return Account(self.moment())
@@ -452,8 +455,8 @@ class FileStore:
 
     def _no_file(self, what: str) -> UnsafeStimulus:
         return UnsafeStimulus(
-            f"the exposure account {self.path} is {what}, so no light is given; move the account itself there, or link"
-            " its whole folder"
+            f"the exposure account {self.path} is {what}, so no light is given; leave the account itself there, under"
+            " this name alone, and link its whole folder or set RADIOMETER_STATE for other places"
         )
 
     def _unusable(self, error: Exception) -> UnsafeStimulus:

@@ -127,7 +127,7 @@ class ExposureLedger:
         """
         with self._lock:
             account = self._looked_at()
-            self._refuse_in_all(account, where, used, channel=None)
+            self._refuse_in_all(account, where, used)
 
     def reserve(self, stimulus: Stimulus) -> str:
         """Enter a stimulus into the account before it is given, and return its name there.
@@ -250,12 +250,16 @@ class ExposureLedger:
         most = hazard_fractions(optics, radiance_w_sr_m2, math.inf).blue_light
         return Phase(each_s, most, longest_s, hazard_fractions(optics, radiance_w_sr_m2, longest_s).thermal)
 
-    def _refuse_in_all(self, account: Account, where: str, further: HazardFractions, channel: str | None) -> None:
+    def _refuse_in_all(
+        self, account: Account, where: str, further: HazardFractions, planned: Planned | None = None
+    ) -> None:
         """Raise UnsafeStimulus if a stimulus is too much for the box, or for an eye that may look."""
+        channel = planned.channel if planned else None
+        endless = planned is not None and any(math.isinf(phase.bright_s) for phase in planned.phases)
         for keys in self._together(account):
             before = self._used(account, keys, channel)
             whole = HazardFractions(further.blue_light + before.blue_light, further.thermal + before.thermal)
-            refuse_unsafe(where + self._counted(keys), whole, self.allowed_fraction)
+            refuse_unsafe(where + self._counted(keys), whole, self.allowed_fraction, endless=endless)
 
     def _used(self, account: Account, keys: set[str], channel: str | None) -> HazardFractions:
         """Return what counts besides a new stimulus of a channel, in accounts that add up."""
@@ -291,7 +295,7 @@ class ExposureLedger:
             return _unknown_history(self._box, *assumed, account)
         further = HazardFractions(planned.blue(), planned.thermal)
         try:
-            self._refuse_in_all(account, f"channel {planned.channel}", further, planned.channel)
+            self._refuse_in_all(account, f"channel {planned.channel}", further, planned)
         except UnsafeStimulus as refusal:
             return refusal
         return None

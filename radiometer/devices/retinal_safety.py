@@ -135,18 +135,27 @@ def hazard_fractions(optics: ChannelOptics, radiance_w_sr_m2: float, bright_s: f
     )
 
 
-def refuse_unsafe(where: str, used: HazardFractions, allowed_fraction: float = DEFAULT_FRACTION) -> None:
+def refuse_unsafe(
+    where: str, used: HazardFractions, allowed_fraction: float = DEFAULT_FRACTION, *, endless: bool = False
+) -> None:
     """Raise UnsafeStimulus where more than a stated fraction of a limit would be used up.
 
     Args:
         used: Fractions of the limits, with everything that adds to them.
         allowed_fraction: Largest fraction of either limit, 0 to 1.
+        endless: Whether the light has no end of its own, so that no shorter time helps.
     """
+    remedy = "Lower the radiance or shorten the exposure"
+    if endless:
+        remedy = (
+            f"The box does not end this light, so it counts for {BLUE_WINDOW_S:g} s. Lower the radiance, or take light"
+            " that the box ends: `light pulse`, or `light blink` with a count"
+        )
     for name, fraction in (("blue-light", used.blue_light), ("retinal thermal", used.thermal)):
         if not fraction <= allowed_fraction:
             raise UnsafeStimulus(
                 f"{where}: {100 * fraction:.3g} % of the {name} exposure limit of IEC 62471 would be used up; "
-                f"{100 * allowed_fraction:g} % is allowed here. Lower the radiance or shorten the exposure"
+                f"{100 * allowed_fraction:g} % is allowed here. {remedy}"
             )
 
 

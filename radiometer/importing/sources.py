@@ -222,12 +222,14 @@ def import_into(
         OutputError: If the folder exists already and is not empty, or cannot be written.
         CaptureError: If nothing can be read.
         UnsettledError: If a number has no unit that is known.
-        UsageError: If a table of statistics is named with other sources.
+        UsageError: If no source is named, or a table of statistics with other sources.
     """
     taking = options or ImportOptions()
     existed = output.exists()
     if existed and (not output.is_dir() or any(output.iterdir())):
         raise OutputError(f"{output} exists already and is not empty; name a new folder")
+    if not sources:
+        raise UsageError("no source is named; name a file or folder at least")
     table = statistics_of(sources[0], taking.mapped) if sources[0].exists() else None
     if table is not None:
         if len(sources) > 1:

@@ -72,7 +72,7 @@ def calibrate(
     """Measure which level of a screen gives which radiance and luminance, with uncertainty."""
 
     def announce(url: str) -> None:
-        note(f"open this address on the screen to be measured, then press Start:\n  {url}")
+        note("open this address on the screen to be measured, then press Start:", f"  {url}")
         if open_browser:
             webbrowser.open(url)
 
@@ -139,7 +139,7 @@ def report(
             checkers=_fields(checkers), levels=levels, area=parse_patch(area), warm_up_s=warm_up, white=white,
             primaries=primaries, camera=camera, bench=bench, calibration=calibration, port=port, seed=seed,
             ask=asker(), notice=note, progress=shown,
-            announce=lambda url: note(f"open this address on the screen to be measured, then press Start:\n  {url}"),
+            announce=lambda url: note("open this address on the screen to be measured, then press Start:", f"  {url}"),
         )  # fmt: skip
     if json:
         print(found.to_json())
@@ -188,7 +188,7 @@ def verify(
         found = rm.screen_verify(
             calibration, display, levels=levels, size=size, warm_up_s=warm_up, camera=camera, bench=bench,
             camera_calibration=camera_calibration, patch=parse_patch(patch), port=port, notice=note, progress=shown,
-            announce=lambda url: note(f"open this address on the screen to be measured, then press Start:\n  {url}"),
+            announce=lambda url: note("open this address on the screen to be measured, then press Start:", f"  {url}"),
         )  # fmt: skip
     if json:
         print(found.to_json())

@@ -28,7 +28,7 @@ def command(
     """
 
     def announce(url: str) -> None:
-        note(f"live view, until Ctrl-C:\n  {url}")
+        note("live view, until Ctrl-C:", f"  {url}")
         if open_browser:
             webbrowser.open(url)
 

@@ -122,7 +122,7 @@ def run(
 
 
 def _announce(url: str) -> None:
-    note(f"open this address on the subject's screen, then press Start there:\n  {url}")
+    note("open this address on the subject's screen, then press Start there:", f"  {url}")
 
 
 @contextmanager

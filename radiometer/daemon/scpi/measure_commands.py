@@ -31,10 +31,10 @@ def _height(station: Station) -> ParameterLimits:
 
 
 PATCH_PARAMETERS: Final = (
-    Number("x", "", _width, True, also=("CENTer",)),
-    Number("y", "", _height, True),
-    Number("width", "", _width, True),
-    Number("height", "", _height, True),
+    Number("x", "", _width, "refused", also=("CENTer",)),
+    Number("y", "", _height, "refused"),
+    Number("width", "", _width, "refused"),
+    Number("height", "", _height, "refused"),
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final, Literal, Protocol
 
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.lexer import Argument, Kind
@@ -62,7 +62,7 @@ class Number:
     name: str  # name for messages
     unit: str  # key of the table of suffixes: "S", "DB", "NM", "PCT" or ""
     limits: Callable[[Station], ParameterLimits]  # returns the limits in force
-    integer: bool = False  # whether it is rounded to a whole number
+    fraction: Literal["kept", "rounded", "refused"] = "kept"  # registers are rounded, as IEEE 488.2, 10.10 asks
     also: tuple[str, ...] = ()  # words that the handler gets as they are, also in place of a limit
 
     @property
@@ -83,7 +83,14 @@ class Number:
         if not limits.low * (1 - 1e-9) <= value <= limits.high * (1 + 1e-9):
             unit = {"PCT": "", "DB": "dB"}.get(self.unit, self.unit.lower())  # a share is given as a fraction
             raise ScpiError(-222, f"{self.name} {value:g} is outside {limits.low:g} to {limits.high:g} {unit}".rstrip())
-        return round(value) if self.integer else value
+        return self._whole(value)
+
+    def _whole(self, value: float) -> float | int:
+        if self.fraction == "kept":
+            return value
+        if self.fraction == "refused" and value != round(value):
+            raise ScpiError(-224, f"{self.name} {value:g} is no whole number")
+        return round(value)
 
     def _scaled(self, argument: Argument) -> float:
         suffixes = _MULTIPLIERS[self.unit]
@@ -101,7 +108,7 @@ class Number:
                 return name
         for name, value in (("MINimum", limits.low), ("MAXimum", limits.high), ("DEFault", limits.default)):
             if word.upper() in (name.upper(), short_form(name)):
-                return round(value) if self.integer else value
+                return self._whole(value)
         raise ScpiError(-141, f"{self.name}: {word[:20]}")
 
 

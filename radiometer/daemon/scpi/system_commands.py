@@ -116,7 +116,8 @@ def _registers(name: str) -> tuple[Command, ...]:
                 ask=lambda call: str(_register(call, name).condition), reply="0 to 32767",
                 example=f"STAT:{short}:COND?", group=STATUS),
         Command(f"STATus:{name}:ENABle", "Sets which of its events reach the status byte.", do=_set_enable(name),
-                ask=lambda call: str(_register(call, name).enable), parameters=(Number("mask", "", _WORD16, True),),
+                ask=lambda call: str(_register(call, name).enable),
+                parameters=(Number("mask", "", _WORD16, "rounded"),),
                 reply="0 to 65535", example=f"STAT:{short}:ENAB 65535;ENAB?", group=STATUS),
     )  # fmt: skip
 
@@ -150,7 +151,9 @@ COMMANDS: Final = (
             " by row. RESPonse is the response curve: pairs ln H, u of 64-bit floats, one per digital number."
             " HISTory[,count] holds the newest readings of the shared patch, oldest first: triples sequence, radiance,"
             " u of 64-bit floats.", ask=_trace,
-            ask_parameters=(Choice("trace", ("IMAGe", "RESPonse", "HISTory")), Number("count", "", _HISTORY, True)),
+            ask_parameters=(
+                Choice("trace", ("IMAGe", "RESPonse", "HISTory")), Number("count", "", _HISTORY, "refused"),
+            ),
             ask_required=1, reply="block", example="READ?;:TRAC:DATA? HIST,10", group=TRACE),
     Command("TRACe:SIZE", "Replies width, height and bit depth of IMAGe.", ask=_size, reply="width,height,bits",
             example="READ?;:TRAC:SIZE?", group=TRACE),

@@ -8,6 +8,7 @@ import io
 import logging
 import os
 import pty
+import re
 import subprocess
 import sys
 import termios
@@ -116,6 +117,57 @@ def test_texts_from_outside_do_not_steer_the_terminal(tmp_path, capsys):
     assert ("\x1b" in printed.out + printed.err, printed.out.count("\n")) == (False, 1)
     assert "\\x1b]0;title" in printed.out
     assert "a\\x1b[2Jb" in printed.err
+
+
+@pytest.mark.parametrize("name", ["a\nerror: b", "a\x1b[2Jb", "a\rb", "a\u2028b", "a\u202eb", "[bold]a"])
+def test_names_of_files_stay_in_one_line(name, tmp_path, monkeypatch):
+    """Folders with line feeds and escape characters before `batch` and `quality`, on a terminal with a progress bar."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "00001.png").write_bytes(b"x")
+    for words in (
+        ["batch", "."],
+        ["batch", name],
+        ["quality", "report", name],
+        ["quality", "take", name, "range", name],
+    ):
+        terminal = _Terminal()
+        monkeypatch.setattr("sys.stderr", terminal)
+        assert run(words) != 0 or words == ["batch", "."]
+        printed = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]|\r", "", terminal.getvalue())  # the bar's own
+        assert not re.search("[\x00-\x09\x0b-\x1f\u2028\u202e]", printed)
+        assert "\nerror: b" not in printed
+        assert "\x1b[2J" not in terminal.getvalue()
+
+
+class _Terminal(io.StringIO):
+    """Standard error as a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def _given_options(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield each option of a command and of those below it, after the words of its command."""
+    for option in command.params:
+        if option.param_type_name == "option" and option.name != "help":
+            yield path, option
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _given_options(inner, *path, name)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_an_option_of_one_value_is_not_given_twice(name, tmp_path, monkeypatch, capsys):
+    """The last value would win without a word; `--no-x` after `--x` likewise. Whatever the values, nothing happens."""
+    monkeypatch.chdir(tmp_path)
+    for path, option in _given_options(application(name), name):
+        value = [] if option.is_flag else ["1"]
+        words = [*path, option.opts[0], *value, (option.secondary_opts or option.opts)[0], *value]
+        if option.multiple or (option.is_flag and not option.secondary_opts):
+            continue
+        assert run(words) == 2, words
+        assert capsys.readouterr().err == f"error: {max(option.opts, key=len)} is given twice; give it once\n"
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("text", "value"), [("0.05", 0.05), ("5%", 0.05), ("5 %", 0.05), ("0", 0.0), (None, None)])

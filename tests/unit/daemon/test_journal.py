@@ -10,7 +10,10 @@ import os
 import shutil
 import sqlite3
 import tempfile
+import threading
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -761,6 +764,114 @@ async def test_readings_that_still_wait_at_the_end_are_saved(
     (saved,) = tmp_path.glob("j.sqlite-waiting-*.jsonl")
     values = [json.loads(line)["radiance"]["value"] for line in saved.read_text(encoding="utf-8").splitlines()]
     assert values == [5.0, 3.0]
+
+
+async def test_what_is_being_committed_at_the_end_is_committed_once(
+    tmp_path: Path, make_reading: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The task that commits is cancelled while the disk is slow with an event, and with a reading."""
+    for slow in ("note", "append"):
+        journal, begun = Journal(tmp_path / f"{slow}.sqlite"), threading.Event()
+        call = getattr(journal, slow)
+
+        def late(*what: object, call: Callable[..., object] = call, begun: threading.Event = begun) -> object:
+            begun.set()
+            time.sleep(0.05)
+            return call(*what)
+
+        monkeypatch.setattr(journal, slow, late)
+        writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None)
+        await writer.open()
+        writer.note("remark", "lamp changed")
+        future = writer.submit(make_reading())
+        running = asyncio.create_task(writer.run())
+        await asyncio.to_thread(begun.wait)
+        running.cancel()
+        await writer.close()
+        assert (await future).sequence == 1
+        reader = JournalReader(journal.path)
+        assert (len(reader.events()), len(reader.lines(ReadingFilter()))) == (1, 1)
+
+
+def waited(tmp_path: Path, make_reading: Make) -> tuple[Path, list[Reading]]:
+    """Return a journal of one reading next to which two wait, and these two."""
+    left = [
+        make_reading(radiance=Quantity(5.0, 0.1, "1"), budget=(Contribution("scale", 0.02),), flags=(Flag.SATURATED,)),
+        make_reading(radiance=Quantity(float("nan"), 0.1, "1"), name="lamp"),
+    ]
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading()])
+        journal.save_waiting(left)
+    return tmp_path / "j.sqlite", left
+
+
+async def start_and_stop(path: Path, reading: Reading) -> None:
+    """Write a reading as a daemon does that begins and ends."""
+    writer = JournalWriter(Journal(path), Alarms(lambda *_: None), lambda *_: None)
+    await writer.open()
+    writer.submit(reading)
+    await writer.close()
+
+
+async def test_readings_that_waited_are_taken_in_at_the_next_start(tmp_path: Path, make_reading: Make) -> None:
+    """Before any new one, with their budgets, patches and trend, as if they had been committed in time."""
+    path, left = waited(tmp_path, make_reading)
+    await start_and_stop(path, make_reading())
+    lines = JournalReader(path).lines(ReadingFilter())
+    assert lines[1:3] == [replace(one, sequence=number).to_json() for number, one in enumerate(left, start=2)]
+    assert [json.loads(line)["sequence"] for line in lines] == [1, 2, 3, 4]
+    assert JournalReader(path).budget(2) == {"scale": 0.02}
+    assert len(JournalReader(path).lines(ReadingFilter(stream="patch lamp"))) == 1
+    (event,) = JournalReader(path).events()
+    assert event["message"].startswith("2 readings that waited in")
+    assert not list(tmp_path.glob("*waiting*"))
+
+
+async def test_readings_that_waited_are_taken_in_once(tmp_path: Path, make_reading: Make) -> None:
+    """A kill between commit and deletion leaves the file: the next start only deletes it, also under another name."""
+    path, _ = waited(tmp_path, make_reading)
+    (file,) = tmp_path.glob("*waiting*")
+    content = file.read_bytes()
+    for name in (file, file, file.with_name("j.sqlite-waiting-7.jsonl")):
+        name.write_bytes(content)
+        await start_and_stop(path, make_reading())
+        assert not list(tmp_path.glob("*waiting*"))
+    assert len(JournalReader(path).lines(ReadingFilter())) == 1 + 2 + 3
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda line: b"\xff" + line, lambda line: line[:-9], lambda _: b"[]", lambda _: b"null", lambda _: b"{}",
+        lambda line: line.replace(b'"flags"', b'"f"'), lambda line: line.replace(b'"value": 5.0', b'"value": "x"'),
+        lambda line: line.replace(b'"time": "2', b'"time": "x'), lambda line: line.replace(b'e": 0.02', b'e": [0.02]'),
+    ],
+)  # fmt: skip
+async def test_a_damaged_file_of_readings_that_waited_stays_and_stops_nothing(
+    tmp_path: Path, make_reading: Make, harm: Callable[[bytes], bytes]
+) -> None:
+    """None of it is taken in; an event names it, and the daemon goes on."""
+    path, _ = waited(tmp_path, make_reading)
+    (file,) = tmp_path.glob("*waiting*")
+    first, *others = file.read_bytes().splitlines(keepends=True)
+    file.write_bytes(b"".join([*others, harm(first.rstrip())]))
+    await start_and_stop(path, make_reading())
+    assert len(JournalReader(path).lines(ReadingFilter())) == 2
+    assert file.name in JournalReader(path).events()[0]["message"]
+    assert file.exists()
+
+
+def test_a_start_states_that_the_run_before_had_no_stop(tmp_path: Path) -> None:
+    """After a kill, not after a stop; whatever the journal has deleted since."""
+    for kinds in (["start", "alarm"], ["start", "alarm", "stop"], ["start", "stop"]):
+        with Journal(tmp_path / "j.sqlite") as journal:
+            for kind in kinds:
+                journal.note(kind, "")
+            journal.drop_older(BASE_US)
+    events = JournalReader(tmp_path / "j.sqlite").events()
+    assert [event["kind"] for event in events] == ["start", "alarm", "stop", "start", "alarm", "stop", "start", "stop"]
+    assert [bool(event["message"]) for event in events] == [number == 2 for number in range(8)]
+    assert "ended without a stop" in events[2]["message"]
 
 
 async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path: Path, make_reading: Make) -> None:

@@ -343,7 +343,7 @@ def test_an_alarm_is_reported_when_it_goes_up_becomes_worse_and_goes_down() -> N
     alarms.clear("camera", "camera is back")
     alarms.clear("camera", "camera is back")
     assert notified == [
-        ("alarm", "camera", "late"), ("alarm", "journal", "full"), ("alarm", "camera", "lost"),
+        ("alarm", "camera", "late"), ("alarm", "journal", "full"), ("changed", "camera", "lost"),
         ("cleared", "camera", "camera is back"),
     ]  # fmt: skip
     assert [one.name for one in alarms.active] == ["journal"]

@@ -89,7 +89,8 @@ def test_every_decimal_number_is_read_as_it_is_written(value: Decimal, form: str
 def test_hexadecimal_octal_and_binary_are_whole_numbers(value: int) -> None:
     """#H, #Q and #B of the same number."""
     found = [
-        read(number(integer=True), f"#{mark}{value:{form}}") for mark, form in ("HX", "Qo", "Bb", "hx", "qo", "bb")
+        read(number(fraction="rounded"), f"#{mark}{value:{form}}")
+        for mark, form in ("HX", "Qo", "Bb", "hx", "qo", "bb")
     ]
     assert found == [value] * 6
 
@@ -130,7 +131,7 @@ def test_words_choices_texts_and_switches() -> None:
     for wrong in ("abc", "1", "#11a"):
         with pytest.raises(ScpiError, match="-104"):
             read(Text("name"), wrong)
-    assert read(number(integer=True), "2.6") == 3
+    assert read(number(fraction="rounded"), "2.6") == 3
     assert math.isclose(read(number("PCT", ParameterLimits(0.0, 1.0, 0.0)), "100 PCT"), 1.0)
 
 
@@ -350,12 +351,18 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) ->
     assert len(changed) == len(queries)
 
 
+_PLACES_BETWEEN_PIXELS = ("1.5,2,3,4", "1,1.5,3,4", "1,2,1.5,4", "1,2,3,15E-1", "1,2,3,1.5")
+
+
 @pytest.mark.parametrize(
     ("message", "number", "text"),
     [
         ("NO:SUCH?", -113, ""), ("*IDN", -113, ""), ("SENS:EXP4", -113, ""), ("SENSITIVITYOFX:EXP 1", -113, ""),
         ("SENSITIVITYOFXYZ:EXP 1", -112, ""), ("SENS:EXP:TIME", -109, ""), ("SENS:PATC 1,2", -109, ""),
         ("SENS:EXP 1,2", -108, ""), ("SENS:EXP 100", -222, ""), ("SENS:EXP 1e400", -222, ""),
+        *((f"SENS:PATC {place}", -224, "1.5 is no whole number") for place in _PLACES_BETWEEN_PIXELS),
+        ("MEAS:RAD? 1.5,2,3,4", -224, "x 1.5"), ('SENS:PATC:DEF "lamp",1,2,3,1.5', -224, "height 1.5"),
+        ("TRAC:DATA? HIST,1.5", -224, "count 1.5"),
         ("SENS:PATC 60,40,20,20", -222, ""), ("SENS:EXP 1 KG", -131, ""), ("SENS:PATC 1 MM,2,3,4", -138, ""),
         ("SENS:EXP ABC", -141, ""), ("SENS:EXP 'abc'", -104, ""), ("SENS:EXP #15hello", -104, ""),
         ("SENS:EXP 'abc", -151, ""), ("SENS:EXP #Z", -161, ""), ("TRAC:DATA? NONSENSE", -224, ""),

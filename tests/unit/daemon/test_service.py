@@ -23,6 +23,7 @@ from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.descriptors import Descriptors, listen
 from radiometer.daemon.epics import PvaOptions
 from radiometer.daemon.journal import Journal
+from radiometer.daemon.journal_reader import JournalReader
 from radiometer.daemon.limits import parse_networks
 from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station
@@ -119,6 +120,26 @@ async def test_a_loop_that_ended_ends_the_daemon_with_its_error(
     assert one.systemd.fed == 0
     assert one.systemd.lines[-1] == "stopping"
     assert not one.instrument.is_open
+
+
+async def test_start_and_stop_are_events_of_the_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
+) -> None:
+    """A signal is named, and so is the error that ends a daemon; what happens between them is between them."""
+    one = fresh(tmp_path)
+    running = asyncio.create_task(one.service.run())
+    await eventually(lambda: one.systemd.lines)
+    one.station.annotate("lamp changed")
+    await ended(running)
+    other = fresh(tmp_path)
+    monkeypatch.setattr(other.station, "failed_task", lambda: ValueError("the journal's disk is gone"))
+    with pytest.raises(RadiometerError, match="ValueError"):
+        await other.service.run()
+    events = [event for event in JournalReader(tmp_path / "journal.sqlite").events() if event["kind"] != "light"]
+    assert [event["kind"] for event in events] == ["start", "remark", "stop", "start", "stop"]
+    assert [events[number]["message"] for number in (2, 4)] == [
+        "ended by SIGTERM", "the daemon ends: ValueError: the journal's disk is gone",
+    ]  # fmt: skip
 
 
 async def asked(path: Path, message: bytes) -> bytes:

@@ -37,7 +37,7 @@ from radiometer.data.guards import (
 from radiometer.data.reader_limits import bounded_reader, unpacked
 from radiometer.data.storage import read_yaml
 from radiometer.errors import CaptureError, ConfigurationError, InputError, MissingLibrary, RadiometerError, UsageError
-from radiometer.reporting.plain_text import printable, spreadsheet_cell
+from radiometer.reporting.plain_text import one_line, printable, spreadsheet_cell
 from simulators.scenes.image_file import ImageScene
 from testing import faulty_readers
 from testing.reader_fuzz import bombs, fuzz, hostile, seeds
@@ -229,9 +229,13 @@ def test_two_texts_never_become_one_name() -> None:
 @given(st.text())
 def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text: str) -> None:
     """No control character but line feed and tab is left, whatever the text; no cell begins a formula."""
-    shown, cell = printable(text), spreadsheet_cell(text)
+    shown, line, cell = printable(text), one_line(text), spreadsheet_cell(text)
     assert not [char for char in shown if unicodedata.category(char) == "Cc" and char not in "\n\t"]
     assert shown == text or "\\x" in shown
+    assert len(line.splitlines()) <= 1
+    assert (
+        line.replace("\\x0a", "\n").replace("\\x2028", "\u2028").replace("\\x2029", "\u2029") == shown or "\\x" in text
+    )
     assert cell[:1] not in ("=", "@", "\t")
     assert cell[:1] not in ("+", "-") or math.isfinite(float(cell))
 

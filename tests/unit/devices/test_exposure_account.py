@@ -208,6 +208,16 @@ def test_an_account_that_cannot_be_believed_counts_as_used_up_until_the_window_i
     desk.pulse(desk.open(), 90.0)
 
 
+@pytest.mark.parametrize(
+    ("bright_s", "way_out"), [(math.inf, "the box ends: `light pulse`"), (150.0, "shorten the exp")]
+)
+def test_a_refusal_names_a_way_out_that_helps(desk, bright_s, way_out):
+    """A level that the program would end counts as 10⁴ s, however short it is planned: only light with an end helps."""
+    with pytest.raises(UnsafeStimulus, match=way_out):
+        desk.open().reserve(Stimulus("a", 1000.0, bright_s, bright_s))
+    desk.pulse(desk.open(), 3.0)
+
+
 def test_a_confirmation_ends_what_is_assumed_and_leaves_what_is_known(desk):
     """After it a lost account counts as empty; 8 % that were given since then stay."""
     harm(desk, "missing")
@@ -404,23 +414,30 @@ def test_a_folder_that_takes_no_file_stops_light_and_never_darkness(tmp_path):
         ledger.reserve(Stimulus("a", 1.0, 1.0, 1.0))
 
 
-@pytest.mark.parametrize("kind", ["file", "nothing", "pipe", "itself", None])
+@pytest.mark.parametrize("kind", ["file", "hard", "nothing", "pipe", "itself", None])
 def test_an_account_that_is_no_file_stops_light_and_stays(desk, tmp_path_factory, kind):
-    """A pipe, or a link to a file, nothing, a pipe or itself: two folders with one account exclude no program."""
+    """A pipe, a second name, or a link to a file, nothing or itself: two such folders exclude no program."""
     other = tmp_path_factory.mktemp("other") / "account"
-    if kind == "file":
+    if kind in ("file", "hard"):
         desk.file.rename(other)
     elif kind == "pipe":
         os.mkfifo(other)
     desk.file.unlink(missing_ok=True)
     if kind is None:
         os.mkfifo(desk.file)
+    elif kind == "hard":
+        desk.file.hardlink_to(other)
     else:
         desk.file.symlink_to(desk.file if kind == "itself" else other)
     before = desk.file.lstat(), other.lstat() if other.exists() else None
-    with pytest.raises(UnsafeStimulus, match=r"is (a symbolic link|no regular file), .* link its whole folder"):
+    what = "is (a symbolic link|no regular file|one of several names of a file), .* link its whole folder"
+    with pytest.raises(UnsafeStimulus, match=what):
         desk.pulse(desk.open(), 1.0)
     assert (desk.file.lstat(), other.lstat() if other.exists() else None) == before
+    if kind == "hard":
+        other.unlink()
+        desk.pulse(desk.open(), 1.0)
+        assert desk.file.lstat() != before[0]
 
 
 def test_a_linked_folder_holds_the_same_account(desk, tmp_path_factory):

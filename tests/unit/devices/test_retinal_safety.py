@@ -49,6 +49,8 @@ def test_refusal_states_fraction_limit_and_way_out():
     """The message says how much of which limit and what to do."""
     with pytest.raises(UnsafeStimulus, match=r"spot: 20 % of the blue-light .* 10 % is allowed .* Lower the radiance"):
         refuse_unsafe("spot", HazardFractions(0.2, 0.0), 0.1)
+    with pytest.raises(UnsafeStimulus, match=r"counts for 10000 s\. Lower the radiance, or .*`light pulse`"):
+        refuse_unsafe("spot", HazardFractions(0.2, 0.0), 0.1, endless=True)
     refuse_unsafe("spot", HazardFractions(0.1, 0.1), 0.1)
 
 

@@ -1,0 +1,134 @@
+"""Wrong types in calls of the public functions: refused as a RadiometerError, before any work."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import pickle
+import typing
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+import radiometer as rm
+
+FUNCTIONS = [name for name in rm.__all__ if inspect.isfunction(getattr(rm, name))]
+WRONG = (["text", {}], [], {"text": []}, math.nan)
+OFTEN_RIGHT = (None, "text")
+# What the desk has for arguments that are not varied.
+BENCH = "bench.yaml"
+GIVEN = {
+    "luminance": 1.0, "duration": 1.0, "duration_s": 1.0, "target": 1.0, "sequence": 1, "patch": (0, 0, 8, 8),
+    "capture": "out/chart", "source": "out/chart", "sources": "out/chart", "path": "out/chart", "bench": BENCH,
+    "channel": "white", "visits": ["thresholds.csv"], "kinds": ["csv"], "data": "thresholds.csv", "table": "engine.csv",
+    "journal": "journal.sqlite", "results": "history.csv", "laboratory": "laboratory.yaml", "camera": None,
+}  # fmt: skip
+
+
+def arguments() -> list[tuple[str, str]]:
+    """Return every argument of every public function."""
+    return [(name, argument) for name in FUNCTIONS for argument in inspect.signature(getattr(rm, name)).parameters]
+
+
+def others(name: str, varied: str) -> dict[str, object]:
+    """Return the other arguments of a call: required ones, the bench, and what ends those that serve for ever."""
+    known = inspect.signature(getattr(rm, name)).parameters
+    given = {one: GIVEN.get(one, "missing") for one, p in known.items() if p.default is p.empty}
+    if "bench" in known and varied != "camera":
+        given["bench"] = BENCH
+    given |= dict.fromkeys({"announce", "ready"} & set(known), _end)
+    return {one: value for one, value in given.items() if one != varied}
+
+
+MAKERS = {
+    "Meter": lambda: rm.open(BENCH, uncalibrated=True),
+    "Reading": lambda: rm.measure(bench=BENCH),
+    "Stack": lambda: rm.read("out/chart"),
+    "Radiance": lambda: rm.merge("out/chart"),
+    "LoggedReadings": lambda: rm.log("journal.sqlite"),
+    "CalibratedScreen": lambda: rm.screen_import("luminances.csv"),
+}
+
+
+def _end(_: str) -> None:
+    raise rm.UsageError("it works")
+
+
+@pytest.mark.parametrize("values", [WRONG, pytest.param(OFTEN_RIGHT, marks=pytest.mark.slow)], ids=["wrong", "often"])
+@pytest.mark.parametrize(("name", "argument"), arguments())
+def test_a_wrong_type_is_a_radiometer_error(name, argument, values, desk, tmp_path, monkeypatch):
+    """Lists, a mapping, NaN, None and a text as each argument: it works, or one line says what does not."""
+    monkeypatch.chdir(desk)
+    monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path / "state"))
+    for value in values:
+        assert_works_or_says(lambda value=value: getattr(rm, name)(**others(name, argument), **{argument: value}))
+
+
+@pytest.mark.parametrize("kind", ["Meter", "Reading", "Stack", "Radiance", "LoggedReadings", "CalibratedScreen"])
+def test_a_wrong_type_to_a_method_is_a_radiometer_error(kind, desk, monkeypatch):
+    """The same as every argument of every method of what the functions return."""
+    monkeypatch.chdir(desk)
+    one = MAKERS[kind]()
+    methods = [getattr(one, name) for name, known in vars(type(one)).items() if inspect.isfunction(known)]
+    for method in (method for method in methods if not method.__name__.startswith("_")):
+        for argument in inspect.signature(method).parameters:
+            for value in (*WRONG, *OFTEN_RIGHT):
+                assert_works_or_says(lambda method=method, given={argument: value}: method(**given))
+    assert methods
+
+
+def assert_works_or_says(call: Callable[[], object]) -> None:
+    """Assert that a call returns, or raises a RadiometerError of some words."""
+    said = "works"
+    try:
+        result = call()
+        if isinstance(result, Iterator):
+            next(result)
+    except rm.RadiometerError as error:
+        said = str(error)
+    assert said
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: rm.merge("x", channel=[]), r"^merge: channel is \[\] \(list\); give text or None$"),
+        (lambda: rm.adapt_bleach(math.nan, 1.0), r"luminance is nan \(float\); give number$"),
+        (lambda: rm.adapt_bleach(True, 1.0), r"luminance is True \(bool\); give number$"),
+        (
+            lambda: rm.measure(patch=(0, 0, 8)),
+            r"patch is \(0, 0, 8\) \(tuple\); give Patch or \(whole number, .* or None$",
+        ),
+        (lambda: rm.merge("x", measured_iso={100.0: math.nan}), r"give a mapping of number to number or None$"),
+        (lambda: rm.screen_export("x", "csv"), r"kinds is 'csv' \(str\); give a list of text$"),
+        (lambda: rm.colour_calibrate("x", train_on="lights"), r"'lights' \(str\); give 'chart' or 'responsivities'$"),
+        (lambda: rm.log_fit(["x" * 500]), r"table is \['x{40,60}… \(list\); give text or path$"),
+    ],
+)
+def test_the_error_names_the_argument_and_what_it_takes(call, says):
+    """Function, argument, the value in a few characters, and the kinds that it takes."""
+    with pytest.raises(rm.UsageError, match=says):
+        call()
+
+
+def test_numbers_and_lists_of_other_libraries_are_taken():
+    """Numbers of NumPy, an array for a patch: 1000 cd/m² for 60 s bleach what plain numbers bleach."""
+    plain, other = rm.adapt_bleach(1000.0, 60.0), rm.adapt_bleach(np.float32(1000), np.int64(60))
+    assert other.rods_bleached == pytest.approx(plain.rods_bleached, rel=1e-5)  # 24 bits
+    with pytest.raises(rm.RadiometerError, match="missing"):
+        rm.merge("missing", scale=np.array([1.0, 0.1]))
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_public_function_keeps_its_signature_and_travels(name):
+    """Every argument has a default or a type for the error; another process finds the function by its name."""
+    function = getattr(rm, name)
+    assert set(typing.get_type_hints(function)) == {*inspect.signature(function).parameters, "return"}
+    assert pickle.loads(pickle.dumps(function)) is function
+
+
+def test_a_call_without_its_arguments_is_pythons_own_error():
+    """As of every function: the name of what is missing stands in it."""
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'source'"):
+        rm.merge()
