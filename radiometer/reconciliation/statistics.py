@@ -358,7 +358,8 @@ class Scatter:
 
         In a scene the light scatters the codes where noise need not: of pixels that all have the same phase Gaussian
         noise of variance v leaves exp(−2π²·v/period²). No pixel has less noise than the darkest tile; where no read
-        noise is declared, the darkest as it was seen counts too, clipped or not.
+        noise is declared, the darkest as it was seen counts too, clipped or not. A dark part of the scene has the same
+        phase in every capture, so that no mean over captures makes this part smaller.
         """
         base, seen = self.base, self.seen
         square = _COMB_SQUARES / np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
@@ -367,7 +368,9 @@ class Scatter:
         declared = self.design.header.camera.read_noise_e is not None
         noise = base.variance if declared else np.fmin(base.variance, seen.variance)
         least_dn2 = float(np.min(noise / base.gain[:, None] ** 2)) * base.gain[:, None] ** 2
-        return np.asarray(np.sqrt(square + np.exp(-2.0 * np.pi**2 * least_dn2 / np.square(COMB_PERIODS)) ** 2))
+        captures = np.count_nonzero(seen.comb_count > _FEWEST_CODES)
+        shape = np.exp(-2.0 * np.pi**2 * least_dn2 / np.square(COMB_PERIODS))
+        return np.asarray(np.sqrt(square + captures * shape**2))
 
     @property
     def outliers(self) -> Array:
