@@ -357,17 +357,17 @@ class Scatter:
         """Return that of the histogram's Fourier terms, with what an honest histogram of a scene may show.
 
         In a scene the light scatters the codes where noise need not: of pixels that all have the same phase Gaussian
-        noise of variance v leaves exp(−2π²·v/period²). No pixel has less noise than the darkest tile; where no read
-        noise is declared, the darkest as it was seen counts too, clipped or not. A dark part of the scene has the same
-        phase in every capture, so that no mean over captures makes this part smaller.
+        noise of variance v leaves exp(−2π²·v/period²). No pixel has less than the declared read noise; where none is
+        declared, less than the darkest tile, as predicted or as it was seen, clipped or not. A dark part of the scene
+        has the same phase in every capture, so that no mean over captures makes this part smaller.
         """
         base, seen = self.base, self.seen
         square = _COMB_SQUARES / np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
         if self.design.uniform:
             return np.sqrt(square)
-        declared = self.design.header.camera.read_noise_e is not None
-        noise = base.variance if declared else np.fmin(base.variance, seen.variance)
-        least_dn2 = float(np.min(noise / base.gain[:, None] ** 2)) * base.gain[:, None] ** 2
+        read_e, gain2 = self.design.header.camera.read_noise_e, base.gain[:, None] ** 2
+        least_e2 = float(np.min(np.fmin(base.variance, seen.variance) / gain2)) if read_e is None else read_e**2
+        least_dn2 = least_e2 * gain2 + 1.0 / 12.0
         captures = np.count_nonzero(seen.comb_count > _FEWEST_CODES)
         shape = np.exp(-2.0 * np.pi**2 * least_dn2 / np.square(COMB_PERIODS))
         return np.asarray(np.sqrt(square + captures * shape**2))

@@ -115,3 +115,14 @@ def test_a_scene_of_one_frame_is_refused_by_name() -> None:
     header = CaptureHeader(camera=CameraDescription(bit_depth=12, black_level_dn=BLACK), frames=tuple(entries))
     with pytest.raises(CaptureError, match=r"show 2 scenes, and no other frame shows that of 2\.png: .* two frames"):
         reconcile(header, frames)
+
+
+def test_a_black_border_between_bright_patches_is_no_gap_in_the_codes() -> None:
+    """Half of each tile is black with noise of a digital number, in eight settings: what is expected of chance."""
+    chart = np.zeros((HEIGHT, WIDTH))
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    bright = (y % 24 > 5) & (x % 32 > 7)
+    chart[bright] = np.random.default_rng(31).uniform(0.2, 1.5, (4, 4))[y[bright] // 24, x[bright] // 32]
+    result = reconciled(*((chart, exposure_s) for exposure_s in np.geomspace(0.002, 0.01, 8)))
+    assert result.effects == ()
+    assert result.global_p[0] > 0.02
