@@ -354,20 +354,10 @@ class Scatter:
 
     @property
     def comb(self) -> Array:
-        """Return that of the histogram's Fourier terms, with what an honest histogram of a scene may show.
-
-        In a scene the light scatters the codes where noise need not: of pixels that all have the same phase Gaussian
-        noise of variance v leaves exp(−2π²·v/period²). No pixel has less noise than the darkest tile; where no read
-        noise is declared, the darkest as it was seen counts too, clipped or not.
-        """
-        base, seen = self.base, self.seen
-        square = _COMB_SQUARES / np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
-        if self.design.uniform:
-            return np.sqrt(square)
-        declared = self.design.header.camera.read_noise_e is not None
-        noise = base.variance if declared else np.fmin(base.variance, seen.variance)
-        least_dn2 = float(np.min(noise / base.gain[:, None] ** 2)) * base.gain[:, None] ** 2
-        return np.asarray(np.sqrt(square + np.exp(-2.0 * np.pi**2 * least_dn2 / np.square(COMB_PERIODS)) ** 2))
+        """Return that of the histogram's Fourier terms, with what those of an honest scene differ between captures."""
+        count = np.minimum(np.maximum(self.seen.comb_count, 1.0), _LARGEST_COMB_COUNT)
+        honest = honest_comb(self.design, self.seen, self.base)
+        return np.asarray(np.sqrt(_COMB_SQUARES / count[:, None] + honest**2))
 
     @property
     def outliers(self) -> Array:
@@ -532,6 +522,25 @@ def _cut_off(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
         return np.zeros(base.signal.shape, dtype=np.bool_)
     hidden = np.nan_to_num(seen.variance) < _READ_NOISE_LEFT * least_e2 * base.gain[:, None] ** 2
     return np.asarray(hidden & (base.signal > _SHOT_NOISE * least_e2))
+
+
+def honest_comb(design: Design, seen: CaptureStatistics, base: Prediction) -> Array:
+    """Return the standard deviation of a Fourier term of honest histograms, (captures, periods).
+
+    In a scene the light scatters the codes where noise need not. Codes of pixels that all have the same phase φ, and
+    Gaussian noise of variance v, have the term Σ exp(−2π²·v·f²)·cos φ over the frequency f = 1/period and what whole
+    codes make of it, 1 − 1/period. Of any phase that is 1/√2 of its largest. No pixel has less noise than the darkest
+    tile; where no read noise is declared, the darkest as it was seen counts too, clipped or not. Patches are even:
+    their noise alone is wide enough.
+    """
+    periods = np.array(COMB_PERIODS)
+    if design.uniform:
+        return np.zeros((len(design.captures), periods.size))
+    declared = design.header.camera.read_noise_e is not None
+    gain2 = base.gain[:, None] ** 2
+    least_dn2 = float(np.min((base.variance if declared else np.fmin(base.variance, seen.variance)) / gain2)) * gain2
+    largest = sum(np.exp(-2.0 * np.pi**2 * least_dn2 * f**2) for f in (1.0 / periods, 1.0 - 1.0 / periods))
+    return np.asarray(np.sqrt(0.5) * np.minimum(largest, 1.0))
 
 
 def structure_dn2(design: Design, seen: CaptureStatistics) -> Array:
