@@ -529,18 +529,32 @@ def honest_comb(design: Design, seen: CaptureStatistics, base: Prediction) -> Ar
 
     In a scene the light scatters the codes where noise need not. Codes of pixels that all have the same phase φ, and
     Gaussian noise of variance v, have the term Σ exp(−2π²·v·f²)·cos φ over the frequency f = 1/period and what whole
-    codes make of it, 1 − 1/period. Of any phase that is 1/√2 of its largest. No pixel has less noise than the darkest
-    tile; where no read noise is declared, the darkest as it was seen counts too, clipped or not. Patches are even:
-    their noise alone is wide enough.
+    codes make of it, 1 − 1/period. Of any phase that is 1/√2 of its largest. Pixels without light have the least
+    noise; where no read noise is declared, the darkest tile as it was seen counts too, clipped or not. Patches are
+    even: their noise alone is wide enough.
     """
     periods = np.array(COMB_PERIODS)
     if design.uniform:
         return np.zeros((len(design.captures), periods.size))
-    declared = design.header.camera.read_noise_e is not None
-    gain2 = base.gain[:, None] ** 2
-    least_dn2 = float(np.min((base.variance if declared else np.fmin(base.variance, seen.variance)) / gain2)) * gain2
-    largest = sum(np.exp(-2.0 * np.pi**2 * least_dn2 * f**2) for f in (1.0 / periods, 1.0 - 1.0 / periods))
+    least_dn2 = _noise_without_light(design, base)
+    if design.header.camera.read_noise_e is None:
+        least_dn2 = np.fmin(
+            least_dn2, np.nanmin(seen.variance / base.gain[:, None] ** 2, initial=np.inf) * base.gain**2
+        )
+    largest = sum(np.exp(-2.0 * np.pi**2 * least_dn2[:, None] * f**2) for f in (1.0 / periods, 1.0 - 1.0 / periods))
     return np.asarray(np.sqrt(0.5) * np.minimum(largest, 1.0))
+
+
+def _noise_without_light(design: Design, base: Prediction) -> Array:
+    """Return the variance of a pixel without light in DN², (captures,): from the darkest capture at each gain.
+
+    A tile of a scene may hold dark pixels and bright ones: the noise of its photons is taken off.
+    """
+    light = base.signal.mean(axis=1)
+    dark = np.min(base.variance - base.gain[:, None] ** 2 * np.maximum(base.signal, 0.0), axis=1)
+    gains, own = np.unique(design.gain_db, return_inverse=True)
+    darkest = [int(np.argmin(np.where(own == gain, light, np.inf))) for gain in range(gains.size)]
+    return np.asarray(np.maximum(dark[darkest], 0.0)[own])
 
 
 def structure_dn2(design: Design, seen: CaptureStatistics) -> Array:
