@@ -650,6 +650,20 @@ def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:
     return (FixedError("borders", lambda prediction: part, np.array([SHARPEST])),) if usable.any() else ()
 
 
+def error_of_histograms(honest: Array, usable: Mask) -> tuple[FixedError, ...]:
+    """Return what honest histograms of a scene have in common: what is dark in one capture is so in all.
+
+    Args:
+        honest: (captures, periods) standard deviation of their Fourier terms.
+        usable: Same shape, which of them count.
+    """
+    if not np.any(honest[usable]):
+        return ()
+    periods = honest.shape[1]
+    part = {"comb": Part(honest, np.eye(periods))}
+    return (FixedError("histogram of the scene", lambda prediction: part, np.ones(periods)),)
+
+
 def _of_captures(columns: Array) -> Part:
     """Return a part of a statistic that captures have one figure of, from its columns, (captures, n)."""
     return Part(np.ones((columns.shape[0], 1)), columns[:, None, :])

@@ -354,23 +354,10 @@ class Scatter:
 
     @property
     def comb(self) -> Array:
-        """Return that of the histogram's Fourier terms, with what an honest histogram of a scene may show.
-
-        In a scene the light scatters the codes where noise need not: of pixels that all have the same phase Gaussian
-        noise of variance v leaves exp(−2π²·v/period²). No pixel has less than the declared read noise; where none is
-        declared, less than the darkest tile, as predicted or as it was seen, clipped or not. A dark part of the scene
-        has the same phase in every capture, so that no mean over captures makes this part smaller.
-        """
-        base, seen = self.base, self.seen
-        square = _COMB_SQUARES / np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
-        if self.design.uniform:
-            return np.sqrt(square)
-        read_e, gain2 = self.design.header.camera.read_noise_e, base.gain[:, None] ** 2
-        least_e2 = float(np.min(np.fmin(base.variance, seen.variance) / gain2)) if read_e is None else read_e**2
-        least_dn2 = least_e2 * gain2 + 1.0 / 12.0
-        captures = np.count_nonzero(seen.comb_count > _FEWEST_CODES)
-        shape = np.exp(-2.0 * np.pi**2 * least_dn2 / np.square(COMB_PERIODS))
-        return np.asarray(np.sqrt(square + captures * shape**2))
+        """Return that of the histogram's Fourier terms, with what those of an honest scene differ between captures."""
+        count = np.minimum(np.maximum(self.seen.comb_count, 1.0), _LARGEST_COMB_COUNT)
+        honest = honest_comb(self.design, self.seen, self.base)
+        return np.asarray(np.sqrt(_COMB_SQUARES / count[:, None] + honest**2))
 
     @property
     def outliers(self) -> Array:
@@ -535,6 +522,39 @@ def _cut_off(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
         return np.zeros(base.signal.shape, dtype=np.bool_)
     hidden = np.nan_to_num(seen.variance) < _READ_NOISE_LEFT * least_e2 * base.gain[:, None] ** 2
     return np.asarray(hidden & (base.signal > _SHOT_NOISE * least_e2))
+
+
+def honest_comb(design: Design, seen: CaptureStatistics, base: Prediction) -> Array:
+    """Return the standard deviation of a Fourier term of honest histograms, (captures, periods).
+
+    In a scene the light scatters the codes where noise need not. Codes of pixels that all have the same phase φ, and
+    Gaussian noise of variance v, have the term Σ exp(−2π²·v·f²)·cos φ over the frequency f = 1/period and what whole
+    codes make of it, 1 − 1/period. Of any phase that is 1/√2 of its largest. Pixels without light have the least
+    noise; where no read noise is declared, the darkest tile as it was seen counts too, clipped or not. Patches are
+    even: their noise alone is wide enough.
+    """
+    periods = np.array(COMB_PERIODS)
+    if design.uniform:
+        return np.zeros((len(design.captures), periods.size))
+    least_dn2 = _noise_without_light(design, base)
+    if design.header.camera.read_noise_e is None:
+        least_dn2 = np.fmin(
+            least_dn2, np.nanmin(seen.variance / base.gain[:, None] ** 2, initial=np.inf) * base.gain**2
+        )
+    largest = sum(np.exp(-2.0 * np.pi**2 * least_dn2[:, None] * f**2) for f in (1.0 / periods, 1.0 - 1.0 / periods))
+    return np.asarray(np.sqrt(0.5) * np.minimum(largest, 1.0))
+
+
+def _noise_without_light(design: Design, base: Prediction) -> Array:
+    """Return the variance of a pixel without light in DN², (captures,): from the darkest capture at each gain.
+
+    A tile of a scene may hold dark pixels and bright ones: the noise of its photons is taken off.
+    """
+    light = base.signal.mean(axis=1)
+    dark = np.min(base.variance - base.gain[:, None] ** 2 * np.maximum(base.signal, 0.0), axis=1)
+    gains, own = np.unique(design.gain_db, return_inverse=True)
+    darkest = [int(np.argmin(np.where(own == gain, light, np.inf))) for gain in range(gains.size)]
+    return np.asarray(np.maximum(dark[darkest], 0.0)[own])
 
 
 def structure_dn2(design: Design, seen: CaptureStatistics) -> Array:

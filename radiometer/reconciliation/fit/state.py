@@ -20,13 +20,14 @@ from radiometer.reconciliation.shared_errors import (
     Repeatability,
     darkness_of,
     error_of_borders,
+    error_of_histograms,
     fixed_errors,
     form_floors,
     light_response,
     relative_bands,
     relative_flicker,
 )
-from radiometer.reconciliation.statistics import Prediction, usable_entries
+from radiometer.reconciliation.statistics import Prediction, honest_comb, usable_entries
 from radiometer.reconciliation.tile_model import Nuisance, TileModel, Trace, predict_several
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
@@ -478,10 +479,11 @@ def reweighted(state: FitState) -> FitState:
     tau = _estimate_tau(state)
     smooth = tuple(term for term in state.terms if term.is_smooth)
     kept = _kept_weights(state, smooth)
-    model = state.model
+    model, known = state.model, (state.design, state.seen, state.prediction)
     errors = (
         *fixed_errors((*model.given, *model.effects), state.prediction, state.seen, state.design, model.context),
         *error_of_borders(state.comparison.usable["edge"]),
+        *error_of_histograms(honest_comb(*known), state.comparison.usable["comb"]),
     )
     terms = (*smooth, *(LinearTerm.of(error) for error in errors))
     floors = form_floors(state.model, state.trace)

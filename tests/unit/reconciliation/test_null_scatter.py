@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
+from radiometer.data import Frame, FrameSettings
 from radiometer.reconciliation.fit.descent import converged_fit
 from radiometer.reconciliation.fit.state import with_effects
-from radiometer.reconciliation.statistics import STATISTICS
+from radiometer.reconciliation.measure.design import COMB_PERIODS
+from radiometer.reconciliation.search.localise import global_p_value, localise
+from radiometer.reconciliation.statistics import STATISTICS, honest_comb
 from simulators.effects.registry import make_effect
-from testing.reduced import start_of
+from testing.reduced import start_of, taken
 
 # The knife-edge's u holds an allowance for how sharp a border is, and an even chart of a sound sensor has no outliers.
 STATED_LARGER = {"edge", "outliers"}
@@ -92,3 +96,53 @@ def test_statistics_scatter_as_stated_where_the_model_holds_the_effect(
         assert squares / max(count, 1) < 1.0 + allowed, block
         if count and block not in {*STATED_LARGER, own}:
             assert squares / count > 1.0 - allowed, block
+
+
+# ---- histograms of a scene ------------------------------------------------------------------------------------------
+
+SCENE_READ_E, SCENE_E_PER_DN = 5.4, 5.95
+
+
+def scene_with_dark_parts(seed: int, step: int = 1) -> Any:
+    """Return frames of a scene whose tiles are dark on one half, at three exposures, in codes of a step."""
+    rng = np.random.default_rng((seed, 20261127))
+    lit = np.where(np.arange(96) % 16 < 8, 0.0, 1.0) * np.linspace(0.2, 1.0, 48)[:, None]
+    frames = []
+    for exposure_s in np.repeat([1e-3, 2e-3, 4e-3], 4):
+        electrons = rng.poisson(1.2e6 * exposure_s * lit) + SCENE_READ_E * rng.standard_normal(lit.shape)
+        dn = step * np.rint((64.0 + electrons / SCENE_E_PER_DN) / step)
+        frames.append(Frame(dn.astype(np.uint16), 12, FrameSettings(exposure_s)))
+    return taken(
+        frames,
+        conversion_gain_e_per_dn=SCENE_E_PER_DN,
+        read_noise_e=SCENE_READ_E,
+        black_level_dn=64.0,
+        full_well_e=24_500.0,
+    )
+
+
+def test_dark_parts_of_a_scene_are_no_comb() -> None:
+    """Noise of one code leaves a comb in honest histograms, the same in all captures: p stays even from 0 to 1."""
+    chances = []
+    for seed in range(8):
+        state = start_of(scene_with_dark_parts(seed))
+        tests = localise(state)
+        assert all(test.p_value > 0.05 for test in tests if test.block == "comb")
+        chances.append(global_p_value(state, tests))
+    assert kstest(chances, "uniform").pvalue > 0.01
+
+
+def test_a_step_of_two_codes_is_seen_in_a_scene_all_the_same() -> None:
+    """Codes of which every second is missing are the largest disagreement of all."""
+    tests = localise(start_of(scene_with_dark_parts(1, step=2)))
+    assert tests[0].block == "comb"
+    assert tests[0].log_p < -100.0
+
+
+def test_comb_of_dark_pixels_is_that_of_rounded_normal_numbers() -> None:
+    """The largest terms of codes at black are √2 times what is stated, to 5 % and the scatter of 400,000 numbers."""
+    state = start_of(scene_with_dark_parts(0))
+    codes = np.rint(SCENE_READ_E / SCENE_E_PER_DN * np.random.default_rng(9).standard_normal(400_000))
+    largest = [np.mean(np.cos(2.0 * np.pi * codes / period)) for period in COMB_PERIODS]
+    stated = honest_comb(state.design, state.seen, state.prediction)
+    np.testing.assert_allclose(np.sqrt(2.0) * stated, np.tile(largest, (len(stated), 1)), rtol=0.05, atol=0.005)
