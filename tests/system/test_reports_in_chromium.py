@@ -14,9 +14,10 @@ from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import visits_html
 from radiometer.analysis.characterise import characterise, read_subject
 from radiometer.analysis.characterise.report import datasheet
+from radiometer.analysis.characterise.taps import TapFigures
 from radiometer.archive.trend import MONTH_S, fit_trend
 from radiometer.archive.trend_report import trend_report
-from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from radiometer.data import CameraDescription, FrameSettings, LensDescription, TapDescription
 from radiometer.data.reading import Contribution, Flag, Patch, Quantity, Reading
 from radiometer.reporting.reading_page import ReadingRecord, reading_html
 from simulators.chain.camera_model import CameraModel
@@ -59,7 +60,14 @@ def _datasheet(folder: Path) -> str:
     plan = [*bright, *(replace(one, shutter="closed") for one in bright)]
     scene = UniformScene(radiance_W_per_sr_m2=0.14)
     simulate_capture(model, plan, scene, folder, frames_per_setting=2, believed_camera=camera, seed=5)
-    return datasheet(characterise(read_subject(folder, None)))
+    found = characterise(read_subject(folder, None))
+    taps = [
+        TapFigures(
+            TapDescription(name=str(n), x=512 * n, y=1024, width=512, height=2048), found, Quantity(1042.6, 0.38, "DN")
+        )
+        for n in range(1, 9)
+    ]
+    return datasheet(found, taps)
 
 
 def _reading() -> str:
