@@ -33,6 +33,10 @@ _LOW_CONTRAST = """
 _CUT_TABLES = """
 JSON.stringify([...document.querySelectorAll(".wide")].filter((e) => e.scrollWidth > e.clientWidth + 1)
   .map((e) => e.textContent.slice(0, 60)))"""
+# What ± covers stands in the same sentence.
+_BARE_OUTCOME = """
+(() => { const t = document.querySelector(".outcome").textContent;
+  return t.includes("±") && !/k\\s=|95\\s%/.test(t); })()"""
 _BROKEN_PICTURES = "[...document.images].filter((i) => !i.complete || !i.naturalWidth).length"
 
 
@@ -58,6 +62,7 @@ async def assert_reports_hold(pages: dict[str, str], folder: Path) -> None:
                 await browser.wait_for(f"{_BROKEN_PICTURES} === 0")
                 assert await browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), (name, width)
                 assert json.loads(await browser.evaluate(_LOW_CONTRAST)) == [], (name, width)
+                assert not await browser.evaluate(_BARE_OUTCOME), name
                 assert await browser.evaluate(_CUT_TABLES) == "[]", (name, width)
                 chosen = await browser.evaluate("document.images[0].currentSrc === document.images[0].src")
                 assert chosen is not phone, name  # the narrow form on a phone, the wide one elsewhere

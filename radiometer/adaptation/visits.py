@@ -147,6 +147,7 @@ def _begun(start: Event) -> str:
 
 
 OVERLAID: Final = ("break_min", "s2_slope_per_min", "rod_intercept_min", "plateau", "final_threshold")
+HALF_INTERVAL: Final = "± is half of the 95 % interval."
 # Colours that the colour-blind can distinguish, dark enough on white (after Okabe and Ito 2008).
 _COLOURS: Final = ("#0072b2", "#b3461b", "#00725a", "#8a4a7d", "#333333", "#8a6d00")
 _POINTS: Final = 300
@@ -202,7 +203,7 @@ def visits_html(visits: Sequence[tuple[AdaptationFit, str]]) -> str:
             paragraph("The visits were run by different protocols: their curves cannot be compared.", "flag")
             if differ
             else "",
-            section("What each visit found", table(head, rows), paragraph("± is half of the 95 % interval.", "small")),
+            section("What each visit found", table(head, rows), paragraph(HALF_INTERVAL, "small")),
             section("How each was made", table(("visit", "protocol", "age", "pupil in mm", "program"), facts,
                                                words=(1, 4))),
         ],

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,7 +26,15 @@ from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of_visit, visit_at, visit_in, visits_html
+from radiometer.adaptation.visits import (
+    HALF_INTERVAL,
+    OVERLAID,
+    label_of_visit,
+    moment_of_visit,
+    visit_at,
+    visit_in,
+    visits_html,
+)
 from radiometer.api.files import PathLike
 from radiometer.api.result import Notice, Result, require_other, unheard
 from radiometer.data.capture_set import refuse_inputs
@@ -42,6 +50,8 @@ from radiometer.progress import Progress, unseen
 
 # Opens what watches a run for as long as it lasts, such as a live view of a terminal.
 View = Callable[[Session], AbstractContextManager[Watcher]]
+
+_VISIT_DRAWS: Final = 200  # bootstrap redraws of each visit: half a second, an interval good to 5 %
 
 
 @dataclass(frozen=True, repr=False)
@@ -409,9 +419,9 @@ def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[
     return Retest(tuple(compare_visits(list(zip(fits[::2], fits[1::2], strict=True)))))
 
 
-def _fitted(file: Path, mapped: StatementMap) -> AdaptationCurve:
+def _fitted(file: Path, mapped: StatementMap, bootstrap: int = 0) -> AdaptationCurve:
     series = ThresholdSeries.read(file, mapped)
-    request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
+    request = FitRequest(bootstrap_draws=bootstrap, intercept=intercept_of(series.facts))
     try:
         return AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, file.stem)
     except MeasurementError as error:
@@ -506,8 +516,8 @@ class Visits(Result):
         }
 
     def lines(self) -> list[str]:
-        """Return a line for each visit: who and when, break, S2 and final threshold with their intervals."""
-        return [
+        """Return a line for each visit: who and when, break, S2 and final threshold; then what ± means."""
+        visits = [
             f"{label_of_visit(one.series, one.name)}: "
             + ", ".join(
                 f"{label_of(name, one.fit)} {short(one.fit, name)} {unit_text(one.fit.estimates[name].unit)}"
@@ -516,6 +526,7 @@ class Visits(Result):
             )
             for one in self.curves
         ]
+        return [*visits, HALF_INTERVAL]
 
     def write_report(self, path: PathLike) -> None:
         """Write the page with all curves in one picture (HTML). Raises OutputError."""
@@ -549,7 +560,7 @@ def adapt_visits(
     if len(visits) < 2:
         raise UsageError(f"{len(visits)} visit: name two at least")
     known = StatementMap.of(mapped)
-    found = Visits(tuple(_fitted(Path(one), known) for one in visits))
+    found = Visits(tuple(_fitted(Path(one), known, _VISIT_DRAWS) for one in visits))
     if report is not None:
         found.write_report(report)
     return found

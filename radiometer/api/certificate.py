@@ -174,7 +174,8 @@ def _of_reading(
     stated = {name: content[name] for name in ("radiance", "luminance") if content.get(name)}
     if stated["radiance"]["unit"] == "relative":
         raise UsageError(_RELATIVE)
-    k = COVERAGE_FACTORS.check("coverage_factor", float(content["coverage_factor"]))
+    # Three digits, as every face prints k: U is that k times u, so a reader who divides has u again.
+    k = float(f"{COVERAGE_FACTORS.check('coverage_factor', float(content['coverage_factor'])):.3g}")
     if Flag.UNCALIBRATED.value in content["flags"]:
         raise UsageError(_RELATIVE)
     results = tuple((name, _result(name, stated[name]), k) for name in stated)

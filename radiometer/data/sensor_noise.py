@@ -47,13 +47,13 @@ class SensorNoise:
     @property
     def assumptions(self) -> tuple[str, ...]:
         """Return in words what the figures that were not known are replaced by."""
-        return tuple(
+        typical = [name for name in self.assumed if name != "dark_current_e_per_s"]
+        dark = (
             "the camera states no dark current: none is taken off, and u holds what the darkest pixels allow; take "
             "dark frames of the same exposures"
-            if name == "dark_current_e_per_s"
-            else f"typical {name}"
-            for name in self.assumed
         )
+        found = (f"typical values for {', '.join(typical)}",) if typical else ()
+        return found if len(typical) == len(self.assumed) else (*found, dark)
 
     @property
     def code_variance_dn2(self) -> float:

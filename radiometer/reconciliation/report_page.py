@@ -96,7 +96,7 @@ def _size(effect: FoundEffect) -> str:
     for name, entry in effect.parameters.items():
         if entry.u is not None:
             unit = unit_text(entry.unit)
-            return f" ({_plain(name, entry.unit)} {with_u(entry.value, 2.0 * entry.u, unit)})"
+            return f" ({_plain(name, entry.unit)} {with_u(entry.value, 2.0 * entry.u, unit)}, k = 2)"
     return ""
 
 

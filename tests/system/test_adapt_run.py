@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -151,9 +152,9 @@ def test_visits_are_laid_over_each_other_with_their_dates(tmp_path: Path, monkey
         rm.adapt_run("classic", "S7", simulate="steady", seed=seed, visit=f"2026-03-{day}T14:30Z", age=31.0)
     tables = sorted(tmp_path.glob("*.csv"))
     found = rm.adapt_visits(tables, report="visits.html")
-    assert [line.split(":")[0] for line in map(str, found.lines())] == [
-        "S7 right 2026-03-02 14",
-        "S7 right 2026-03-09 14",
-    ]
+    *visits, covers = found.lines()
+    assert [line.split(":")[0] for line in visits] == ["S7 right 2026-03-02 14", "S7 right 2026-03-09 14"]
+    assert all(re.search(r"Final threshold \S+ ± \S+ ", line) for line in visits)
+    assert "95 %" in covers
     page = Path("visits.html").read_text()
     assert all(text in page for text in ("2026-03-02", "2026-03-09", "Rod–cone break", "31.0", rm.__version__))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+import radiometer as rm
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.report import report_html
 from radiometer.adaptation.rod_intercept import InterceptRule
@@ -14,11 +15,22 @@ from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import visits_html
 from radiometer.analysis.characterise import characterise, read_subject
 from radiometer.analysis.characterise.report import datasheet
+from radiometer.analysis.characterise.taps import TapFigures
+from radiometer.api.radiance import Radiance
 from radiometer.archive.trend import MONTH_S, fit_trend
 from radiometer.archive.trend_report import trend_report
-from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from radiometer.data import (
+    CameraDescription,
+    FrameSettings,
+    LensDescription,
+    PixelMask,
+    RadianceMap,
+    TapDescription,
+)
 from radiometer.data.reading import Contribution, Flag, Patch, Quantity, Reading
 from radiometer.reporting.reading_page import ReadingRecord, reading_html
+from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
+from radiometer.screen.exports.report_page import to_page
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
 from testing.report_checks import HOSTILE, assert_reports_hold
@@ -59,7 +71,14 @@ def _datasheet(folder: Path) -> str:
     plan = [*bright, *(replace(one, shutter="closed") for one in bright)]
     scene = UniformScene(radiance_W_per_sr_m2=0.14)
     simulate_capture(model, plan, scene, folder, frames_per_setting=2, believed_camera=camera, seed=5)
-    return datasheet(characterise(read_subject(folder, None)))
+    found = characterise(read_subject(folder, None))
+    taps = [
+        TapFigures(
+            TapDescription(name=str(n), x=512 * n, y=1024, width=512, height=2048), found, Quantity(1042.6, 0.38, "DN")
+        )
+        for n in range(1, 9)
+    ]
+    return datasheet(found, taps)
 
 
 def _reading() -> str:
@@ -88,8 +107,28 @@ def _visits() -> str:
     return visits_html(found)
 
 
+def _analysis(folder: Path) -> str:
+    """Return the page of a dim map with a profile, a region of a hostile name, and figures of many digits."""
+    y, x = np.indices((64, 96))
+    value = np.random.default_rng(4).normal(0.0003 * (1.0 + x / 96.0), 0.0002, y.shape).astype(np.float32)
+    mask = np.where(value < 0.0004, PixelMask.BELOW_NOISE, PixelMask.GOOD).astype(np.uint8)
+    found = Radiance({"mono": RadianceMap(value, np.full_like(value, 0.0002), mask, "W sr-1 m-2", 0.2)})
+    regions = {HOSTILE: (0, 0, 40, 30), "right": (50, 10, 40, 40)}
+    rm.analyse(found, regions=regions, line=(2, 2, 90, 60), spectrum="white_led").write_report(folder / "map.html")
+    return (folder / "map.html").read_text(encoding="utf-8")
+
+
+def _screen() -> str:
+    levels, radiance = (0, 64, 128, 255), (0.0003, 0.04, 0.2, 0.7)
+    u = tuple(0.01 * one for one in radiance)
+    curve = ChannelCurve("grey", levels, radiance, u, 0.01, 320.0, 700.0, "white_led", detection_limit=1e-4)
+    checks = {"warm_up": {"waited_s": 900.0, "drift_rel": 0.01, "steady": False}, "drift_rel": 0.004}
+    return to_page(ScreenCalibration(HOSTILE, {"grey": curve}, checks=checks, measured_with={"camera": HOSTILE}))
+
+
 async def test_reports_hold_in_a_browser_at_three_widths(tmp_path: Path) -> None:
-    """Readings, trend, adaptation with and without a break, visits, characterisation: with hostile names in each."""
+    """Readings, maps, screens, trend, adaptation, visits and characterisation: with hostile names in each."""
     pages = {"trend": _trends(), **_adaptations(), "characterise": _datasheet(tmp_path / "set")}
     pages |= {"measure --report": _reading(), "adapt visits": _visits()}
+    pages |= {"analyse --report": _analysis(tmp_path), "screen export": _screen()}
     await assert_reports_hold(pages, tmp_path)

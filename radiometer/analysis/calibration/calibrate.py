@@ -397,8 +397,7 @@ def scaled_calibration(
         assumptions.append("corrected for what reconcile found: " + ", ".join(base.found.names))
     if base.response is None:
         assumptions.append("response taken as linear above the black level")
-    if base.noise.assumed:
-        assumptions.append("typical values for " + ", ".join(base.noise.assumed))
+    assumptions += base.noise.assumptions
     if base.lens.transmittance is None and scale.method == "light_meter_k":
         assumptions.append("lens transmittance 1")
     assumptions += further

@@ -236,7 +236,7 @@ def outcome(result: Characterisation) -> str:
         sentences.append(f"holds {_with_u(figures['mu_e_sat'])} before it saturates")
     if len(sentences) == 3:
         sentences[1:] = [f"{sentences[1]} and {sentences[2]}"]
-    return f"{'; '.join(sentences)}."
+    return f"{'; '.join(sentences)} (k = 2)."
 
 
 def meaning(result: Characterisation) -> list[str]:

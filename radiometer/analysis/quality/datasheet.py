@@ -64,9 +64,10 @@ def _sentence(measured: list[Index], total: int) -> str:
     worst, _ = max((pair for pair in shares), key=lambda pair: pair[1])
     assert worst.figure is not None
     value, expanded = shown(worst.figure)
+    k = coverage_factor(worst.figure.degrees_of_freedom)
     title, symbol = worst.procedure.title, worst.procedure.symbol
     named = title if symbol == title else f"{title} ({symbol})"
-    return f"{len(measured)} of {total} indices measured; the largest is {named}: {value} ± {expanded}."
+    return f"{len(measured)} of {total} indices measured; the largest is {named}: {value} ± {expanded} (k = {k:.3g})."
 
 
 def _measured(one: Index) -> str:

@@ -41,12 +41,13 @@ def to_page(calibration: ScreenCalibration) -> str:
         draw_curves(figure.subplots(), calibration)
 
     grey = calibration.channel("grey")
+    white, black = (_shown(grey, grey.levels[end], LUMINANCE) for end in (-1, 0))
     with_what = calibration.measured_with
     known = (("pixel distance", f"{calibration.pixel_mm:g} mm" if calibration.pixel_mm else ""),)
     xy = [(name, f"{x:.4f}", f"{y:.4f}") for name, (x, y) in calibration.chromaticities.items()]
     return page(
         f"Calibration of the screen {calibration.name}",
-        f"White has {_shown(grey, grey.levels[-1], LUMINANCE)}, black {_shown(grey, grey.levels[0], LUMINANCE)}.",
+        f"White has {white}, black {black} (k = {_COVERAGE:g}).",
         [
             picture(draw, "Luminance over level; bands are k = 2.", (10.0, 5.0), (4.0, 4.2)),
             section("Checks", table((), list(checks_in_words(calibration.checks).items()), words=(1,))),

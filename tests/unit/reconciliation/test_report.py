@@ -80,7 +80,7 @@ def test_the_outcome_names_what_was_missing_with_its_size(glaring):
     result = replace(glaring.result, verdict=Verdict.EFFECTS_FOUND)
     share = result.effects[0].parameters["share"]
     value, expanded = rounded(share.value, 2 * share.u)
-    assert outcome(result) == f"{result.sentence.removesuffix('.')}: veiling_glare (share {value} ± {expanded})."
+    assert outcome(result) == f"{result.sentence.removesuffix('.')}: veiling_glare (share {value} ± {expanded}, k = 2)."
     assert result.sentence == "The missing effect was found; with it simulation and measurement agree."
 
 

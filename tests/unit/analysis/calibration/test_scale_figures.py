@@ -277,3 +277,14 @@ def test_a_calibration_says_what_it_assumes(rig, camera, lens, message):
     assert any(one.startswith(message) for one in assumed(camera, lens))
     if camera or lens:
         assert not any(one.startswith(message) for one in assumed({}, {}))
+
+
+def test_what_the_sensor_leaves_unknown_is_assumed_in_the_same_words_by_calibration_and_reading(rig):
+    """So a reading that lists both names each once; the sentence of the dark current is apart from typical values."""
+    unknown = dict.fromkeys(("read_noise_e", "full_well_e", "dark_current_e_per_s"))
+    base = unscaled_calibration(rig.description.model_copy(update=unknown), rig.lens, None, "cie_a")
+    scale = scale_by_meter(base, MeterReading(12.5, MeterSettings(1 / 60, 5.6, 100.0), 2000.0))
+    done = scaled_calibration(base, scale, ())
+    both = (*done.provenance.assumptions, *situation.situation_of(Setup(done.camera, done.lens, done)).assumptions)
+    once = list(dict.fromkeys(both))
+    assert sum("read_noise_e" in one for one in once) == sum("dark current" in one for one in once) == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,21 @@ def test_a_certificate_states_value_uncertainty_budget_item_and_conditions(tmp_p
     page = (tmp_path / "c.html").read_text(encoding="utf-8")
     assert "Müller &amp; &lt;Co&gt;" in page
     assert made.to_mapping()["results"]["radiance"]["coverage_factor"] == 2.13
+
+
+@pytest.mark.parametrize(("k", "stated"), [(2.0000024, "2.0"), (2.1349, "2.13")])
+def test_a_certificate_states_k_to_three_digits_and_u_times_that_k(
+    tmp_path: Path, laboratory: Path, k: float, stated: str
+) -> None:
+    """U over k is the reading's u, whatever Student's t gave."""
+    made = rm.certificate(
+        replace(reading(), coverage_factor=k), tmp_path / "c.xml", laboratory=laboratory, identifier="2"
+    )
+    radiance = ET.parse(tmp_path / "c.xml").getroot().find(".//si:real[si:label='radiance']", NAMES)
+    assert radiance is not None
+    assert radiance.findtext(".//si:coverageFactor", "", NAMES) == stated
+    assert float(radiance.findtext(".//si:uncertainty", "", NAMES)) == pytest.approx(float(stated) * 0.003, rel=1e-12)
+    assert made.to_mapping()["results"]["radiance"]["coverage_factor"] == float(stated)
 
 
 @pytest.mark.slow
