@@ -147,7 +147,7 @@ def _with_bar(
 
 
 def bar_labels(values: NDArray[np.floating], digits: int) -> list[str]:
-    """Return the values next to the bar as texts of at least so many digits, and of as many as tell them apart."""
+    """Return the values next to the bar as texts that differ, of at least so many digits."""
     for count in range(digits, _MOST_DIGITS + 1):
         texts = [f"{value:#.{count}g}".rstrip(".") for value in values]
         if len(set(texts)) == len(texts):
