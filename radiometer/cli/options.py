@@ -67,7 +67,7 @@ class OnceCommand(TyperCommand):
     """A command that refuses an option given twice where it takes one value: the last would win without a word."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Return what is left of the words once its parameters are read."""
+        """Return the words that its parameters do not take."""
         order: list[Any] = self.make_parser(ctx).parse_args(list(args))[2]
         for one in order:
             given_once = one.param_type_name == "option" and not (one.multiple or one.count or _is_switch(one))

@@ -176,6 +176,12 @@ class JournalReader:
             raise InputError(f"{self._path} holds no reading {sequence}")
         return {str(name): float(u_rel) for name, u_rel in parsed_json(row[0]).items()}
 
+    def patches(self) -> dict[str, str]:
+        """Return what the journal keeps of patches, a line of JSON each by name. Raises InputError."""
+        with self._connect() as connection:
+            (version,) = connection.execute("PRAGMA user_version").fetchone()
+            return dict(connection.execute("SELECT name, json FROM patches").fetchall()) if version >= 2 else {}
+
     def bounds(self) -> tuple[int, int, int]:
         """Return lowest and highest sequence number and the count; (0, 0, 0) if empty. Raises InputError."""
         with self._connect() as connection:

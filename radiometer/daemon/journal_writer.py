@@ -134,11 +134,12 @@ class JournalWriter:
         next_retention = 0.0
         while True:
             self._work.clear()
-            await self._commit_until_empty()
+            if self._is_pending and not await self._try_to_commit():
+                continue
             if self._keep_days is not None and time.monotonic() >= next_retention:
                 await self._drop_old(self._keep_days)
                 next_retention = time.monotonic() + _RETENTION_PERIOD_S
-            if not (self._waiting or self._events or self._kept_patches):
+            if not self._is_pending:
                 await self._wait_for_work()
 
     async def close(self) -> None:
@@ -171,15 +172,25 @@ class JournalWriter:
             return
 
     async def _commit_until_empty(self) -> None:
-        while self._waiting or self._events or self._kept_patches or self._jumps_us or self._may_be_waiting:
-            try:
-                # What the thread has begun ends, though this task is cancelled: else it would be committed again.
-                await asyncio.shield(self._commit_batch())
-                self._alarms.clear(ALARM, "the journal is written again")
-            except OutputError as error:
-                paused = "" if self._room.is_set() else "; measuring is paused until it can be written"
-                self._alarms.put_up(ALARM, f"{error}; {len(self._waiting)} readings wait{paused}")
-                await self._sleep(self._retry_s)
+        while self._is_pending:
+            await self._try_to_commit()
+
+    @property
+    def _is_pending(self) -> bool:
+        return bool(self._waiting or self._events or self._kept_patches or self._jumps_us or self._may_be_waiting)
+
+    async def _try_to_commit(self) -> bool:
+        """Commit what is queued; where that cannot be, put up the alarm, pause, and return False."""
+        try:
+            # What the thread has begun ends, though this task is cancelled: else it would be committed again.
+            await asyncio.shield(self._commit_batch())
+        except OutputError as error:
+            paused = "" if self._room.is_set() else "; measuring is paused until it can be written"
+            self._alarms.put_up(ALARM, f"{error}; {len(self._waiting)} readings wait{paused}")
+            await self._sleep(self._retry_s)
+            return False
+        self._alarms.clear(ALARM, "the journal is written again")
+        return True
 
     async def _commit_batch(self) -> None:
         async with self._committing:

@@ -5,25 +5,33 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.daemon.journal import default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
+from radiometer.daemon.patches import MAIN, NamedPatch, PatchLimits
 from radiometer.daemon.timestamps import parse_moment
 from radiometer.data.drawing import new_axes, own_axes, write_figure
 from radiometer.data.json_text import parsed_json
-from radiometer.errors import UsageError
+from radiometer.errors import InputError, UsageError
 from radiometer.moments import moment_of
 from radiometer.numbers import unit_text
 from radiometer.reporting.pictures import label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+# A line ends where no reading came for as long as the daemon waits before its alarm `reading`.
+_GAP_PERIODS: Final = 5.0
+_GAP_S: Final = 10.0
+_LIMIT_ROOM: Final = 1.5  # a limit is drawn within so many times the range of the readings from them, as on the page
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,7 @@ class LoggedReadings(Result):
 
     stored: tuple[str, ...]  # the readings as the journal holds them: a line of JSON each
     damaged: int = 0  # rows of the journal that are no reading, and were left out
+    limits: Mapping[str, PatchLimits] = field(default_factory=dict)  # those in force, by the name of the patch
 
     @cached_property
     def readings(self) -> list[dict[str, Any]]:
@@ -91,6 +100,8 @@ class LoggedReadings(Result):
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the readings with a band of their expanded uncertainty, a line for each place, flagged ones marked.
 
+        A line ends where the readings pause. The limits in force are dashed.
+
         Args:
             axes: Where to draw; a new figure by default.
 
@@ -103,7 +114,7 @@ class LoggedReadings(Result):
         for place in self.places:
             known = [one for one in place.readings if None not in (one["radiance"]["value"], one["radiance"]["u"])]
             if known:
-                _draw(where, label(place.name), known)
+                _draw(where, place.name, known, self._limits_of(place))
                 drawn += 1
         if not drawn:
             raise UsageError("there is no reading to draw; widen --since and --until")
@@ -114,6 +125,17 @@ class LoggedReadings(Result):
         where.grid(alpha=0.25)
         where.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
         return where
+
+    def _limits_of(self, place: Place) -> PatchLimits:
+        """Return the limits of a place; those of the patch for all are of the place where it is now."""
+        newest = place.readings[-1]
+        if newest.get("session"):
+            return PatchLimits()
+        name = newest.get("name", "")
+        if not name:
+            shared = [one.readings[-1] for one in self.places if not {"name", "session"} & one.readings[-1].keys()]
+            name = MAIN if newest is max(shared, key=lambda one: one["sequence"]) else ""
+        return self.limits.get(name, PatchLimits())
 
     def write_plot(self, path: PathLike) -> None:
         """Draw the readings into a PNG, PDF or SVG file. Raises UsageError for another ending."""
@@ -132,16 +154,40 @@ def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Seque
     return title + (f" ({unit_text(unit)})" if len({other[-1] for other in all_places}) > 1 else "")
 
 
-def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]]) -> None:
-    times: Any = [moment_of(one["time"]) for one in readings]
-    values = [one["radiance"]["value"] for one in readings]
-    spread = [one["radiance"]["u"] * one["coverage_factor"] for one in readings]
-    (line,) = axes.plot(times, values, "-" if len(values) > 1 else "o", linewidth=1.2, label=name)
+def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: PatchLimits) -> None:
+    moments, values, spread = zip(*_with_gaps(readings), strict=True)
+    bounds = [value for value in (limits.low, limits.high) if value is not None]
+    shown = f"{name} (limits {' to '.join('none' if v is None else f'{v:g}' for v in (limits.low, limits.high))})"
+    (line,) = axes.plot(
+        moments, values, "-" if len(values) > 1 else "o", linewidth=1.2, label=label(shown if bounds else name)
+    )
+    around = zip([math.nan, *values], [*values[1:], math.nan], strict=False)
+    alone: Any = [(t, v) for t, v, near in zip(moments, values, around, strict=True) if all(map(math.isnan, near))]
+    if alone and len(values) > 1:
+        axes.plot(*zip(*alone, strict=True), "o", markersize=3, color=line.get_color())
     low, high = ([v + sign * s for v, s in zip(values, spread, strict=True)] for sign in (-1, 1))
-    axes.fill_between(times, low, high, alpha=0.22, color=line.get_color(), linewidth=0)
-    flagged: Any = [(t, v) for t, v, one in zip(times, values, readings, strict=True) if one["flags"]]
+    axes.fill_between(moments, low, high, alpha=0.22, color=line.get_color(), linewidth=0)
+    least, most = (chosen(v for v in edge if not math.isnan(v)) for chosen, edge in ((min, low), (max, high)))
+    room = _LIMIT_ROOM * (most - least)
+    for bound in bounds:
+        if least - room < bound < most + room:
+            axes.axhline(bound, color=line.get_color(), linestyle="--", linewidth=1.0)
+    flagged: Any = [(moment_of(one["time"]), one["radiance"]["value"]) for one in readings if one["flags"]]
     if flagged:
-        axes.plot(*zip(*flagged, strict=True), ".", color="#b3261e", label=f"{name}, flagged")
+        axes.plot(*zip(*flagged, strict=True), ".", color="#b3261e", label=label(f"{name}, flagged"))
+
+
+def _with_gaps(readings: Sequence[Mapping[str, Any]]) -> list[tuple[Any, float, float]]:
+    """Return time, radiance and expanded uncertainty of readings; between two that are far apart, one of NaN."""
+    times = [moment_of(one["time"]) for one in readings]
+    pauses_s = [(later - earlier).total_seconds() for earlier, later in pairwise(times)]
+    longest_s = max(_GAP_PERIODS * statistics.median(pauses_s), _GAP_S) if pauses_s else math.inf
+    found: list[tuple[Any, float, float]] = []
+    for time, one, pause_s in zip(times, readings, [0.0, *pauses_s], strict=True):
+        if pause_s > longest_s:
+            found.append((time, math.nan, math.nan))
+        found.append((time, one["radiance"]["value"], one["radiance"]["u"] * one["coverage_factor"]))
+    return found
 
 
 def log(
@@ -176,11 +222,16 @@ def log(
     """
     since_us, until_us = (parse_moment(moment) if moment else None for moment in (since, until))
     row_filter = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest_first=limit is not None)
-    lines = _reader(journal).lines(row_filter)
+    reader = _reader(journal)
+    lines = reader.lines(row_filter)
     whole = [line for line in lines if _is_reading(line)]
     if row_filter.newest_first:
         whole.reverse()
-    return LoggedReadings(tuple(whole), len(lines) - len(whole))
+    limits = {}
+    for name, kept in reader.patches().items():
+        with suppress(InputError):  # damaged: `serve` refuses it, the readings are whole
+            limits[name] = NamedPatch.from_json(name, kept).limits
+    return LoggedReadings(tuple(whole), len(lines) - len(whole), limits)
 
 
 def _is_reading(line: object) -> bool:

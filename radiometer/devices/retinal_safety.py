@@ -143,7 +143,7 @@ def refuse_unsafe(
     Args:
         used: Fractions of the limits, with everything that adds to them.
         allowed_fraction: Largest fraction of either limit, 0 to 1.
-        endless: Whether the light has no end of its own, so that no shorter time helps.
+        endless: Whether the box does not end the light, so that no shorter time helps.
     """
     remedy = "Lower the radiance or shorten the exposure"
     if endless:

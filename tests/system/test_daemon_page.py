@@ -1,4 +1,4 @@
-"""The page in a real browser at three sizes: all of one glance, readable, by keyboard and by touch."""
+"""The page in a real browser at four sizes: all of one glance, readable, by keyboard and by touch."""
 
 from __future__ import annotations
 
@@ -18,7 +18,17 @@ from radiometer.data import Patch, Quantity, Reading
 from testing.chromium import Browser, headless
 from testing.daemon_process import DaemonProcess
 
-SIZES = ((1440, 900), (1920, 1080), (390, 844))
+SIZES = ((1440, 900), (1920, 1080), (390, 844), (1280, 800))
+# What holds more than it shows, and would have a scroll bar of its own. Twelve patches fit no low screen.
+_SCROLLING = """
+JSON.stringify([...document.querySelectorAll("main :not(#patch-list)")].filter((e) => {
+  const { overflowX, overflowY } = getComputedStyle(e), scrolls = (how) => ["auto", "scroll"].includes(how);
+  return (scrolls(overflowY) && e.scrollHeight > e.clientHeight)
+    || (scrolls(overflowX) && e.scrollWidth > e.clientWidth);
+}).map((e) => e.id || e.className))"""
+_EVENTS = """
+JSON.stringify([...document.querySelectorAll("#event-list li")].map((e) => e.getBoundingClientRect().bottom
+  - document.getElementById("event-list").getBoundingClientRect().bottom))"""
 # Contrast of text against what lies behind it (WCAG 2.1, 1.4.3), of all text that is shown and not switched off.
 _CONTRASTS = """
 (() => {
@@ -78,6 +88,8 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
             )  # fmt: skip
         limits = {"low": None, "high": 0.1, "hysteresis_rel": 0.01}
         where = {"x": 100, "y": 40, "width": 30, "height": 30}
+        for number in range(60):
+            journal.note("remark", f"remark {number}: " + "the lamp was exchanged; " * (number % 9))
         journal.keep_patch("dim lamp", json.dumps({"patch": where, "limits": limits}))
     with DaemonProcess(folder, "--every", "0.3", "--box", "sim") as running:
         running.wait_for_reading()
@@ -105,13 +117,21 @@ async def _json(browser: Browser, expression: str) -> Any:
     return json.loads(await browser.evaluate(expression))
 
 
-async def test_the_page_fits_and_can_be_read_at_three_sizes(daemon: DaemonProcess, tmp_path: Path) -> None:
-    """Nothing next to or below the window, contrast AA in every theme, name and size of every control."""
+async def test_the_page_fits_and_can_be_read_at_every_size(daemon: DaemonProcess, tmp_path: Path) -> None:
+    """Nothing next to or below the window, no panel scrolls, contrast AA in every theme, name and size of controls."""
     async with headless(tmp_path / "profile") as browser:
         for size in SIZES:
             await _shown(browser, daemon, size)
             wide = await _json(browser, "JSON.stringify([document.documentElement.scrollWidth, innerWidth])")
             assert wide[0] <= wide[1]
+            assert await _json(browser, _SCROLLING) == []
+            shown = await _json(browser, _EVENTS)
+            assert len(shown) >= 2
+            assert max(shown) <= 0.5
+            listed = "document.querySelectorAll('#all-event-list li').length"
+            await browser.evaluate("document.getElementById('events-all').click()")
+            assert await browser.evaluate(listed) > 60
+            await browser.evaluate("document.getElementById('all-events').close()")
             if size[0] > 1000:
                 tall = await _json(browser, "JSON.stringify([document.documentElement.scrollHeight, innerHeight])")
                 assert tall[0] <= tall[1]
@@ -211,7 +231,7 @@ async def test_the_tab_key_goes_through_the_page_as_it_is_seen(daemon: DaemonPro
                     break
                 stops.append(stop)
             names = {stop[1] for stop in stops}
-            assert {"lights-off", "measure", "patch-name", "spot", "export", "event-list", "patch", "gain"} <= names
+            assert {"lights-off", "measure", "patch-name", "spot", "export", "events-all", "patch", "gain"} <= names
             assert [stop for stop in stops if not stop[2]] == []
             cards = [stop[3] for stop in stops if stop[3] >= 0]
             visits = [card for card, before in zip(cards, [None, *cards], strict=False) if card != before]

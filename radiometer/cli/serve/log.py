@@ -17,6 +17,8 @@ from radiometer.numbers import rounded, unit_text, upper_limit
 if TYPE_CHECKING:
     from radiometer.daemon.log import LoggedReadings
 
+_TIME: Final = "time (UTC)"
+_WORDS: Final = ("flags", "place", "place: flags")  # headings of the last column
 _SHOWN: Final = 20  # readings: with the summary they fit a terminal of 24 rows
 
 
@@ -79,41 +81,45 @@ def _show(found: LoggedReadings) -> None:
     if not found.stored:
         note("no reading matches")
         return
-    table = Table(box=None, pad_edge=False)
+    shown = found.readings[-_SHOWN:]
     names = {id(one): place.name for place in found.places for one in place.readings}
-    several = len(found.places) > 1
-    for title in (
-        "number",
-        "time (UTC)",
-        *(["place"] if several else []),
-        "radiance",
-        "U (95 %)",
-        "k",
-        "unit",
-        "luminance (cd·m⁻²)",
-        "flags",
-    ):
-        table.add_column(title, justify="left" if title in ("time (UTC)", "place", "unit", "flags") else "right")
-    for reading in found.readings[-_SHOWN:]:
-        table.add_row(*_cells(reading, [names[id(reading)]] if several else []))
+    shown = found.readings[-_SHOWN:]
+    names = {id(one): place.name for place in found.places for one in place.readings}
+    columns = _columns(shown, [names[id(one)] for one in shown])
+    table = Table(box=None, pad_edge=False)
+    for heading, cells in columns:
+        # Places and flags are folded where they do not fit; a number or a date stays whole.
+        width = None if heading in _WORDS else max(map(len, [*heading.split("\n"), *cells]))
+        table.add_column(heading, justify="left" if heading in (_TIME, *_WORDS) else "right", width=width)
+    for row in zip(*(cells for _, cells in columns), strict=True):
+        table.add_row(*row)
     out = console()
     out.print(table)
     for place in found.places:
         out.print(place.summary(), markup=False)
 
 
-def _cells(reading: dict[str, Any], place: list[str]) -> list[str]:
-    radiance, luminance = reading["radiance"], reading["luminance"]
-    return [
-        str(reading["sequence"]),
-        reading["time"][:23].replace("T", " "),
-        *place,
-        *_shown(radiance, reading["coverage_factor"], "below_noise" in reading["flags"]),
-        f"{reading['coverage_factor']:.3g}",
-        unit_text(radiance["unit"]),
-        " ± ".join(_shown(luminance, reading["coverage_factor"])) if luminance else "",
-        " ".join(reading["flags"]),
-    ]
+def _columns(readings: list[dict[str, Any]], places: list[str]) -> list[tuple[str, list[str]]]:
+    """Return headings and cells; a unit and a k that all readings share are in the headings."""
+    radiances = [_shown(one["radiance"], one["coverage_factor"], "below_noise" in one["flags"]) for one in readings]
+    luminances = [one["luminance"] and " ± ".join(_shown(one["luminance"], one["coverage_factor"])) for one in readings]
+    units = [unit_text(one["radiance"]["unit"]) for one in readings]
+    factors = [f"{one['coverage_factor']:.3g}" for one in readings]
+    unit, k = (cells[0] if len(set(cells)) == 1 else "" for cells in (units, factors))
+    flags = [" ".join(one["flags"]) for one in readings]
+    named = places if len(set(places)) > 1 else ["" for _ in places]
+    words = _WORDS[2 if any(named) and any(flags) else 1 if any(named) else 0]
+    columns = {
+        "number": [str(one["sequence"]) for one in readings],
+        _TIME: [one["time"][:19].replace("T", " ") for one in readings],
+        f"radiance\n{unit}".strip(): [value for value, _ in radiances],
+        f"U (95 %)\n{f'k = {k}' if k else ''}".strip(): [u for _, u in radiances],
+        "k": [] if k else factors,
+        "unit": [] if unit else units,
+        "luminance\ncd·m⁻²": [text or "" for text in luminances] if any(luminances) else [],
+        words: [": ".join(filter(None, texts)) for texts in zip(named, flags, strict=True)],
+    }
+    return [(heading, cells) for heading, cells in columns.items() if any(cells)]
 
 
 def _shown(quantity: dict[str, Any], k: float, is_limit: bool = False) -> tuple[str, str]:

@@ -26,6 +26,8 @@ _QUERY: Final = (
     QueryParameter("bar", "boolean", "Draw the scale bar; on by default."),
 )
 _MAPS: Final = ("inferno", "grey", "red")
+_TICKS: Final = np.linspace(0.0, 1.0, 5)  # places of the page's labels next to its bar
+_MOST_DIGITS: Final = 7  # a scale spans 0.1 % at least: five labels differ in the sixth digit
 _BAR_WIDTH: Final = 132  # pixels: the bar and its longest number
 _CLIPPED_RGB: Final = (64, 224, 255)  # cyan, which inferno and grey do not hold
 _HATCH_PX: Final = 4  # wide enough to be seen, in the red view, on a page at half size
@@ -97,6 +99,7 @@ def render(picture: ServedPicture, *, width: int, scale: str, colours: str, bar:
     return target.getvalue(), {
         "Radiometer-Frame": f"{columns},{rows}",
         "Radiometer-Scale": f"{'log' if logarithmic else 'linear'},{low:.6g},{high:.6g}",
+        "Radiometer-Ticks": ",".join(bar_labels(next_to_bar(low, high, _TICKS, logarithmic=logarithmic), 2)),
         "Radiometer-Unit": picture.unit,
         "Radiometer-Sequence": str(picture.sequence),
     }
@@ -135,11 +138,21 @@ def _with_bar(
     ink = (255, 96, 96) if colours == "red" else (226, 228, 233)
     draw.text((width + 14, 8), unit, fill=ink, font=font)
     positions = np.linspace(0, 1, 6 if height >= 200 else 3)
-    for position, value in zip(positions, next_to_bar(low, high, positions, logarithmic=logarithmic), strict=True):
+    values = next_to_bar(low, high, positions, logarithmic=logarithmic)
+    for position, text in zip(positions, bar_labels(values, 3), strict=True):
         y = bottom - position * (bottom - top)
         draw.line((width + 32, y, width + 37, y), fill=ink)
-        draw.text((width + 42, y), f"{value:.3g}", fill=ink, font=font, anchor="lm")
+        draw.text((width + 42, y), text, fill=ink, font=font, anchor="lm")
     return whole
+
+
+def bar_labels(values: NDArray[np.floating], digits: int) -> list[str]:
+    """Return the values next to the bar as texts that differ, of at least so many digits."""
+    for count in range(digits, _MOST_DIGITS + 1):
+        texts = [f"{value:#.{count}g}".rstrip(".") for value in values]
+        if len(set(texts)) == len(texts):
+            break
+    return texts
 
 
 def next_to_bar(low: float, high: float, positions: NDArray[np.floating], *, logarithmic: bool) -> NDArray[np.floating]:

@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 from radiometer.daemon.http.picture import (
     PictureCache,
     ServedPicture,
+    bar_labels,
     coloured,
     composite,
     next_to_bar,
@@ -167,6 +170,30 @@ def test_the_numbers_next_to_the_bar_are_those_of_its_scale() -> None:
     places = np.array([0.0, 0.5, 1.0])
     assert next_to_bar(1.0, 100.0, places, logarithmic=True) == pytest.approx([1.0, 10.0, 100.0])
     assert next_to_bar(1.0, 100.0, places, logarithmic=False) == pytest.approx([1.0, 50.5, 100.0])
+
+
+@pytest.mark.parametrize(
+    ("values", "digits", "texts"),
+    [
+        ([0.1, 0.325, 0.55, 0.775, 1.0], 2, ["0.10", "0.33", "0.55", "0.78", "1.0"]),
+        ([0.99, 0.9925, 0.995, 0.9975, 1.0], 2, ["0.990", "0.993", "0.995", "0.998", "1.00"]),
+        ([150.0, 250.0], 3, ["150", "250"]),
+        ([1e-4, 1e-2, 1.0], 2, ["0.00010", "0.010", "1.0"]),
+        ([1.5e5, 1.5002e5], 2, ["1.5000e+05", "1.5002e+05"]),
+    ],
+)
+def test_neighbouring_numbers_next_to_the_bar_differ(values: list[float], digits: int, texts: list[str]) -> None:
+    """As few digits as tell them apart, rounded by hand."""
+    assert bar_labels(np.array(values), digits) == texts
+
+
+@given(st.floats(1e-6, 1e6), st.floats(1.001, 1e4), st.booleans())
+def test_no_two_numbers_next_to_the_bar_are_one(low: float, ratio: float, logarithmic: bool) -> None:
+    """Whatever the scale: it spans 0.1 % at least."""
+    values = next_to_bar(low, low * ratio, np.linspace(0.0, 1.0, 6), logarithmic=logarithmic)
+    texts = bar_labels(values, 2)
+    assert len(set(texts)) == 6
+    assert [float(text) for text in texts] == pytest.approx(list(values), rel=0.05)
 
 
 def test_what_lies_at_black_is_dim_and_not_a_thousand() -> None:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import logging
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import structlog
 
 import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.daemon.journal import Journal
+from radiometer.daemon.patches import NamedPatch, PatchLimits
 from radiometer.daemon.serving import LogThrottle
-from radiometer.data import Patch, Quantity, Reading
+from radiometer.data import Flag, Patch, Quantity, Reading
 
 
 @pytest.fixture
@@ -32,7 +35,7 @@ def test_readings_of_another_place_do_not_count_in_a_mean(journal, capsys, monke
     monkeypatch.setenv("COLUMNS", "160")
     assert run(["log", str(journal)]) == 0
     *table, wall, lamp = capsys.readouterr().out.splitlines()
-    assert [("1,2 3" in line, "50,60" in line) for line in table[1:]] == [(True, False), (False, True), (True, False)]
+    assert [("1,2 3" in line, "50,60" in line) for line in table[2:]] == [(True, False), (False, True), (True, False)]
     assert wall.startswith("patch 1,2 3 × 4: 2 readings")
     assert wall.endswith("mean 0.3015, standard deviation 0.0021 (0.7 %)")
     assert lamp.startswith("patch 50,60 7 × 8: 1 readings")
@@ -46,6 +49,82 @@ def test_each_place_is_a_line_of_its_own_in_the_picture(journal, tmp_path):
     assert (tmp_path / "log.png").stat().st_size > 1000
     with pytest.raises(rm.UsageError, match=r"one of \.png"):
         rm.log(journal).write_plot(tmp_path / "log.txt")
+
+
+def hours(make_reading: Callable[..., Reading], *minutes: float, **how: object) -> list[Reading]:
+    """Return readings of 0.3 W·sr⁻¹·m⁻² at minutes of one day."""
+    start = dt.datetime(2026, 11, 20, 8, tzinfo=dt.UTC)
+    times = [(start + dt.timedelta(minutes=m)).isoformat(timespec="milliseconds") for m in minutes]
+    return [make_reading(radiance=Quantity(0.3, 0.004, "W sr-1 m-2"), time=at, **how) for at in times]
+
+
+def test_a_line_and_its_band_end_where_the_readings_pause(tmp_path, make_reading):
+    """A reading a minute, an hour without, one alone, an hour, and more: two pieces and a dot, nothing between."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, 2, 3, 4, 63, 123, 124, 129, 130))
+    axes = rm.log(tmp_path / "j.sqlite").plot()
+    line, dot = axes.get_lines()
+    assert [int(np.isnan(v)) for v in line.get_ydata()] == [0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0]
+    assert (list(dot.get_ydata()), dot.get_linestyle()) == ([0.3], "None")
+    (band,) = axes.collections
+    assert len(band.get_paths()) >= 2
+
+
+@pytest.mark.parametrize(
+    ("limits", "drawn", "legend"),
+    [
+        (PatchLimits(0.29, 0.31), [0.29, 0.31], "lamp (limits 0.29 to 0.31)"),
+        (PatchLimits(high=0.305), [0.305], "lamp (limits none to 0.305)"),
+        (PatchLimits(low=0.0), [], "lamp (limits 0 to none)"),
+        (PatchLimits(), [], "lamp"),
+    ],
+)
+def test_limits_are_drawn_where_they_are_near_and_named_always(tmp_path, make_reading, limits, drawn, legend):
+    """Those of a patch with a name; a limit far from its readings would flatten them."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, 2, name="lamp"))
+        written.keep_patch("lamp", NamedPatch("lamp", Patch(1, 2, 3, 4), limits).to_json())
+    line, *dashed = rm.log(tmp_path / "j.sqlite").plot().get_lines()
+    assert line.get_label() == legend
+    assert [one.get_ydata()[0] for one in dashed] == drawn
+
+
+def test_limits_of_the_patch_for_all_are_of_where_it_is_now(tmp_path, make_reading):
+    """It was moved, and a client measured for itself since; neither has limits."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, patch=Patch(1, 2, 3, 4)))
+        written.append(hours(make_reading, 2, 3, patch=Patch(50, 60, 7, 8)))
+        written.append(hours(make_reading, 4, 5, patch=Patch(9, 9, 9, 9), session="web"))
+        written.keep_patch("main", NamedPatch("main", Patch(0, 0, 0, 0), PatchLimits(high=0.31)).to_json())
+        written.keep_patch("damaged", "{")
+    labels = [line.get_label() for line in rm.log(tmp_path / "j.sqlite").plot().get_lines()]
+    assert [label for label in labels if "limits" in label] == ["patch 50,60 7 × 8 (limits none to 0.31)"]
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_dates_units_and_numbers_stay_whole_in_80_columns(tmp_path, make_reading, capsys, monkeypatch, mixed):
+    """Places and flags are folded; unit and k are in the heading, or columns where readings differ in them."""
+    monkeypatch.setenv("COLUMNS", "80")
+    lux = Quantity(103.2, 0.9, "cd m-2")
+    many = {"luminance": lux, "flags": (Flag.FLICKER, Flag.SATURATED)}
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, name="lamp", **many))
+        written.append(hours(make_reading, 2, patch=Patch(800, 600, 120, 120), **many))
+        if mixed:
+            written.append([make_reading(radiance=Quantity(2.0, 0.1, "relative"), coverage_factor=2.87)])
+    assert run(["log", str(tmp_path / "j.sqlite")]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("2026-11-20 08:0") == 3
+    for whole in (
+        "W·sr⁻¹·m⁻²",
+        "0.3000",
+        "103.2 ± 1.8",
+        "relative" if mixed else "k = 2",
+        "2.87" if mixed else "0.0080",
+    ):
+        assert whole in printed
+    if not mixed:
+        assert max(map(len, printed.splitlines()[:-2])) <= 80
 
 
 @pytest.mark.parametrize("library", [False, True])

@@ -170,7 +170,7 @@ async function marked(since, until, iso) {
   if (known.length >= EVENTS_KEPT && Date.parse(known.at(-1).time) / 1000 > since) {
     try { known = await (await ask(`/events?limit=1000&since=${iso(since)}&until=${iso(until)}`)).json(); } catch { /* the newest, then */ }
   }
-  return known.map((e) => ({ at: Date.parse(e.time) / 1000, kind: e.kind, message: withSuperscripts(e.message) })).filter((e) => e.at >= since && e.at <= until && ["alarm", "clock", "calibration", "remark", "light"].includes(e.kind));
+  return known.map((e) => ({ at: Date.parse(e.time) / 1000, kind: e.kind, message: withSuperscripts(e.message) })).filter((e) => e.at >= since && e.at <= until && ["alarm", "changed", "clock", "calibration", "remark", "light", "start", "stop"].includes(e.kind));
 }
 function setSpan(span) {
   state.span = span;
@@ -247,7 +247,7 @@ $("name-patch").addEventListener("submit", async (event) => {
 });
 
 // ---- events --------------------------------------------------------------------------------------------------------
-const KINDS = { alarm: "alarm", cleared: "over", remark: "remark", clock: "clock", light: "light", patch: "patch", calibration: "calibration" };
+const KINDS = { cleared: "over" };
 let eventsDue = null;
 function refreshEvents() {
   eventsDue ??= setTimeout(async () => {  // a moment later: the journal has it then, and several changes are one request
@@ -259,8 +259,8 @@ function refreshEvents() {
     } catch { /* the next change tries again */ }
   }, 500);
 }
-function showEvents() {
-  $("event-list").replaceChildren(...state.events.slice(0, 100).map((event) => {
+function eventRows(events) {
+  return events.map((event) => {
     const row = document.createElement("li"), t = document.createElement("time"), kind = document.createElement("span"), text = document.createElement("span");
     const day = new Date(event.time);
     t.dateTime = event.time; const today = day.toDateString() === new Date().toDateString();
@@ -270,9 +270,19 @@ function showEvents() {
     text.textContent = withSuperscripts(event.message);
     row.append(t, kind, text);
     return row;
-  }));
+  });
+}
+/** Show as many of the newest events as there is room for. */
+function showEvents() {
+  const list = $("event-list");
+  $("events-all").hidden = !state.events.length;  // first, for it takes room from the list
+  list.replaceChildren(...eventRows(state.events.slice(0, 100)));
+  const room = list.clientHeight;
+  [...list.children].filter((row, place) => place && row.offsetTop + row.offsetHeight > room).forEach((row) => row.remove());
   if (!state.events.length) { const none = document.createElement("li"); none.className = "quiet"; none.textContent = "nothing has happened yet"; $("event-list").append(none); }
 }
+$("events-all").addEventListener("click", () => { $("all-event-list").replaceChildren(...eventRows(state.events)); $("all-events").showModal(); });
+new ResizeObserver(() => part("the events", showEvents)).observe(document.querySelector(".card.events"));
 $("remark-form").addEventListener("submit", async (event) => {
   event.preventDefault();
   if (await send("/events", { message: $("remark").value })) { $("remark").value = ""; refreshEvents(); }
@@ -397,12 +407,12 @@ async function refreshPicture() {
   setTimeout(() => { state.busy = false; if (waiting) refreshPicture(); }, 700);
 }
 function showLegend(headers, map) {
-  const [kind, low, high] = headers.get("Radiometer-Scale").split(","), unit = unitText(headers.get("Radiometer-Unit"));
+  const unit = unitText(headers.get("Radiometer-Unit"));
   $("legend").hidden = false;
   drawRamp($("ramp"), map);
-  $("ticks").replaceChildren(...[0, 0.25, 0.5, 0.75, 1].map((p) => {
-    const t = document.createElement("span"), value = kind === "log" ? low * (high / low) ** p : +low + (high - low) * p;
-    t.textContent = `${value.toPrecision(2).replace(/e([+-])(\d+)/, (_, s, n) => `×10${superscript(s === "-" ? -n : n)}`)}${p === 1 ? ` ${unit}` : ""}`;
+  $("ticks").replaceChildren(...headers.get("Radiometer-Ticks").split(",").map((label, place, all) => {
+    const t = document.createElement("span");
+    t.textContent = `${label.replace(/e([+-]\d+)/, (_, n) => `×10${superscript(+n)}`)}${place === all.length - 1 ? ` ${unit}` : ""}`;
     return t;
   }));
 }

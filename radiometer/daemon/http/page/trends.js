@@ -93,7 +93,7 @@ export class TrendPanel {
     pen.setLineDash([2 * ratio, 3 * ratio]); pen.lineWidth = ratio;
     const drawn = new Set();
     for (const event of this.events) {  // where many fall together, one line of each kind is enough
-      const x = u.valToPos(event.at, "x", true), bad = event.kind === "alarm", place = `${event.kind} ${Math.round(x / (4 * ratio))}`;
+      const x = u.valToPos(event.at, "x", true), bad = event.kind === "alarm" || event.kind === "changed", place = `${event.kind} ${Math.round(x / (4 * ratio))}`;
       if (drawn.has(place)) continue;
       drawn.add(place);
       pen.strokeStyle = pen.fillStyle = css(bad ? "--bad" : event.kind === "remark" ? "--ink" : "--quiet");
