@@ -199,6 +199,7 @@ def colour_calibrate(
     train_on: TrainedOn = "chart",
     kind: str | None = None,
     per_kind: bool = False,
+    white: str | None = None,
     u_rel: float = 0.0,
     filters: Mapping[str, PathLike] | None = None,
     linear: bool = False,
@@ -224,6 +225,7 @@ def colour_calibrate(
             then give the scale alone.
         kind: Kind of the lights whose kind the chart does not state.
         per_kind: Find a matrix for each kind of light, such as a type of display.
+        white: Name of a known light whose X, Y, Z the matrix gives exactly; greys of its spectrum then have its colour.
         u_rel: Relative standard uncertainty that all known X, Y, Z share.
         filters: Of a monochrome camera with filters: capture set by channel, instead of a source.
         linear: Photographs that are no raw files are proportional to light above black.
@@ -242,6 +244,8 @@ def colour_calibrate(
         check_outputs(Path(out), force=True)
     frames = _Frames(filters, linear, response, notice, progress)
     with_lights = chart is not None or spectra is not None
+    if white is not None and train_on != "chart":
+        raise UsageError("--white has no effect with --train-on responsivities; leave one out")
     if train_on == "responsivities" and responsivities is None:
         raise UsageError("--train-on responsivities needs --responsivities FILE")
     if train_on == "chart" and not with_lights:
@@ -260,7 +264,7 @@ def colour_calibrate(
         found = train_on_responsivities(known, training, per_kind=per_kind, u_rel=u_rel)
     else:
         assert training is not None  # with_lights
-        found = train_on_lights(known, training, powers=powers, per_kind=per_kind, u_rel=u_rel)
+        found = train_on_lights(known, training, powers=powers, per_kind=per_kind, u_rel=u_rel, white=white)
     if out is not None:
         found.write(Path(out))
     return CalibratedColour(found, None if out is None else Path(out))

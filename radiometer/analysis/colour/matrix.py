@@ -78,7 +78,7 @@ class Fit:
         return np.asarray(np.einsum("...i,ij,...j", share, self.spread, share))
 
 
-def fit_matrix(training: Training) -> Fit:
+def fit_matrix(training: Training, white: str | None = None) -> Fit:
     """Return the matrix of least squares, each light weighted by 1/u².
 
     u² of a light is the noise of its readings, the uncertainty of its X, Y, Z, and the error of the matrix, which is
@@ -87,9 +87,13 @@ def fit_matrix(training: Training) -> Fit:
 
     Args:
         training: Lights; more than there are channels.
+        white: Name of a light whose X, Y, Z the matrix gives exactly, so that greys keep its colour; those of its like
+            gain, the others lose little. None where there is none.
 
     Raises:
         CalibrationError: If they do not determine the matrix and its error.
+
+    Source: Finlayson & Drew 1997, Proc. 5th Color Imaging Conf., 258 (white-preserving least squares).
     """
     count, channels = training.signal.shape
     total = training.xyz.sum(axis=1, keepdims=True)
@@ -108,11 +112,15 @@ def fit_matrix(training: Training) -> Fit:
         )
     known = training.u_rel**2 * np.mean(target**2, axis=1)
     noise, error_2 = known, 1e-4
+    exact = training.names.index(white) if white in training.names else None
+    along = np.zeros(channels) if exact is None else share[exact] / np.sum(share[exact] ** 2)  # along · white is 1
+    free = np.eye(channels) if exact is None else np.linalg.svd(share[exact][None])[2][1:].T  # white has none of these
+    fixed = np.outer(np.zeros(3) if exact is None else target[exact], along)
     for _ in range(_ROUNDS):
         weight = 1.0 / (error_2 + noise)
         weight /= weight.mean()
-        spread = np.linalg.inv(share.T @ (weight[:, None] * share))
-        matrix = (spread @ share.T @ (weight[:, None] * target)).T
+        spread = free @ np.linalg.inv(free.T @ share.T @ (weight[:, None] * share) @ free) @ free.T
+        matrix = fixed + (spread @ share.T @ (weight[:, None] * (target - share @ fixed.T))).T
         leverage = weight * np.einsum("ni,ij,nj->n", share, spread, share)
         if np.any(leverage > _ALONE):
             alone = training.names[int(np.argmax(leverage))]
@@ -121,7 +129,9 @@ def fit_matrix(training: Training) -> Fit:
         noise = known + np.mean((training.u_signal / total) ** 2 @ (matrix**2).T, axis=1)
         found = np.average(np.mean(left_out**2, axis=1) - noise, weights=weight)
         error_2 = max(float(found), _LEAST_ERROR**2)
-    error = _covering(left_out * np.sqrt(weight)[:, None], count - channels)
+    if exact is not None:  # what is wrong with the white is wrong with all that is like it
+        spread = spread + noise[exact] / error_2 * np.outer(along, along)
+    error = _covering((left_out * np.sqrt(weight)[:, None])[np.arange(count) != exact], count - channels)
     return Fit(matrix, spread, error, _hull(target))
 
 

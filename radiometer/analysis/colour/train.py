@@ -35,22 +35,31 @@ class ColourCamera:
 
 
 def train_on_lights(
-    known: ColourCamera, training: Training, *, powers: Array | None, per_kind: bool, u_rel: float
+    known: ColourCamera,
+    training: Training,
+    *,
+    powers: Array | None,
+    per_kind: bool,
+    u_rel: float,
+    white: str | None = None,
 ) -> ColourCalibration:
     """Return the calibration fitted to readings of known lights.
 
     The error for a kind of light is that of lights left out of the training, and that of plausible lights of the kind;
     the larger counts. Spectra (`powers`) are over the grid of plausible lights; all known X, Y, Z share `u_rel`.
+    The matrix gives the X, Y, Z of `white` exactly.
 
     Raises:
-        CalibrationError: If the lights do not determine a matrix.
+        CalibrationError: If the lights do not determine a matrix, or none is called as the white.
     """
+    if white is not None and white not in training.names:
+        raise CalibrationError(f"--white {white}: no light has that name; there are {', '.join(training.names)}")
     kinds = tuple(dict.fromkeys(training.kinds))
     fits, errors, of_displays = dict[str, Fit](), dict[str, Array](), dict[str, Array]()
     for name in kinds if per_kind else (ALL,):
         part = None if name == ALL else name
         try:
-            fits[name] = fit_matrix(training.of_kind(part))
+            fits[name] = fit_matrix(training.of_kind(part), white)
         except CalibrationError as error:
             raise CalibrationError(f"kind {name}: {error}" if part else str(error)) from error
         trained = [name] if part else list(kinds)
@@ -76,18 +85,9 @@ def train_on_lights(
         )
     origin = Provenance("least squares weighted by 1/u²", known.inputs, tuple(assumed), {"per_kind": per_kind})
     return ColourCalibration(
-        known.channels,
-        known.camera,
-        known.lens,
-        LUMINANCE_UNIT,
-        fits,
-        errors,
-        kinds,
-        training,
-        u_rel,
-        provenance=origin,
-        display_errors=of_displays,
-    )
+        known.channels, known.camera, known.lens, LUMINANCE_UNIT, fits, errors, kinds, training, u_rel,
+        provenance=origin, display_errors=of_displays,
+    )  # fmt: skip
 
 
 def _larger(left_out: Array, plausible: Array | None) -> Array:

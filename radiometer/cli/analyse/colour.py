@@ -53,6 +53,9 @@ def calibrate(
         str | None, typer.Option(help="Kind of the lights, such as oled, surfaces, or your own word.")
     ] = None,
     per_kind: Annotated[bool, typer.Option("--per-kind", help="A matrix for each kind of light.")] = False,
+    white: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Known light whose X, Y, Z the matrix gives exactly, for greys.")
+    ] = None,
     u_rel: Annotated[float, relative_option("--u-rel", "Relative u (k = 1) that all known X, Y, Z share")] = 0.0,
     filters: FilterOption = None,
     linear: LinearOption = False,
@@ -64,8 +67,8 @@ def calibrate(
     with progress(shown=not json) as shown:
         found = rm.colour_calibrate(
             source, chart, spectra=spectra, responsivities=responsivities, train_on=train_on, kind=kind,
-            per_kind=per_kind, u_rel=u_rel, filters=_filters(filters), linear=linear, response=response or None,
-            out=out, notice=note, progress=shown,
+            per_kind=per_kind, white=white, u_rel=u_rel, filters=_filters(filters), linear=linear,
+            response=response or None, out=out, notice=note, progress=shown,
         )  # fmt: skip
     if json:
         print(found.to_json())
