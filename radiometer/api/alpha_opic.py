@@ -7,11 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from radiometer.analysis.photometry.alpha_opic import (
-    UNITS,
-    AlphaOpic,
-    alpha_opic_quantities,
-)
+from radiometer.analysis.photometry.alpha_opic import UNITS, AlphaOpic, alpha_opic_quantities
 from radiometer.analysis.photometry.facing import facing_irradiance
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.api.files import PathLike

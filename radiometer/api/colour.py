@@ -135,7 +135,7 @@ class ColourReading(Drawn):
             "signals": {name: one.to_mapping() for name, one in self.signals.items()},
             "flags": list(self.flags),
             "assumptions": list(self.assumptions),
-            "calibrated": self.calibration.created,
+            "calibrated": self.calibration.created.isoformat(),
         }
 
     def plot(self, axes: Axes | None = None) -> Axes:
@@ -175,7 +175,7 @@ class ColourReading(Drawn):
             section("Raw readings, k = 2", table(("channel", "signal"), raw)),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
-        known = {**self.origin, "calibration": f"of colours, {moment(self.calibration.created)}"}
+        known = {**self.origin, "calibration": f"of colours, {moment(self.calibration.created.isoformat())}"}
         origin = Origin.of_map(known, further=(("source", self.source),))
         write_text_atomic(Path(path), page(f"colour of {self.source}", str(self), parts, kind="colour", origin=origin))
 
@@ -547,7 +547,7 @@ def _flags(known: ColourCalibration, found: Coordinates, kind: str | None, taken
         flags.append("kind_unstated")
     elif kind not in known.trained:
         flags.append("other_light")
-    if is_out_of_date(known.created, DEFAULT_VALIDITY_DAYS, taken or dt.datetime.now(dt.UTC)):
+    if is_out_of_date(known.created.isoformat(), DEFAULT_VALIDITY_DAYS, taken or dt.datetime.now(dt.UTC)):
         flags.append(Flag.STALE_CALIBRATION.value)
     return flags
 

@@ -26,8 +26,7 @@ def command(
     dark: Annotated[float | None, typer.Option(help="Of a table: value of the light in darkness.")] = None,
     u_dark: Annotated[float, typer.Option(min=0.0, help="Standard uncertainty of --dark or --black-level.")] = 0.0,
     mapped: Annotated[
-        list[str] | None,
-        typer.Option("--map", help="Of a table: its columns, such as timestamp=T:ms and number=CH1."),
+        list[str] | None, typer.Option("--map", help="Of a table: its columns, such as timestamp=T:ms and number=CH1.")
     ] = None,
     row_time: Annotated[
         str | None, typer.Option(metavar="S", help="Of a frame: time between the starts of two rows, such as 18.9us.")

@@ -249,7 +249,7 @@ def test_a_file_gives_back_the_calibration_with_its_raw_readings(tmp_path: Path)
     known = trained(plausible_lights()["oled"], rng, "oled")
     known.write(tmp_path / "colour.yaml")
     again = ColourCalibration.read(tmp_path / "colour.yaml")
-    assert again.to_mapping() | {"created": known.created} == known.to_mapping()
+    assert again.to_mapping() == known.to_mapping()
     assert again.training is not None
     assert fit_matrix(again.training).matrix == pytest.approx(known.fits["all"].matrix, rel=1e-12)
     text = (tmp_path / "colour.yaml").read_text(encoding="utf-8")
