@@ -101,6 +101,8 @@ def alpha_opic(
 ) -> AlphaOpicQuantities:
     """Convert a radiance, luminance, irradiance or illuminance into the five α-opic quantities of CIE S 026.
 
+    They are S-, M-, L-cone-opic, rhodopic and melanopic, each with the daylight (D65) that has the same.
+
     Examples:
         >>> import radiometer as rm
         >>> round(rm.alpha_opic(100.0, "lx", spectrum="cie_d65")["melanopic"].equivalent_daylight.value, 6)

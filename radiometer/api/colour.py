@@ -216,11 +216,11 @@ def colour_calibrate(
         <CalibratedColour red/green/blue from ... lights; u of luminance: ...>
 
     Args:
-        source: Capture set of a colour camera, or folder of photographs, that shows the lights.
+        source: Capture set of a colour camera, or folder of photographs, that shows the lights; none with filters.
         chart: Table of the lights: name, X, Y, Z in cd·m⁻², and as needed u_rel, kind, left, top, width, height (in
             pixels of a colour's plane) and capture (a folder for each light). Places may be those of `capture.yaml`.
-        spectra: Table of wavelength and the spectral radiance of each light in W·sr⁻¹·m⁻²·nm⁻¹, instead of X, Y, Z.
-        responsivities: Table of wavelength and the responsivity of each channel per watt, up to a common factor.
+        spectra: Table of wavelength_nm and the spectral radiance of each light in W·sr⁻¹·m⁻²·nm⁻¹, instead of X, Y, Z.
+        responsivities: Table of wavelength_nm and the responsivity of each channel per watt, up to a common factor.
         train_on: "chart" fits the matrix to the known lights, "responsivities" to plausible lights; the known ones
             then give the scale alone.
         kind: Kind of the lights whose kind the chart does not state.
@@ -294,7 +294,7 @@ def colour_measure(
         (<ColourReading Y ... (k = 2)>, 'cd m-2')
 
     Args:
-        source: Capture set of a colour camera, or folder of photographs.
+        source: Capture set of a colour camera, or folder of photographs; none with filters.
         calibration: Colour calibration, or its file.
         patch: (x, y, width, height) in pixels of a colour's plane; the whole picture by default.
         kind: Kind of light, one that the calibration knows; by default the error is the mean over those.

@@ -38,7 +38,7 @@ def command_of(
     converters: Mapping[str, Callable[[Sequence[str]], Any]] | None = None,
     **options: Any,
 ) -> Callable[..., None]:
-    """Return the command of a public function.
+    """Return the command of a public function, ready for typer.
 
     Options are in the order of its parameters, then the files that its result writes, then `--json`. A parameter
     without a default is an argument; help is that of the docstring unless an option states another.
@@ -66,12 +66,13 @@ def command_of(
         for one in taken.values()
         if one.name not in _HANDED
     ]
-    further = {one: Annotated[Path | None, typer.Option(help=_DRAWN[one])] for one in results} | {"json": JsonOption}
+    further: dict[str, tuple[Any, Any]] = {
+        **{one: (None, Annotated[Path | None, typer.Option(help=_DRAWN[one])]) for one in results},
+        "json": (False, JsonOption),
+    }
     parameters += [
-        inspect.Parameter(
-            one, inspect.Parameter.KEYWORD_ONLY, default=False if one == "json" else None, annotation=kind
-        )
-        for one, kind in further.items()
+        inspect.Parameter(one, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        for one, (default, kind) in further.items()
     ]
 
     def command(*, json: bool = False, **given: Any) -> None:
@@ -99,10 +100,8 @@ def command_of(
 def _documented(function: Any) -> tuple[str, dict[str, str]]:
     """Return the text of a docstring before its sections, and what it says of each argument."""
     doc = inspect.getdoc(function) or ""
-    arguments = doc.partition("\nArgs:\n")[2].partition("\n\n")[0]
-    return re.split(r"\n\n[A-Z]\w+:\n", doc)[0], {
-        name: " ".join(said.split()) for name, said in _ARGS.findall(arguments)
-    }
+    said = _ARGS.findall(doc.partition("\nArgs:\n")[2].partition("\n\n")[0])
+    return re.split(r"\n\n[A-Z]\w+:\n", doc)[0], {name: " ".join(text.split()) for name, text in said}
 
 
 def _annotation(parameter: inspect.Parameter, stated: Any, said: str) -> Any:

@@ -58,27 +58,15 @@ _FRAMES: Final[dict[str, Any]] = {
         list[Path] | None, typer.Option(help="Response of photographs; one file, or one per colour.")
     ],
 }
-app.command("calibrate")(
-    command_of(
-        "colour_calibrate",
-        _show_calibration,
-        files=("out",),
-        defaults={"out": Path("colour.yaml")},
-        **_FRAMES,
-        u_rel=relative_option("--u-rel", "Relative u (k = 1) that all known X, Y, Z share"),
-        out=typer.Option("--out", "-o"),
-        white=typer.Option(metavar="NAME"),
-    )  # fmt: skip
-)
-app.command("measure")(
-    command_of(
-        "colour_measure",
-        _show_reading,
-        files=("maps", "report"),
-        results=("plot",),
-        **_FRAMES,
-        defaults={"calibration": Path("colour.yaml")},
-        maps=typer.Option("--map"),
-        patch=typer.Option(parser=parse_patch, metavar="X,Y,W,H"),
-    )  # fmt: skip
-)
+_calibrate = command_of(
+    "colour_calibrate", _show_calibration, files=("out",), defaults={"out": Path("colour.yaml")}, **_FRAMES,
+    u_rel=relative_option("--u-rel", "Relative u (k = 1) that all known X, Y, Z share"),
+    out=typer.Option("--out", "-o"), white=typer.Option(metavar="NAME"),
+)  # fmt: skip
+_measure = command_of(
+    "colour_measure", _show_reading, files=("maps", "report"), results=("plot",), **_FRAMES,
+    defaults={"calibration": Path("colour.yaml")}, maps=typer.Option("--map"),
+    patch=typer.Option(parser=parse_patch, metavar="X,Y,W,H"),
+)  # fmt: skip
+app.command("calibrate")(_calibrate)
+app.command("measure")(_measure)
