@@ -179,8 +179,8 @@ def screen_report(
         out: Page to write; none by default.
         display: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
         name: Name of the screen; the display's by default.
-        methods: Some of warm_up, white, black, sequential_contrast, checkerboard_contrast, gamma, primaries, additivity,
-            uniformity, mura and viewing_angle; all that the geometry has by default.
+        methods: Some of warm_up, white, black, sequential_contrast, checkerboard_contrast, gamma, primaries,
+            additivity, uniformity, mura and viewing_angle; all that the geometry has by default.
         geometry: "direct", "viewing_angle" or "near_eye".
         angles: Angles from the normal in degrees; the geometry's by default.
         points: Places of the uniformity: 9, 13 or 25.

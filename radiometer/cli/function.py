@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import copy
+import importlib.util
 import inspect
-import os
 import re
-import types
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Final, get_args, get_origin
 
 import typer
 
@@ -21,6 +21,15 @@ from radiometer.cli.outputs import writes
 _PAGE: Final = "open this address on the screen to be measured, then press Start:\n  {}"
 _HANDED: Final = ("notice", "progress", "ask", "announce")  # parameters that the terminal serves
 _ARGS: Final = re.compile(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", re.MULTILINE)
+# What one word becomes, by the first that stands in an annotation; several words become a list.
+_KINDS: Final = {
+    "PathLike": Path,
+    "bool": bool,
+    "int": int,
+    "float": float,
+    "Sequence": list[str],
+    "Mapping": list[str],
+}
 _DRAWN: Final = {
     "plot": "Picture to draw: PNG, PDF or SVG.",
     "csv": "Table of the figures to write.",
@@ -41,7 +50,8 @@ def command_of(
     """Return the command of a public function, ready for typer.
 
     Options are in the order of its parameters, then the files that its result writes, then `--json`. A parameter
-    without a default is an argument; help is that of the docstring unless an option states another.
+    without a default is an argument; help is that of the docstring unless an option states another. The function is
+    read as text: to import it takes a second, which every `--help` and completion would wait for.
 
     Args:
         name: Name of the function in `radiometer`.
@@ -51,20 +61,18 @@ def command_of(
         defaults: Defaults of the command where the function has others.
         converters: By parameter, what makes its value of the words of an option that may be repeated.
         options: By parameter, `typer.Option` or `typer.Argument` with what the command line has beyond the signature:
-            another name, limits, a parser of words; or a whole annotation that commands share.
+            another name, limits, a parser of words; or a whole annotation, with its own type.
     """
-    function = getattr(rm, name)
-    taken = inspect.signature(function, eval_str=True).parameters
-    text, helps = _documented(function)
+    text, helps, taken = _described(name)
     parameters = [
         inspect.Parameter(
-            one.name,
+            one,
             inspect.Parameter.KEYWORD_ONLY,
-            default=(defaults or {}).get(one.name, None if one.default == () else one.default),
-            annotation=_annotation(one, options.get(one.name), helps[one.name]),
+            default=(defaults or {}).get(one, default),
+            annotation=_annotation(one, kind, default, options.get(one), helps[one]),
         )
-        for one in taken.values()
-        if one.name not in _HANDED
+        for one, (kind, default) in taken.items()
+        if one not in _HANDED
     ]
     further: dict[str, tuple[Any, Any]] = {
         **{one: (None, Annotated[Path | None, typer.Option(help=_DRAWN[one])]) for one in results},
@@ -82,7 +90,7 @@ def command_of(
             served |= {"ask": asker()} if "ask" in taken else {}
             stated = {one: value for one, value in given.items() if value is not None and value != []}
             stated |= {one: of(stated[one]) for one, of in (converters or {}).items() if one in stated}
-            found = function(**stated, **{one: served[one] for one in _HANDED if one in taken})
+            found = getattr(rm, name)(**stated, **{one: served[one] for one in _HANDED if one in taken})
         for one, file in written.items():
             if file is not None:
                 getattr(found, f"write_{one}")(file)
@@ -97,31 +105,40 @@ def command_of(
     return writes(*files, *results)(command)
 
 
-def _documented(function: Any) -> tuple[str, dict[str, str]]:
-    """Return the text of a docstring before its sections, and what it says of each argument."""
-    doc = inspect.getdoc(function) or ""
+def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any]]]:
+    """Return a function's text before the sections of its docstring, then by parameter: help, annotation and default.
+
+    A default of None stands for those that are no plain value, and for empty ones.
+    """
+    home = importlib.util.find_spec(rm.home_of(name))
+    source = Path(str(home and home.origin)).read_text(encoding="utf-8")
+    function = next(one for one in ast.parse(source).body if isinstance(one, ast.FunctionDef) and one.name == name)
+    doc = ast.get_docstring(function) or ""
     said = _ARGS.findall(doc.partition("\nArgs:\n")[2].partition("\n\n")[0])
-    return re.split(r"\n\n[A-Z]\w+:\n", doc)[0], {name: " ".join(text.split()) for name, text in said}
+    plain, named = function.args.args, function.args.kwonlyargs
+    required = [inspect.Parameter.empty] * (len(plain) - len(function.args.defaults))
+    values = [*required, *map(_value, function.args.defaults), *map(_value, function.args.kw_defaults)]
+    taken = {
+        one.arg: (ast.unparse(one.annotation) if one.annotation else "", value)
+        for one, value in zip((*plain, *named), values, strict=True)
+    }
+    return re.split(r"\n\n[A-Z]\w+:\n", doc)[0], {one: " ".join(text.split()) for one, text in said}, taken
 
 
-def _annotation(parameter: inspect.Parameter, stated: Any, said: str) -> Any:
+def _value(default: ast.expr | None) -> Any:
+    if default is None:
+        return inspect.Parameter.empty
+    return default.value if isinstance(default, ast.Constant) else None
+
+
+def _annotation(name: str, kind: str, default: Any, stated: Any, said: str) -> Any:
     """Return the annotation that typer reads of a parameter, as the command line writes it."""
-    if stated is not None and get_origin(stated) is Annotated:
-        return stated
-    flag = (f"--{parameter.name.replace('_', '-')}",) if parameter.annotation is bool else ()
-    info = copy.copy(stated) if stated is not None else typer.Option(*flag)
+    whole = get_origin(stated) is Annotated
+    info = copy.copy(get_args(stated)[1] if whole else stated or typer.Option())
+    if kind == "bool" and not info.param_decls:  # without its opposite
+        info.param_decls = (f"--{name.replace('_', '-')}",)
     info.help = info.help or said
-    kind = str if info.parser is not None else _kind(parameter.annotation)
-    return Annotated[kind if parameter.default not in (None, ()) else kind | None, info]
-
-
-def _kind(annotation: Any) -> Any:
-    """Return the type of one word, or of a list of words, of what a parameter takes."""
-    union = get_origin(annotation) in (Union, types.UnionType)
-    kinds = [one for one in (get_args(annotation) if union else (annotation,)) if one is not type(None)]
-    for kind in kinds:
-        if get_origin(kind) is Literal or kind in (bool, int, float):
-            return kind
-        if get_origin(kind) is os.PathLike:
-            return Path
-    return list[str] if any(get_origin(kind) in (Sequence, Mapping, list) for kind in kinds) else str
+    if whole:
+        return Annotated[get_args(stated)[0], info]
+    word = str if info.parser else next((of for known, of in _KINDS.items() if known in kind), str)
+    return Annotated[word | None if default is None else word, info]

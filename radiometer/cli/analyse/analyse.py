@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,6 +15,8 @@ from radiometer.numbers import unit_text
 
 if TYPE_CHECKING:
     from radiometer import MapAnalysis, Patch
+
+_Projection = Literal["equidistant", "equisolid", "stereographic", "orthographic"]
 
 
 def _show(found: MapAnalysis) -> None:
@@ -65,5 +67,5 @@ command = command_of(
     regions=typer.Option("--region", metavar="NAME:X,Y,W,H", help="A region in pixels; may be repeated."),
     contrast=typer.Option(parser=_contrast, metavar="BRIGHT,DARK"), line_width=typer.Option(min=1),
     line=typer.Option(parser=_line, metavar="X1,Y1,X2,Y2"), box=typer.Option(min=1), radius=typer.Option(min=1.0),
-    field_of_view_u=typer.Option(min=0.0),
+    field_of_view_u=typer.Option(min=0.0), fisheye=Annotated[_Projection | None, typer.Option()],
 )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
 
@@ -62,6 +62,7 @@ _calibrate = command_of(
     "colour_calibrate", _show_calibration, files=("out",), defaults={"out": Path("colour.yaml")}, **_FRAMES,
     u_rel=relative_option("--u-rel", "Relative u (k = 1) that all known X, Y, Z share"),
     out=typer.Option("--out", "-o"), white=typer.Option(metavar="NAME"),
+    train_on=Annotated[Literal["chart", "responsivities"], typer.Option()],
 )  # fmt: skip
 _measure = command_of(
     "colour_measure", _show_reading, files=("maps", "report"), results=("plot",), **_FRAMES,

@@ -120,7 +120,7 @@ def _fields(text: str) -> tuple[int, int]:
 _report = command_of(
     "screen_report", _show_report, files=("out",), out=typer.Option("--out", "-o"), white=WhiteOption,
     methods=typer.Option(parser=words, metavar="NAME,NAME,…"), angles=typer.Option(parser=_angles, metavar="DEG,DEG,…"),
-    checkers=typer.Option(parser=_fields, metavar="COLUMNSxROWS"), defaults={"checkers": "4x4"},
+    checkers=typer.Option(parser=_fields, metavar="COLUMNSxROWS"), defaults={"checkers": "4x4", "display": "browser"},
     area=typer.Option(parser=parse_patch, metavar="X,Y,W,H"), warm_up_s=typer.Option("--warm-up", min=0.0),
     primaries=PrimariesOption, camera=CameraOption, bench=BenchOption, calibration=CalibrationOption, seed=SeedOption,
     port=typer.Option(min=0, max=65535),
