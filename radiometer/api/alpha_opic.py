@@ -7,11 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from radiometer.analysis.photometry.alpha_opic import (
-    UNITS,
-    AlphaOpic,
-    alpha_opic_quantities,
-)
+from radiometer.analysis.photometry.alpha_opic import UNITS, AlphaOpic, alpha_opic_quantities
 from radiometer.analysis.photometry.facing import facing_irradiance
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.api.files import PathLike
@@ -104,6 +100,8 @@ def alpha_opic(
     u_distance_m: float = 0.0,
 ) -> AlphaOpicQuantities:
     """Convert a radiance, luminance, irradiance or illuminance into the five α-opic quantities of CIE S 026.
+
+    They are S-, M-, L-cone-opic, rhodopic and melanopic, each with the daylight (D65) that has the same.
 
     Examples:
         >>> import radiometer as rm

@@ -264,6 +264,8 @@ def analyse(
 ) -> MapAnalysis:
     """Measure regions, contrast, a profile and the illuminance of a radiance map, each with its uncertainty.
 
+    Gives mean, median, extremes, uniformity and deviation of each region.
+
     Examples:
         >>> import radiometer as rm
         >>> chart = rm.merge("out/chart", calibration="calibration.yaml")

@@ -136,7 +136,7 @@ class ColourReading(Drawn):
             "signals": {name: one.to_mapping() for name, one in self.signals.items()},
             "flags": list(self.flags),
             "assumptions": list(self.assumptions),
-            "calibrated": self.calibration.created,
+            "calibrated": self.calibration.created.isoformat(),
         }
 
     def plot(self, axes: Axes | None = None) -> Axes:
@@ -176,7 +176,7 @@ class ColourReading(Drawn):
             section("Raw readings, k = 2", table(("channel", "signal"), raw)),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
-        known = {**self.origin, "calibration": f"of colours, {moment(self.calibration.created)}"}
+        known = {**self.origin, "calibration": f"of colours, {moment(self.calibration.created.isoformat())}"}
         origin = Origin.of_map(known, further=(("source", self.source),))
         write_text_atomic(Path(path), page(f"colour of {self.source}", str(self), parts, kind="colour", origin=origin))
 
@@ -200,6 +200,7 @@ def colour_calibrate(
     train_on: TrainedOn = "chart",
     kind: str | None = None,
     per_kind: bool = False,
+    white: str | None = None,
     u_rel: float = 0.0,
     filters: Mapping[str, PathLike] | None = None,
     linear: bool = False,
@@ -216,15 +217,16 @@ def colour_calibrate(
         <CalibratedColour red/green/blue from ... lights; u of luminance: ...>
 
     Args:
-        source: Capture set of a colour camera, or folder of photographs, that shows the lights.
+        source: Capture set of a colour camera, or folder of photographs, that shows the lights; none with filters.
         chart: Table of the lights: name, X, Y, Z in cd·m⁻², and as needed u_rel, kind, left, top, width, height (in
             pixels of a colour's plane) and capture (a folder for each light). Places may be those of `capture.yaml`.
-        spectra: Table of wavelength and the spectral radiance of each light in W·sr⁻¹·m⁻²·nm⁻¹, instead of X, Y, Z.
-        responsivities: Table of wavelength and the responsivity of each channel per watt, up to a common factor.
+        spectra: Table of wavelength_nm and the spectral radiance of each light in W·sr⁻¹·m⁻²·nm⁻¹, instead of X, Y, Z.
+        responsivities: Table of wavelength_nm and the responsivity of each channel per watt, up to a common factor.
         train_on: "chart" fits the matrix to the known lights, "responsivities" to plausible lights; the known ones
             then give the scale alone.
         kind: Kind of the lights whose kind the chart does not state.
         per_kind: Find a matrix for each kind of light, such as a type of display.
+        white: Name of a known light whose X, Y, Z the matrix gives exactly; greys of its spectrum then have its colour.
         u_rel: Relative standard uncertainty that all known X, Y, Z share.
         filters: Of a monochrome camera with filters: capture set by channel, instead of a source.
         linear: Photographs that are no raw files are proportional to light above black.
@@ -243,6 +245,8 @@ def colour_calibrate(
         check_outputs(Path(out), force=True)
     frames = _Frames(filters, linear, response, notice, progress)
     with_lights = chart is not None or spectra is not None
+    if white is not None and train_on != "chart":
+        raise UsageError("--white has no effect with --train-on responsivities; leave one out")
     if train_on == "responsivities" and responsivities is None:
         raise UsageError("--train-on responsivities needs --responsivities FILE")
     if train_on == "chart" and not with_lights:
@@ -261,7 +265,7 @@ def colour_calibrate(
         found = train_on_responsivities(known, training, per_kind=per_kind, u_rel=u_rel)
     else:
         assert training is not None  # with_lights
-        found = train_on_lights(known, training, powers=powers, per_kind=per_kind, u_rel=u_rel)
+        found = train_on_lights(known, training, powers=powers, per_kind=per_kind, u_rel=u_rel, white=white)
     if out is not None:
         found.write(Path(out))
     return CalibratedColour(found, None if out is None else Path(out))
@@ -291,7 +295,7 @@ def colour_measure(
         (<ColourReading Y ... (k = 2)>, 'cd m-2')
 
     Args:
-        source: Capture set of a colour camera, or folder of photographs.
+        source: Capture set of a colour camera, or folder of photographs; none with filters.
         calibration: Colour calibration, or its file.
         patch: (x, y, width, height) in pixels of a colour's plane; the whole picture by default.
         kind: Kind of light, one that the calibration knows; by default the error is the mean over those.
@@ -544,7 +548,7 @@ def _flags(known: ColourCalibration, found: Coordinates, kind: str | None, taken
         flags.append("kind_unstated")
     elif kind not in known.trained:
         flags.append("other_light")
-    if is_out_of_date(known.created, DEFAULT_VALIDITY_DAYS, taken or dt.datetime.now(dt.UTC)):
+    if is_out_of_date(known.created.isoformat(), DEFAULT_VALIDITY_DAYS, taken or dt.datetime.now(dt.UTC)):
         flags.append(Flag.STALE_CALIBRATION.value)
     return flags
 

@@ -109,7 +109,9 @@ def flicker(
     patch: PatchLike | None = None,
     notice: Notice = unheard,
 ) -> FlickerReport:
-    """Measure flicker and the stroboscopic effect of a light.
+    """Measure flicker and the stroboscopic effect of a light, each figure with its uncertainty.
+
+    Gives the dominant frequency, modulation depth, flicker index, SVM (IEC TR 63158) and PstLM (IEC TR 61547-1).
 
     Examples:
         >>> import radiometer as rm

@@ -168,6 +168,8 @@ def screen_report(
 ) -> DisplayReport:
     """Measure a display by methods of the Information Display Measurements Standard, each figure with its uncertainty.
 
+    Each method has its measuring conditions; those of the standard carry its section.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.screen_report("lcd.html", "lcd", methods=["white", "black"], warm_up_s=0)
@@ -177,7 +179,8 @@ def screen_report(
         out: Page to write; none by default.
         display: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
         name: Name of the screen; the display's by default.
-        methods: Methods by name; all that the geometry has by default.
+        methods: Some of warm_up, white, black, sequential_contrast, checkerboard_contrast, gamma, primaries,
+            additivity, uniformity, mura and viewing_angle; all that the geometry has by default.
         geometry: "direct", "viewing_angle" or "near_eye".
         angles: Angles from the normal in degrees; the geometry's by default.
         points: Places of the uniformity: 9, 13 or 25.

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Mapping
-from typing import Any, Final, Self, TypeVar, get_args
+from typing import Annotated, Any, Final, Self, TypeVar, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    PlainSerializer,
+    PlainValidator,
+    ValidationError,
+    model_validator,
+)
 
 from radiometer.errors import RadiometerError
 from radiometer.plausible import PLAUSIBLE
+from radiometer.typing import Array
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 # No quantity in the units of these files is so large; what must be above 0 is not so small. Products and powers of
@@ -35,6 +45,22 @@ def within(quantity: str) -> AfterValidator:
         return value
 
     return AfterValidator(check)
+
+
+def _array(values: Any) -> Array:
+    if _holds_truth(values):
+        raise ValueError("true and false are no numbers; state the number")
+    try:
+        found = np.array(values, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ValueError("is no table of numbers with rows of one length") from error
+    if not np.all(np.abs(found) <= _LARGEST):
+        raise ValueError("holds a number that no quantity has; correct it")
+    return found
+
+
+# An array that is rows of numbers in the file.
+FileArray = Annotated[Array, PlainValidator(_array), PlainSerializer(lambda array: array.tolist())]
 
 
 class _Section(BaseModel):

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import datetime as dt
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AwareDatetime, Field
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    AwareDatetime,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    model_validator,
+)
 from scipy.spatial import ConvexHull
 
-from radiometer.analysis.colour.matrix import Fit, Training
+from radiometer.analysis.colour.matrix import Fit, Training, of_rows
 from radiometer.data import CameraDescription, LensDescription, Provenance
-from radiometer.data.provenance import utc_now
 from radiometer.data.storage import read_yaml, write_yaml_atomic
-from radiometer.data.validation import FileSection, validate
+from radiometer.data.validation import FileArray, FileSection, validate
 from radiometer.errors import CalibrationError, UsageError
 from radiometer.typing import Array
 
@@ -25,23 +31,54 @@ ALL: Final = "all"  # name of the matrix that serves every kind of light
 _SURELY: Final = 2.0  # standard uncertainties beyond the hull of the training set
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ColourCalibration:
+_Training = Annotated[
+    Training | None, BeforeValidator(of_rows), PlainSerializer(lambda found: [] if found is None else found.rows())
+]
+# A covariance of D is (3, 3, 3, 3), and 9 × 9 in the file.
+_OfDisplays = Annotated[
+    FileArray,
+    AfterValidator(lambda found: found.reshape(3, 3, 3, 3)),
+    PlainSerializer(lambda found: found.reshape(9, 9).tolist()),
+]
+
+
+class ColourCalibration(FileSection):
     """What turns the channels of one camera into X, Y, Z."""
 
-    channels: tuple[str, ...]  # names in the order of the matrices' columns
+    created: AwareDatetime = Field(default_factory=lambda: dt.datetime.now(dt.UTC))
+    channels: tuple[str, ...] = Field(min_length=2)  # names in the order of the matrices' columns
+    unit: Literal["cd m-2", "relative"]  # of X, Y, Z; relative where no light of known luminance took part
+    u_rel: float = Field(ge=0)  # relative standard uncertainty that all known X, Y, Z share
     camera: CameraDescription
-    lens: LensDescription  # with its f-number
-    unit: str  # of X, Y, Z: cd·m⁻², or relative where no light of known luminance took part
-    fits: Mapping[str, Fit]  # matrix by kind of light, or a single one named `ALL`
-    errors: Mapping[str, Array]  # covariance of the error over (X + Y + Z)² by kind of light
-    trained: tuple[str, ...]  # kinds of light that the matrices were fitted to
-    training: Training | None  # raw readings of known lights, which gave the matrices or their scale
-    u_rel: float = 0.0  # relative standard uncertainty that all known X, Y, Z share
-    created: str = field(default_factory=utc_now)  # ISO 8601 time in UTC
-    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
-    # Covariance of D by type of display, whose error is D·(X, Y, Z), shape (3, 3, 3, 3); it takes the place of `errors`
-    display_errors: Mapping[str, Array] = field(default_factory=dict)
+    lens: LensDescription = LensDescription()  # with its f-number
+    # Matrix by kind of light, or a single one named `ALL`
+    fits: dict[str, Fit] = Field(
+        min_length=1, validation_alias=AliasChoices("fits", "matrices"), serialization_alias="matrices"
+    )
+    trained: tuple[str, ...] = Field(min_length=1)  # kinds of light that the matrices were fitted to
+    errors: dict[str, FileArray] = Field(min_length=1)  # covariance of the error over (X + Y + Z)² by kind of light
+    # Covariance of D by type of display, whose error is D·(X, Y, Z); it takes the place of `errors`
+    display_errors: dict[str, _OfDisplays] = Field(default_factory=dict)
+    training: _Training = None  # raw readings of known lights, which gave the matrices or their scale
+    provenance: Provenance = Field(default_factory=lambda: Provenance("unknown"))
+
+    @model_validator(mode="after")
+    def _are_of_the_channels(self) -> Self:
+        n = len(self.channels)
+        shapes: list[tuple[Array, tuple[int, ...]]] = [(fit.matrix, (3, n)) for fit in self.fits.values()]
+        shapes += [(fit.hull, (len(fit.hull), 2)) for fit in self.fits.values()]
+        if self.training is not None:
+            lights = len(self.training.names)
+            shapes += [(one, (lights, n)) for one in (self.training.signal, self.training.u_signal)]
+            shapes += [(self.training.xyz, (lights, 3)), (self.training.u_rel, (lights,))]
+        variances = [(fit.spread, n) for fit in self.fits.values()]
+        variances += [(one, 3) for one in (*(fit.error for fit in self.fits.values()), *self.errors.values())]
+        variances += [(one.reshape(9, 9), 9) for one in self.display_errors.values()]
+        if any(one.shape != shape for one, shape in shapes) or not all(_is_covariance(*one) for one in variances):
+            raise ValueError(
+                f"a matrix, error or reading has not {n} channels, or a variance is below 0; calibrate again"
+            )
+        return self
 
     def fit(self, kind: str | None) -> Fit:
         """Return the matrix for a kind of light.
@@ -105,24 +142,7 @@ class ColourCalibration:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping that is written to the file."""
-        return {
-            "format": FORMAT,
-            "created": self.created,
-            "channels": list(self.channels),
-            "unit": self.unit,
-            "u_rel": self.u_rel,
-            "camera": self.camera.model_dump(mode="json", exclude_none=True),
-            "lens": self.lens.model_dump(mode="json", exclude_none=True),
-            "matrices": {
-                kind: {name: getattr(one, name).tolist() for name in ("matrix", "spread", "error", "hull")}
-                for kind, one in self.fits.items()
-            },
-            "trained": list(self.trained),
-            "errors": {kind: one.tolist() for kind, one in self.errors.items()},
-            "display_errors": {kind: one.reshape(9, 9).tolist() for kind, one in self.display_errors.items()},
-            "training": [] if self.training is None else self.training.rows(),
-            "provenance": self.provenance.to_mapping(),
-        }
+        return {"format": FORMAT, **self.model_dump(mode="json", by_alias=True, exclude_none=True)}
 
     def write(self, path: Path) -> None:
         """Write it as one YAML file, whole or not at all. Raises OutputError."""
@@ -139,90 +159,11 @@ class ColourCalibration:
         mapping = read_yaml(path)
         if mapping.get("format") != FORMAT:
             raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
-        stored = validate(_File, mapping, str(path), CalibrationError)
-        channels = len(stored.channels)
-        try:
-            return cls(
-                stored.channels,
-                stored.camera,
-                stored.lens,
-                stored.unit,
-                {kind: one.fit(channels) for kind, one in stored.matrices.items()},
-                {kind: _covariance(one, 3) for kind, one in stored.errors.items()},
-                stored.trained,
-                _training(stored.training, channels),
-                stored.u_rel,
-                stored.created.isoformat(),
-                Provenance.from_mapping(stored.provenance, str(path)),
-                {kind: _covariance(one, 9).reshape(3, 3, 3, 3) for kind, one in stored.display_errors.items()},
-            )
-        except ValueError as error:
-            raise CalibrationError(
-                f"{path}: a matrix, error or reading has not {channels} channels, or a variance is below 0; "
-                "calibrate again"
-            ) from error
+        return validate(cls, mapping, str(path), CalibrationError)
 
 
-class _Matrix(FileSection):
-    matrix: list[list[float]]
-    spread: list[list[float]]
-    error: list[list[float]]
-    hull: list[list[float]] = Field(min_length=3)
-
-    def fit(self, channels: int) -> Fit:
-        return Fit(
-            _shaped(self.matrix, 3, channels),
-            _covariance(self.spread, channels),
-            _covariance(self.error, 3),
-            _shaped(self.hull, len(self.hull), 2),
-        )
-
-
-class _Light(FileSection):
-    name: str
-    kind: str
-    signal: list[float]
-    u_signal: list[float]
-    xyz: list[float]
-    u_rel: float = Field(ge=0)
-
-
-class _File(FileSection):
-    created: AwareDatetime
-    channels: tuple[str, ...] = Field(min_length=2)
-    unit: Literal["cd m-2", "relative"]
-    u_rel: float = Field(ge=0)
-    camera: CameraDescription
-    lens: LensDescription = LensDescription()
-    matrices: dict[str, _Matrix] = Field(min_length=1)
-    errors: dict[str, list[list[float]]] = Field(min_length=1)
-    display_errors: dict[str, list[list[float]]] = Field(default_factory=dict)
-    trained: tuple[str, ...] = Field(min_length=1)
-    training: list[_Light] = Field(default_factory=list)
-    provenance: dict[str, Any] = Field(default_factory=dict)
-
-
-def _training(lights: list[_Light], channels: int) -> Training | None:
-    if not lights:
-        return None
-    return Training(
-        tuple(one.name for one in lights),
-        tuple(one.kind for one in lights),
-        _shaped([one.signal for one in lights], len(lights), channels),
-        _shaped([one.u_signal for one in lights], len(lights), channels),
-        _shaped([one.xyz for one in lights], len(lights), 3),
-        np.array([one.u_rel for one in lights]),
+def _is_covariance(found: Array, size: int) -> bool:
+    """Return whether an array has the shape of a covariance, and no variance below 0."""
+    return found.shape == (size, size) and bool(
+        np.linalg.eigvalsh((found + found.T) / 2.0).min() >= -1e-9 * np.abs(found).max()
     )
-
-
-def _covariance(values: Any, size: int) -> Array:
-    """Return a covariance. Raises ValueError where it has another shape, or a variance below 0."""
-    found = _shaped(values, size, size)
-    if not np.linalg.eigvalsh((found + found.T) / 2.0).min() >= -1e-9 * np.abs(found).max():
-        raise ValueError("a variance is below 0")
-    return found
-
-
-def _shaped(values: Any, rows: int, columns: int) -> Array:
-    """Return values as an array of a shape. Raises ValueError where they have another."""
-    return np.array(values, dtype=np.float64).reshape(rows, columns)

@@ -14,17 +14,14 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.stats import t as student_t
 
-from radiometer.analysis.colour.plausible import (
-    display_primaries,
-    plausible_cameras,
-    plausible_lights,
-    tristimulus_of,
-)
+from radiometer.analysis.colour.plausible import display_primaries, plausible_cameras, plausible_lights, tristimulus_of
 from radiometer.analysis.photometry.photometry import DISPLAY_TYPES
+from radiometer.data.validation import FileArray, FileSection
 from radiometer.errors import CalibrationError
 from radiometer.statistics.least_squares import solve
 from radiometer.typing import Array
 
+_ROW: Final = ("name", "kind", "signal", "u_signal", "xyz", "u_rel")  # keys of a light in a file
 _LEAST_SPAN: Final = 1e-3  # of the singular values: below, the channels of all lights are one mixture of each other
 _ALONE: Final = 1.0 - 1e-6  # leverage of a light that alone determines a coefficient
 _ROUNDS: Final = 20  # of weights and error in turn; they settle within five
@@ -38,16 +35,15 @@ class Training:
 
     names: tuple[str, ...]  # name of each light
     kinds: tuple[str, ...]  # its kind, such as "oled"
-    signal: Array  # channel readings, shape (lights, channels)
-    u_signal: Array  # their standard uncertainties, independent of each other
-    xyz: Array  # X, Y, Z in cd·m⁻², shape (lights, 3)
-    u_rel: Array  # relative standard uncertainty of X, Y, Z of each light, independent of the others
+    signal: FileArray  # channel readings, shape (lights, channels)
+    u_signal: FileArray  # their standard uncertainties, independent of each other
+    xyz: FileArray  # X, Y, Z in cd·m⁻², shape (lights, 3)
+    u_rel: FileArray  # relative standard uncertainty of X, Y, Z of each light, independent of the others
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a mapping of plain values for each light."""
         values = (one.tolist() for one in (self.signal, self.u_signal, self.xyz, self.u_rel))
-        names = ("name", "kind", "signal", "u_signal", "xyz", "u_rel")
-        return [dict(zip(names, row, strict=True)) for row in zip(self.names, self.kinds, *values, strict=True)]
+        return [dict(zip(_ROW, row, strict=True)) for row in zip(self.names, self.kinds, *values, strict=True)]
 
     def of_kind(self, kind: str | None) -> Training:
         """Return the lights of a kind; all for None."""
@@ -59,17 +55,27 @@ class Training:
         return Training(names, kinds, *parts)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+def of_rows(rows: Any) -> Any:
+    """Return the fields of `Training` from the rows of a file; None for none. Raises ValueError for other rows."""
+    try:
+        columns = [[row[name] for row in rows] for name in _ROW] if isinstance(rows, list) else None
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"a light has no {error}; calibrate again") from error
+    return rows if columns is None else dict(zip(Training.__slots__, columns, strict=True)) if rows else None
+
+
+class Fit(FileSection):
     """A matrix and what is known of its error.
 
     Errors are covariances of X, Y, Z over the square of X + Y + Z, shape (3, 3).
     """
 
-    matrix: Array  # X, Y, Z per unit of each channel, shape (3, channels)
-    spread: Array  # inverse of the normal matrix, shape (channels, channels): aᵀ·spread·a is the leverage of a light
-    error: Array  # error for a light that was left out
-    hull: Array  # corners (x, y) of the hull of the lights that it was fitted to, shape (corners, 2)
+    matrix: FileArray  # X, Y, Z per unit of each channel, shape (3, channels)
+    spread: (
+        FileArray  # inverse of the normal matrix, shape (channels, channels): aᵀ·spread·a is the leverage of a light
+    )
+    error: FileArray  # error for a light that was left out
+    hull: FileArray  # corners (x, y) of the hull of the lights that it was fitted to, shape (corners, 2)
 
     def leverage(self, signal: Array) -> Array:
         """Return the leverage of lights, shape (…): about channels/lights within the training set, more outside."""
@@ -78,7 +84,7 @@ class Fit:
         return np.asarray(np.einsum("...i,ij,...j", share, self.spread, share))
 
 
-def fit_matrix(training: Training) -> Fit:
+def fit_matrix(training: Training, white: str | None = None) -> Fit:
     """Return the matrix of least squares, each light weighted by 1/u².
 
     u² of a light is the noise of its readings, the uncertainty of its X, Y, Z, and the error of the matrix, which is
@@ -87,9 +93,13 @@ def fit_matrix(training: Training) -> Fit:
 
     Args:
         training: Lights; more than there are channels.
+        white: Name of a light whose X, Y, Z the matrix gives exactly, so that greys keep its colour; those of its like
+            gain, the others lose little. None where there is none.
 
     Raises:
         CalibrationError: If they do not determine the matrix and its error.
+
+    Source: Finlayson & Drew 1997, Proc. 5th Color Imaging Conf., 258 (white-preserving least squares).
     """
     count, channels = training.signal.shape
     total = training.xyz.sum(axis=1, keepdims=True)
@@ -108,11 +118,15 @@ def fit_matrix(training: Training) -> Fit:
         )
     known = training.u_rel**2 * np.mean(target**2, axis=1)
     noise, error_2 = known, 1e-4
+    exact = training.names.index(white) if white in training.names else None
+    along = np.zeros(channels) if exact is None else share[exact] / np.sum(share[exact] ** 2)  # along · white is 1
+    free = np.eye(channels) if exact is None else np.linalg.svd(share[exact][None])[2][1:].T  # white has none of these
+    fixed = np.outer(np.zeros(3) if exact is None else target[exact], along)
     for _ in range(_ROUNDS):
         weight = 1.0 / (error_2 + noise)
         weight /= weight.mean()
-        spread = np.linalg.inv(share.T @ (weight[:, None] * share))
-        matrix = (spread @ share.T @ (weight[:, None] * target)).T
+        spread = free @ np.linalg.inv(free.T @ share.T @ (weight[:, None] * share) @ free) @ free.T
+        matrix = fixed + (spread @ share.T @ (weight[:, None] * (target - share @ fixed.T))).T
         leverage = weight * np.einsum("ni,ij,nj->n", share, spread, share)
         if np.any(leverage > _ALONE):
             alone = training.names[int(np.argmax(leverage))]
@@ -121,8 +135,10 @@ def fit_matrix(training: Training) -> Fit:
         noise = known + np.mean((training.u_signal / total) ** 2 @ (matrix**2).T, axis=1)
         found = np.average(np.mean(left_out**2, axis=1) - noise, weights=weight)
         error_2 = max(float(found), _LEAST_ERROR**2)
-    error = _covering(left_out * np.sqrt(weight)[:, None], count - channels)
-    return Fit(matrix, spread, error, _hull(target))
+    if exact is not None:  # what is wrong with the white is wrong with all that is like it
+        spread = spread + noise[exact] / error_2 * np.outer(along, along)
+    error = _covering((left_out * np.sqrt(weight)[:, None])[np.arange(count) != exact], count - channels)
+    return Fit(matrix=matrix, spread=spread, error=error, hull=_hull(target))
 
 
 def plausible_training(responsivities: Array) -> Training:

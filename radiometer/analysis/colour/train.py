@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from radiometer.analysis.colour.calibration import ALL, ColourCalibration
-from radiometer.analysis.colour.matrix import (
-    Fit,
-    Training,
-    errors_of_other_lights,
-    fit_matrix,
-    plausible_training,
-)
+from radiometer.analysis.colour.matrix import Fit, Training, errors_of_other_lights, fit_matrix, plausible_training
 from radiometer.analysis.colour.plausible import COLOURS, plausible_lights
 from radiometer.data import CameraDescription, LensDescription, Provenance
 from radiometer.data.reading import LUMINANCE_UNIT, RELATIVE_UNIT
@@ -35,22 +29,31 @@ class ColourCamera:
 
 
 def train_on_lights(
-    known: ColourCamera, training: Training, *, powers: Array | None, per_kind: bool, u_rel: float
+    known: ColourCamera,
+    training: Training,
+    *,
+    powers: Array | None,
+    per_kind: bool,
+    u_rel: float,
+    white: str | None = None,
 ) -> ColourCalibration:
     """Return the calibration fitted to readings of known lights.
 
     The error for a kind of light is that of lights left out of the training, and that of plausible lights of the kind;
     the larger counts. Spectra (`powers`) are over the grid of plausible lights; all known X, Y, Z share `u_rel`.
+    The matrix gives the X, Y, Z of `white` exactly.
 
     Raises:
-        CalibrationError: If the lights do not determine a matrix.
+        CalibrationError: If the lights do not determine a matrix, or none is called as the white.
     """
+    if white is not None and white not in training.names:
+        raise CalibrationError(f"--white {white}: no light has that name; there are {', '.join(training.names)}")
     kinds = tuple(dict.fromkeys(training.kinds))
     fits, errors, of_displays = dict[str, Fit](), dict[str, Array](), dict[str, Array]()
     for name in kinds if per_kind else (ALL,):
         part = None if name == ALL else name
         try:
-            fits[name] = fit_matrix(training.of_kind(part))
+            fits[name] = fit_matrix(training.of_kind(part), white)
         except CalibrationError as error:
             raise CalibrationError(f"kind {name}: {error}" if part else str(error)) from error
         trained = [name] if part else list(kinds)
@@ -76,18 +79,9 @@ def train_on_lights(
         )
     origin = Provenance("least squares weighted by 1/u²", known.inputs, tuple(assumed), {"per_kind": per_kind})
     return ColourCalibration(
-        known.channels,
-        known.camera,
-        known.lens,
-        LUMINANCE_UNIT,
-        fits,
-        errors,
-        kinds,
-        training,
-        u_rel,
-        provenance=origin,
-        display_errors=of_displays,
-    )
+        channels=known.channels, camera=known.camera, lens=known.lens, unit=LUMINANCE_UNIT, fits=fits, errors=errors,
+        trained=kinds, training=training, u_rel=u_rel, provenance=origin, display_errors=of_displays,
+    )  # fmt: skip
 
 
 def _larger(left_out: Array, plausible: Array | None) -> Array:
@@ -121,15 +115,16 @@ def train_on_responsivities(
     if scale is not None:
         factor, u_scale = _scale(scale, fits)
         fits = {
-            kind: replace(fit, matrix=factor * fit.matrix, spread=factor**2 * fit.spread) for kind, fit in fits.items()
+            kind: fit.model_copy(update={"matrix": factor * fit.matrix, "spread": factor**2 * fit.spread})
+            for kind, fit in fits.items()
         }
         unit, assumed = LUMINANCE_UNIT, ["the scale is that of the known lights"]
     origin = Provenance("plausible lights through responsivities", known.inputs, tuple(assumed), {"per_kind": per_kind})
     u_all = math.hypot(u_rel, u_scale)
     trained = tuple(fits) if per_kind else tuple(plausible_lights())
     return ColourCalibration(
-        known.channels, known.camera, known.lens, unit, fits, errors, trained, scale, u_all, provenance=origin,
-        display_errors=of_displays,
+        channels=known.channels, camera=known.camera, lens=known.lens, unit=unit, fits=fits, errors=errors,
+        trained=trained, training=scale, u_rel=u_all, provenance=origin, display_errors=of_displays,
     )  # fmt: skip
 
 

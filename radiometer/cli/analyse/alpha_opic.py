@@ -2,70 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-import radiometer as rm
 from radiometer.cli.arguments import parse_size
 from radiometer.cli.console import show_remarks, show_table
-from radiometer.cli.options import JsonOption, relative_option
-from radiometer.cli.outputs import writes
+from radiometer.cli.function import command_of
+from radiometer.cli.options import relative_option
 from radiometer.numbers import unit_text
 
+if TYPE_CHECKING:
+    from radiometer import AlphaOpicQuantities
 
-@writes("plot")
-def command(
-    value: Annotated[float | None, typer.Argument(min=0.0, help="Value to convert.")] = None,
-    unit: Annotated[str, typer.Option(help="Its unit: cd/m2, lx, W/sr/m2 or W/m2.")] = "cd/m2",
-    u: Annotated[float, typer.Option("--u", min=0.0, help="Its standard uncertainty in that unit.")] = 0.0,
-    reading: Annotated[Path | None, typer.Option(help="File with the JSON of a reading, instead of a value.")] = None,
-    screen: Annotated[Path | None, typer.Option(help="Screen calibration, instead of a value.")] = None,
-    level: Annotated[float | None, typer.Option(min=0.0, help="Level of the screen.")] = None,
-    channel: Annotated[str, typer.Option(help="Channel of the screen.")] = "grey",
-    spectrum: Annotated[
-        str | None, typer.Option(help="Spectrum of the light by name, or a CSV of wavelength_nm and relative power.")
-    ] = None,
-    spectrum_u_rel: Annotated[
-        float,
-        relative_option(
-            "--spectrum-u-rel", "Relative u (k = 1) of each entry of the spectrum, independent of the others"
-        ),
-    ] = 0.0,
-    wavelength_u: Annotated[float, typer.Option(min=0.0, help="u (k = 1) of the spectrum's wavelengths in nm.")] = 0.0,
-    size: Annotated[
-        str | None,
-        typer.Option(metavar="M", help="Size of the source in m, 0.52x0.32 or a disc's diameter: gives irradiance."),
-    ] = None,
-    distance: Annotated[float | None, typer.Option(min=0.0, help="Distance from the source in m.")] = None,
-    distance_u: Annotated[float, typer.Option(min=0.0, help="u (k = 1) of the distance in m.")] = 0.0,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the ratios to daylight into this PNG, PDF or SVG file.")
-    ] = None,
-    json: JsonOption = False,
-) -> None:
-    """Convert radiance, luminance, irradiance or illuminance into α-opic quantities.
 
-    Gives S-, M-, L-cone-opic, rhodopic and melanopic quantities, and the daylight (D65) that has the same.
-    """
-    found = rm.alpha_opic(
-        value, unit, u=u, reading=reading, screen=screen, level=level, channel=channel, spectrum=spectrum,
-        spectrum_u_rel=spectrum_u_rel, wavelength_u_nm=wavelength_u, size_m=parse_size(size), distance_m=distance,
-        u_distance_m=distance_u,
-    )  # fmt: skip
-    if plot is not None:
-        found.write_plot(plot)
-    if json:
-        print(found.to_json())
-        return
+def _show(found: AlphaOpicQuantities) -> None:
     first = found.quantities[0]
-    head = (
-        "α-opic",
-        unit_text(first.quantity.unit),
-        f"D65, {unit_text(first.equivalent_daylight.unit)}",
-        "ratio to D65",
-    )
+    units = unit_text(first.quantity.unit), f"D65, {unit_text(first.equivalent_daylight.unit)}"
     rows = [
         (
             one.receptor.replace("_", "-"),
@@ -73,5 +26,14 @@ def command(
         )
         for one in found.quantities
     ]
-    show_table(f"{found.source.text()} of {found.spectrum}; k = 2", head, rows)
+    show_table(f"{found.source.text()} of {found.spectrum}; k = 2", ("α-opic", *units, "ratio to D65"), rows)
     show_remarks(found.assumptions)
+
+
+command = command_of(
+    "alpha_opic", _show, results=("plot",), value=typer.Argument(min=0.0), u=typer.Option("--u", min=0.0),
+    level=typer.Option(min=0.0), size_m=typer.Option("--size", parser=parse_size, metavar="M"),
+    spectrum_u_rel=relative_option("--spectrum-u-rel", "Relative u (k = 1) of each entry of the spectrum"),
+    wavelength_u_nm=typer.Option("--wavelength-u", min=0.0), distance_m=typer.Option("--distance", min=0.0),
+    u_distance_m=typer.Option("--distance-u", min=0.0),
+)  # fmt: skip

@@ -3,67 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-import radiometer as rm
 from radiometer.cli.arguments import parse_patch
-from radiometer.cli.console import console, note, show_remarks, show_table
-from radiometer.cli.options import JsonOption, ReportOption
-from radiometer.cli.outputs import writes
+from radiometer.cli.console import console, show_remarks, show_table
+from radiometer.cli.function import command_of
 from radiometer.errors import UsageError
 from radiometer.numbers import unit_text
 
 if TYPE_CHECKING:
-    from radiometer import Patch
+    from radiometer import MapAnalysis, Patch
 
 _Projection = Literal["equidistant", "equisolid", "stereographic", "orthographic"]
 
 
-@writes("csv", "report")
-def command(
-    source: Annotated[Path, typer.Argument(metavar="MAP", help="Map as TIFF, as `radiometer merge -o` writes it.")],
-    region: Annotated[
-        list[str] | None, typer.Option(metavar="NAME:X,Y,W,H", help="A region in pixels; may be repeated.")
-    ] = None,
-    contrast: Annotated[str | None, typer.Option(metavar="BRIGHT,DARK", help="Two regions to compare.")] = None,
-    line: Annotated[str | None, typer.Option(metavar="X1,Y1,X2,Y2", help="A profile between two points.")] = None,
-    line_width: Annotated[int, typer.Option(min=1, help="Width in pixels that the profile is averaged over.")] = 1,
-    box: Annotated[int, typer.Option(min=1, help="Side in pixels of the box whose means give the extremes.")] = 5,
-    spectrum: Annotated[str | None, typer.Option(help="Spectrum of the light, for figures in cd·m⁻².")] = None,
-    fisheye: Annotated[
-        _Projection | None, typer.Option(help="Projection of a fisheye picture, for the vertical illuminance.")
-    ] = None,
-    field_of_view: Annotated[float | None, typer.Option(help="Full angle of its image circle in degrees.")] = None,
-    field_of_view_u: Annotated[float, typer.Option(min=0.0, help="Its standard uncertainty in degrees.")] = 0.0,
-    radius: Annotated[float | None, typer.Option(min=1.0, help="Radius of its image circle in pixels.")] = None,
-    glare: Annotated[
-        bool, typer.Option("--glare", help="Find UGR and DGP of a fisheye picture by evalglare (extra: glare).")
-    ] = False,
-    csv: Annotated[Path | None, typer.Option(help="Table of the figures to write.")] = None,
-    report: ReportOption = None,
-    json: JsonOption = False,
-) -> None:
-    """Measure regions, contrast, a profile and the illuminance of a radiance map.
-
-    Gives mean, median, extremes, uniformity and deviation of each region, each with its uncertainty.
-    """
-    found = rm.analyse(
-        source, regions=_regions(region or ()),
-        contrast=None if contrast is None else cast(tuple[str, str], _numbered(contrast, 2, "--contrast BRIGHT,DARK")),
-        line=None if line is None else _line(line), line_width=line_width, box=box, spectrum=spectrum, fisheye=fisheye,
-        field_of_view=field_of_view, field_of_view_u=field_of_view_u, radius=radius, glare=glare,
-    )  # fmt: skip
-    if csv is not None:
-        found.write_csv(csv)
-    if report is not None:
-        found.write_report(report)
-        note(f"wrote {report}")
-    if json:
-        print(found.to_json())
-        return
+def _show(found: MapAnalysis) -> None:
     unit = "relative units" if found.map.unit in ("1", "relative") else unit_text(found.map.unit)
     shown = ("mean", "lowest", "highest", "uniformity")
     show_table(f"{found.origin}: regions in {unit}; {found.coverage}", ("region", *shown), found.region_rows(shown))
@@ -93,6 +49,10 @@ def _regions(texts: Sequence[str]) -> dict[str, Patch]:
     return found
 
 
+def _contrast(text: str) -> tuple[str, ...]:
+    return _numbered(text, 2, "--contrast BRIGHT,DARK")
+
+
 def _line(text: str) -> tuple[float, float, float, float]:
     option = "--line X1,Y1,X2,Y2 in pixels"
     try:
@@ -100,3 +60,13 @@ def _line(text: str) -> tuple[float, float, float, float]:
     except ValueError as error:
         raise UsageError(f"{text!r}: expected {option}") from error
     return x1, y1, x2, y2
+
+
+command = command_of(
+    "analyse", _show, results=("csv", "report"), source=typer.Argument(metavar="MAP"),
+    converters={"regions": _regions},
+    regions=typer.Option("--region", metavar="NAME:X,Y,W,H", help="A region in pixels; may be repeated."),
+    contrast=typer.Option(parser=_contrast, metavar="BRIGHT,DARK"), line_width=typer.Option(min=1),
+    line=typer.Option(parser=_line, metavar="X1,Y1,X2,Y2"), box=typer.Option(min=1), radius=typer.Option(min=1.0),
+    field_of_view_u=typer.Option(min=0.0), fisheye=Annotated[_Projection | None, typer.Option()],
+)  # fmt: skip

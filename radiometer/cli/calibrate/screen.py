@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import webbrowser
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch
-from radiometer.cli.console import asker, console, note, progress
+from radiometer.cli.console import console, note, progress
+from radiometer.cli.function import command_of
 from radiometer.cli.options import (
     BenchOption,
     CalibrationOption,
@@ -26,6 +27,9 @@ from radiometer.cli.options import (
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 from radiometer.numbers import rounded, with_u
+
+if TYPE_CHECKING:
+    from radiometer import DisplayReport
 
 app = command_group("Calibrate a screen as a light source, and use the calibration.")
 ScreenFile = Annotated[Path, typer.Argument(help="Screen calibration file.")]
@@ -96,63 +100,14 @@ def calibrate(
     _print_end(found)
 
 
-@app.command()
-@writes("out")
-def report(
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Page (HTML) to write.")] = None,
-    display: Annotated[str, typer.Option(help="browser, or a simulated one: lcd, pwm_lcd, oled.")] = "browser",
-    name: Annotated[str | None, typer.Option(help="What the screen is called; the display's name by default.")] = None,
-    methods: Annotated[
-        str,
-        typer.Option(
-            help="Some of warm_up, white, black, sequential_contrast, checkerboard_contrast, gamma, primaries, "
-            "additivity, uniformity, mura, viewing_angle, with commas between; all that the geometry has by default."
-        ),
-    ] = "",
-    geometry: Annotated[str, typer.Option(help="direct, viewing_angle or near_eye.")] = "direct",
-    angles: Annotated[
-        str | None, typer.Option(help="Angles from the normal in degrees, such as -30,30; the geometry's by default.")
-    ] = None,
-    points: Annotated[int, typer.Option(help="Places of the uniformity: 9, 13 or 25.")] = 13,
-    checkers: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Fields of the checkerboard.")] = "4x4",
-    levels: Annotated[str, typer.Option(help="Greys of the gamma: a count, or a list such as 0,64,128,255.")] = "17",
-    area: Annotated[
-        str | None, typer.Option(metavar="X,Y,W,H", help="Where the camera sees the whole screen, in pixels.")
-    ] = None,
-    warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
-    white: WhiteOption = "white_led",
-    primaries: PrimariesOption = None,
-    camera: CameraOption = None,
-    bench: BenchOption = None,
-    calibration: CalibrationOption = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
-    seed: SeedOption = 1,
-    json: JsonOption = False,
-) -> None:
-    """Measure a display: uniformity, contrast, gamma, primaries, black, warm-up, angle, mura.
-
-    Each figure has its uncertainty, each method its measuring conditions; those of the IDMS carry its section.
-    """
-    with progress(shown=not json) as shown:
-        found = rm.screen_report(
-            out, display, name=name, methods=words(methods), geometry=geometry, angles=_angles(angles), points=points,
-            checkers=_fields(checkers), levels=levels, area=parse_patch(area), warm_up_s=warm_up, white=white,
-            primaries=primaries, camera=camera, bench=bench, calibration=calibration, port=port, seed=seed,
-            ask=asker(), notice=note, progress=shown,
-            announce=lambda url: note("open this address on the screen to be measured, then press Start:", f"  {url}"),
-        )  # fmt: skip
-    if json:
-        print(found.to_json())
-        return
+def _show_report(found: DisplayReport) -> None:
     for line in found.lines():
         console().print(line)
-    if out is not None:
-        console().print(f"wrote {out}")
 
 
-def _angles(text: str | None) -> list[float] | None:
+def _angles(text: str) -> list[float]:
     try:
-        return None if text is None else [float(part) for part in words(text)]
+        return [float(part) for part in words(text)]
     except ValueError as error:
         raise UsageError(f"--angles {text!r}: expected degrees such as -30,30") from error
 
@@ -162,6 +117,17 @@ def _fields(text: str) -> tuple[int, int]:
     if not (cross and columns.isdecimal() and rows.isdecimal()):
         raise UsageError(f"--checkers {text!r}: expected COLUMNSxROWS such as 4x4")
     return int(columns), int(rows)
+
+
+_report = command_of(
+    "screen_report", _show_report, files=("out",), out=typer.Option("--out", "-o"), white=WhiteOption,
+    methods=typer.Option(parser=words, metavar="NAME,NAME,…"), angles=typer.Option(parser=_angles, metavar="DEG,DEG,…"),
+    checkers=typer.Option(parser=_fields, metavar="COLUMNSxROWS"), defaults={"checkers": "4x4", "display": "browser"},
+    area=typer.Option(parser=parse_patch, metavar="X,Y,W,H"), warm_up_s=typer.Option("--warm-up", min=0.0),
+    primaries=PrimariesOption, camera=CameraOption, bench=BenchOption, calibration=CalibrationOption, seed=SeedOption,
+    port=typer.Option(min=0, max=65535),
+)  # fmt: skip
+app.command("report")(_report)
 
 
 @app.command()

@@ -103,10 +103,7 @@ def _times(size: Quantity, tau: Quantity, shared: float) -> list[Figure]:
 
 def _white(examined: Examined) -> Section:
     (reading,) = examined.shown(WHITE)
-    figures = (
-        Figure("luminance", examined.luminance(reading.radiance)),
-        Figure("radiance", reading.radiance),
-    )
+    figures = (Figure("luminance", examined.luminance(reading.radiance)), Figure("radiance", reading.radiance))
     return Section("white", "Full-screen white (IDMS 5.3)", ("full-screen white, centre", _FIELD), figures)
 
 
