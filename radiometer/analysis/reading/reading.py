@@ -114,8 +114,8 @@ def patch_situation(
     if calibration is not None and settled.model.linear:
         light = [_straightened(one, calibration.found, settled.model) for one in light]
     chosen = [one for one in light if one.usable] or [one for one in light if one.unclipped] or [light[0]]
-    # Below its data the curve is a line to the black level. Noise that was cut off there reads as light, least of all in
-    # the longest frame.
+    # Below its data the curve is a line to the black level. Noise that was cut off there reads as light, in the longest
+    # frame the least.
     chosen = [one for one in chosen if one.in_data] or chosen[-1:]
     good = ~np.any([one.clipped for one in chosen], axis=0) if chosen[0].usable else np.ones(chosen[0].dn.shape, bool)
     good = _without_defects(good, calibration, patch)
