@@ -325,9 +325,9 @@ def _deviations(axes: Axes, reconciled: Reconciled) -> None:
     from matplotlib.ticker import MaxNLocator
 
     outcome = reconciled.outcome
-    states = ((outcome.start, BEFORE, "simulated before"), (outcome.state, AFTER, "simulated after"))
+    states = [(outcome.start, BEFORE, "simulated before"), (outcome.state, AFTER, "simulated after")]
     if not outcome.steps:  # both are the same
-        states = ((outcome.state, _colour_of_start(reconciled), "simulated"),)
+        states = [(outcome.state, _colour_of_start(reconciled), "simulated")]
     lit = any(_relative(state)[0].size for state, _, _ in states)
     drawn = [(*(_relative(state) if lit else _absolute(state)), colour, words) for state, colour, words in states]
     for x, deviation, colour, words in drawn:

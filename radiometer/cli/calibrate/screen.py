@@ -90,8 +90,8 @@ def calibrate(
         print(line)
     for curve in found.calibration.channels.values():
         _print_channel(found, curve)
-    for check, shown in found.checks_in_words().items():
-        line = f"{check:<10} {shown}"
+    for check, words_of in found.checks_in_words().items():
+        line = f"{check:<10} {words_of}"
         console().print(f"[yellow]{line}[/yellow]" if check == "flicker" else line)
     _print_end(found)
 
