@@ -214,9 +214,8 @@ class MapAnalysis(Drawn):
         if self.line is not None:
             x1, y1, x2, y2 = self.line
             where.plot([x1, x2], [y1, y2], color="red", lw=1.2)
-            mark(
-                where, "profile", min((x1, y1), (x2, y2)), (2, 3), "red", va="bottom"
-            )  # its left end: bar at the right
+            # At its left end, as a colour bar stands at the right; below, as names of regions stand above.
+            mark(where, "profile", min((x1, y1), (x2, y2)), (2, -3), "red", va="top")
         return where
 
     def _draw_map(self, figure: Figure, _narrow: bool) -> None:
