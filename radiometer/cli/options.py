@@ -68,7 +68,7 @@ class OnceCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Return the words that its parameters do not take."""
-        _, _, order = self.make_parser(ctx).parse_args(list(args))
+        order: list[Any] = self.make_parser(ctx).parse_args(list(args))[2]
         for one in order:
             given_once = one.param_type_name == "option" and not (one.multiple or one.count or _is_switch(one))
             if given_once and order.count(one) > 1:

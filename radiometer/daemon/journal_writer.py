@@ -198,8 +198,8 @@ class JournalWriter:
 
     async def _commit_all_kinds(self) -> None:
         if self._may_be_waiting:  # before any reading of this daemon, so that numbers and times rise together
-            for line in await self._in_thread(self._journal.take_in_waiting):
-                self.note("journal", line)
+            for outcome in await self._in_thread(self._journal.take_in_waiting):
+                self.note("journal", outcome)
             self._may_be_waiting = False
         while self._events:
             await self._in_thread(self._journal.note, *self._events[0])
