@@ -41,8 +41,9 @@ def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int) -> None:
 )
 def test_wrong_options_are_refused(arguments: list[str], code: int, message: str, tmp_path: Path) -> None:
     """One line says what is wrong; the exit code distinguishes misuse and failure."""
-    command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j.sqlite"), "--scpi-port", "0",
-               "--http-port", "0", *arguments]  # fmt: skip
+    usual = {"--journal": str(tmp_path / "j.sqlite"), "--scpi-port": "0", "--http-port": "0"}
+    others = [word for option, value in usual.items() if option not in arguments for word in (option, value)]
+    command = [sys.executable, "-m", "radiometer", "serve", *others, *arguments]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60))
     assert done.returncode == code
     assert message in done.stderr
