@@ -19,18 +19,19 @@ on TCP port 5025 (raw socket) and, with `--scpi-socket`, on a Unix socket. This 
 
 _RULES = (
     "One message per line, ended by a line feed (a carriage return before it is ignored). Replies end the same way.",
-    "A command's name is its *header*, such as `SENSe:EXPosure`; the words between colons are its *nodes*. Each node has a "
-    "short form, its capitals (`SENS:EXP`), and a long one. Small letters are the same. Nodes in brackets may be left out.",
-    "A header with `?` is a *query*, which has a reply. Parameters follow a blank, separated by commas; those in brackets "
-    "may be left out. After → is the form of the reply.",
+    "A command's name is its *header*, such as `SENSe:EXPosure`; the words between colons are its *nodes*. Each node "
+    "has a short form, its capitals (`SENS:EXP`), and a long one. Small letters are the same. Nodes in brackets may be "
+    "left out.",
+    "A header with `?` is a *query*, which has a reply. Parameters follow a blank, separated by commas; those in "
+    "brackets may be left out. After → is the form of the reply.",
     "A *session* is one connection. The *shared patch* is that of `SENSe:PATCh`.",
     "Several commands in one message are separated by `;`. The next one continues at "
     "the last node of the one before: `SENS:EXP 4 MS;GAIN 0` sets `SENS:GAIN`. A leading `:` begins a whole header."
     " Replies of one message are joined by `;`.",
     "Numbers may carry a unit: `SENS:EXP 4 MS` is `SENS:EXP 0.004`. `MIN`, `MAX` and `DEF` mean the limits and the "
     "default; `SENS:EXP? MAX` asks for one. A value out of range is refused (error −222), never clipped.",
-    "A query that fails has no reply; `SYST:ERR?` reports why. After a command error (−100 to −199) the rest of the message is "
-    "ignored.",
+    "A query that fails has no reply; `SYST:ERR?` reports why. After a command error (−100 to −199) the rest of the "
+    "message is ignored.",
     "Each connection has its own status, error queue, patch and formats. All connections share the settings of the "
     "camera, continuous measurement and the light box.",
     "Every value can be read with its standard uncertainty (k=1): `MEAS:RAD?` replies `value,u`. The number 9.91E+37 "

@@ -115,7 +115,9 @@ def _registers(name: str) -> tuple[Command, ...]:
         Command(f"STATus:{name}:CONDition", f"Reads the {name.lower()} condition register.",
                 ask=lambda call: str(_register(call, name).condition), reply="0 to 32767",
                 example=f"STAT:{short}:COND?", group=STATUS),
-        Command(f"STATus:{name}:ENABle", "Sets the mask of event bits (sum of their weights) that set this register's bit in the status byte.", do=_set_enable(name),
+        Command(f"STATus:{name}:ENABle",
+                "Sets the mask of event bits (sum of their weights) that set this register's bit in the status byte.",
+                do=_set_enable(name),
                 ask=lambda call: str(_register(call, name).enable), parameters=(Number("mask", "", _WORD16, True),),
                 reply="0 to 65535", example=f"STAT:{short}:ENAB 65535;ENAB?", group=STATUS),
     )  # fmt: skip
@@ -124,7 +126,9 @@ def _registers(name: str) -> tuple[Command, ...]:
 COMMANDS: Final = (
     *_registers("OPERation"),
     *_registers("QUEStionable"),
-    Command("STATus:PRESet", "Clears the masks (enable registers) of operation and questionable status.", do=lambda call: call.session.status.preset(),
+    Command("STATus:PRESet",
+            "Clears the masks (enable registers) of operation and questionable status.",
+            do=lambda call: call.session.status.preset(),
             example="STAT:PRES", group=STATUS),
     Command("SYSTem:ERRor[:NEXT]", "Removes the oldest entry from the session's error queue (32 entries) and "
     "replies it."
