@@ -39,7 +39,8 @@ KINDS: Final = (
     AlarmKind("stopped",
               "continuous measurement was stopped, or slowed to a fifth (and above 10 s), although a patch has limits",
               "it goes on, or no patch has limits"),
-    AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch, or are bounds that do not show it",
+    AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch, or are bounds (clipped, "
+              "or below noise) that cannot show whether they are",
               "two in a row are back inside by the hysteresis, or the limits or the patch changed"),
     AlarmKind("calibration", "the calibration could not be read again, and the old one stays in use",
               "it was read again"),

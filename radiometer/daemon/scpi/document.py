@@ -12,39 +12,44 @@ from radiometer.daemon.scpi.table import command_table
 _INTRODUCTION = """\
 # SCPI
 
-`radiometer serve` listens on TCP port 5025 (raw socket) and, where asked for, on a Unix socket. This page is made from
-the command table by `python -m radiometer.daemon.scpi.document`; a test keeps it up to date and runs every example.
+SCPI (Standard Commands for Programmable Instruments) is a language of text lines. `radiometer serve` understands it
+on TCP port 5025 (raw socket) and, with `--scpi-socket`, on a Unix socket. This page is made from the command table by
+`python -m radiometer.daemon.scpi.document`; a test runs every example. Terms are in the [glossary](../glossary.md).
 """
 
 _RULES = (
     "One message per line, ended by a line feed (a carriage return before it is ignored). Replies end the same way.",
-    "Headers in short or long form (`SENS:EXP`, `SENSe:EXPosure`), in capitals or not. Nodes in brackets may be "
+    "A command's name is its *header*, such as `SENSe:EXPosure`; the words between colons are its *nodes*. Each node "
+    "has a short form, its capitals (`SENS:EXP`), and a long one. Small letters are the same. Nodes in brackets may be "
     "left out.",
-    "Several commands in one message are separated by `;`. After one, the next begins where its last node stood: "
-    "`SENS:EXP 4 MS;GAIN 0`. A leading `:` begins at the root. Replies of one message are joined by `;`.",
+    "A header with `?` is a *query*, which has a reply. Parameters follow a blank, separated by commas; those in "
+    "brackets may be left out. After → is the form of the reply.",
+    "A *session* is one connection. The *shared patch* is that of `SENSe:PATCh`.",
+    "Several commands in one message are separated by `;`. The next one continues at "
+    "the last node of the one before: `SENS:EXP 4 MS;GAIN 0` sets `SENS:GAIN`. A leading `:` begins a whole header."
+    " Replies of one message are joined by `;`.",
     "Numbers may carry a unit: `SENS:EXP 4 MS` is `SENS:EXP 0.004`. `MIN`, `MAX` and `DEF` mean the limits and the "
-    "default; `SENS:EXP? MAX` asks for one. A value out of range is refused (−222), never clipped.",
-    "A query that fails has no reply; `SYST:ERR?` reports why. After a command error (−1xx) the rest of the message is "
-    "ignored.",
+    "default; `SENS:EXP? MAX` asks for one. A value out of range is refused (error −222), never clipped.",
+    "A query that fails has no reply; `SYST:ERR?` reports why. After a command error (−100 to −199) the rest of the "
+    "message is ignored.",
     "Each connection has its own status, error queue, patch and formats. All connections share the settings of the "
     "camera, continuous measurement and the light box.",
     "Every value can be read with its standard uncertainty (k=1): `MEAS:RAD?` replies `value,u`. The number 9.91E+37 "
     'means "not a number", 9.9E+37 means infinity.',
-    "Blocks (`#` + number of digits + length + bytes) may hold any byte.",
+    "A *block* holds any bytes: `#`, the number of digits of its length, its length, and the bytes. `#15hello` is one.",
     "**SCPI has no authentication.** The daemon listens on the loopback address; on another one only with a list of "
     "those who may connect (`--scpi-allow`).",
     "A web page can make a browser speak HTTP or TLS to this port. Such a client is disconnected before anything "
     "that it "
-    "sends is executed. For that, a message with `SOURce` in the first 0.1 s of a connection waits until the 0.1 "
-    "s end.",
+    "sends is executed. To detect it, a message with `SOURce` waits until a connection is 0.1 s old.",
     "Limits: 256 connections, 4096 bytes per message, 1000 messages per second and client (more are delayed). "
     "Where all "
     "connections are in use, the longest idle one is closed after a minute to make room. `OUTP:ALL OFF` is taken even "
     "where none is idle.",
     "A client is dropped after 30 s if it does not take its replies or does not finish a message. It is also dropped "
     "after 4 h without a message; an entry of the error queue warns 24 min before.",
-    "The replies of one message may have 4 MB without the largest of them. Replies above 1 MB that clients have not "
-    "taken yet may have 256 MB in total. Beyond either limit a query fails with −225.",
+    "The replies of one message may have 4 MB in total, the largest of them not counted. All replies above 1 MB that "
+    "clients have not taken yet may have 256 MB in total. Beyond either limit a query fails with error −225.",
 )
 
 _EXAMPLE = """\

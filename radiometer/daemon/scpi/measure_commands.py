@@ -151,7 +151,8 @@ def _measuring(quantity: str, unit: str) -> tuple[Command, ...]:
                 " session count there, too. −230 means that there is none yet, as after the patch was moved. All"
                 " queries of one message refer to one reading.",
                 ask=_fetch(function), reply="value,u", example=f"READ?;:FETC:{quantity[:3].upper()}?", group=GROUP),
-        Command(f"FETCh:{quantity}:UNCertainty", "Replies its standard uncertainty (k=1) alone.",
+        Command(f"FETCh:{quantity}:UNCertainty",
+                f"Replies the standard uncertainty (k=1) of that {quantity.lower()} alone.",
                 ask=_fetch(function, uncertainty), reply="u", example=f"READ?;:FETC:{quantity[:3].upper()}:UNC?",
                 group=GROUP),
     )  # fmt: skip
@@ -171,9 +172,11 @@ COMMANDS: Final = (
             ask=_fetch(None, ("UNCertainty",)), reply="u", example="READ?;:FETC:UNC?", group=GROUP),
     Command("FETCh:FLAGs", "Replies the flags of the same reading, separated by blanks.",
             ask=_fetch(None, ("FLAGs",)), reply='"flags"', example="READ?;:FETC:FLAG?", group=GROUP),
-    Command("FETCh:TIME", "Replies its time in UTC.", ask=_fetch(None, ("TIME",)), reply='"ISO 8601"',
+    Command("FETCh:TIME", "Replies the time of the same reading in UTC.",
+            ask=_fetch(None, ("TIME",)), reply='"ISO 8601"',
             example="READ?;:FETC:TIME?", group=GROUP),
-    Command("FETCh:SEQuence", "Replies its running number in the journal.", ask=_fetch(None, ("SEQuence",)),
+    Command("FETCh:SEQuence", "Replies the running number of the same reading in the journal.",
+            ask=_fetch(None, ("SEQuence",)),
             reply="integer", example="READ?;:FETC:SEQ?", group=GROUP),
     Command("FETCh:JSON", "Replies the whole reading as one line of JSON in a block.",
             ask=_fetched(lambda session, reading: formats.block(reading.to_json().encode())), reply="block",

@@ -232,7 +232,8 @@ COMMANDS: Final = (
             " button), the level is 0 and an alarm is raised.",
             do=_set_level, ask=_ask_level, parameters=(Number("level", "PCT", _LEVEL, also=("MAXimum",)),),
             ask_parameters=(_ANY_LIMIT,), reply="level", example="SOUR:LED1:LEV 0.25;LEV?", group=SOURCE),
-    Command("SOURce:LED:CATalog", "Names the channels, from 1 on.", ask=_catalogue, reply='"name",…',
+    Command("SOURce:LED:CATalog", "Names the channels of the light box in the order of <n>, from 1 on.",
+            ask=_catalogue, reply='"name",…',
             example="SOUR:LED:CAT?", group=SOURCE),
     Command("OUTPut:ALL", "OFF switches every channel off at once, even as the first message of a connection. ON is"
             " refused (−221). The query replies 1 while the box reports any channel lit.",

@@ -115,7 +115,9 @@ def _registers(name: str) -> tuple[Command, ...]:
         Command(f"STATus:{name}:CONDition", f"Reads the {name.lower()} condition register.",
                 ask=lambda call: str(_register(call, name).condition), reply="0 to 32767",
                 example=f"STAT:{short}:COND?", group=STATUS),
-        Command(f"STATus:{name}:ENABle", "Sets which of its events reach the status byte.", do=_set_enable(name),
+        Command(f"STATus:{name}:ENABle",
+                "Sets the mask of event bits (sum of their weights) that set this register's bit in the status byte.",
+                do=_set_enable(name),
                 ask=lambda call: str(_register(call, name).enable),
                 parameters=(Number("mask", "", _WORD16, "rounded"),),
                 reply="0 to 65535", example=f"STAT:{short}:ENAB 65535;ENAB?", group=STATUS),
@@ -125,7 +127,9 @@ def _registers(name: str) -> tuple[Command, ...]:
 COMMANDS: Final = (
     *_registers("OPERation"),
     *_registers("QUEStionable"),
-    Command("STATus:PRESet", "Clears the enable registers of both.", do=lambda call: call.session.status.preset(),
+    Command("STATus:PRESet",
+            "Clears the masks (enable registers) of operation and questionable status.",
+            do=lambda call: call.session.status.preset(),
             example="STAT:PRES", group=STATUS),
     Command("SYSTem:ERRor[:NEXT]", "Removes the oldest entry from the session's error queue (32 entries) and "
     "replies it."
@@ -139,7 +143,7 @@ COMMANDS: Final = (
             reply="integer", example="SYST:ERR:COUN?", group=SYSTEM),
     Command("SYSTem:VERSion", "Replies the version of SCPI.", ask=lambda call: "1999.0", reply="1999.0",
             example="SYST:VERS?", group=SYSTEM),
-    Command("SYSTem:ALARm", "Lists the alarms that are up.", ask=_alarms, reply='"alarm",…', example="SYST:ALAR?",
+    Command("SYSTem:ALARm", "Lists the active alarms.", ask=_alarms, reply='"alarm",…', example="SYST:ALAR?",
             group=SYSTEM),
     Command("SYSTem:DEVice", "Lists the devices, each ready, overdue, failing, lost or closed.", ask=_devices,
             reply='"device: state",…', example="SYST:DEV?", group=SYSTEM),
