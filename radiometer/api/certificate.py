@@ -186,17 +186,10 @@ def _of_reading(
     conditions += [("flag", str(flag)) for flag in content["flags"]]
     conditions += [("assumption", str(one)) for one in content.get("assumptions", [])]
     return Certified(
-        identifier=identifier,
-        title="radiance of a patch",
-        date=_day(str(content["time"])),
-        method=_READING_METHOD,
-        item=laboratory.item,
-        equipment=(("camera", str(content["instrument"])), *_calibration_of(content)),
-        conditions=tuple(conditions),
-        results=results,
-        budget=budget,
-        version=radiometer.__version__,
-    )
+        identifier=identifier, title="radiance of a patch", date=_day(str(content["time"])), method=_READING_METHOD,
+        item=laboratory.item, equipment=(("camera", str(content["instrument"])), *_calibration_of(content)),
+        conditions=tuple(conditions), results=results, budget=budget, version=radiometer.__version__,
+    )  # fmt: skip
 
 
 def _result(name: str, stated: dict[str, Any]) -> Quantity:

@@ -74,17 +74,12 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     uniformity = low / high if high > 0 else math.nan
     u_uniformity = uniformity * math.hypot(u_low / low, u_high / high) if low > 0 else u_low / max(high, 1e-30)
     return RegionFigures(
-        name,
-        patch,
-        Quantity(level, math.hypot(u_mean, level * common), unit),
+        name, patch, Quantity(level, math.hypot(u_mean, level * common), unit),
         Quantity(float(np.median(values[good])), math.hypot(1.2533 * u_mean, level * common), unit),
-        Quantity(low, math.hypot(u_low, low * common), unit),
-        Quantity(high, math.hypot(u_high, high * common), unit),
+        Quantity(low, math.hypot(u_low, low * common), unit), Quantity(high, math.hypot(u_high, high * common), unit),
         Quantity(spread.value, math.hypot(spread.u, spread.value * common), unit),
-        Quantity(uniformity, u_uniformity, "1"),
-        share,
-        _flags(mask),
-    )
+        Quantity(uniformity, u_uniformity, "1"), share, _flags(mask),
+    )  # fmt: skip
 
 
 def spread_beyond_noise(variance: float, noise_variance: float, count: float) -> Quantity:
