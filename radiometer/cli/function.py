@@ -86,7 +86,11 @@ def command_of(
     def command(*, json: bool = False, **given: Any) -> None:
         written = {one: given.pop(one) for one in results}
         with progress(shown="progress" in taken and not json) as shown:
-            served = {"notice": note, "progress": shown, "announce": lambda url: note(_PAGE.format(url))}
+            served: dict[str, Any] = {
+                "notice": note,
+                "progress": shown,
+                "announce": lambda url: note(_PAGE.format(url)),
+            }
             served |= {"ask": asker()} if "ask" in taken else {}
             stated = {one: value for one, value in given.items() if value is not None and value != []}
             stated |= {one: of(stated[one]) for one, of in (converters or {}).items() if one in stated}
