@@ -28,7 +28,7 @@ from radiometer.analysis.signal.situation import contradicted, same_light
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import Radiance, quantity_in_words
-from radiometer.api.result import Drawn
+from radiometer.api.result import Drawn, or_null
 from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.drawing import new_axes
 from radiometer.data.storage import write_text_atomic
@@ -91,10 +91,7 @@ class MapAnalysis(Drawn):
                 }
                 for one in self.regions
             },
-            "contrast": None if self.contrast is None else self.contrast.to_mapping(),
-            "illuminance": None if self.illuminance is None else self.illuminance.to_mapping(),
-            "ugr": None if self.ugr is None else self.ugr.to_mapping(),
-            "dgp": None if self.dgp is None else self.dgp.to_mapping(),
+            **{name: or_null(getattr(self, name)) for name in ("contrast", "illuminance", "ugr", "dgp")},
             "assumptions": list(self.assumptions),
         }
         if self.profile is not None:

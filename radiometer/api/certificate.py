@@ -100,7 +100,9 @@ def certificate(
     identifier: str,
     force: bool = False,
 ) -> Certificate:
-    """Make a digital calibration certificate (DCC) of a reading or of a calibration.
+    """Make a digital calibration certificate (DCC 3 with D-SI) of a reading or of a calibration.
+
+    It states value, expanded uncertainty, coverage factor and probability, budget, method, equipment and conditions.
 
     Examples:
         >>> import radiometer as rm
@@ -109,7 +111,7 @@ def certificate(
         <Certificate 2026-001: ...>
 
     Args:
-        source: A reading, the file with its JSON, or a calibration or its file.
+        source: A reading, the file with its JSON (`measure --json`), or a calibration or its file.
         out: XML file to write; a page for people is written next to it with the ending .html.
         laboratory: YAML file (`radiometer-laboratory/1`) with laboratory, customer, responsible person and item.
         identifier: Number of the certificate, unique in the laboratory.
@@ -187,17 +189,10 @@ def _of_reading(
     conditions += [("flag", str(flag)) for flag in content["flags"]]
     conditions += [("assumption", str(one)) for one in content.get("assumptions", [])]
     return Certified(
-        identifier=identifier,
-        title="radiance of a patch",
-        date=_day(str(content["time"])),
-        method=_READING_METHOD,
-        item=laboratory.item,
-        equipment=(("camera", str(content["instrument"])), *_calibration_of(content)),
-        conditions=tuple(conditions),
-        results=results,
-        budget=budget,
-        version=radiometer.__version__,
-    )
+        identifier=identifier, title="radiance of a patch", date=_day(str(content["time"])), method=_READING_METHOD,
+        item=laboratory.item, equipment=(("camera", str(content["instrument"])), *_calibration_of(content)),
+        conditions=tuple(conditions), results=results, budget=budget, version=radiometer.__version__,
+    )  # fmt: skip
 
 
 def _result(name: str, stated: dict[str, Any]) -> Quantity:

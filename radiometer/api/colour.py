@@ -22,10 +22,10 @@ from radiometer.analysis.colour.train import ColourCamera, train_on_lights, trai
 from radiometer.analysis.exports.maps import MapPicture, write_exr, write_tiff
 from radiometer.analysis.photometry.photometry import spectral_columns
 from radiometer.analysis.regions.figures import LOST, region_figures
-from radiometer.api.files import PathLike, stack_of
+from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import ResponseLike, merge
-from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
+from radiometer.api.result import Drawn, Notice, Progress, Result, or_null, unheard
 from radiometer.bench.sources import is_photographs, open_source
 from radiometer.data import (
     CameraDescription,
@@ -130,7 +130,7 @@ class ColourReading(Drawn):
             "source": self.source,
             "patch": [self.patch.x, self.patch.y, self.patch.width, self.patch.height],
             "kind": self.kind,
-            **{name: None if one is None else one.to_mapping() for name, one in self.quantities.items()},
+            **{name: or_null(one) for name, one in self.quantities.items()},
             "covariance_xy": self.coordinates.xy_covariance.tolist(),
             "coverage_factor": 2,
             "signals": {name: one.to_mapping() for name, one in self.signals.items()},
@@ -318,8 +318,7 @@ def colour_measure(
         _writer(Path(maps))
     known = calibration if isinstance(calibration, ColourCalibration) else ColourCalibration.read(Path(calibration))
     known.fit(kind)
-    frames = _Frames(filters, linear, response, notice, progress)
-    seen = frames.channels(source)
+    seen = _Frames(filters, linear, response, notice, progress).channels(source)
     if tuple(seen.maps) != known.channels:
         raise UsageError(f"{seen.origin}: has the channels {', '.join(seen.maps)}, the calibration "
                          f"{', '.join(known.channels)}")  # fmt: skip
@@ -430,32 +429,32 @@ class _Frames:
         path = Path(str(source))
         if is_photographs(path):
             return self._of_photographs(path)
-        capture = open_capture(path)
-        camera = capture.header.camera
-        if camera.mosaic is None:
+        header = open_capture(path).header
+        if header.camera.mosaic is None:
             raise UsageError(
                 f"{path}: states no camera.mosaic: its frames have one channel; of a monochrome camera give "
                 "--filter NAME=FOLDER for each filter"
             )
-        found = merge(path, channel="each", progress=self.progress)
+        maps, places = self._merged(path, channel="each"), {one.name: one.patch for one in header.patches}
+        return _Channels(str(path), maps, header.camera, _stated(header), places, True, header.taken)
+
+    def _merged(self, source: Stack | Path, **how: Any) -> Mapping[str, RadianceMap]:
+        """Return the map of each channel; a user hears what is doubted of the frames."""
+        found = merge(source, progress=self.progress, **how)
         for line in found.notes:
             self.notice(line)
-        places = {one.name: one.patch for one in capture.header.patches}
-        return _Channels(str(path), found.maps, camera, _stated(capture.header), places, True, capture.header.taken)
+        return found.maps
 
     def _behind_filters(self, filters: Mapping[str, PathLike]) -> _Channels:
-        maps = dict[str, RadianceMap]()
-        for name, folder in filters.items():
-            capture = open_capture(Path(folder))
-            if capture.header.camera.mosaic is not None:
-                raise UsageError(f"--filter {name}={folder}: the camera has colour filters; give its set alone")
-            maps[name] = merge(folder, progress=self.progress).map
+        headers = {name: open_capture(Path(folder)).header for name, folder in filters.items()}
+        for name, one in headers.items():
+            if one.camera.mosaic is not None:
+                raise UsageError(f"--filter {name}={filters[name]}: the camera has colour filters; give its set alone")
+        maps = {name: merge(folder, progress=self.progress).map for name, folder in filters.items()}
         if len({one.shape for one in maps.values()}) > 1:
             raise InputError("--filter: the frames behind the filters differ in size; capture the same region")
-        first = open_capture(Path(next(iter(filters.values())))).header
-        return _Channels(
-            ", ".join(map(str, filters.values())), maps, first.camera, _stated(first), {}, False, first.taken
-        )
+        first, origin = next(iter(headers.values())), ", ".join(map(str, filters.values()))
+        return _Channels(origin, maps, first.camera, _stated(first), {}, False, first.taken)
 
     def _of_photographs(self, path: Path) -> _Channels:
         stack = stack_of(open_source(path, "each"), str(path))
@@ -466,12 +465,9 @@ class _Frames:
                 f"{path}: values of developed photographs follow an unknown curve; take raw files, or give --response "
                 "FILE or --linear"
             )
-        found = merge(stack, self.response, linear=self.linear, progress=self.progress)
-        for line in found.notes:
-            self.notice(line)
-        frame = next(iter(stack.brackets.values())).light[0]
-        lens = LensDescription(f_number=frame.settings.f_number)
-        return _Channels(str(path), {name: found.maps[name] for name in COLOURS}, stack.camera, lens, {}, together=True)
+        found = self._merged(stack, response=self.response, linear=self.linear)
+        lens = LensDescription(f_number=next(iter(stack)).light[0].settings.f_number)
+        return _Channels(str(path), {name: found[name] for name in COLOURS}, stack.camera, lens, {}, together=True)
 
 
 def _stated(header: CaptureHeader) -> LensDescription:

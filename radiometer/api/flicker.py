@@ -15,7 +15,7 @@ from radiometer.analysis.flicker.measures import Flicker, measure_flicker
 from radiometer.analysis.flicker.waveform import Waveform, find_period, read_waveform, waveform_of_rows
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.result import Drawn, Notice, unheard
+from radiometer.api.result import Drawn, Notice, or_null, unheard
 from radiometer.bench.assembly import open_bench_camera
 from radiometer.bench.instrument import central_patch, refuse_outside
 from radiometer.data import Quantity
@@ -50,19 +50,15 @@ class FlickerReport(Drawn):
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
         found = self.measures
-        named = {
-            name: getattr(found, name) for name in ("frequency", "modulation_depth", "flicker_index", "svm", "pst_lm")
-        }
+        names = ("frequency", "modulation_depth", "flicker_index", "svm", "pst_lm")
         return {
             "source": self.waveform.origin,
             "rate_Hz": self.waveform.rate_hz,
             "duration_s": self.waveform.duration_s,
             "periods": found.periods,
             "coverage_factor": found.coverage_factor,
-            **{
-                name: None if one is None else one.to_mapping()
-                for name, one in {**named, "row_time": self.row_time}.items()
-            },
+            **{name: or_null(getattr(found, name)) for name in names},
+            "row_time": or_null(self.row_time),
             "assumptions": list(found.assumptions),
             "warnings": list(found.warnings),
         }

@@ -18,6 +18,8 @@ from radiometer.progress import Progress as Progress
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from radiometer.data import Quantity
+
 # Callbacks that functions take, besides `Progress`. An ask returns once somebody has done what it asks for. A notice is
 # one line for the user.
 Ask = Callable[[str], None]
@@ -47,6 +49,11 @@ def require_other(other: str, given: object, **dependents: Any) -> None:
 
 def unheard(line: str) -> None:
     """Drop a notice."""
+
+
+def or_null(quantity: Quantity | None) -> dict[str, Any] | None:
+    """Return the JSON form of a quantity; None, which JSON writes as null, where there is none."""
+    return None if quantity is None else quantity.to_mapping()
 
 
 class Result:

@@ -21,7 +21,7 @@ from radiometer.cli.outputs import writes
 _PAGE: Final = "open this address on the screen to be measured, then press Start:\n  {}"
 _HANDED: Final = ("notice", "progress", "ask", "announce")  # parameters that the terminal serves
 _ARGS: Final = re.compile(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", re.MULTILINE)
-# What one word becomes, by the first that stands in an annotation; several words become a list.
+# What one word becomes, by the first that its annotation names; several words become a list.
 _KINDS: Final = {
     "PathLike": Path,
     "bool": bool,
@@ -64,14 +64,15 @@ def command_of(
             another name, limits, a parser of words; or a whole annotation, with its own type.
     """
     text, helps, taken = _described(name)
+    changed = {one: (taken[one][0], default) for one, default in (defaults or {}).items()}
     parameters = [
         inspect.Parameter(
             one,
             inspect.Parameter.KEYWORD_ONLY,
-            default=(defaults or {}).get(one, default),
+            default=default,
             annotation=_annotation(one, kind, default, options.get(one), helps[one]),
         )
-        for one, (kind, default) in taken.items()
+        for one, (kind, default) in {**taken, **changed}.items()
         if one not in _HANDED
     ]
     further: dict[str, tuple[Any, Any]] = {
@@ -82,6 +83,7 @@ def command_of(
         inspect.Parameter(one, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
         for one, (default, kind) in further.items()
     ]
+    parameters.sort(key=lambda one: one.name == "force")  # last, as `writes` has it
 
     def command(*, json: bool = False, **given: Any) -> None:
         written = {one: given.pop(one) for one in results}
@@ -112,7 +114,7 @@ def command_of(
 def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any]]]:
     """Return a function's text before the sections of its docstring, then by parameter: help, annotation and default.
 
-    A default of None stands for those that are no plain value, and for empty ones.
+    None replaces defaults that are no plain value, and empty ones.
     """
     home = importlib.util.find_spec(rm.home_of(name))
     source = Path(str(home and home.origin)).read_text(encoding="utf-8")

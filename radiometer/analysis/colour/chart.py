@@ -57,15 +57,12 @@ def read_chart(path: Path) -> list[KnownLight]:
     kinds, captures = _words(table, "kind"), _words(table, "capture")
     return [
         KnownLight(
-            name,
-            kinds[n],
-            None if xyz is None else xyz[n],
-            0.0 if u_rel is None else float(u_rel[n, 0]),
+            name, kinds[n], None if xyz is None else xyz[n], 0.0 if u_rel is None else float(u_rel[n, 0]),
             None if places is None else Patch(*(int(one) for one in places[n])),
             path.parent / captures[n] if captures[n] else None,
         )
         for n, name in enumerate(names)
-    ]
+    ]  # fmt: skip
 
 
 def _group(table: TextTable, names: Sequence[str], fact: str, unit: str) -> Array | None:

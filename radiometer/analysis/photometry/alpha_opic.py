@@ -84,13 +84,10 @@ def alpha_opic_quantities(
         of_receptor = Quantity(quantity.value * factor.value, u, unit)
         found.append(
             AlphaOpic(
-                receptor,
-                of_receptor,
-                of_receptor.scaled(1.0 / d65, daylight_unit),
-                efficacy.scaled(1e3, "mW lm-1"),
+                receptor, of_receptor, of_receptor.scaled(1.0 / d65, daylight_unit), efficacy.scaled(1e3, "mW lm-1"),
                 efficacy.scaled(1.0 / d65, "1"),
             )
-        )
+        )  # fmt: skip
     return tuple(found)
 
 

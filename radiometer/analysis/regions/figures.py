@@ -86,18 +86,12 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
         u_levels = u_of_ratio(low, high, by_level, by_level)
         u_uniformity = uniformity * math.hypot(u_low / low, u_high / high, u_levels)
     return RegionFigures(
-        name,
-        patch,
-        Quantity(level, math.hypot(u_mean, level * common), unit),
+        name, patch, Quantity(level, math.hypot(u_mean, level * common), unit),
         Quantity(float(np.median(values[good])), math.hypot(1.2533 * u_mean, level * common), unit),
-        Quantity(low, math.hypot(u_low, low * common), unit),
-        Quantity(high, math.hypot(u_high, high * common), unit),
+        Quantity(low, math.hypot(u_low, low * common), unit), Quantity(high, math.hypot(u_high, high * common), unit),
         Quantity(spread.value, math.hypot(spread.u, spread.value * common), unit),
-        Quantity(uniformity, u_uniformity, "1"),
-        share,
-        by_level,
-        _flags(mask, black),
-    )
+        Quantity(uniformity, u_uniformity, "1"), share, by_level, _flags(mask, black),
+    )  # fmt: skip
 
 
 def u_of_ratio(one: float, other: float, u_rel_one: float, u_rel_other: float) -> float:

@@ -150,13 +150,9 @@ def _checkerboard(examined: Examined) -> Section:
     notes = ("light that the lens scatters from white into black fields counts as far as the calibration states it",)
     return Section(
         "checkerboard_contrast",
-        f"Checkerboard luminance and contrast ({columns} × {rows}, IDMS 5.26; ANSI contrast for 4 × 4)",
-        conditions,
-        (figure,),
-        ("field", "shown", "luminance (cd·m⁻²)"),
-        cells,
-        notes,
-    )
+        f"Checkerboard luminance and contrast ({columns} × {rows}, IDMS 5.26; ANSI contrast for 4 × 4)", conditions,
+        (figure,), ("field", "shown", "luminance (cd·m⁻²)"), cells, notes,
+    )  # fmt: skip
 
 
 def _gamma(examined: Examined) -> Section:
@@ -188,14 +184,11 @@ def _gamma(examined: Examined) -> Section:
         rows.append((f"{round(drive * _TOP)}", examined.luminance(one.radiance), local))
     notes = () if all(clear) else ("levels that do not rise above black by three standard uncertainties are left out",)
     return Section(
-        "gamma",
-        "Gamma of the greys",
+        "gamma", "Gamma of the greys",
         (f"{len(drives)} greys, full screen, centre; slope of ln(L − L_black) over ln(level)", _FIELD),
         (Figure("gamma", exponent), Figure("misfit_rms", derived(readings, misfit, drift_rel=drift))),
-        ("level", "luminance (cd·m⁻²)", "local gamma"),
-        tuple(rows),
-        notes,
-    )
+        ("level", "luminance (cd·m⁻²)", "local gamma"), tuple(rows), notes,
+    )  # fmt: skip
 
 
 def _local(values: Array, drive: float) -> float:
@@ -226,14 +219,10 @@ def _primaries(examined: Examined) -> Section:
         notes.append("luminances of the primaries need their spectra: --primaries")
     notes.append("a grey camera does not see chromaticity: measure it with radiometer colour")
     return Section(
-        "primaries",
-        "Full-screen primary colors (IDMS 5.14) and white",
-        ("full-screen red, green, blue and white, centre", _FIELD),
-        tuple(figures),
-        ("shown", "radiance (W·sr⁻¹·m⁻²)", "luminance (cd·m⁻²)", "spectrum assumed"),
-        tuple(rows),
-        tuple(notes),
-    )
+        "primaries", "Full-screen primary colors (IDMS 5.14) and white",
+        ("full-screen red, green, blue and white, centre", _FIELD), tuple(figures),
+        ("shown", "radiance (W·sr⁻¹·m⁻²)", "luminance (cd·m⁻²)", "spectrum assumed"), tuple(rows), tuple(notes),
+    )  # fmt: skip
 
 
 def _doubt_of_spectra(examined: Examined, read: Mapping[str, Quantity]) -> float:
@@ -289,13 +278,10 @@ def _uniformity(examined: Examined) -> Section:
         Figure("mean_luminance", examined.luminance(derived(readings, lambda v: float(v.mean()), "W sr-1 m-2"))),
     )
     return Section(
-        "uniformity",
-        TITLES[examined.points],
+        "uniformity", TITLES[examined.points],
         (f"full-screen white at {examined.points} points, all from the same frames; lowest over highest", _FIELD),
-        figures,
-        ("place (from left, from top)", "luminance (cd·m⁻²)", "over the centre"),
-        rows,
-    )
+        figures, ("place (from left, from top)", "luminance (cd·m⁻²)", "over the centre"), rows,
+    )  # fmt: skip
 
 
 def _extreme(count: int) -> float:
@@ -320,13 +306,9 @@ def _mura(examined: Examined) -> Section:
     if abs(found.spot.value) < found.detection_limit:
         notes.insert(0, f"the largest spot is no larger than noise can be ({100 * found.detection_limit:.2g} %)")
     return Section(
-        "mura",
-        "Mura analysis (IDMS 8.2.3; band-pass filter as below)",
-        conditions,
-        figures,
-        notes=tuple(notes),
+        "mura", "Mura analysis (IDMS 8.2.3; band-pass filter as below)", conditions, figures, notes=tuple(notes),
         picture=100.0 * found.relative,
-    )
+    )  # fmt: skip
 
 
 def _viewing_angle(examined: Examined) -> Section:
