@@ -30,7 +30,7 @@ class ShotNoise(KeepsMean):
         return np.maximum(signal, 0.0)
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the noise that its mean light gives a tile also where it is so steep that points lie below zero."""
+        """Return the noise that its mean light gives a tile also where it is so steep that points are below zero."""
         if np.min(before.mean) >= 0.0:
             return after
         own = self.variance(before.mean, context)
