@@ -527,11 +527,11 @@ def _cut_off(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
 def honest_comb(design: Design, seen: CaptureStatistics, base: Prediction) -> Array:
     """Return the standard deviation of a Fourier term of honest histograms, (captures, periods).
 
-    In a scene the light scatters the codes where noise need not. Codes of pixels that all have the same phase φ, and
-    Gaussian noise of variance v, have the term Σ exp(−2π²·v·f²)·cos φ over the frequency f = 1/period and what whole
-    codes make of it, 1 − 1/period. Of any phase that is 1/√2 of its largest. Pixels without light have the least
-    noise; where no read noise is declared, the darkest tile as it was seen counts too, clipped or not. Patches are
-    even: their noise alone is wide enough.
+    In a scene the light scatters the codes where noise need not. Codes of pixels of one phase φ, with Gaussian noise
+    of variance v, have the term Σ exp(−2π²·v·f²)·cos φ. The sum is over the frequencies f = 1/period and
+    1 − 1/period, which are the same to whole codes. Of any phase that is 1/√2 of its largest. Pixels without light
+    have the least noise; where no read noise is declared, the darkest tile as it was seen counts too, clipped or not.
+    Patches are even: their noise alone is wide enough.
     """
     periods = np.array(COMB_PERIODS)
     if design.uniform:

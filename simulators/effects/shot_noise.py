@@ -8,6 +8,7 @@ import numpy as np
 
 from simulators.effects.base import ELECTRONS, KeepsMean, Stage
 from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
@@ -27,3 +28,12 @@ class ShotNoise(KeepsMean):
     def variance(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the expected number: a Poisson count's variance is its mean."""
         return np.maximum(signal, 0.0)
+
+    def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
+        """Return the noise that its mean light gives a tile also where it is so steep that points are below zero."""
+        if np.min(before.mean) >= 0.0:
+            return after
+        own = self.variance(before.mean, context)
+        light = np.maximum(before.mean.mean(axis=-1, keepdims=True), 0.0)
+        too_much = 1.0 - light / np.maximum(own.mean(axis=-1, keepdims=True), 1e-30)
+        return after.changed(variance=after.variance - own * too_much)
