@@ -65,7 +65,19 @@ def first_state(
     values[0] = rough_log_responsivity(design, seen.mean, rough, unclipped)
     state = weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
     state = refit(state)
-    return refit(reweighted(state)).recorded()
+    state = refit(reweighted(state)).recorded()
+    return _from_stated(state) if _off_stated(state) >= FAR_GAP else state
+
+
+def _from_stated(state: FitState) -> FitState:
+    """Return the state at the stated radiances, all else fitted to them; its linearised fit frees them again.
+
+    Radiances that took up an effect many times their uncertainty stand where linear predictions mean little. From the
+    stated ones the means are linear in their errors and in what adds light.
+    """
+    layout = state.layout
+    held = replace(state, layout=layout.held(), values=np.where(layout.stated, 0.0, state.values))
+    return replace(refit(held), layout=layout)
 
 
 def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
@@ -381,9 +393,13 @@ def is_far(state: FitState) -> bool:
 
     Entries are held-out settings and stated values: a wrong model may fit the former by moving the latter.
     """
+    return max(state.gap, _off_stated(state)) >= FAR_GAP
+
+
+def _off_stated(state: FitState) -> float:
+    """Return the reduced χ² of stated values, each predicted by all else."""
     stated = slice(state.settings, None)
-    off = float(state.held_out.chi2[stated].sum()) / max(float(state.held_out.count[stated].sum()), 1.0)
-    return max(state.gap, off) >= FAR_GAP
+    return float(state.held_out.chi2[stated].sum()) / max(float(state.held_out.count[stated].sum()), 1.0)
 
 
 def scatter_of(state: FitState) -> float:
