@@ -54,6 +54,8 @@ def _array(values: Any) -> Array:
         found = np.array(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
         raise ValueError("is no table of numbers with rows of one length") from error
+    if found.ndim == 0:
+        raise ValueError("is one number; a list is needed")
     if not np.all(np.abs(found) <= _LARGEST):
         raise ValueError("holds a number that no quantity has; correct it")
     return found

@@ -66,11 +66,11 @@ class ColourCalibration(FileSection):
     def _are_of_the_channels(self) -> Self:
         n = len(self.channels)
         shapes: list[tuple[Array, tuple[int, ...]]] = [(fit.matrix, (3, n)) for fit in self.fits.values()]
-        shapes += [(fit.hull, (len(fit.hull), 2)) for fit in self.fits.values()]
+        shapes += [(fit.hull, (max(3, len(fit.hull)), 2)) for fit in self.fits.values()]
         if self.training is not None:
             lights = len(self.training.names)
             shapes += [(one, (lights, n)) for one in (self.training.signal, self.training.u_signal)]
-            shapes += [(self.training.xyz, (lights, 3)), (self.training.u_rel, (lights,))]
+            shapes += [(self.training.xyz, (lights, 3)), (self.training.u_rel[self.training.u_rel >= 0.0], (lights,))]
         variances = [(fit.spread, n) for fit in self.fits.values()]
         variances += [(one, 3) for one in (*(fit.error for fit in self.fits.values()), *self.errors.values())]
         variances += [(one.reshape(9, 9), 9) for one in self.display_errors.values()]
