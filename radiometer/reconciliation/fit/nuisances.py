@@ -206,9 +206,9 @@ class NuisanceLayout:
         """Return ln of the factor on each patch's radiance, and its derivative, (patterns, patches).
 
         A patch is off by its own part and by that which it shares. Where its radiance is stated the factor is 1 + x.
-        Means are then linear in x, however far off it is. What an effect had been mistaken for is given back at once
-        when the effect enters. Where it is free it is exp x, so that brighter patches and a lower responsivity are
-        the same thing.
+        Means are then linear in x, down to half of what is stated. What an effect had been mistaken for is given back
+        at once when the effect enters. Where it is free it is exp x, so that brighter patches and a lower responsivity
+        are the same thing.
         """
         relative, stated = self._relative(values)
         factor, slope = _light_factor(np.where(stated, relative, 0.0))
