@@ -66,14 +66,14 @@ def first_state(
     state = weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
     state = refit(state)
     state = refit(reweighted(state)).recorded()
-    return _from_stated(state) if _off_stated(state) >= FAR_GAP else state
+    return state if layout.is_linear(state.values) else _from_stated(state)
 
 
 def _from_stated(state: FitState) -> FitState:
     """Return the state at the stated radiances, all else fitted to them; its linearised fit frees them again.
 
-    Radiances that took up an effect many times their uncertainty stand where linear predictions mean little. From the
-    stated ones the means are linear in their errors and in what adds light.
+    Radiances that took up an effect by far more than they may be off can stand where means are not linear in them. At
+    the stated ones they are, and in what adds light.
     """
     layout = state.layout
     held = replace(state, layout=layout.held(), values=np.where(layout.stated, 0.0, state.values))
@@ -393,13 +393,9 @@ def is_far(state: FitState) -> bool:
 
     Entries are held-out settings and stated values: a wrong model may fit the former by moving the latter.
     """
-    return max(state.gap, _off_stated(state)) >= FAR_GAP
-
-
-def _off_stated(state: FitState) -> float:
-    """Return the reduced χ² of stated values, each predicted by all else."""
     stated = slice(state.settings, None)
-    return float(state.held_out.chi2[stated].sum()) / max(float(state.held_out.count[stated].sum()), 1.0)
+    off = float(state.held_out.chi2[stated].sum()) / max(float(state.held_out.count[stated].sum()), 1.0)
+    return max(state.gap, off) >= FAR_GAP
 
 
 def scatter_of(state: FitState) -> float:

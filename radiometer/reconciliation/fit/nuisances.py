@@ -190,19 +190,27 @@ class NuisanceLayout:
             yield replace(at, slope=at.slope + _SLOPE_STEP), _SLOPE_STEP
             yield at.with_off(texture=at.off.texture + _TEXTURE_STEP), _TEXTURE_STEP
 
+    def is_linear(self, values: Array) -> bool:
+        """Return whether means are linear in the errors of all stated radiances: none is off its linear factor."""
+        relative, stated = self._relative(values)
+        return bool(np.all(relative[stated] >= _LINEAR_FROM))
+
+    def _relative(self, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return by how much each patch is off, and whether its radiance is stated, (patterns, patches)."""
+        shape = self.shared.shape
+        relative = values[self._radiances].reshape(shape) + values[self._common][self.shared]
+        own = self.prior[self._radiances].reshape(shape) < _STATED
+        return relative, own & (self.prior[self._common] < _STATED)[self.shared]
+
     def _light(self, values: Array) -> tuple[Array, Array]:
         """Return ln of the factor on each patch's radiance, and its derivative, (patterns, patches).
 
-        A patch is off by its own part and by that which it shares. Where its radiance is stated the factor is 1 + x:
-        means are then linear in x, and what an effect had been mistaken for is given back at once when the effect
-        enters, even of dark patches that it made many times brighter than stated. Where it is free it is exp x, so
-        that brighter patches and a lower responsivity are the same thing.
+        A patch is off by its own part and by that which it shares. Where its radiance is stated the factor is 1 + x.
+        Means are then linear in x, down to half of what is stated. What an effect had been mistaken for is given back
+        at once when the effect enters. Where it is free it is exp x, so that brighter patches and a lower responsivity
+        are the same thing.
         """
-        shape = self.shared.shape
-        relative = values[self._radiances].reshape(shape) + values[self._common][self.shared]
-        stated = (self.prior[self._radiances].reshape(shape) < _STATED) & (self.prior[self._common] < _STATED)[
-            self.shared
-        ]
+        relative, stated = self._relative(values)
         factor, slope = _light_factor(np.where(stated, relative, 0.0))
         return np.where(stated, np.log(factor), relative), np.where(stated, slope / factor, 1.0)
 
