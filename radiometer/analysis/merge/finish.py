@@ -529,8 +529,8 @@ def above_black(
 ) -> tuple[float, float]:  # pragma: no cover (compiled)
     """Return (rate, variance) without the excess of frames that count only where they are not cut off at black.
 
-    A normal variable of mean m and deviation σ that is known to be above b has the mean m + σ·h((b − m)/σ), h being the
-    hazard, and the variance σ²·(1 − h·(h − (b − m)/σ)) (Johnson, Kotz and Balakrishnan 1994, 10.1).
+    Let a normal variable of mean m and deviation σ be known to be above b, and h be the hazard at z = (b − m)/σ. Its
+    mean is m + σ·h, its variance σ²·(1 − h·(h − z)) (Johnson, Kotz and Balakrishnan 1994, 10.1).
 
     Args:
         rate: Estimate from the frames that count.

@@ -97,8 +97,8 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
 def u_of_ratio(one: float, other: float, u_rel_one: float, u_rel_other: float) -> float:
     """Return the relative uncertainty of a ratio of two levels that what pixels of one level share brings.
 
-    The correlation of its errors at two levels is taken as the ratio of the lower to the higher: 1 where both are the
-    same, and little where they rest on other exposures and other parts of the response curve.
+    The correlation of its errors at two levels is taken as the ratio of the lower to the higher. It is 1 where both are
+    the same. It is small where they rest on other exposures and other parts of the response curve.
     """
     alike = min(one, other) / max(one, other, 1e-30)
     return math.sqrt(max(u_rel_one**2 + u_rel_other**2 - 2.0 * alike * u_rel_one * u_rel_other, 0.0))
