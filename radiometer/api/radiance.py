@@ -190,8 +190,8 @@ class Radiance(Drawn):
         """Return an xarray.Dataset with `radiance`, its uncertainties and `mask`: units and flags as in CF.
 
         `u_radiance` is each pixel's noise, `u_shared` what pixels of one level share, `u_common` what all share. Their
-        attributes state how errors of pixels are
-        correlated, as obsarray reads it (`unc_comps`, `err_corr_…`). `to_netcdf(…, engine="h5netcdf")` keeps all of it.
+        attributes state how errors of pixels are correlated, as obsarray reads it (`unc_comps`, `err_corr_…`).
+        `to_netcdf(…, engine="h5netcdf")` keeps all of it.
 
         Raises:
             MissingLibrary: If xarray is not installed.

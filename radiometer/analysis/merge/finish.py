@@ -124,8 +124,8 @@ def fill_record(
     Args:
         record: float64, shape (RECORD_SIZE,), overwritten.
         pattern: Bits of the frames used.
-        frames: float64, shape (n, 8): t, c, x at clipping, its sigma there, common uncertainty of the dark level, what
-            c is at clipping, x where the frame is cut off at black, and what c is there.
+        frames: float64, shape (n, 8): t, c, x at clipping, its sigma there, common uncertainty of the dark level, c at
+            clipping, x where black cuts the frame off, c there.
         kappa: Shot noise variance per unit of x.
         gains: Gain factor of every frame.
         top: x of the curve's end; of no meaning for a linear sensor.
