@@ -357,7 +357,7 @@ def test_a_bend_is_shown_by_variance_over_mean_at_both_ends():
     assert "goes from 0.5 to 0.4 DN" in bent(replace(transfer, used=tuple(steps[::-1])))
 
 
-@pytest.mark.parametrize(("full", "ends"), [(True, " of noise and holds 5000"), (False, " of noise.")])
+@pytest.mark.parametrize(("full", "ends"), [(True, " of noise and holds 5000"), (False, "of noise (k = 2).")])
 def test_the_outcome_names_the_capacity_where_it_is_known(full, ends):
     """And says nothing of it where the light never reached saturation."""
     result = whole(pair(BLACK_DN, 40.0, dark=True))
