@@ -20,7 +20,7 @@ from radiometer.analysis.merge.displaced import (
     relative_shift,
     with_shift,
 )
-from radiometer.analysis.merge.finish import finish, merge_tables
+from radiometer.analysis.merge.finish import AtLevels, finish, merge_tables
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_taps
 from radiometer.analysis.merge.sums import (
     MANY,
@@ -530,32 +530,29 @@ class StreamingMerge:
         """
         shared = np.zeros_like(radiance)
         levels = merge_tables(self._terms, self._situation.model).at_levels()
-        curve, dark = levels.curve_u_rel.astype(np.float32), levels.dark_u.astype(np.float32)
-        if bends := bool(curve.any()):
-            self._by_level(radiance, shared, lambda value, factor: curve[levels.places(value / factor)] * value)
+        bends, darkens = bool(levels.curve_u_rel.any()), bool(levels.dark_u.any())
+        if bends:
+            self._by_level(levels, radiance, shared, curve=True)
         doubts = self._doubt_falloff, self._doubt_exposures, self._doubt_dark_current, self._doubt_taps
         added = [doubt(radiance, shared) for doubt in doubts]
         if bends or any(added):
             np.hypot(u_radiance, shared, out=u_radiance)
-        elif not dark.any():
+        elif not darkens:
             return None
-        if dark.any():
-            self._by_level(radiance, shared, lambda value, factor: dark[levels.places(value / factor)] * factor)
+        if darkens:
+            self._by_level(levels, radiance, shared, dark=True)
             np.minimum(shared, u_radiance, out=shared)
         return shared
 
     def _by_level(
-        self,
-        radiance: NDArray[np.float32],
-        shared: NDArray[np.float32],
-        u: Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[np.float32]],
+        self, levels: AtLevels, radiance: NDArray[np.float32], shared: NDArray[np.float32], **which: bool
     ) -> None:
-        """Add to what pixels share an uncertainty u(radiance, radiance per rate), block by block."""
+        """Add to what pixels share what curve or dark level bring, on all cores; arguments as `AtLevels.add`."""
         values, own = radiance.ravel(), shared.ravel()
 
         def work(start: int, stop: int) -> None:
             part = slice(start, stop)
-            np.hypot(own[part], u(values[part], self._factor(start, stop - start)), out=own[part])
+            levels.add(own[part], values[part], self._factor(start, stop - start), **which)
 
         on_all_cores(self._known_shape(), work)
 

@@ -124,8 +124,8 @@ def fill_record(
     Args:
         record: float64, shape (RECORD_SIZE,), overwritten.
         pattern: Bits of the frames used.
-        frames: float64, shape (n, 8): t, c, x at clipping, its sigma there, common uncertainty of the dark level, c at
-            clipping, x where black cuts the frame off, c there.
+        frames: float64, shape (n, 9): t, c, x at clipping, its sigma there, common uncertainty of the dark level, c at
+            clipping, x where black cuts the frame off, c there, t^0.35.
         kappa: Shot noise variance per unit of x.
         gains: Gain factor of every frame.
         top: x of the curve's end; of no meaning for a linear sensor.
@@ -270,11 +270,42 @@ class AtLevels:
     curve_u_rel: Array  # relative standard uncertainty that the curve brings to the value
     dark_u: Array  # standard uncertainty of the rate that the frames' common dark level brings
 
-    def places(self, rates: NDArray[np.float32]) -> NDArray[np.intp]:
-        """Return the nearest level of each rate; the first for rates at or below 0."""
-        log_rate = np.log(np.maximum(rates, np.float32(math.exp(self.lowest))))
-        place = np.rint((log_rate - self.lowest) * PER_FOLD).astype(np.intp)
-        return np.minimum(place, self.dark_u.size - 1)
+    def add(
+        self,
+        shared: NDArray[np.float32],
+        radiance: NDArray[np.float32],
+        per_rate: NDArray[np.float32],
+        *,
+        curve: bool = False,
+        dark: bool = False,
+    ) -> None:
+        """Add to an uncertainty, in place, what curve or dark level bring to each pixel.
+
+        Args:
+            shared: Uncertainty that pixels share, flat; overwritten.
+            radiance: Radiance, flat.
+            per_rate: Radiance per rate, of every pixel or of all (size 1).
+            curve: Add that of the response curve.
+            dark: Add that of the dark level.
+        """
+        of_curve, of_dark = (
+            u if there else np.zeros_like(u) for u, there in ((self.curve_u_rel, curve), (self.dark_u, dark))
+        )
+        _add_by_level(radiance, per_rate, self.lowest, of_curve, of_dark, shared)
+
+
+@compiled
+def _add_by_level(
+    radiance: Any, per_rate: Any, lowest: float, u_rel: Any, u_rate: Any, shared: Any
+) -> None:  # pragma: no cover (compiled)
+    step = 1 if per_rate.size > 1 else 0
+    floor, last = math.exp(lowest), u_rel.size - 1
+    for i in range(radiance.size):
+        factor = per_rate[i * step]
+        place = int((math.log(max(radiance[i] / factor, floor)) - lowest) * PER_FOLD + 0.5)
+        place = min(place, last)
+        of_curve, of_dark = u_rel[place] * radiance[i], u_rate[place] * factor
+        shared[i] = math.sqrt(shared[i] * shared[i] + of_curve * of_curve + of_dark * of_dark)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -354,6 +385,7 @@ def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables
             [
                 *(o.exposure / reference, o.variance, o.clips_at, o.sigma_clip, o.u_dark),
                 *(_at_end(o, o.clips_at, o.sigma_clip, model), o.cut_at, _at_end(o, o.cut_at, o.sigma_cut, model)),
+                (o.exposure / reference) ** FIRST_POWER,
             ]
             for o in terms
         ]
@@ -541,22 +573,25 @@ def above_black(
         frames: As in `fill_record`.
         kappa: Shot noise variance per unit of x.
     """
-    estimate, cut, whole = rate, 0.0, 0.0
+    estimate, lost, whole = rate, 0.0, 0.0
+    of_a, of_b = share * record[INV1], (1.0 - share) * record[INV2]
     for _ in range(2):
-        excess, cut, whole = 0.0, 0.0, 0.0
+        excess, lost, whole = 0.0, 0.0, 0.0
         for i in range(frames.shape[0]):
             if not (pattern >> np.uint64(i)) & np.uint64(1):
                 continue
-            t, black = frames[i, 0], frames[i, 6]
-            weight = share * t**FIRST_POWER * record[INV1] + (1.0 - share) * t * record[INV2]
+            t = frames[i, 0]
+            weight = of_a * frames[i, 8] + of_b * t
             noise = frames[i, 7] + kappa * max(estimate, 0.0) * t
-            z = (black - estimate * t) / math.sqrt(noise)
-            rise = hazard(z) if z > -CENSORED_SIGMA else 0.0
-            excess += weight * math.sqrt(noise) * rise
             whole += weight * weight * noise
-            cut += weight * weight * noise * (1.0 - rise * (rise - z) if rise > 0.0 else 1.0)
+            above = estimate * t - frames[i, 6]
+            if above * above < CENSORED_SIGMA**2 * noise or above < 0.0:
+                sigma = math.sqrt(noise)
+                rise = hazard(-above / sigma)
+                excess += weight * sigma * rise
+                lost += weight * weight * noise * rise * (rise + above / sigma)
         estimate = rate - excess
-    return estimate, variance * cut / whole if whole > 0.0 else variance
+    return estimate, variance * (1.0 - lost / whole) if whole > 0.0 else variance
 
 
 @compiled

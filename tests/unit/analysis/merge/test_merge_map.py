@@ -97,7 +97,7 @@ def test_two_sums_are_as_good_as_all_weights(step):
     exposures = step ** np.arange(10.0)
     kappa = 1.0
     for readout in np.geomspace(1e-4, 1e4, 33) * exposures[-1]:
-        frames = np.array([[t, readout, 1e30, 1.0, 0.0, readout, -np.inf, readout] for t in exposures])
+        frames = np.array([[t, readout, 1e30, 1.0, 0.0, readout, -np.inf, readout, t**0.35] for t in exposures])
         record = np.zeros(merge_finish.RECORD_SIZE)
         merge_finish.fill_record(record, np.uint64(2**10 - 1), frames, kappa, np.ones(10), 1.0)
         apart = record[merge_finish.R0] + record[merge_finish.R1]

@@ -42,7 +42,9 @@ from radiometer.errors import MeasurementError
 
 def tables(exposures, *, variance=25.0, kappa=0.0, slack=0.01, clips_at=4000.0, sigma_clip=5.0, bounds=(4000.0, 1.0)):
     """Return the tables of linear frames of the same noise."""
-    frames = np.array([[t, variance, clips_at, sigma_clip, 0.0, variance, -np.inf, variance] for t in exposures])
+    frames = np.array(
+        [[t, variance, clips_at, sigma_clip, 0.0, variance, -np.inf, variance, t**0.35] for t in exposures]
+    )
     return MergeTables(frames, kappa, np.array([*bounds, slack]), np.ones(len(exposures)), None, None, 1.0, np.zeros(2))
 
 
@@ -250,7 +252,7 @@ def test_stripes_are_left_where_they_are():
 def frame_row(exposure, variance, clips_at, at_clipping=None, cut_at=-np.inf):
     """Return a frame as `fill_record` has it: noise variance in the dark, and at clipping where that is another."""
     at_clipping = variance if at_clipping is None else at_clipping
-    return [exposure, variance, clips_at, 1.0, 0.0, at_clipping, cut_at, variance]
+    return [exposure, variance, clips_at, 1.0, 0.0, at_clipping, cut_at, variance, exposure**0.35]
 
 
 FRAMES = np.array([frame_row(1.0, 25.0, 4000.0), frame_row(2.0, 49.0, 215.0), frame_row(3.0, 64.0, 312.0)])
