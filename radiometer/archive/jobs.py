@@ -21,7 +21,7 @@ from radiometer.data import Calibration, CaptureSet, Patch, RadianceMap
 from radiometer.data.json_text import json_text
 from radiometer.data.provenance import source_hash
 from radiometer.data.setup import Setup
-from radiometer.errors import MeasurementError, MissingLibrary, OutputError, RadiometerError
+from radiometer.errors import InputError, MeasurementError, MissingLibrary, OutputError, RadiometerError
 
 Row = dict[str, Any]
 COLUMNS: Final = (
@@ -41,10 +41,17 @@ class JobSettings:
     maps: str | None = None  # folder that radiance maps are written to; None for none
 
     def fingerprint(self) -> str:
-        """Return a hash of the settings, the calibration's content and the code: equal means the same result."""
+        """Return a hash of the settings, the calibration's content and the code: equal means the same result.
+
+        Raises:
+            InputError: If the calibration cannot be read.
+        """
         digest = hashlib.sha256(json_text(asdict(self), sort_keys=True, ascii_only=True).encode())
         if self.calibration:
-            digest.update(Path(self.calibration).read_bytes())
+            try:
+                digest.update(Path(self.calibration).read_bytes())
+            except OSError as error:
+                raise InputError(f"cannot read {self.calibration}: {error.strerror or error}") from error
         digest.update(code_hash().encode())
         return digest.hexdigest()[:16]
 

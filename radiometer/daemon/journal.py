@@ -233,9 +233,7 @@ class Journal:
         lines, journal = [], self.path.resolve()
         for path in sorted(journal.parent.glob(f"{glob.escape(journal.name)}{_WAITING}*.jsonl")):
             try:
-                if not path.is_file() or path.stat().st_size > MOST_FILE_BYTES:
-                    raise ValueError("no file of readings")
-                content = path.read_bytes()
+                content = path.read_bytes() if path.is_file() and path.stat().st_size <= MOST_FILE_BYTES else b"-"
                 rows = [_Row.of_waiting(line) for line in content.decode().splitlines()]
             except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
                 lines.append(f"the readings that wait in {path.name} were not taken in: {error}")

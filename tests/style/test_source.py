@@ -16,7 +16,7 @@ SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 LONGEST_FUNCTION = 60  # lines of its body: what fits on one screen
 # Functions that were longer when the cap came, with the lines they have today: each only shrinks, none is added.
-LONGER = {"finish._single": 64, "tile_model.summary": 64}
+LONGER = {"tile_model.summary": 64}
 LEAVES = (ast.expr_context, ast.operator, ast.unaryop, ast.cmpop, ast.boolop, ast.Name, ast.Constant, ast.alias)
 # A command's docstring is its help text for people; what it raises becomes an exit code.
 LIBRARY = [path for path in SOURCES if "cli" not in path.parts]

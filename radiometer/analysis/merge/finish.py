@@ -251,6 +251,19 @@ def fill_levels(
 
 
 @compiled
+def between_levels(levels: Any, place: float) -> tuple[float, float, float, float]:  # pragma: no cover (compiled)
+    """Return what `at_rate` returns on the straight line between the levels next to a place, which are filled in."""
+    k = int(place)
+    low, high, above = levels[k], levels[k + 1], place - k
+    return (
+        low[SHARE] + above * (high[SHARE] - low[SHARE]),
+        low[VARIANCE] + above * (high[VARIANCE] - low[VARIANCE]),
+        low[TOTAL] + above * (high[TOTAL] - low[TOTAL]),
+        low[SQUARES] + above * (high[SQUARES] - low[SQUARES]),
+    )
+
+
+@compiled
 def at_rate(
     rate: float, pattern: Any, record: Any, frames: Any, gains: Any, kappa: float, quantisation: Any, top: float
 ) -> tuple[float, float, float, float]:  # pragma: no cover (compiled)
@@ -878,16 +891,8 @@ def _single(
         for _ in range(2):
             place = math.sqrt(max(rate, 0.0)) * per_root
             if FIRST_LEVEL <= place < levels.shape[1] - 1:
-                k = int(place)
-                above = place - k
-                if levels[slot, k, VARIANCE] == 0.0 or levels[slot, k + 1, VARIANCE] == 0.0:
-                    fill_levels(k, pattern, records[slot], levels[slot], frames, gains, kappa, quantisation, top)
-                share = levels[slot, k, SHARE] + above * (levels[slot, k + 1, SHARE] - levels[slot, k, SHARE])
-                variance = levels[slot, k, VARIANCE] + above * (
-                    levels[slot, k + 1, VARIANCE] - levels[slot, k, VARIANCE]
-                )
-                total = levels[slot, k, TOTAL] + above * (levels[slot, k + 1, TOTAL] - levels[slot, k, TOTAL])
-                extra = levels[slot, k, SQUARES] + above * (levels[slot, k + 1, SQUARES] - levels[slot, k, SQUARES])
+                fill_levels(int(place), pattern, records[slot], levels[slot], frames, gains, kappa, quantisation, top)
+                share, variance, total, extra = between_levels(levels[slot], place)
             else:
                 share, variance, total, extra = at_rate(
                     rate, pattern, records[slot], frames, gains, kappa, quantisation, top

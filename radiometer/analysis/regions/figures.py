@@ -18,7 +18,7 @@ from radiometer.typing import Array
 # dim light would be one of the pixels that noise made brighter.
 LOST: Final = PixelMask.SATURATED | PixelMask.UNLIT
 _MOST_LOST: Final = 0.01  # share of an image circle without a value
-Projection = Literal["equidistant", "equisolid", "orthographic", "stereographic"]
+Projection = Literal["equidistant", "equisolid", "stereographic", "orthographic"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,16 @@ from radiometer.cli.main import run
 from radiometer.data import Calibration, CaptureSetWriter, Patch, PatchDescription, ResponseCurve
 from radiometer.data.setup import Setup
 
-METER = ["--luminance-meter-k", "16.5", "--f-number", "16", "--exposure", "1/125", "--iso", "136"]
+METER_WORDS = {"--luminance-meter-k": "16.5", "--f-number": "16", "--exposure": "1/125", "--iso": "136"}
+
+
+def meter(**other):
+    """Return the words of a light meter's reading, some of them others: each is given once."""
+    words = METER_WORDS | {f"--{name.replace('_', '-')}": value for name, value in other.items()}
+    return [word for pair in words.items() for word in pair]
+
+
+METER = meter()
 
 
 @pytest.fixture
@@ -152,11 +161,11 @@ def test_a_known_luminance_goes_through_the_spectrum(capture, tmp_path):
         (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "254"], 2, "M,TIME"),
         (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "254,1/2000,1,2"], 2, "M,TIME"),
         (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "a,1/2000"], 2, "M,TIME"),
-        (["-o", "{out}", "--response", "{curve}", *METER, "--iso", "0"], 2, "--iso"),
-        (["-o", "{out}", "--response", "{curve}", *METER, "--f-number", "-16"], 2, "--f-number"),
-        (["-o", "{out}", "--response", "{curve}", *METER, "--exposure", "0"], 2, "above 0"),
-        (["-o", "{out}", "--response", "{curve}", *METER, "--exposure", "fast"], 2, "1/125"),
-        (["-o", "{out}", "--response", "{curve}", *METER, "--luminance-meter-k", "0"], 1, "above 0"),
+        (["-o", "{out}", "--response", "{curve}", *meter(iso="0")], 2, "--iso"),
+        (["-o", "{out}", "--response", "{curve}", *meter(f_number="-16")], 2, "--f-number"),
+        (["-o", "{out}", "--response", "{curve}", *meter(exposure="0")], 2, "above 0"),
+        (["-o", "{out}", "--response", "{curve}", *meter(exposure="fast")], 2, "1/125"),
+        (["-o", "{out}", "--response", "{curve}", *meter(luminance_meter_k="0")], 1, "above 0"),
         (["{capture}", "-o", "{out}", "--flat", "{curve}"], 1, "curve.csv"),
     ],
 )

@@ -324,7 +324,7 @@ def test_the_report_opens_with_gain_noise_and_capacity(capture: CaptureSet) -> N
         for name, unit in (("K", "DN"), ("sigma_d", "e⁻"), ("mu_e_sat", "e⁻"))
     )
     text = prose(
-        f"One electron is {gain}; the camera reads with {noise} of noise and holds {full} before it saturates."
+        f"One electron is {gain}; the camera reads with {noise} of noise and holds {full} before it saturates (k = 2)."
     )
     assert f"class='outcome'>{text}<" in page
     places = [page.index(mark) for mark in ("class='outcome'", "<picture>", "What it means", "<h2>Figures", "<table")]
