@@ -62,8 +62,9 @@ _HOMES = {
     "radiometer.daemon.serving": ("serve",),
     "radiometer.errors": (
         "CalibrationError", "CaptureError", "ConfigurationError", "DamagedFileError", "DeviceError", "DeviceInUse",
-        "DeviceLost", "DeviceNotFound", "DeviceTimeout", "InputError", "MeasurementError", "MissingLibrary",
-        "OutputError", "RadiometerError", "SettingOutOfRange", "UnsafeStimulus", "UnsettledError", "UsageError",
+        "DeviceLost", "DeviceNotFound", "DeviceTimeout", "InputError", "LightEnded", "MeasurementError",
+        "MissingLibrary", "OutputError", "RadiometerError", "SettingOutOfRange", "UnsafeStimulus", "UnsettledError",
+        "UsageError",
     ),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
@@ -181,6 +182,7 @@ if TYPE_CHECKING:
     from radiometer.errors import DeviceNotFound as DeviceNotFound
     from radiometer.errors import DeviceTimeout as DeviceTimeout
     from radiometer.errors import InputError as InputError
+    from radiometer.errors import LightEnded as LightEnded
     from radiometer.errors import MeasurementError as MeasurementError
     from radiometer.errors import MissingLibrary as MissingLibrary
     from radiometer.errors import OutputError as OutputError

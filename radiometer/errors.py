@@ -147,5 +147,9 @@ class UnsafeStimulus(DeviceError):
     """A light level is above what the eye or the box may take."""
 
 
+class LightEnded(DeviceError):
+    """Light that was asked for was not given: darkness was asked for before it began."""
+
+
 class MissingLibrary(DeviceError):
     """A system library is not installed; the message names the packages."""

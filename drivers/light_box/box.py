@@ -36,6 +36,7 @@ from radiometer.errors import (
     DeviceLost,
     DeviceNotFound,
     DeviceTimeout,
+    LightEnded,
     RadiometerError,
     SettingOutOfRange,
     UnsafeStimulus,
@@ -513,7 +514,7 @@ class SerialLightBox(Opened):
         name = self.ledger.reserve(stimulus)
         with self._exchanging():
             if not self.ledger.holds(name):
-                raise DeviceError(f"{self._name}: {stimulus.channel} was darkened before its light began; ask again")
+                raise LightEnded(f"{self._name}: {stimulus.channel} was darkened before its light began; ask again")
             try:
                 answer = self.link.request(words)
             except DeviceError:

@@ -21,6 +21,7 @@ from radiometer.errors import (
     DeviceLost,
     DeviceNotFound,
     DeviceTimeout,
+    LightEnded,
     MissingLibrary,
     RadiometerError,
     SettingOutOfRange,
@@ -31,7 +32,7 @@ _log = structlog.get_logger(__name__)
 _T = TypeVar("_T")
 _LOOK_S = 0.02  # a late device is reported within a fifth of a second
 _FIRST_CALL_S = 2.0  # a call never made before may take so long, for nothing is known of it
-_REFUSALS = (SettingOutOfRange, UnsafeStimulus)  # the caller asked for too much; the device is well
+_REFUSALS = (SettingOutOfRange, UnsafeStimulus, LightEnded)  # nothing is wrong with the device
 _LOSS = (DeviceLost, DeviceTimeout, DeviceNotFound, DeviceInUse, MissingLibrary)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -9,7 +10,7 @@ from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.instrument import DeviceReport, LightSource
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
-from radiometer.errors import DeviceError, DeviceLost, SettingOutOfRange
+from radiometer.errors import DeviceError, DeviceLost, LightEnded, SettingOutOfRange
 
 _TOLERANCE: Final = 1e-6  # levels are 16-bit numbers, read back as such
 
@@ -34,6 +35,7 @@ class Light:
     ) -> None:
         self.box, self._alarms, self._writer, self._changed = box, alarms, writer, changed
         self.levels: dict[str, float] = {}
+        self._ended: Counter[str] = Counter()  # how often darkness was asked for, by channel
         self.keeper = (
             DeviceKeeper("light box", box, alarms, times=times, after_open=self._opened, after_check=self._reported)
             if box
@@ -48,20 +50,35 @@ class Light:
     async def set_level(self, channel: str, level: float) -> float:
         """Set a channel's level, 0 to 1, and return it as read back.
 
+        Darkness ends what waits: light that was asked for before, and has not begun, is not given.
+
         Raises:
             SettingOutOfRange: If the level is outside 0 to 1.
+            LightEnded: If darkness was asked for before the light began.
             DeviceLost: If there is no box or it is lost.
         """
         box, keeper = self._present()
         if not 0.0 <= level <= 1.0:
             raise SettingOutOfRange(box.name, f"level of {channel}", level, 0.0, 1.0, "")
-        before = self.levels.get(channel, 0.0)
-        self.levels[channel] = await keeper.use(box.set_level, channel, level)
-        if bool(before) != bool(self.levels[channel]):
+        if level == 0.0:
+            self._ended[channel] += 1
+        asked = self._ended[channel]
+
+        def set_level() -> float:
+            if self._ended[channel] != asked:
+                raise LightEnded(f"{box.name}: {channel} was darkened before its light began; ask again")
+            return box.set_level(channel, level)
+
+        self._took(channel, await keeper.use(set_level))
+        return self.levels[channel]
+
+    def _took(self, channel: str, level: float) -> None:
+        """Note the level that a channel took."""
+        if bool(self.levels.get(channel, 0.0)) != bool(level):
             self._writer.note("light", f"{channel} lit at {level:.4g}" if level else f"{channel} switched off")
+        self.levels[channel] = level
         self._alarms.clear(light_alarm(channel), f"{channel} was set anew")
         self._changed()
-        return self.levels[channel]
 
     def limit(self, channel: str) -> float:
         """Return the highest level, 0 to 1, that the box allowed a channel when it was last asked."""
@@ -71,19 +88,31 @@ class Light:
     async def off(self) -> None:
         """Darken every channel, whatever is known of it; each is tried although another failed.
 
+        Nothing that waits comes before it: light that was asked for and has not begun is not given.
+
         Raises:
             DeviceLost: If there is no box, or it is lost: it is dark by itself 1 s after it was.
             DeviceError: If a channel could not be darkened.
         """
-        box, _ = self._present()
-        failure: DeviceError | None = None
-        for channel in box.channels:
-            try:
-                await self.set_level(channel, 0.0)
-            except DeviceError as error:
-                failure = error
-        if failure is not None:
-            raise failure
+        box, keeper = self._present()
+        self._ended.update(box.channels)
+        dark, failures = list[str](), list[DeviceError]()
+
+        def darken() -> None:
+            for channel in box.channels:
+                try:
+                    box.set_level(channel, 0.0)
+                    dark.append(channel)
+                except DeviceError as error:
+                    failures.append(error)
+            if failures:
+                raise failures[-1]
+
+        try:
+            await keeper.use(darken)
+        finally:
+            for channel in dark:
+                self._took(channel, 0.0)
 
     def to_mapping(self) -> dict[str, Any]:
         """Return levels (null where the box does not confirm them), their limits, and whether they are confirmed."""

@@ -17,7 +17,15 @@ from radiometer.daemon.http.route import LIGHTS_OFF, STATION, Route, json_reply
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.limits import TokenBucket, is_loopback
 from radiometer.daemon.places import Places
-from radiometer.errors import DeviceError, InputError, RadiometerError, SettingOutOfRange, UnsafeStimulus, UsageError
+from radiometer.errors import (
+    DeviceError,
+    InputError,
+    LightEnded,
+    RadiometerError,
+    SettingOutOfRange,
+    UnsafeStimulus,
+    UsageError,
+)
 
 _log = structlog.get_logger(__name__)
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -44,6 +52,8 @@ def status_of(error: Exception) -> int:
     """Return the HTTP status of one of our own errors."""
     if isinstance(error, UsageError | SettingOutOfRange | UnsafeStimulus | InputError):
         return 400
+    if isinstance(error, LightEnded):
+        return 409
     if isinstance(error, DeviceError | JournalError):
         return 503
     return 504 if isinstance(error, TimeoutError) else 422

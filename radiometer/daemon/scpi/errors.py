@@ -10,6 +10,7 @@ from radiometer.errors import (
     CalibrationError,
     DeviceError,
     DeviceTimeout,
+    LightEnded,
     MeasurementError,
     SettingOutOfRange,
     UnsafeStimulus,
@@ -87,6 +88,7 @@ class ScpiError(Exception):
 _MAPPING: Final[tuple[tuple[type[Exception], int], ...]] = (
     (SettingOutOfRange, -222),
     (UnsafeStimulus, -222),
+    (LightEnded, -221),
     (JournalError, -250),
     (CalibrationError, -340),
     (MeasurementError, -200),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ from radiometer.daemon.instrument import DeviceReport
 from radiometer.daemon.journal_reader import JournalReader
 from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.station import Station
-from radiometer.errors import DeviceError
+from radiometer.errors import DeviceError, LightEnded
 from testing.box_station import box_station, seconds_until
 
 Eventually = Callable[..., Awaitable[None]]
@@ -158,3 +160,38 @@ async def test_a_channel_that_fails_does_not_keep_the_next_one_lit(station: Stat
         await station.light.off()
     assert box.levels["red"] == 0.0
     assert json.dumps(station.status())
+
+
+@pytest.mark.parametrize("way", ["http", "scpi", "channel"])
+async def test_darkness_comes_before_all_light_that_waits(way: str, station: Station, box: Any, connect: Any) -> None:
+    """40 requests for light wait for a slow box: off is what it is asked next, and none of them is lit after."""
+    asked: list[float] = []
+
+    def slow(channel: str, level: float) -> float:
+        time.sleep(0.03)
+        asked.append(level)
+        box.levels[channel] = level
+        return level
+
+    box.set_level = slow
+    waiting = [asyncio.ensure_future(station.light.set_level("red", 0.2 + 0.01 * n)) for n in range(40)]
+    while not asked:
+        await asyncio.sleep(0.005)
+    if way == "http":
+        server = HttpServer(station)
+        base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+        async with aiohttp.ClientSession() as session, session.post(f"{base}/light/off") as reply:
+            assert reply.status == 200
+        await server.close()
+    elif way == "scpi":
+        assert await (await connect()).ask("OUTP:ALL OFF;*OPC?") == "1"
+    else:
+        await station.light.set_level("red", 0.0)
+    before = len(asked)
+    outcomes = await asyncio.gather(*waiting, return_exceptions=True)
+    assert box.levels["red"] == 0.0
+    assert len(asked) == before
+    assert sum(isinstance(one, LightEnded) for one in outcomes) > 20
+    assert station.light.keeper is not None
+    assert station.light.keeper.state is DeviceState.READY
+    assert await station.light.set_level("red", 0.5) == 0.5  # what is asked for afterwards is given
