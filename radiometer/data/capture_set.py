@@ -212,13 +212,17 @@ class CaptureSet:
         """Return the frame at a position of the header's list.
 
         Raises:
-            CaptureError: If its file is unreadable, not single-channel, or holds values above full scale.
+            CaptureError: If its file is unreadable, not single-channel, holds values above full scale, or has fewer
+                bits than the camera.
         """
         entry = self.header.frames[index]
         dn = self.read_numbers(entry.file)
         bit_depth = self.header.camera.bit_depth
         if bit_depth > 8 and dn.dtype == np.uint8:
-            dn = dn.astype(np.uint16)
+            raise CaptureError(
+                f"{self.path / entry.file}: holds numbers of 8 bits, where camera.bit_depth is {bit_depth}; export the "
+                "frames with all of their bits, or state camera.bit_depth: 8 in capture.yaml"
+            )
         masked = (entry.model_extra or {}).get(MASKED_PIXELS)
         extra = {} if masked is None else {MASKED_PIXELS: masked}
         settings = replace(entry.settings, white_level=self.header.camera.white_level)

@@ -212,7 +212,8 @@ def stroboscopic_visibility(
     """Return the stroboscopic visibility measure, (Σ (C_m/T_m)^3.7)^(1/3.7) over the components from 80 Hz to 2 kHz.
 
     C_m is the amplitude of a Fourier component over the mean, T_m the threshold of a sinusoid of its frequency. An
-    average over the exposure time of each sample is corrected.
+    average over the exposure time of each sample is corrected where it keeps a fifth of the amplitude or more; the
+    other components count as they were sampled, which makes the result a lower bound.
     """
     part, periods = whole_periods(waveform, period)
     light = part.light
@@ -222,7 +223,7 @@ def stroboscopic_visibility(
         frequency_hz *= period.frequency_hz * part.duration_s / periods
     within = (frequency_hz >= _SVM_BAND_HZ[0]) & (frequency_hz <= _SVM_BAND_HZ[1])
     kept = np.abs(np.sinc(frequency_hz[within] * part.averaged_s))  # numpy's sinc holds the π
-    seen = amplitude[within] / np.maximum(kept, LEAST_KEPT)
+    seen = amplitude[within] / np.where(kept < LEAST_KEPT, 1.0, kept)
     return float(np.sum((seen / threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
 
 
@@ -342,4 +343,5 @@ def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeM
             f"{averaged}modulation depth, flicker index and SVM are corrected for it; faster light may be "
             "hidden, so take a shorter exposure"
         ]
-    return [f"{averaged}modulation depth and flicker index are lower bounds; take a shorter exposure"]
+    bounded = "modulation depth and flicker index" if kept >= LEAST_KEPT else "modulation depth, flicker index and SVM"
+    return [f"{averaged}{bounded} are lower bounds; take a shorter exposure"]

@@ -25,6 +25,7 @@ from radiometer.errors import InputError
 from radiometer.numbers import unit_text
 
 RECEPTORS: Final = ("s_cone_opic", "m_cone_opic", "l_cone_opic", "rhodopic", "melanopic")
+_TABULATED_NM: Final = (390.0, 780.0)  # CIE S 026: cones from 390 nm, rods and melanopsin from 380 nm
 DAYLIGHT: Final = "cie_d65"  # CIE S 026 refers equivalent daylight quantities to it
 
 # Unit of the quantity, whether it is photometric, and the units of the α-opic and of the equivalent daylight quantity.
@@ -64,13 +65,19 @@ def alpha_opic_quantities(
         wavelength_u_nm: Standard uncertainty of its wavelength scale in nm, the same for all entries.
 
     Raises:
-        InputError: If the unit is none of those, or the spectrum holds no visible light.
+        InputError: If the unit is none of those, or the spectrum holds no light where the functions are tabulated.
     """
     if quantity.unit not in _FORMS:
         raise InputError(f"unit {quantity.unit!r}: an α-opic quantity is made of one in {', '.join(UNITS)}")
     photometric, unit, daylight_unit = _FORMS[quantity.unit]
     if not holds_visible_light(light):
         raise InputError(f"spectrum {light.name!r} holds no visible light: its α-opic efficacies are not defined")
+    low, high = _TABULATED_NM
+    if not np.any(light.power[(light.wavelength_nm >= low) & (light.wavelength_nm <= high)] > 0.0):
+        raise InputError(
+            f"spectrum {light.name!r} holds no light from {low:g} to {high:g} nm, where the α-opic functions of the cones "
+            "are tabulated"
+        )
     if not (math.isfinite(quantity.value) and quantity.value >= 0.0):
         raise InputError(
             f"{quantity.value:g} {unit_text(quantity.unit)}: an α-opic quantity is made of a value of 0 or more"
