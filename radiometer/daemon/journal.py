@@ -35,6 +35,7 @@ _WAITING: Final = "-waiting-"  # after the journal's name: readings that could n
 _NEEDED: Final = {"time", "instrument", "patch", "radiance", "flags", "budget"}  # of a reading that waits
 _NO_STOP: Final = "the run before ended without a stop: killed, a power cut, or a journal that could not be written"
 _CHECKPOINT_CHANGES: Final = 500  # rows written between two checkpoints: some 4 MB of SQLite's log
+_LOG_BEGINNINGS: Final = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")  # sqlite.org/fileformat2.html, 4.1
 _RETENTION_CHUNK: Final = 5000  # rows of one transaction: writing is never held up for long
 MINUTE_US: Final = 60_000_000  # a minute in µs
 _TREND_COLUMNS: Final = (
@@ -445,9 +446,13 @@ class Journal:
         remedy = "move that file away" if held.st_nlink == 0 else "put it back, or restart the daemon for a new one"
         raise JournalError(f"the journal {self.path} was {happened} while the daemon writes it; {remedy}")
 
+    @property
+    def _log_path(self) -> Path:
+        return self._file.with_name(self._file.name + "-wal")
+
     def _wal_now(self) -> os.stat_result | None:
         try:
-            return self._file.with_name(self._file.name + "-wal").stat()
+            return self._log_path.stat()
         except OSError:
             return None
 
@@ -463,6 +468,8 @@ class Journal:
         """
         assert self._connection is not None
         changes = self._connection.total_changes
+        if self._is_log_cut():
+            return
         self._wal = self._wal_now()
         if self._wal is not None and changes - self._checkpointed < _CHECKPOINT_CHANGES:
             return
@@ -472,6 +479,15 @@ class Journal:
                 if pages == written:
                     self._checkpointed = changes
             self._wal, self._database = self._wal_now(), self._database_now()
+
+    def _is_log_cut(self) -> bool:
+        """Return whether SQLite's log lacks its beginning: it was cut during a transaction, and written on behind."""
+        try:
+            with self._log_path.open("rb") as log:
+                beginning = log.read(4)
+        except OSError:
+            return False
+        return bool(beginning) and beginning not in _LOG_BEGINNINGS
 
     def _require_untouched(self) -> None:
         """Refuse to write where another program cut, overwrote, deleted or replaced the file or SQLite's log.
@@ -502,23 +518,29 @@ class Journal:
     def _sound_connection(self) -> sqlite3.Connection | None:
         """Return a new connection, which trusts nothing that was read before; None where readings are lost.
 
-        An empty file is not opened: SQLite would delete its log, in which readings may be.
+        It looks twice: at the file together with SQLite's log, and once that is written into the file, at the file. An
+        empty file is not opened: SQLite would delete its log, in which readings may be.
         """
         if self._database_now().size == 0:
             return None
-        connection = self._connect()
-        try:
-            if connection.execute("PRAGMA quick_check(1)").fetchone() == ("ok",) and _has_tables(connection):
-                self._prepare(connection)
-                connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
-                return connection
-        except sqlite3.Error as error:
-            if not _tells_of_damage(error):
-                connection.close()
-                raise self._explain(error) from error
-        except OutputError:
-            pass
-        connection.close()
+        for is_first in (True, False):
+            connection = self._connect()
+            try:
+                if connection.execute("PRAGMA quick_check(1)").fetchone() == ("ok",) and _has_tables(connection):
+                    self._prepare(connection)
+                    if not is_first:
+                        return connection
+                    connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+                    connection.close()
+                    continue
+            except sqlite3.Error as error:
+                if not _tells_of_damage(error):
+                    connection.close()
+                    raise self._explain(error) from error
+            except OutputError:
+                pass
+            connection.close()
+            break
         return None
 
     def _write_anew(self) -> None:

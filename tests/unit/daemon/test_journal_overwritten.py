@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import shutil
 import sqlite3
 import subprocess
@@ -47,24 +46,36 @@ HARMS: dict[str, str] = {
 }
 
 
-@pytest.mark.parametrize("harm", [harm for harm in HARMS if harm != "log noise"])
+@pytest.mark.parametrize("harm", ["emptied", "log emptied", "log cut", "log noise"])
 def test_an_overwritten_journal_is_written_anew_where_all_of_it_can_be_read(
     harm: str, tmp_path: Path, make_reading: Make
 ) -> None:
     """The next commit fails and says so; the one after it goes on with the next number, and nothing is missing."""
-    path, older = tmp_path / "j.sqlite", tmp_path / "older.sqlite"
-    with Journal(older) as early:
-        early.append([make_reading()] * 2)
+    path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
         for _ in range(3):
             journal.append([make_reading()] * 5)
-        in_another_program(HARMS[harm], path, older)
+        in_another_program(HARMS[harm], path)
         with pytest.raises(JournalError, match=r"j\.sqlite.*anew with all"):
             journal.append([make_reading()])
         assert journal.append([make_reading()])[0].sequence == 16
         assert numbers(path) == list(range(1, 17))
     with Journal(path) as journal:
         assert journal.append([make_reading()])[0].sequence == 17
+
+
+@pytest.mark.parametrize("harm", ["halved", "older copy", "noise"])
+def test_an_overwritten_journal_is_made_whole_from_its_log(harm: str, tmp_path: Path, make_reading: Make) -> None:
+    """Where the log holds every page, it is written into the file before the next reading is told to anyone."""
+    path, older, alone = tmp_path / "j.sqlite", tmp_path / "older.sqlite", tmp_path / "alone.sqlite"
+    with Journal(older) as early:
+        early.append([make_reading()] * 2)
+    with Journal(path) as journal:
+        journal.append([make_reading()] * 15)
+        in_another_program(HARMS[harm], path, older)
+        assert journal.append([make_reading()])[0].sequence == 16
+        in_another_program("shutil.copyfile(sys.argv[1], sys.argv[2])", path, alone)
+        assert (numbers(path), numbers(alone)) == (list(range(1, 17)), list(range(1, 16)))
 
 
 @pytest.mark.parametrize("harm", [harm for harm in HARMS if not harm.startswith("log")])
@@ -93,7 +104,8 @@ async def test_readings_wait_where_an_overwritten_journal_cannot_be_read(
     lost = writer.submit(make_reading())
     while not writer.trouble:
         await asyncio.sleep(0.01)
-    assert "another program" in writer.trouble and "stop the daemon" in writer.trouble
+    assert "another program" in writer.trouble
+    assert "stop the daemon" in writer.trouble
     running.cancel()
     with pytest.raises(OutputError, match="1 readings are not in the journal"):
         await writer.close()
@@ -136,7 +148,7 @@ def test_the_log_of_a_long_day_stays_small(tmp_path: Path, make_reading: Make) -
     with Journal(path) as journal:
         for _ in range(2000):
             journal.append([make_reading()])
-        assert os.stat(f"{path}-wal").st_size < 16e6
+        assert path.with_name("j.sqlite-wal").stat().st_size < 16e6
 
 
 def test_a_reading_that_another_program_deleted_is_missed(tmp_path: Path, make_reading: Make) -> None:
@@ -150,3 +162,31 @@ def test_a_reading_that_another_program_deleted_is_missed(tmp_path: Path, make_r
         for _ in range(2):
             with pytest.raises(JournalError, match="not all of its readings can be read"):
                 journal.append([make_reading()])
+
+
+@pytest.mark.parametrize("harm", ["log emptied", "emptied"])
+def test_what_happens_during_a_commit_is_noticed_by_the_next(
+    harm: str, tmp_path: Path, make_reading: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The files are remembered as the daemon left them, not as another program did meanwhile."""
+    path, real = tmp_path / "j.sqlite", sqlite3.connect
+    harms = list[str]()
+
+    class Disturbed(sqlite3.Connection):
+        """A connection in whose commit another program comes in between."""
+
+        def execute(self, statement: str, *more: object) -> sqlite3.Cursor:
+            """Execute a statement; do the harm before a commit."""
+            if statement == "COMMIT" and harms:
+                in_another_program(HARMS[harms.pop()], path)
+            return super().execute(statement, *more)
+
+    monkeypatch.setattr(sqlite3, "connect", lambda *place, **how: real(*place, **{**how, "factory": Disturbed}))
+    with Journal(path) as journal:
+        journal.append([make_reading()] * 15)
+        harms.append(harm)
+        assert journal.append([make_reading()])[0].sequence == 16
+        with pytest.raises(JournalError, match="anew"):
+            journal.append([make_reading()])
+        assert journal.append([make_reading()])[0].sequence == 17
+    assert numbers(path) == list(range(1, 18))
