@@ -456,9 +456,8 @@ class Journal:
         except OSError:
             return None
 
-    def _database_now(self) -> _Mark:
-        assert self._descriptor is not None
-        return _Mark.of(os.fstat(self._descriptor))
+    def _database_now(self) -> _Mark | None:
+        return None if self._descriptor is None else _Mark.of(os.fstat(self._descriptor))
 
     def _note_left(self) -> None:
         """Remember how the files look after a transaction, and write SQLite's log into the database now and then.
@@ -521,7 +520,8 @@ class Journal:
         It looks twice: at the file together with SQLite's log, and once that is written into the file, at the file. An
         empty file is not opened: SQLite would delete its log, in which readings may be.
         """
-        if self._database_now().size == 0:
+        now = self._database_now()
+        if now is None or now.size == 0:
             return None
         for is_first in (True, False):
             connection = self._connect()
@@ -571,9 +571,9 @@ class Journal:
 
     def _lost(self) -> JournalError:
         return JournalError(
-            f"another program cut, overwrote or deleted the journal {self.path} or its -wal file while the daemon"
-            " writes it, and not all of its readings can be read any more; stop the daemon, move the damaged files away"
-            " or put a copy from before in their place, and start again: it takes in the readings that wait"
+            f"another program cut, overwrote or deleted the journal {self.path} or its -wal file: not all of its readings"
+            " can be read any more. To go on, stop the daemon, move these files away or put a copy from before in their"
+            " place, and start it again"
         )
 
     def _is_whole_copy(self, copy: Path) -> bool:
