@@ -571,9 +571,9 @@ class Journal:
 
     def _lost(self) -> JournalError:
         return JournalError(
-            f"another program cut, overwrote or deleted the journal {self.path} or its -wal file: not all of its readings"
-            " can be read any more. To go on, stop the daemon, move these files away or put a copy from before in their"
-            " place, and start it again"
+            f"another program cut, overwrote or deleted the journal {self.path} or its -wal file: not all of its"
+            " readings can be read any more. To go on, stop the daemon, move both files away, put a copy from before in"
+            " their place if there is one, and start it again"
         )
 
     def _is_whole_copy(self, copy: Path) -> bool:
