@@ -34,6 +34,8 @@ _BUSY_TIMEOUT_S: Final = 2.0  # a reader's snapshot or a backup lasts that long;
 _WAITING: Final = "-waiting-"  # after the journal's name: readings that could not be committed at the end
 _NEEDED: Final = {"time", "instrument", "patch", "radiance", "flags", "budget"}  # of a reading that waits
 _NO_STOP: Final = "the run before ended without a stop: killed, a power cut, or a journal that could not be written"
+_CHECKPOINT_CHANGES: Final = 500  # rows written between two checkpoints: some 4 MB of SQLite's log
+_LOG_BEGINNINGS: Final = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")  # sqlite.org/fileformat2.html, 4.1
 _RETENTION_CHUNK: Final = 5000  # rows of one transaction: writing is never held up for long
 MINUTE_US: Final = 60_000_000  # a minute in µs
 _TREND_COLUMNS: Final = (
@@ -126,6 +128,9 @@ class Journal:
         self._lock_file: IO[str] | None = None
         self._descriptor: int | None = None
         self._wal: os.stat_result | None = None  # SQLite's log next to it, as the last transaction left it
+        self._database: _Mark | None = None  # of the file itself, as the last checkpoint left it
+        self._checkpointed = 0  # rows that the connection had written then
+        self._given_up: tuple[_Mark | None, ...] = ()  # of the files that could not be written anew
         self._last_sequence = 0
         self.newest_at_opening_us: int | None = None
         self.clock_doubt_us = 0
@@ -144,9 +149,7 @@ class Journal:
             raise OutputError(f"{self.path} is no regular file; name another with --journal")
         self._take_locks()
         try:
-            connection = sqlite3.connect(
-                self._file, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
-            )
+            connection = self._connect()
             try:
                 self._prepare(connection)
             except BaseException:
@@ -158,11 +161,18 @@ class Journal:
         except OutputError:
             self._release_locks()
             raise
-        self._connection = connection
-        self._wal = self._wal_now()
+        self._use(connection)
         if not self._was_open:
             self._was_open = True
             self._learn_times(connection)
+
+    def _connect(self) -> sqlite3.Connection:
+        return sqlite3.connect(self._file, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
+
+    def _use(self, connection: sqlite3.Connection) -> None:
+        """Write through this connection from now on."""
+        self._connection, self._checkpointed, self._given_up = connection, connection.total_changes, ()
+        self._wal, self._database = self._wal_now(), self._database_now()
 
     def close(self) -> None:
         """Close the journal; closing twice does nothing."""
@@ -348,6 +358,7 @@ class Journal:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")  # a reading shown to a client survives a power cut
         connection.execute("PRAGMA journal_size_limit = 16777216")
+        connection.execute("PRAGMA wal_autocheckpoint = 0")  # `_note_left` does it, and knows who wrote to the file
         connection.execute("PRAGMA cache_size = -512")  # KiB: only the newest pages are ever touched
         if not tables:
             connection.executescript(f"BEGIN EXCLUSIVE; {_SCHEMA} COMMIT;")
@@ -365,10 +376,11 @@ class Journal:
         assert self._lock_file is not None
         self._lock_file.seek(0)
         noted = self._lock_file.read(20).strip()
+        given = max(self._last_sequence, int(noted) if noted.isdigit() else 0)
         (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
-        if noted.isdigit() and int(noted) > last:
+        if given > last:
             raise OutputError(
-                f"{self.path} has lost its readings {last + 1} to {int(noted)}: its -wal file was deleted or cut, or an"
+                f"{self.path} has lost its readings {last + 1} to {given}: its -wal file was deleted or cut, or an"
                 f" older copy was put in its place. Put the files back; or delete {self._file.name}.lock, and these"
                 " numbers are given again"
             )
@@ -423,7 +435,7 @@ class Journal:
         except OSError:
             standing = None
         if standing is not None and os.path.samestat(standing, held):
-            self._require_log_in_place()
+            self._require_untouched()
             return
         if standing is None and held.st_nlink == 0:
             self._write_anew()
@@ -432,48 +444,120 @@ class Journal:
         remedy = "move that file away" if held.st_nlink == 0 else "put it back, or restart the daemon for a new one"
         raise JournalError(f"the journal {self.path} was {happened} while the daemon writes it; {remedy}")
 
+    @property
+    def _log_path(self) -> Path:
+        return self._file.with_name(self._file.name + "-wal")
+
     def _wal_now(self) -> os.stat_result | None:
         try:
-            return self._file.with_name(self._file.name + "-wal").stat()
+            return self._log_path.stat()
         except OSError:
             return None
 
-    def _require_log_in_place(self) -> None:
-        """Refuse to write where SQLite's log was deleted, replaced or cut: after a crash its readings would be gone.
+    def _database_now(self) -> _Mark | None:
+        return None if self._descriptor is None else _Mark.of(os.fstat(self._descriptor))
 
-        A checkpoint by another program cuts the log, too. Then a further one has nothing to read that is not there.
+    def _note_left(self) -> None:
+        """Remember how the files look after a transaction, and write SQLite's log into the database now and then.
+
+        Only such a checkpoint writes to the database. Whatever else changes it, also during a transaction, is another
+        program, and the next transaction notices it.
+        """
+        assert self._connection is not None
+        changes = self._connection.total_changes
+        if self._is_log_cut():
+            return
+        self._wal = self._wal_now()
+        if self._wal is not None and changes - self._checkpointed < _CHECKPOINT_CHANGES:
+            return
+        if self._wal is None or self._database == self._database_now():
+            with suppress(sqlite3.Error):  # what was committed is in the log
+                _, pages, written = self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+                if pages == written:
+                    self._checkpointed = changes
+            self._wal, self._database = self._wal_now(), self._database_now()
+
+    def _is_log_cut(self) -> bool:
+        """Return whether SQLite's log lacks its beginning: it was cut during a transaction, and written on behind."""
+        try:
+            with self._log_path.open("rb") as log:
+                beginning = log.read(4)
+        except OSError:
+            return False
+        return bool(beginning) and beginning not in _LOG_BEGINNINGS
+
+    def _require_untouched(self) -> None:
+        """Refuse to write where another program cut, overwrote, deleted or replaced the file or SQLite's log.
+
+        What others may do, such as a checkpoint, leaves a sound journal behind: writing goes on. Else it is written
+        anew, where all that it held can still be read through the open connection.
         """
         left, now = self._wal, self._wal_now()
-        if left is None or self._connection is None:
-            return
-        if now is None or not os.path.samestat(left, now):
+        if left is not None and (now is None or not os.path.samestat(left, now)):
             self._write_anew()
             raise JournalError(
                 f"the log {self._file.name}-wal of the journal {self.path} was deleted or replaced; the journal was"
                 " written anew with all of its readings"
             )
-        if now.st_size < left.st_size:
+        if self._database == self._database_now() and _Mark.of(left) == _Mark.of(now):
+            return
+        sound = self._sound_connection()
+        if sound is None:
+            self._write_anew()
+            raise JournalError(
+                f"another program cut or overwrote the journal {self.path} or its -wal file; the journal was written"
+                " anew with all of its readings"
+            )
+        assert self._connection is not None
+        self._connection.close()
+        self._use(sound)
+
+    def _sound_connection(self) -> sqlite3.Connection | None:
+        """Return a new connection, which trusts nothing that was read before; None where readings are lost.
+
+        It looks twice: at the file together with SQLite's log, and once that is written into the file, at the file. An
+        empty file is not opened: SQLite would delete its log, in which readings may be.
+        """
+        now = self._database_now()
+        if now is None or now.size == 0:
+            return None
+        for is_first in (True, False):
+            connection = self._connect()
             try:
-                self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+                if connection.execute("PRAGMA quick_check(1)").fetchone() == ("ok",) and _has_tables(connection):
+                    self._prepare(connection)
+                    if not is_first:
+                        return connection
+                    connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+                    connection.close()
+                    continue
             except sqlite3.Error as error:
-                raise JournalError(
-                    f"the log {self._file.name}-wal of the journal {self.path} was cut while the daemon writes it: the"
-                    " newest readings in it are lost; restart the daemon"
-                ) from error
+                if not _tells_of_damage(error):
+                    connection.close()
+                    raise self._explain(error) from error
+            except OutputError:
+                pass
+            connection.close()
+            break
+        return None
 
     def _write_anew(self) -> None:
-        """Copy the whole journal from the open connection to where its deleted file was, and go on with the copy."""
-        assert self._connection is not None
+        """Copy the whole journal from the open connection to where its file was, and go on with the copy.
+
+        Where the connection cannot read every reading any more, nothing is touched, and that is the error.
+        """
+        marks = (self._database_now(), _Mark.of(self._wal_now()))
+        if marks == self._given_up:
+            raise self._lost()
         copy = self._file.with_name(self._file.name + ".restored")
         try:
             copy.parent.mkdir(parents=True, exist_ok=True)
             copy.unlink(missing_ok=True)
-            target = sqlite3.connect(copy)
-            try:
-                self._connection.backup(target)
-            finally:
-                target.close()
-            for ending in ("-wal", "-shm"):  # they belong to the deleted file, not to the copy
+            if not self._is_whole_copy(copy):
+                self._given_up = marks
+                copy.unlink(missing_ok=True)
+                raise self._lost()
+            for ending in ("-wal", "-shm"):  # they belong to the file that was there, not to the copy
                 self._file.with_name(self._file.name + ending).unlink(missing_ok=True)
             copy.rename(self._file)
         except sqlite3.Error as error:
@@ -483,9 +567,37 @@ class Journal:
         self.close()
         self.open()
 
+    def _lost(self) -> JournalError:
+        return JournalError(
+            f"another program cut, overwrote or deleted the journal {self.path} or its -wal file: not all of its"
+            " readings can be read any more. To go on, stop the daemon, move both files away, put a copy from before in"
+            " their place if there is one, and start it again"
+        )
+
+    def _is_whole_copy(self, copy: Path) -> bool:
+        """Copy what the open connection reads, and return whether that is sound and holds every reading."""
+        assert self._connection is not None
+        target = sqlite3.connect(copy)
+        try:
+            self._connection.backup(target)
+            if target.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",) or not _has_tables(target):
+                return False
+            self._verify(target)
+            self._require_all_given(target)
+        except sqlite3.Error as error:
+            if not _tells_of_damage(error):
+                raise
+            return False
+        except OutputError:
+            return False
+        finally:
+            target.close()
+        return True
+
     def _execute(self, statement: str) -> None:
         try:
             self._connected().execute(statement).fetchall()
+            self._note_left()
         except sqlite3.Error as error:
             raise self._explain(error) from error
 
@@ -535,6 +647,29 @@ class Journal:
             self._lock_file = None
 
 
+def _tells_of_damage(error: sqlite3.Error) -> bool:
+    """Return whether SQLite found the content wrong or cut, not the disk full or the file locked."""
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR)
+    damage = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_SCHEMA)
+    return code & 0xFF in damage or code == sqlite3.SQLITE_IOERR_SHORT_READ
+
+
+def _has_tables(connection: sqlite3.Connection) -> bool:
+    return bool(connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0])
+
+
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """What changes in a file that is written to."""
+
+    size: int  # bytes
+    mtime_ns: int
+
+    @classmethod
+    def of(cls, state: os.stat_result | None) -> Self | None:
+        return None if state is None else cls(state.st_size, state.st_mtime_ns)
+
+
 class _Transaction:
     """One write transaction: committed at the end of the `with` block, rolled back on any error."""
 
@@ -554,7 +689,7 @@ class _Transaction:
         try:
             if error is None:
                 self._connection.execute("COMMIT")
-                self._journal._wal = self._journal._wal_now()
+                self._journal._note_left()
                 return
         except sqlite3.Error as failure:
             self._roll_back()
