@@ -75,7 +75,7 @@ def alpha_opic_quantities(
     low, high = _TABULATED_NM
     if not np.any(light.power[(light.wavelength_nm >= low) & (light.wavelength_nm <= high)] > 0.0):
         raise InputError(
-            f"spectrum {light.name!r} holds no light from {low:g} to {high:g} nm, where the α-opic functions of the cones "
+            f"spectrum {light.name!r} holds no light from {low:g} to {high:g} nm, where the functions of the cones "
             "are tabulated"
         )
     if not (math.isfinite(quantity.value) and quantity.value >= 0.0):
