@@ -61,7 +61,13 @@ class Light:
 
     def darkened_by_others(self, asker: Asker | None = None) -> Counter[str]:
         """Return how often darkness was asked for, by channel, by all but an asker."""
-        return self._ended - asker.own if asker else self._ended.copy()
+        channels = self.box.channels if self.box else ()
+        own = asker.own if asker else Counter[str]()
+        return Counter({channel: self._darkened(channel) - own[channel] for channel in channels})
+
+    def _darkened(self, channel: str) -> int:
+        """Return how often darkness was asked for, of this program and, by other programs, of the box itself."""
+        return self._ended[channel] + int(getattr(self.box, "switched_off", 0))
 
     async def set_level(self, channel: str, level: float, asker: Asker | None = None) -> float:
         """Set a channel's level, 0 to 1, and return it as read back.
@@ -81,10 +87,10 @@ class Light:
             raise SettingOutOfRange(box.name, f"level of {channel}", level, 0.0, 1.0, "")
         if level == 0.0:
             self._darkness_of(asker, channel)
-        asked = asker.others[channel] + asker.own[channel] if asker else self._ended[channel]
+        asked = asker.others[channel] + asker.own[channel] if asker else self._darkened(channel)
 
         def set_level() -> float:
-            if level and self._ended[channel] != asked:
+            if level and self._darkened(channel) != asked:
                 raise LightEnded(f"{box.name}: {channel} was darkened before its light began; ask again")
             return box.set_level(channel, level)
 
