@@ -149,7 +149,7 @@ class SerialLightBox(Opened):
     # Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's
     mild: bool = False
     flash: FlashLight | None = None  # the photographic flash at its trigger; None where there is none
-    switched_off: bool = False  # whether another program has asked for darkness since the box was opened
+    switched_off: int = 0  # how often another program has asked for darkness since the box was opened
     _identity: LightBoxIdentity | None = None
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
     _buckets: dict[str, int] = field(default_factory=dict)
@@ -352,7 +352,7 @@ class SerialLightBox(Opened):
 
     def switch_off(self) -> None:
         """Darken every channel for another program; raises as `darken`. Who gives a series of lights has to end it."""
-        self.switched_off = True
+        self.switched_off += 1
         self.darken()
 
     def safe(self) -> None:

@@ -343,6 +343,11 @@ class BenchLight:
         return dict(self._limits)
 
     @property
+    def switched_off(self) -> int:
+        """Return how often another program has asked for darkness since the box was opened."""
+        return int(getattr(self._box, "switched_off", 0))
+
+    @property
     def late_at(self) -> float | None:
         """Return None: every exchange with the box has a short deadline."""
         return None

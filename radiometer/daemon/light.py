@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from radiometer.daemon.alarms import Alarms
@@ -13,6 +14,17 @@ from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
 from radiometer.errors import DeviceError, DeviceLost, LightEnded, SettingOutOfRange
 
 _TOLERANCE: Final = 1e-6  # levels are 16-bit numbers, read back as such
+
+
+@dataclass(slots=True)
+class Asker:
+    """Who asks for light, and what others had asked for when that request came.
+
+    It may have waited for long before it is served. Its own darkness ends nothing that it asks for after it.
+    """
+
+    others: Counter[str]  # how often others had asked for darkness, by channel
+    own: Counter[str] = field(default_factory=Counter)  # how often it has asked for darkness itself
 
 
 class Light:
@@ -47,10 +59,23 @@ class Light:
         """Return whether the levels are those that the box itself states: a lost one may do anything."""
         return self.keeper is not None and self.keeper.state is DeviceState.READY
 
-    async def set_level(self, channel: str, level: float) -> float:
+    def darkened_by_others(self, asker: Asker | None = None) -> Counter[str]:
+        """Return how often darkness was asked for, by channel, by all but an asker."""
+        channels = self.box.channels if self.box else ()
+        own = asker.own if asker else Counter[str]()
+        return Counter({channel: self._darkened(channel) - own[channel] for channel in channels})
+
+    def _darkened(self, channel: str) -> int:
+        """Return how often darkness was asked for, of this program and, by other programs, of the box itself."""
+        return self._ended[channel] + int(getattr(self.box, "switched_off", 0))
+
+    async def set_level(self, channel: str, level: float, asker: Asker | None = None) -> float:
         """Set a channel's level, 0 to 1, and return it as read back.
 
         Darkness ends what waits: light that was asked for before, and has not begun, is not given.
+
+        Args:
+            asker: Who asks, where the request waited before it came here; None where it did not.
 
         Raises:
             SettingOutOfRange: If the level is outside 0 to 1.
@@ -61,16 +86,22 @@ class Light:
         if not 0.0 <= level <= 1.0:
             raise SettingOutOfRange(box.name, f"level of {channel}", level, 0.0, 1.0, "")
         if level == 0.0:
-            self._ended[channel] += 1
-        asked = self._ended[channel]
+            self._darkness_of(asker, channel)
+        asked = asker.others[channel] + asker.own[channel] if asker else self._darkened(channel)
 
         def set_level() -> float:
-            if self._ended[channel] != asked:
+            if level and self._darkened(channel) != asked:
                 raise LightEnded(f"{box.name}: {channel} was darkened before its light began; ask again")
             return box.set_level(channel, level)
 
         self._took(channel, await keeper.use(set_level))
         return self.levels[channel]
+
+    def _darkness_of(self, asker: Asker | None, *channels: str) -> None:
+        """Note that darkness is asked for: all light that waits is ended."""
+        self._ended.update(channels)
+        if asker is not None:
+            asker.own.update(channels)
 
     def _took(self, channel: str, level: float) -> None:
         """Note the level that a channel took."""
@@ -85,17 +116,20 @@ class Light:
         limits: dict[str, float] = getattr(self.box, "level_limits", {}) or {}
         return limits.get(channel, 1.0)
 
-    async def off(self) -> None:
+    async def off(self, asker: Asker | None = None) -> None:
         """Darken every channel, whatever is known of it; each is tried although another failed.
 
         Nothing that waits comes before it: light that was asked for and has not begun is not given.
+
+        Args:
+            asker: Who asks; None where nothing that it asks for after it can wait already.
 
         Raises:
             DeviceLost: If there is no box, or it is lost: it is dark by itself 1 s after it was.
             DeviceError: If a channel could not be darkened.
         """
         box, keeper = self._present()
-        self._ended.update(box.channels)
+        self._darkness_of(asker, *box.channels)
         dark, failures = list[str](), list[DeviceError]()
 
         def darken() -> None:

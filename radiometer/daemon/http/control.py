@@ -10,7 +10,7 @@ import numpy as np
 from aiohttp import web
 
 from radiometer.daemon.http.requests import LightBody, MeasureBody, SettingsBody, read_body
-from radiometer.daemon.http.route import LIGHTS_OFF, STATION, Route, json_reply
+from radiometer.daemon.http.route import ASKER, LIGHTS_OFF, STATION, Route, json_reply
 from radiometer.daemon.metrics import CONTENT_TYPE
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
@@ -50,7 +50,7 @@ async def set_light(request: web.Request) -> web.Response:
     if station.light.box is not None and body.channel not in station.light.box.channels:
         channels = ", ".join(station.light.box.channels)
         raise UsageError(f"there is no channel {body.channel[:40]!r}; there are: {channels}")
-    level = await station.light.set_level(body.channel, body.level)
+    level = await station.light.set_level(body.channel, body.level, request[ASKER])
     return json_reply({"channel": body.channel, "level": level})
 
 

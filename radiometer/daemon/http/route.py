@@ -18,6 +18,7 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATION: Final = web.AppKey("station", Station)
 LIMITS: Final = web.AppKey("limits", Limits)
 LIGHTS_OFF: Final = "/light/off"
+ASKER: Final = "asker"  # of a request: who asks for light, as an `Asker`
 QUERIES: Final = web.AppKey("queries", asyncio.Semaphore)
 BUDGET: Final = web.AppKey("budget", ReplyBudget)
 

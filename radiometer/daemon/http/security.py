@@ -13,8 +13,9 @@ from aiohttp import web
 from aiohttp.typedefs import Middleware
 
 from radiometer.daemon.http.requests import read_whole
-from radiometer.daemon.http.route import LIGHTS_OFF, STATION, Route, json_reply
+from radiometer.daemon.http.route import ASKER, LIGHTS_OFF, STATION, Route, json_reply
 from radiometer.daemon.journal import JournalError
+from radiometer.daemon.light import Asker
 from radiometer.daemon.limits import TokenBucket, is_loopback
 from radiometer.daemon.places import Places
 from radiometer.errors import (
@@ -99,6 +100,7 @@ def guard(
 
     @web.middleware
     async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
+        request[ASKER] = Asker(request.app[STATION].light.darkened_by_others())  # before it waits
         within_rate = darkens(request) or await rates.admits(request)
         if within_rate:
             await read_whole(request)  # before it is busy: who drips a body has no claim to its place

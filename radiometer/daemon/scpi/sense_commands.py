@@ -106,7 +106,8 @@ def _channel(call: Call) -> str:
 
 async def _set_level(call: Call) -> None:
     light, channel = call.session.station.light, _channel(call)
-    await light.set_level(channel, light.limit(channel) if call.values[0] == "MAXimum" else call.values[0])
+    level = light.limit(channel) if call.values[0] == "MAXimum" else call.values[0]
+    await light.set_level(channel, level, call.session.asker)
 
 
 def _ask_level(call: Call) -> str:
@@ -119,7 +120,7 @@ def _ask_level(call: Call) -> str:
 
 
 async def _lights_off(call: Call) -> None:
-    await call.session.station.light.off()
+    await call.session.station.light.off(call.session.asker)
 
 
 def _set_output(call: Call) -> Outcome:

@@ -13,7 +13,7 @@ import os
 import re
 import socket
 import stat
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Coroutine, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -72,7 +72,8 @@ class ScpiConnection(asyncio.Protocol):
     def __init__(self, server: ScpiServer) -> None:
         self._server, self._limits = server, server.limits
         self._buffer = bytearray()
-        self._messages: deque[bytes] = deque()
+        self._messages: deque[tuple[bytes, Counter[str]]] = deque()  # each with what was dark when it came
+        self._darkened, self._is_behind = Counter[str](), False
         self._bucket = TokenBucket(server.limits.messages_per_s)
         self._transport: asyncio.Transport | None = None
         self._task: asyncio.Task[None] | None = None
@@ -140,6 +141,8 @@ class ScpiConnection(asyncio.Protocol):
         if self.session is None or self._is_ending():
             return
         self._buffer += data
+        if not self._is_behind:  # else it may have been sent before darkness was asked for, and waited unread
+            self._darkened = self._server.station.light.darkened_by_others(self.session.asker)
         self._received_at = asyncio.get_running_loop().time()
         if not self._discarding and is_other_protocol(self._buffer):
             self._hang_up()
@@ -202,10 +205,11 @@ class ScpiConnection(asyncio.Protocol):
             elif newline > self._limits.line_bytes:
                 self._refuse_length()
             else:
-                self._messages.append(bytes(self._buffer[:newline]))
+                self._messages.append((bytes(self._buffer[:newline]), self._darkened))
             del self._buffer[: newline + 1]
             searched = 0
         if self._is_full():
+            self._is_behind = True
             if self._transport is not None:
                 self._transport.pause_reading()
         elif len(self._buffer) > self._limits.line_bytes:
@@ -239,7 +243,7 @@ class ScpiConnection(asyncio.Protocol):
             if (pause_s := self._vetting_pause_s() or self._bucket.take()) > 0:
                 self._resume = asyncio.get_running_loop().call_later(pause_s, self._work)
                 break
-            outcome = self._run(self._messages.popleft())
+            outcome = self._run(*self._messages.popleft())
             if isinstance(outcome, Coroutine):
                 self._task = asyncio.create_task(self._wait(outcome))
                 # A client may be gone before the task takes its first step.
@@ -248,23 +252,24 @@ class ScpiConnection(asyncio.Protocol):
             self._send(outcome)
         else:
             self._resume = asyncio.get_running_loop().call_soon(self._work)
+        self._is_behind = self._is_behind and bool(self._messages or self._buffer)
         if len(self._messages) <= self._limits.messages_waiting // 2 and self._transport is not None:
             self._transport.resume_reading()
 
     def _vetting_pause_s(self) -> float:
         """Return how long the next message must wait in s: what lights waits whether lines of HTTP follow it."""
-        if self._vetted_at is None or not _LIGHTS.search(self._messages[0]):
+        if self._vetted_at is None or not _LIGHTS.search(self._messages[0][0]):
             return 0.0
         return max(0.0, self._vetted_at - asyncio.get_running_loop().time())
 
-    def _run(self, message: bytes) -> str | Coroutine[Any, Any, str | None] | None:
+    def _run(self, message: bytes, darkened: Counter[str]) -> str | Coroutine[Any, Any, str | None] | None:
         assert self.session is not None
         if self._guest_until is not None and not _DARKENS.fullmatch(message):
             self.refuse(self._guest_for)
             return None
         self._server.served.inc()
         try:
-            outcome = self.session.execute(message.rstrip(b"\r").decode("latin-1"))
+            outcome = self.session.execute(message.rstrip(b"\r").decode("latin-1"), darkened)
             if outcome is not None:  # a reply: a client of ours, that asks what we understand
                 self._server.places.note(self, busy=isinstance(outcome, Coroutine))
             return outcome

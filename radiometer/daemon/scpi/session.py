@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import replace
 from functools import lru_cache
@@ -14,6 +15,7 @@ import structlog
 from radiometer.daemon.alarms import Alarm
 from radiometer.daemon.instrument import Measurement, MeasurementSettings
 from radiometer.daemon.keeper import DeviceState
+from radiometer.daemon.light import Asker
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.scpi import status as bits
 from radiometer.daemon.scpi.command import CommandTable, Outcome
@@ -53,15 +55,22 @@ class Session:
         self._own_settings: MeasurementSettings | None = None
         self._held: Reading | None = None
         self.responses: list[str] = []
+        self.asker = Asker(station.light.darkened_by_others())
         self._known_alarms: tuple[Alarm, ...] = ()
         self.update_status()
         self._report_alarms()
 
-    def execute(self, message: str) -> str | Coroutine[Any, Any, str | None] | None:
+    def execute(
+        self, message: str, darkened: Counter[str] | None = None
+    ) -> str | Coroutine[Any, Any, str | None] | None:
         """Run a message and return its reply without terminator; None where there is none.
 
         Returns a coroutine of the same where a command in it has to wait.
+
+        Args:
+            darkened: How often others had asked for darkness when the message came; None where it has not waited.
         """
+        self.asker.others = self.station.light.darkened_by_others(self.asker) if darkened is None else darkened
         units, error = _split_cached(message) if len(message) < 256 else split_message(message)
         self.responses, self._held = [], None
         return self._execute_from(units, 0, "", error)

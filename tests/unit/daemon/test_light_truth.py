@@ -16,6 +16,7 @@ from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.instrument import DeviceReport
 from radiometer.daemon.journal_reader import JournalReader
 from radiometer.daemon.keeper import DeviceState
+from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
 from radiometer.errors import DeviceError, LightEnded
 from testing.box_station import box_station, seconds_until
@@ -195,3 +196,73 @@ async def test_darkness_comes_before_all_light_that_waits(way: str, station: Sta
     assert station.light.keeper is not None
     assert station.light.keeper.state is DeviceState.READY
     assert await station.light.set_level("red", 0.5) == 0.5  # what is asked for afterwards is given
+
+
+@pytest.fixture
+def asked(box: Any) -> list[float]:
+    """Let the fake box take 30 ms for a level, and return the levels that it is asked for."""
+    levels: list[float] = []
+
+    def slow(channel: str, level: float) -> float:
+        time.sleep(0.03)
+        levels.append(level)
+        box.levels[channel] = level
+        return level
+
+    box.set_level = slow
+    return levels
+
+
+@pytest.mark.parametrize("way", ["all", "channel", "other program"])
+async def test_light_that_waits_in_a_connection_is_ended_too(
+    way: str, connect: Any, client: Any, box: Any, asked: list[float], eventually: Eventually
+) -> None:
+    """Of 8 clients that send 100 messages each at once, more than are read, none lights once another one said off."""
+    box.switched_off = 0
+    clients = [await connect() for _ in range(8)]
+    for one in clients:
+        await one.send("\n".join(["SOUR:LED2:LEV 0.5"] * 100))
+    await eventually(lambda: asked)
+    if way == "other program":
+        box.switched_off += 1
+        box.levels["red"] = 0.0
+    else:
+        assert await client.ask("OUTP:ALL OFF;*OPC?" if way == "all" else "SOUR:LED2:LEV 0;*OPC?") == "1"
+        assert len(asked) < 20
+    before = len(asked)
+    assert [await one.ask("*OPC?") for one in clients] == ["1"] * 8
+    assert asked[before:] in ([], [0.5])[: 2 if way == "other program" else 1]  # one of them had begun
+    assert "darkened before its light began" in await clients[0].ask("SYST:ERR?")
+    assert float(await clients[0].ask("SOUR:LED2:LEV 0.25;LEV?")) == 0.25  # what is asked for afterwards is given
+
+
+async def test_a_client_may_light_after_its_own_darkness_in_one_go(client: Any, asked: list[float]) -> None:
+    """Messages of one client are a program: its own off ends nothing that stands after it."""
+    await client.send("SOUR:LED2:LEV 0.5\nOUTP:ALL OFF\nSOUR:LED2:LEV 0.25\nSOUR:LED2:LEV 0\nSOUR:LED2:LEV 0.125")
+    assert float(await client.ask("SOUR:LED2:LEV?")) == 0.125
+    assert [level for level in asked if level] == [0.5, 0.25, 0.125]
+    assert (await client.ask("SYST:ERR?")).startswith("0")
+
+
+async def test_light_that_waits_for_its_rate_is_ended_too(station: Station, box: Any, asked: list[float]) -> None:
+    """New connections wait their turn; darkness overtakes them, and none of them is lit after."""
+    server = HttpServer(station, limits=Limits(http_requests_per_s=20.0))
+    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+
+    async def light() -> int:
+        async with (
+            aiohttp.ClientSession() as session,
+            session.post(f"{base}/light", json={"channel": "red", "level": 0.5}) as reply,
+        ):
+            return reply.status
+
+    waiting = [asyncio.ensure_future(light()) for _ in range(40)]
+    while len(asked) < 2:
+        await asyncio.sleep(0.005)
+    async with aiohttp.ClientSession() as session, session.post(f"{base}/light/off") as reply:
+        assert reply.status == 200
+    before, statuses = len(asked), await asyncio.gather(*waiting)
+    assert (box.levels["red"], asked[before:]) == (0.0, [])
+    assert statuses.count(409) > 20
+    assert await light() == 200
+    await server.close()

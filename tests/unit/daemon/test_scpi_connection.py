@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import tracemalloc
+from collections import Counter
 from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from radiometer.daemon.journal import Journal
+from radiometer.daemon.light import Asker
 from radiometer.daemon.limits import Limits, TokenBucket, parse_networks
 from radiometer.daemon.places import Places
 from radiometer.daemon.scpi import server as module
@@ -83,8 +85,9 @@ class Scripted:
         self.status = Status()
         self.event = asyncio.Event()
         self.closed = self.notified = 0
+        self.asker = Asker(Counter())
 
-    def execute(self, message: str) -> str | Coroutine[Any, Any, str | None] | None:
+    def execute(self, message: str, darkened: Counter[str]) -> str | Coroutine[Any, Any, str | None] | None:
         self.heard.append(message)
         self.at.append(asyncio.get_running_loop().time())
         if message.startswith("bug"):
@@ -603,8 +606,8 @@ async def test_a_client_that_leaves_before_its_command_begins_leaves_no_work_beh
     begun: list[Any] = []
     execute = Scripted.execute
 
-    def kept(session: Scripted, message: str) -> Any:
-        begun.append(execute(session, message))
+    def kept(session: Scripted, message: str, darkened: Counter[str]) -> Any:
+        begun.append(execute(session, message, darkened))
         return begun[-1]
 
     monkeypatch.setattr(Scripted, "execute", kept)
