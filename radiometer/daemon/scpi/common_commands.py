@@ -89,8 +89,8 @@ COMMANDS: Final = (
     Command("*OPC", "Sets bit 0 of the event status once nothing is pending; the query waits for that and replies 1.",
             do=_complete, ask=_is_complete, reply="1", example="*OPC?", group=GROUP),
     Command("*WAI", "Waits until nothing is pending.", do=_wait, example="*WAI", group=GROUP),
-    Command("*ESR", "Reads the standard event status register and clears it. Bits: 0 *OPC done, 2 to 5 error in a query, "
-            "in the device, in execution, in a command; 7 power on.",
+    Command("*ESR", "Reads the standard event status register and clears it. Bits: 0 *OPC done, 2 to 5 error in a "
+            "query, in the device, in execution, in a command; 7 power on.",
             ask=lambda call: str(call.session.status.take_event_status()), reply="0 to 255", example="*ESR?",
             group=GROUP),
     Command("*ESE", "Sets which events (bits of *ESR) set bit 5 of the status byte.", do=_set_event_enable,
