@@ -33,11 +33,13 @@ KINDS: Final = (
     AlarmKind("measurement PATCH", "a patch with a name cannot be measured", "it was measured, or was deleted"),
     AlarmKind("period", "fewer than two thirds of the measurements due in the last 10 s (5 periods, if longer) began",
               "nine tenths of them began, or another period was set"),
-    AlarmKind("reading", "no reading of the shared patch for 5 periods, 10 s and 3 times its last duration",
+    AlarmKind("reading", "no reading of the shared patch for the longest of 5 periods, 10 s and 3 times its last "
+              "duration",
               "a reading of it is in the journal, or continuous measurement ended"),
     AlarmKind("reading PATCH", "the same for a patch with a name", "a reading of it came, or it was deleted"),
     AlarmKind("stopped",
-              "continuous measurement was stopped, or slowed to a fifth (and above 10 s), although a patch has limits",
+              "continuous measurement was stopped, or its period set to over 5 times that at start (and 10 s), "
+              "although a patch has limits",
               "it goes on, or no patch has limits"),
     AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch, or are bounds (clipped, "
               "or below noise) that cannot show whether they are",

@@ -89,16 +89,18 @@ COMMANDS: Final = (
     Command("*OPC", "Sets bit 0 of the event status once nothing is pending; the query waits for that and replies 1.",
             do=_complete, ask=_is_complete, reply="1", example="*OPC?", group=GROUP),
     Command("*WAI", "Waits until nothing is pending.", do=_wait, example="*WAI", group=GROUP),
-    Command("*ESR", "Reads the standard event status register and clears it.",
+    Command("*ESR", "Reads the standard event status register and clears it. Bits: 0 *OPC done, 2 to 5 error in a "
+            "query, in the device, in execution, in a command; 7 power on.",
             ask=lambda call: str(call.session.status.take_event_status()), reply="0 to 255", example="*ESR?",
             group=GROUP),
-    Command("*ESE", "Sets which standard events reach bit 5 of the status byte.", do=_set_event_enable,
+    Command("*ESE", "Sets which events (bits of *ESR) set bit 5 of the status byte.", do=_set_event_enable,
             ask=lambda call: str(call.session.status.event_enable), parameters=(Number("mask", "", _byte, "rounded"),),
             reply="0 to 255", example="*ESE 60;*ESE?", group=GROUP),
     Command("*SRE", "Sets which bits of the status byte reach bit 6 (a raw socket has no service request).",
             do=_set_service_enable, ask=lambda call: str(call.session.status.service_enable),
             parameters=(Number("mask", "", _byte, "rounded"),), reply="0 to 255", example="*SRE 36;*SRE?", group=GROUP),
-    Command("*STB", "Reads the status byte.", ask=_status_byte, reply="0 to 255", example="*STB?", group=GROUP),
+    Command("*STB", "Reads the status byte. Bits: 2 error queued, 3 questionable, 4 reply waiting, 5 standard event, "
+            "6 summary by *SRE, 7 operation.", ask=_status_byte, reply="0 to 255", example="*STB?", group=GROUP),
     Command("*TST", "Tests the instrument: 0 is passed, else the number of faults, each queued as an error.",
             ask=_self_test, reply="0 to 255", example="*TST?", group=GROUP),
 )  # fmt: skip

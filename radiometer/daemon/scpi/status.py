@@ -29,7 +29,7 @@ JOURNAL_BLOCKED: Final = 1 << 12
 
 OPERATION_BITS: Final = {4: "measuring", 8: "continuous measurement is on"}
 QUESTIONABLE_BITS: Final = {
-    8: "latest reading is `uncalibrated` or its calibration is stale",
+    8: "latest reading is `uncalibrated` or `stale_calibration` (calibration too old)",
     9: "camera lost, overdue or failing",
     10: "light box lost or overdue",
     11: "latest reading carries another flag (`FETCh:FLAGs?` names it)",

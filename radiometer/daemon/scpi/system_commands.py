@@ -108,6 +108,7 @@ def _set_order(call: Call) -> None:
 def _registers(name: str) -> tuple[Command, ...]:
     bit_list = "its bits are listed below"
     short = name[:4].upper()
+    summary = 7 if name == "OPERation" else 3
     return (
         Command(f"STATus:{name}[:EVENt]", f"Reads the {name.lower()} event register and clears it; {bit_list}.",
                 ask=lambda call: str(_register(call, name).take_event()), reply="0 to 32767", example=f"STAT:{short}?",
@@ -116,7 +117,7 @@ def _registers(name: str) -> tuple[Command, ...]:
                 ask=lambda call: str(_register(call, name).condition), reply="0 to 32767",
                 example=f"STAT:{short}:COND?", group=STATUS),
         Command(f"STATus:{name}:ENABle",
-                "Sets the mask of event bits (sum of their weights) that set this register's bit in the status byte.",
+                f"Sets the mask of event bits (sum of their weights) that set bit {summary} of the status byte.",
                 do=_set_enable(name),
                 ask=lambda call: str(_register(call, name).enable),
                 parameters=(Number("mask", "", _WORD16, "rounded"),),
@@ -145,7 +146,8 @@ COMMANDS: Final = (
             example="SYST:VERS?", group=SYSTEM),
     Command("SYSTem:ALARm", "Lists the active alarms.", ask=_alarms, reply='"alarm",…', example="SYST:ALAR?",
             group=SYSTEM),
-    Command("SYSTem:DEVice", "Lists the devices, each ready, overdue, failing, lost or closed.", ask=_devices,
+    Command("SYSTem:DEVice",
+            "Lists the devices, each ready, overdue (late), failing (measures nothing), lost or closed.", ask=_devices,
             reply='"device: state",…', example="SYST:DEV?", group=SYSTEM),
     Command("SYSTem:STATe", "Replies the state of everything as JSON in a block, as GET /status does.", ask=_state,
             reply="block", example="SYST:STAT?", group=SYSTEM),
