@@ -212,8 +212,8 @@ def stroboscopic_visibility(
     """Return the stroboscopic visibility measure, (Σ (C_m/T_m)^3.7)^(1/3.7) over the components from 80 Hz to 2 kHz.
 
     C_m is the amplitude of a Fourier component over the mean, T_m the threshold of a sinusoid of its frequency. An
-    average over the exposure time of each sample is corrected where it keeps a fifth of the amplitude or more; the
-    other components count as they were sampled, which makes the result a lower bound.
+    average over the exposure time of each sample is corrected where it keeps a fifth of the amplitude or more. The
+    other components count as they were sampled: then the result is a lower bound.
     """
     part, periods = whole_periods(waveform, period)
     light = part.light
