@@ -50,7 +50,7 @@ async def set_light(request: web.Request) -> web.Response:
     if station.light.box is not None and body.channel not in station.light.box.channels:
         channels = ", ".join(station.light.box.channels)
         raise UsageError(f"there is no channel {body.channel[:40]!r}; there are: {channels}")
-    level = await station.light.set_level(body.channel, body.level, request[ASKER])
+    level = await station.light.set_level(body.channel, body.level, ASKER.get())
     return json_reply({"channel": body.channel, "level": level})
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Final
 
 from aiohttp import web
 from pydantic import BaseModel
 
+from radiometer.daemon.light import Asker
 from radiometer.daemon.limits import Limits, ReplyBudget
 from radiometer.daemon.station import Station
 from radiometer.data.json_text import json_text
@@ -18,7 +20,7 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATION: Final = web.AppKey("station", Station)
 LIMITS: Final = web.AppKey("limits", Limits)
 LIGHTS_OFF: Final = "/light/off"
-ASKER: Final = "asker"  # of a request: who asks for light, as an `Asker`
+ASKER: Final[ContextVar[Asker]] = ContextVar("asker")  # who asks for light, of the request that is served
 QUERIES: Final = web.AppKey("queries", asyncio.Semaphore)
 BUDGET: Final = web.AppKey("budget", ReplyBudget)
 

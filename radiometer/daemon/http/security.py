@@ -100,7 +100,7 @@ def guard(
 
     @web.middleware
     async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
-        request[ASKER] = Asker(request.app[STATION].light.darkened_by_others())  # before it waits
+        ASKER.set(Asker(request.app[STATION].light.darkened_by_others()))  # before it waits
         within_rate = darkens(request) or await rates.admits(request)
         if within_rate:
             await read_whole(request)  # before it is busy: who drips a body has no claim to its place
