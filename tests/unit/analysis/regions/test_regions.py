@@ -154,8 +154,8 @@ def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
     lines = (tmp_path / "figures.csv").read_text().splitlines()
     assert lines[1].startswith("a,mean,1.")
     along = [line.split(",") for line in lines if line.startswith(",profile,")]
-    assert [float(row[2]) for row in along] == [float(one) for one in report.profile.value]
-    assert [float(row[5]) for row in along] == [float(one) for one in report.profile.distance_px]
+    assert [float(row[2]) for row in along] == pytest.approx(report.profile.value.tolist(), rel=1e-9)
+    assert [float(row[5]) for row in along] == pytest.approx(report.profile.distance_px.tolist(), rel=1e-9)
     report.write_report(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     for stated in (
