@@ -34,6 +34,7 @@ LABELS: Final = {
     "s2_slope_per_min": "S2 slope",
     "s3_slope_per_min": "S3 slope",
     "rod_rod_break_min": "Rod–rod break",
+    "final_from_min": "Final threshold from",
     "rod_intercept_min": "Rod-intercept time",
     "criterion_min": "Time at the criterion",
     "final_threshold": "Final threshold",
@@ -325,6 +326,8 @@ def meaning(fit: AdaptationFit) -> list[str]:
     ]
     if "rod_rod_break_min" in values:
         sentences.append(f"From {_with_interval(fit, 'rod_rod_break_min', 'min')} on it falls more slowly (S3).")
+    if "final_from_min" in values:
+        sentences.append(f"From {_with_interval(fit, 'final_from_min', 'min')} on it stays at its final threshold.")
     interval = fit.estimates["break_min"].profile or fit.estimates["break_min"].bootstrap
     if interval is None or not np.isfinite([interval.low, interval.high]).all():
         sentences.append("The break's interval is open at an end: more thresholds around it would close it.")
