@@ -42,7 +42,6 @@ LABELS: Final = {
     "area_from_min": "AUDAC from",
     "area_to_min": "AUDAC cut at",
 }
-_COVERAGE: Final = 2.0
 _HELD_WEIGHT: Final = 0.5  # of the largest; below, a threshold hardly counts
 _POINTS: Final = 600  # about one per pixel
 _LEFT_PART: Final = 0.45  # of the time axis; where the break is there, its words are to the right of it
@@ -373,11 +372,12 @@ def _estimates(fit: AdaptationFit) -> str:
     rows = []
     for name, estimate in fit.estimates.items():
         interval = estimate.profile or estimate.bootstrap
-        value, expanded = rounded(estimate.value, _COVERAGE * estimate.u)
-        ends = [rounded(end, _COVERAGE * estimate.u)[0] for end in (interval.low, interval.high)] if interval else []
-        rows.append((label_of(name, fit), value, expanded, " to ".join(ends), unit_text(estimate.unit)))
-    head = ("", "value", "U (k = 2)", f"{100 * fit.request.confidence:g} % interval", "unit")
-    return table(head, rows, words=(4,))
+        half = 0.5 * (interval.high - interval.low) if interval is not None else 0.0  # 0 where a time is just stated
+        value = rounded(estimate.value, half or math.nan)[0]
+        ends = [rounded(end, half)[0] for end in (interval.low, interval.high)] if interval is not None and half else []
+        rows.append((label_of(name, fit), value, " to ".join(ends), unit_text(estimate.unit)))
+    head = ("", "value", f"{100 * fit.request.confidence:g} % interval", "unit")
+    return table(head, rows, words=(3,))
 
 
 def _reliability(fit: AdaptationFit) -> str:
