@@ -18,14 +18,11 @@ from pydantic import (
 )
 
 from radiometer.errors import RadiometerError
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import LARGEST, PLAUSIBLE
 from radiometer.typing import Array
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
-# No quantity in the units of these files is so large; what must be above 0 is not so small. Products and powers of
-# some stay finite.
-_LARGEST: Final = 1e30
-_SMALLEST: Final = 1e-30
+_SMALLEST: Final = 1 / LARGEST  # what must be above 0 is not so small
 
 
 def within(quantity: str) -> AfterValidator:
@@ -56,7 +53,7 @@ def _array(values: Any) -> Array:
         raise ValueError("is no table of numbers with rows of one length") from error
     if found.ndim == 0:
         raise ValueError("is one number; a list is needed")
-    if not np.all(np.abs(found) <= _LARGEST):
+    if not np.all(np.abs(found) <= LARGEST):
         raise ValueError("holds a number that no quantity has; correct it")
     return found
 
@@ -80,7 +77,7 @@ class _Section(BaseModel):
     def _numbers_have_a_size(self) -> Self:
         for key in type(self).model_fields:
             for number in _numbers_of(getattr(self, key)):
-                if abs(number) > _LARGEST or (_is_above_zero(type(self), key) and number < _SMALLEST):
+                if abs(number) > LARGEST or (_is_above_zero(type(self), key) and number < _SMALLEST):
                     raise ValueError(f"{key} = {number:g}: no quantity has this size; correct the power of ten")
         return self
 
