@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -304,14 +304,7 @@ def in_luminance(found: RadianceMap, spectrum: Spectrum) -> RadianceMap:
     """
     if found.unit != RADIANCE_UNIT:
         raise UsageError("a relative map has no luminance; merge with a calibration")
-    efficacy = luminous_efficacy_lm_per_w(spectrum)
-    return replace(
-        found,
-        radiance=found.radiance * efficacy,
-        u_radiance=found.u_radiance * efficacy,
-        u_shared=None if found.u_shared is None else found.u_shared * efficacy,
-        unit=LUMINANCE_UNIT,
-    )
+    return found.scaled(luminous_efficacy_lm_per_w(spectrum), LUMINANCE_UNIT)
 
 
 def writer_for(path: Path) -> Writer:
