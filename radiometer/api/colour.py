@@ -19,7 +19,7 @@ from radiometer.analysis.colour.matrix import Training
 from radiometer.analysis.colour.plausible import GRID_NM, on_grid
 from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
 from radiometer.analysis.exports.maps import MapPicture, write_exr, write_tiff
-from radiometer.analysis.photometry.photometry import spectral_columns
+from radiometer.analysis.photometry.photometry import luminous_efficacy, spectral_columns
 from radiometer.analysis.reading.budget import carried, frame_conditions
 from radiometer.analysis.regions.figures import LOST, region_figures
 from radiometer.api.files import PathLike, Stack, stack_of
@@ -506,7 +506,7 @@ def _lights(
         lights = [KnownLight(name, "", None, 0.0, place, None) for name, place in channels(source)[0].patches.items()]
         if not lights:
             raise UsageError(f"{source}: its header names no patches: give --chart FILE with the places of the lights")
-    names, kinds, xyz, readings = [], [], [], []
+    names, kinds, xyz, readings, doubts = [], [], [], [], list[float]()
     curves: list[Array] = []
     for light in lights:
         here, u_rel = channels(light.capture or source)
@@ -519,9 +519,11 @@ def _lights(
         if "saturated" in flags:
             raise MeasurementError(f"light {light.name!r}: saturated pixels; capture shorter exposures")
         readings.append((signal, np.hypot(u_signal, u_rel * signal)))
+        doubts.append(light.u_rel)
         if powers is not None:
             spectrum = spectrum_of(light.name, powers, Path(str(spectra)))
             curves.append(on_grid(spectrum))
+            doubts[-1] = math.hypot(light.u_rel, luminous_efficacy(spectrum).u_rel if light.xyz is None else 0.0)
             xyz.append(tristimulus(spectrum) if light.xyz is None else light.xyz)
         elif light.xyz is None:
             raise InputError(f"{chart}: has no columns X, Y, Z: add them, or give --spectra FILE")
@@ -531,9 +533,7 @@ def _lights(
         kinds.append(light.kind or kind or _UNSTATED)
     signal, u_signal = (np.array(one) for one in zip(*readings, strict=True))
     first = next(iter(seen.values()))[0]
-    training = Training(
-        tuple(names), tuple(kinds), signal, u_signal, np.array(xyz), np.array([one.u_rel for one in lights])
-    )
+    training = Training(tuple(names), tuple(kinds), signal, u_signal, np.array(xyz), np.array(doubts))
     base = first.reference
     camera = ColourCamera(tuple(first.maps), base.camera, base.lens, base.scale.conditions, base.scale.iso)
     return training, np.array(curves) if curves else None, camera
