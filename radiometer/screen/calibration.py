@@ -42,8 +42,9 @@ def rising(values: ArrayLike, u: ArrayLike) -> Array:
     Source: pool-adjacent-violators (Ayer et al. 1955), scipy.optimize.isotonic_regression.
     """
     sigma = np.asarray(u, dtype=np.float64)
-    floor = max(float(sigma.max(initial=0.0)) * 1e-3, 1e-300)
-    fitted = isotonic_regression(np.asarray(values, dtype=np.float64), weights=1.0 / np.maximum(sigma, floor) ** 2)
+    largest = float(sigma.max(initial=0.0))
+    shares = np.maximum(sigma / largest, 1e-3) if largest > 0.0 else np.ones_like(sigma)
+    fitted = isotonic_regression(np.asarray(values, dtype=np.float64), weights=shares**-2.0)
     return np.asarray(fitted.x, dtype=np.float64)
 
 
