@@ -170,7 +170,7 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
 
     Light of few periods is no less like a polynomial than the fall-off is: so period, harmonics and fall-off are
     fitted together, and the covariance says what the rows leave open. Rows that show no period tell them apart by
-    nothing: then a parabola is taken off. Rates are in samples.
+    nothing: then a parabola is taken off, or nothing is. Rates are in samples.
     """
     at, index = np.linspace(-1.0, 1.0, rows.size), np.arange(rows.size)
     powers = at[:, None] ** np.arange(1, _FALL_OFF_DEGREE + 1)
@@ -178,7 +178,9 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
     plain = Waveform(rows / np.maximum(parabola, 1e-9 * rows.mean()), 1.0, "")
     # A parabola takes part of few periods with it, and a deep fall-off hides them: either may be the better start.
     seen = [find_period(one, _FEWEST_SEEN) for one in (plain, Waveform(rows, 1.0, ""))]
+    unknown = plain, Waveform(rows / rows.mean(), 1.0, "")
     starts = {several * one.frequency_hz for one in seen if one is not None for several in (1, 2)}
+    starts.add(_few_periods(rows, np.hstack([np.ones((rows.size, 1)), powers])))
     scale, fits = np.array([0.1 / rows.size, *[0.1] * _FALL_OFF_DEGREE]), list[Any]()
     for start in sorted(one for one in starts if one < 0.45):
         order = max(1, min(_MOST_HARMONICS, int(0.45 / start)))
@@ -189,7 +191,7 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
 
         fits.append(least_squares(left, [start, *np.zeros(_FALL_OFF_DEGREE)], x_scale=scale))
     if not fits:
-        return (plain,)
+        return unknown
     # Half a frequency explains what the whole one does: the highest that does counts.
     least = min(one.cost for one in fits)
     found = max((one for one in fits if one.cost <= _NO_WORSE * least), key=lambda one: one.x[0])
@@ -202,14 +204,31 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
     size, turned = np.linalg.eigh(covariance / np.outer(scale, scale))
     off = [np.sqrt(max(one, 0.0)) * scale * direction for one, direction in zip(size, turned.T, strict=True)]
     u = math.sqrt(max(float(covariance[0, 0]), 0.0))
-    if rows.size * (found.x[0] + 2.0 * u) < 2.0:
-        return (plain,)
+    smooth = np.polynomial.polynomial.polyfit(at, rows, _FALL_OFF_DEGREE)
+    without = float(np.sum((rows - np.polynomial.polynomial.polyval(at, smooth)) ** 2))
+    if rows.size * (found.x[0] + 2.0 * u) < 2.0 or noise > (1.0 - _PERIODIC_SHARE) * without:
+        return unknown
     shadings = [(at_one[0], 1.0 + powers @ at_one[1:]) for at_one in (found.x, *(found.x + one for one in off))]
-    return tuple(
-        Waveform(rows / one * (one.mean() / rows.mean()), 1.0, "", period=Period(cycles, u, 1.0))
-        for cycles, one in shadings
-        if np.all(one > 0.0)
-    ) or (plain,)
+    return (
+        tuple(
+            Waveform(rows / one * (one.mean() / rows.mean()), 1.0, "", period=Period(cycles, u, 1.0))
+            for cycles, one in shadings
+            if np.all(one > 0.0)
+        )
+        or unknown
+    )
+
+
+def _few_periods(rows: Array, trend: Array) -> float:
+    """Return the frequency per row of up to 16 periods that with a trend explains most of the rows."""
+    step = -(-rows.size // 512)
+    few, index = rows[::step], np.arange(rows.size)[::step]
+
+    def unexplained(frequency: float) -> float:
+        columns = np.hstack([trend[::step], harmonic_columns(frequency * index, 2)[:, 1:]])
+        return float(np.sum((few - columns @ np.linalg.lstsq(columns, few, rcond=None)[0]) ** 2))
+
+    return min(np.arange(_FEWEST_SEEN, 16.0, 0.125) / rows.size, key=unexplained)
 
 
 @dataclass(frozen=True, slots=True)
