@@ -59,7 +59,7 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
 from radiometer.photographs.stated import at_iso, reference_iso, with_f_number, with_gains, with_iso
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import PLAUSIBLE, Exposure, FNumber, Iso, MeterConstant, Positive, RelativeUncertainty
 from radiometer.progress import counted
 from radiometer.units import exact_exposure_s
 
@@ -158,27 +158,27 @@ def calibrate(
     out: PathLike | None = None,
     response: ResponseCurve | PathLike | None = None,
     patch: PatchLike | str | None = None,
-    radiance: float | PathLike | None = None,
-    luminance: float | None = None,
-    u_rel: float | None = None,
-    luminance_meter_k: float | None = None,
-    k_u_rel: float | None = None,
-    f_number: float | None = None,
-    exposure_s: float | None = None,
-    iso: float | None = None,
-    measured_iso: Mapping[float, float] | None = None,
+    radiance: Positive | PathLike | None = None,
+    luminance: Positive | None = None,
+    u_rel: RelativeUncertainty | None = None,
+    luminance_meter_k: MeterConstant | None = None,
+    k_u_rel: RelativeUncertainty | None = None,
+    f_number: FNumber | None = None,
+    exposure_s: Exposure | None = None,
+    iso: Iso | None = None,
+    measured_iso: Mapping[Iso, Iso] | None = None,
     channel: str = "luminance",
     pattern: str | None = None,
     align: str = "auto",
-    reference_dn: float | None = None,
-    dynamic_range: Sequence[tuple[float, ...]] = (),
+    reference_dn: Positive | None = None,
+    dynamic_range: Sequence[tuple[Positive, ...]] = (),
     as_printed: bool = False,
     spectrum: str | None = None,
     black_level: float | None = None,
-    validity_days: float = 365.0,
+    validity_days: Positive = 365.0,
     spectral_response: PathLike | None = None,
     flat: PathLike | None = None,
-    flat_u_rel: float = 0.0,
+    flat_u_rel: RelativeUncertainty = 0.0,
     camera: str | None = None,
     bench: PathLike | None = None,
     camera_file: PathLike | None = None,

@@ -46,6 +46,7 @@ from radiometer.data.setup import Setup
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, MeasurementError, UsageError
 from radiometer.importing import open_capture
+from radiometer.plausible import RelativeUncertainty
 from radiometer.progress import unseen
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import listed, page, section, table
@@ -203,7 +204,7 @@ def colour_calibrate(
     kind: str | None = None,
     per_kind: bool = False,
     white: str | None = None,
-    u_rel: float = 0.0,
+    u_rel: RelativeUncertainty = 0.0,
     filters: Mapping[str, PathLike] | None = None,
     linear: bool = False,
     f_number: float | None = None,

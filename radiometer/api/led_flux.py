@@ -29,7 +29,7 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.importing.drive_table import read_drive_table
 from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import PLAUSIBLE, HalfAngle, Iso, NotNegative, Positive, RelativeUncertainty, Uncertainty
 
 __all__ = ["Flux", "FluxReport", "Quantity", "flux"]
 
@@ -96,20 +96,20 @@ def flux(
     calibration: Calibration | PathLike | None = None,
     camera_file: PathLike | None = None,
     patch: Patch | tuple[int, int, int, int] | None = None,
-    half_angle: float | None = None,
-    half_angle_u: float = 1.0,
-    diameter: float | None = None,
-    diameter_u: float = 0.05,
-    distance: float | None = None,
-    distance_u: float = 0.5,
-    f_number_u_rel: float = 0.02,
-    datasheet_mw: float | None = None,
+    half_angle: HalfAngle | None = None,
+    half_angle_u: Uncertainty = 1.0,
+    diameter: Positive | None = None,
+    diameter_u: Uncertainty = 0.05,
+    distance: Positive | None = None,
+    distance_u: Uncertainty = 0.5,
+    f_number_u_rel: RelativeUncertainty = 0.02,
+    datasheet_mw: Positive | None = None,
     channel: str = "luminance",
-    measured_iso: Mapping[float, float] | None = None,
+    measured_iso: Mapping[Iso, Iso] | None = None,
     drive_table: PathLike | None = None,
     led: str | None = None,
-    drive: float | None = None,
-    at_drive: float | None = None,
+    drive: NotNegative | None = None,
+    at_drive: NotNegative | None = None,
 ) -> Flux:
     """Find the radiant flux of a light-emitting diode.
 
@@ -235,10 +235,6 @@ def _emitter(
                 "viewing angle; 60 for an emitter without a lens)"
             )
         return None
-    for name, value in (("--diameter", diameter), ("--distance", distance), ("--datasheet-mw", datasheet_mw)):
-        if value is not None and not value > 0:
-            raise UsageError(f"{name} {value:g}: must be above 0")
-    PLAUSIBLE["angle"].check("--half-angle", half_angle, UsageError)
     for name, value, u in (("--diameter", diameter, diameter_u), ("--distance", distance, distance_u)):
         if value is not None:
             PLAUSIBLE["length"].check(name, 1e-3 * value, UsageError)

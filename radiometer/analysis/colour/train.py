@@ -9,8 +9,9 @@ import numpy as np
 
 from radiometer.analysis.colour.calibration import ALL, ColourCalibration
 from radiometer.analysis.colour.matrix import Fit, Training, errors_of_other_lights, fit_matrix, plausible_training
-from radiometer.analysis.colour.plausible import COLOURS, plausible_lights
+from radiometer.analysis.colour.plausible import plausible_lights
 from radiometer.data import CameraDescription, LensDescription, Provenance, ScaleConditions
+from radiometer.data.mosaic import COLOURS
 from radiometer.data.reading import LUMINANCE_UNIT, RELATIVE_UNIT
 from radiometer.errors import CalibrationError
 from radiometer.typing import Array

@@ -397,6 +397,12 @@ def luminous_efficiency(observer: Observer = "photopic") -> tuple[NDArray[np.flo
     return wavelength, columns[_COLUMNS[observer]]
 
 
+def matching_functions() -> tuple[Array, Array]:
+    """Return wavelengths in nm, and the colour matching functions x̄, ȳ, z̄ over them, shape (3, wavelengths)."""
+    wavelength_nm, columns = table("colour_matching.csv")
+    return wavelength_nm, np.stack([columns[name] for name in ("x_bar", "y_bar", "z_bar")])
+
+
 def luminous_efficacy_lm_per_w(spectrum: Spectrum, observer: Observer = "photopic") -> float:
     """Return the luminous efficacy of radiation in lm/W: K·∫S·V dλ / ∫S dλ over the spectrum's band.
 

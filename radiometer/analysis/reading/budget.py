@@ -47,6 +47,8 @@ from radiometer.errors import MeasurementError
 from radiometer.moments import moment_of
 from radiometer.units import gain_factor
 
+# Contributions by repeated observation alone, of type A wherever they stand.
+OBSERVED: Final = frozenset({"repeatability", "source fluctuation"})
 _DEPENDS_ON_LEVEL: Final = frozenset({"response curve"})
 _SAME_LEVEL_REL: Final = 0.1  # nearer signals share the error of the response curve, which is smooth
 # Sensors in a room; used where calibration or reading do not state their temperature.
