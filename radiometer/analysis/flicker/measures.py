@@ -100,19 +100,25 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         return Quantity(one.value, math.hypot(one.u, abs(one.value) * u_dark_rel), "1")
 
     def with_u(of: Callable[[Waveform, Period | None], float]) -> Quantity:
+        value = of(part, period)
+        doubts = [of(one, again) - value for one, again in doubted]
         u = math.hypot(_jackknife(of, part, period, blocks, periods), _spread([of(one, period) for one in rounded]))
-        return with_dark(Quantity(of(part, period), u, "1"))
+        return with_dark(Quantity(value, math.hypot(u, *doubts), "1"))
 
     rounded = _rounded(part)
     warnings += _sampling_warnings(part)
+    # A fall-off that is off moves the period as well.
+    doubted = [(one, find_period(one)) for one in waveform.others]
     shapes = [_shape(one, period if periods else None)[0] for one in rounded]
-    depth, index = (
-        with_dark(Quantity(one.value, math.hypot(one.u, _spread([other.value for other in others])), "1"))
-        for one, others in (
-            (shape.modulation_depth, [one.modulation_depth for one in shapes]),
-            (shape.flicker_index, [one.flicker_index for one in shapes]),
-        )
-    )
+    off = [_shape(one, again if periods else None)[0] for one, again in doubted]
+
+    def of_shape(name: str) -> Quantity:
+        one: Quantity = getattr(shape, name)
+        drawn, moved = ([getattr(other, name).value for other in others] for others in (shapes, off))
+        doubts = [value - one.value for value in moved]
+        return with_dark(Quantity(one.value, math.hypot(one.u, _spread(drawn), *doubts), "1"))
+
+    depth, index = of_shape("modulation_depth"), of_shape("flicker_index")
     if depth.value - 2.0 * depth.u > 1.0:
         warnings.append("the light falls below the value of darkness: state that value by --dark")
     svm = pst = None
