@@ -17,7 +17,7 @@ from radiometer.data.drawing import new_axes
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UsageError
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import Length, NotNegative, RelativeUncertainty, Uncertainty, WavelengthUncertainty
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 
 if TYPE_CHECKING:
@@ -84,20 +84,20 @@ class AlphaOpicQuantities(Drawn):
 
 
 def alpha_opic(
-    value: float | Reading | None = None,
+    value: NotNegative | Reading | None = None,
     unit: str = "cd m-2",
     *,
-    u: float = 0.0,
+    u: Uncertainty = 0.0,
     reading: PathLike | None = None,
     screen: ScreenCalibration | PathLike | None = None,
-    level: float | None = None,
+    level: NotNegative | None = None,
     channel: str = "grey",
     spectrum: str | None = None,
-    spectrum_u_rel: float = 0.0,
-    wavelength_u_nm: float = 0.0,
-    size_m: Sequence[float] | None = None,
-    distance_m: float | None = None,
-    u_distance_m: float = 0.0,
+    spectrum_u_rel: RelativeUncertainty = 0.0,
+    wavelength_u_nm: WavelengthUncertainty = 0.0,
+    size_m: Sequence[Length] | None = None,
+    distance_m: Length | None = None,
+    u_distance_m: Uncertainty = 0.0,
 ) -> AlphaOpicQuantities:
     """Convert a radiance, luminance, irradiance or illuminance into the five α-opic quantities of CIE S 026.
 
@@ -160,10 +160,7 @@ def alpha_opic(
         assumptions.append(f"the spectrum {named} is exact; --spectrum-u-rel states how well it is known")
     if (size_m is None) != (distance_m is None) or (u_distance_m and distance_m is None):
         raise UsageError("--size and --distance need each other, and --distance-u both")
-    PLAUSIBLE["wavelength_u"].check("--wavelength-u", wavelength_u_nm, UsageError)
     if size_m is not None and distance_m is not None:
-        for name, length_m in (("--distance", distance_m), *(("--size", one) for one in size_m)):
-            PLAUSIBLE["length"].check(name, length_m, UsageError)
         source = facing_irradiance(source, size_m, distance_m, u_distance_m)
         assumptions.append("the source is evenly bright, alike in all directions, and straight before the plane")
     light = spectrum_of(named)

@@ -34,6 +34,7 @@ from radiometer.data.drawing import new_axes
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
 from radiometer.numbers import below, upper_limit
+from radiometer.plausible import Count, FieldOfView, LineDistance, Uncertainty
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
 from radiometer.reporting.pictures import MODEL, dress, label, mark, picture
@@ -249,13 +250,13 @@ def analyse(
     regions: Mapping[str, PatchLike] | None = None,
     contrast: tuple[str, str] | None = None,
     line: tuple[float, float, float, float] | None = None,
-    line_width: int = 1,
-    box: int = 5,
+    line_width: Count = 1,
+    box: Count = 5,
     spectrum: str | None = None,
     fisheye: Projection | None = None,
-    field_of_view: float | None = None,
-    field_of_view_u: float = 0.0,
-    radius: float | None = None,
+    field_of_view: FieldOfView | None = None,
+    field_of_view_u: Uncertainty = 0.0,
+    radius: LineDistance | None = None,
     glare: bool = False,
 ) -> MapAnalysis:
     """Measure regions, contrast, a profile and the illuminance of a radiance map, each with its uncertainty.

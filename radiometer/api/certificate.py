@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import radiometer
 from radiometer.analysis.exports.certificate import COVERAGE_FACTORS, Certified, Item, Laboratory, certificate_xml
+from radiometer.analysis.reading.budget import OBSERVED
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
@@ -221,13 +222,13 @@ def _of_calibration(calibration: Calibration, laboratory: Laboratory, identifier
     if not calibration.absolute:
         raise UsageError(_RELATIVE)
     camera, scale = calibration.camera, calibration.scale
-    item = laboratory.item
-    if item is None:
-        if not (camera.vendor and camera.serial):
-            raise UsageError(
-                "the calibration states no maker and serial number of its camera; state the item in the laboratory file"
-            )
+    item = laboratory.item  # the laboratory's item is the source that it reads, unless the camera is not known
+    if camera.vendor and camera.serial:
         item = Item(name="camera", manufacturer=camera.vendor, model=camera.model or "", serial=camera.serial)
+    if item is None:
+        raise UsageError(
+            "the calibration states no maker and serial number of its camera; state the item in the laboratory file"
+        )
     conditions = [("spectrum", calibration.spectrum)]
     if scale.f_number is not None:
         conditions.append(("f-number", f"{scale.f_number:g}"))
@@ -243,6 +244,8 @@ def _of_calibration(calibration: Calibration, laboratory: Laboratory, identifier
         results=(
             ("exposure per unit of the linear signal", Quantity(scale.value, scale.value * scale.u_rel, "J m-2"), _K),
         ),
-        budget=tuple(Contribution(name, u_rel) for name, u_rel in scale.budget.items()),
+        budget=tuple(
+            Contribution(name, u_rel, "A" if name in OBSERVED else "B") for name, u_rel in scale.budget.items()
+        ),
         version=radiometer.__version__,
     )

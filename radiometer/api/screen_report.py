@@ -18,6 +18,7 @@ from radiometer.data.drawing import picture
 from radiometer.data.provenance import utc_now
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
+from radiometer.plausible import Duration, Port, Seed
 from radiometer.progress import counted
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
@@ -153,14 +154,14 @@ def screen_report(
     checkers: tuple[int, int] = (4, 4),
     levels: str = "17",
     area: PatchLike | None = None,
-    warm_up_s: float = 900.0,
+    warm_up_s: Duration = 900.0,
     white: str = "white_led",
     primaries: str | None = None,
     camera: str | None = None,
     bench: PathLike | None = None,
     calibration: PathLike | None = None,
-    port: int = 0,
-    seed: int = 1,
+    port: Port = 0,
+    seed: Seed = 1,
     ask: Ask | None = None,
     announce: Callable[[str], None] = lambda url: None,
     notice: Notice = unheard,

@@ -23,6 +23,7 @@ from radiometer.data.json_text import parsed_json
 from radiometer.errors import InputError, UsageError
 from radiometer.moments import moment_of
 from radiometer.numbers import unit_text
+from radiometer.plausible import Limit
 from radiometer.reporting.pictures import label
 
 if TYPE_CHECKING:
@@ -198,7 +199,7 @@ def log(
     after: int | None = None,
     flag: str | None = None,
     clean: bool = False,
-    limit: int | None = None,
+    limit: Limit | None = None,
 ) -> LoggedReadings:
     """Return the readings of the daemon's journal that match.
 
@@ -247,7 +248,9 @@ def _is_reading(line: object) -> bool:
         return False
 
 
-def log_events(journal: PathLike | None = None, *, since: str | None = None, limit: int = 200) -> list[dict[str, str]]:
+def log_events(
+    journal: PathLike | None = None, *, since: str | None = None, limit: Limit = 200
+) -> list[dict[str, str]]:
     """Return alarms and recoveries of a journal, oldest first: time, kind and message of each.
 
     Examples:

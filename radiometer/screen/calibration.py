@@ -8,16 +8,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
 from radiometer.data import Provenance, Quantity
 from radiometer.data.provenance import utc_now
 from radiometer.data.storage import read_yaml, write_yaml_atomic
+from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CalibrationError, SettingOutOfRange
 from radiometer.screen.transfer_models import MODELS, TransferFit, fit_transfer
 from radiometer.statistics.scale import robust_sigma
@@ -76,6 +78,21 @@ class LevelTable:
         return high
 
 
+class _ChannelForm(FileSection):
+    """A channel as the file holds it."""
+
+    levels: tuple[Annotated[int, Field(ge=0)], ...]
+    radiance_W_per_sr_m2: tuple[float, ...]  # noqa: N815 (the file's key)
+    u_independent: tuple[Annotated[float, Field(ge=0)], ...]
+    u_common_rel: float = Field(ge=0)
+    photopic_lm_per_W: float = Field(gt=0)  # noqa: N815
+    scotopic_lm_per_W: float = Field(gt=0)  # noqa: N815
+    spectrum: str
+    detection_limit: float = Field(0.0, ge=0)
+    bits: int = Field(8, ge=1, le=16)
+    u_spectrum_rel: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class ChannelCurve:
     """Radiance over the level of one channel ("grey", "red", "green" or "blue")."""
@@ -100,6 +117,8 @@ class ChannelCurve:
             raise CalibrationError(f"channel {self.name}: needs three levels or more, each with radiance and u")
         if any(b <= a for a, b in zip(self.levels, self.levels[1:], strict=False)):
             raise CalibrationError(f"channel {self.name}: levels must ascend")
+        if self.levels[-1] > self.top_level:
+            raise CalibrationError(f"channel {self.name}: level {self.levels[-1]} is above those of {self.bits} bits")
 
     @property
     def top_level(self) -> int:
@@ -251,24 +270,22 @@ class ChannelCurve:
     @classmethod
     def from_mapping(cls, name: str, mapping: Mapping[str, Any], where: str) -> ChannelCurve:
         """Return the channel that a mapping describes. Raises CalibrationError."""
-        try:
-            return cls(
-                name,
-                tuple(int(n) for n in mapping["levels"]),
-                tuple(float(v) for v in mapping["radiance_W_per_sr_m2"]),
-                tuple(float(v) for v in mapping["u_independent"]),
-                float(mapping["u_common_rel"]),
-                float(mapping["photopic_lm_per_W"]),
-                float(mapping["scotopic_lm_per_W"]),
-                str(mapping["spectrum"]),
-                float(mapping.get("detection_limit", 0.0)),
-                int(mapping.get("bits", 8)),
-                {str(unit): float(u) for unit, u in mapping.get("u_spectrum_rel", {}).items()},
-            )
-        except KeyError as error:
-            raise CalibrationError(f"{where}: channel {name}: key {error} is missing") from error
-        except (TypeError, ValueError) as error:
-            raise CalibrationError(f"{where}: channel {name}: {error}") from error
+        if not isinstance(mapping, Mapping):
+            raise CalibrationError(f"{where}: channel {name}: {str(mapping)[:40]!r} holds no keys and values")
+        form = validate(_ChannelForm, mapping, f"{where}: channel {name}", CalibrationError)
+        return cls(
+            name,
+            form.levels,
+            form.radiance_W_per_sr_m2,
+            form.u_independent,
+            form.u_common_rel,
+            form.photopic_lm_per_W,
+            form.scotopic_lm_per_W,
+            form.spectrum,
+            form.detection_limit,
+            form.bits,
+            form.u_spectrum_rel,
+        )
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ def read_spectra(path: Path) -> dict[str, Spectrum]:
     for name, power in columns.items():
         if np.any(power < 0.0) or not power.any():
             raise InputError(f"{path}: {name}: powers must be 0 or more, not all 0")
-    return {name: Spectrum(name, wavelength_nm, power) for name, power in columns.items()}
+    return {name: Spectrum(name, wavelength_nm, power, is_sampled=True) for name, power in columns.items()}
 
 
 def spectrum_of(name: str, spectra: dict[str, Spectrum], path: Path) -> Spectrum:

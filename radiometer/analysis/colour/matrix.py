@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.stats import t as student_t
 
-from radiometer.analysis.colour.plausible import display_primaries, plausible_cameras, plausible_lights, tristimulus_of
+from radiometer.analysis.colour.plausible import plausible_cameras, plausible_lights
+from radiometer.analysis.photometry.displays import display_primaries, tristimulus_of
 from radiometer.analysis.photometry.photometry import DISPLAY_TYPES
 from radiometer.data.validation import FileArray, FileSection
 from radiometer.errors import CalibrationError

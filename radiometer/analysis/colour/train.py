@@ -9,8 +9,9 @@ import numpy as np
 
 from radiometer.analysis.colour.calibration import ALL, ColourCalibration
 from radiometer.analysis.colour.matrix import Fit, Training, errors_of_other_lights, fit_matrix, plausible_training
-from radiometer.analysis.colour.plausible import COLOURS, plausible_lights
-from radiometer.data import CameraDescription, LensDescription, Provenance
+from radiometer.analysis.colour.plausible import plausible_lights
+from radiometer.data import CameraDescription, LensDescription, Provenance, ScaleConditions
+from radiometer.data.mosaic import COLOURS
 from radiometer.data.reading import LUMINANCE_UNIT, RELATIVE_UNIT
 from radiometer.errors import CalibrationError
 from radiometer.typing import Array
@@ -23,6 +24,8 @@ class ColourCamera:
     channels: tuple[str, ...]  # names of its channels
     camera: CameraDescription = field(default_factory=lambda: CameraDescription(bit_depth=16))  # its description
     lens: LensDescription = field(default_factory=LensDescription)  # its lens
+    conditions: ScaleConditions = field(default_factory=ScaleConditions)  # gain and temperature of its frames
+    iso: float | None = None  # lowest ISO speed of its photographs
     # Per watt over the grid of plausible lights, up to a common factor; None where unknown
     responsivities: Array | None = None
     inputs: tuple[str, ...] = ()  # files with their content hashes, for the record
@@ -79,8 +82,9 @@ def train_on_lights(
         )
     origin = Provenance("least squares weighted by 1/u²", known.inputs, tuple(assumed), {"per_kind": per_kind})
     return ColourCalibration(
-        channels=known.channels, camera=known.camera, lens=known.lens, unit=LUMINANCE_UNIT, fits=fits, errors=errors,
-        trained=kinds, training=training, u_rel=u_rel, provenance=origin, display_errors=of_displays,
+        channels=known.channels, camera=known.camera, lens=known.lens, conditions=known.conditions, iso=known.iso,
+        unit=LUMINANCE_UNIT, fits=fits, errors=errors, trained=kinds,
+        training=training, u_rel=u_rel, provenance=origin, display_errors=of_displays,
     )  # fmt: skip
 
 
@@ -123,8 +127,9 @@ def train_on_responsivities(
     u_all = math.hypot(u_rel, u_scale)
     trained = tuple(fits) if per_kind else tuple(plausible_lights())
     return ColourCalibration(
-        channels=known.channels, camera=known.camera, lens=known.lens, unit=unit, fits=fits, errors=errors,
-        trained=trained, training=scale, u_rel=u_all, provenance=origin, display_errors=of_displays,
+        channels=known.channels, camera=known.camera, lens=known.lens, conditions=known.conditions, iso=known.iso,
+        unit=unit, fits=fits, errors=errors, trained=trained,
+        training=scale, u_rel=u_all, provenance=origin, display_errors=of_displays,
     )  # fmt: skip
 
 

@@ -96,7 +96,6 @@ def mean_to_axial_radiance(exponent: float, half_angle_rad: float) -> float:
 def led_flux(
     frames: Sequence[Frame],
     scale: FluxScale,
-    lens: LensDescription,
     emitter: Emitter | None = None,
     region: Patch | None = None,
     f_number_u_rel: float = 0.02,
@@ -105,8 +104,8 @@ def led_flux(
 
     Args:
         frames: Bracket of the lit diode; frames with the source off and dark frames where there are any.
-        scale: From digital numbers to exposure on the sensor.
-        lens: The lens; its transmittance, f-number, focal length and magnification count.
+        scale: From digital numbers to exposure on the sensor, with the lens, whose transmittance, f-number, focal
+            length and magnification count.
         emitter: The diode; without it only the flux on the sensor can be given.
         region: Where the diode and its glow are; None for the whole frame.
         f_number_u_rel: Relative standard uncertainty of the effective f-number.
@@ -116,8 +115,8 @@ def led_flux(
         UsageError: If a figure of the emitter is impossible.
     """
     measured = sensor_flux(frames, scale, region)
-    f_number = frames[0].settings.f_number or lens.f_number
-    ways = _Ways(measured, scale, lens, f_number, f_number_u_rel, emitter)
+    f_number = frames[0].settings.f_number or scale.lens.f_number
+    ways = _Ways(measured, scale, scale.lens, f_number, f_number_u_rel, emitter)
     emitted = ways.emitted()
     steps = ways.steps(emitted)
     thesis_exposure, thesis_w, left_out = _typical(measured)

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
+import functools
 import importlib
 import math
+import operator
 import pkgutil
 import re
+import resource
+import time
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated
 
 import pytest
+import yaml
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 import radiometer
-from radiometer.adaptation.protocol import Fixation, FixationCheck, SteadyBleach
-from radiometer.data import CameraDescription, FoundEffects, LensDescription, Scale, SourceDescription
+import radiometer as rm
+from radiometer.adaptation.protocol import Fixation, FixationCheck, SteadyBleach, read_protocol
+from radiometer.bench.boxes import read_preset
+from radiometer.data import Calibration, CameraDescription, FoundEffects, LensDescription, Scale, SourceDescription
 from radiometer.data.capture_set import FrameEntry
+from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.validation import ConfigSection, FileSection, validate
+from radiometer.devices import CameraPreset
 from radiometer.errors import InputError
 from simulators.effects.lens import Lens
 
@@ -129,6 +142,64 @@ def test_true_is_no_number(model: type[BaseModel]) -> None:
         if field.annotation in (int, float, int | None, float | None):
             with pytest.raises(ValidationError, match=rf"{name} = True: true and false are no numbers"):
                 model.model_validate({name: True})
+
+
+@pytest.mark.parametrize("number", [10**11, 10**20, "1" + "0" * 20, [10**11]], ids=["1e11", "1e20", "text", "list"])
+@pytest.mark.parametrize(
+    "model", sorted({*models(FileSection), *models(ConfigSection)}, key=lambda one: one.__qualname__)
+)
+def test_no_count_of_a_file_sizes_an_array_without_bound(model: type[BaseModel], number: object) -> None:
+    """Bits, pixels, counts, seeds: each field that takes a whole number refuses what memory could not hold."""
+    for name, field in model.model_fields.items():
+        if re.search(r"\bint\b", str(field.annotation)):
+            with pytest.raises(ValidationError, match=rf"{name} = .*: no count has this size; at most"):
+                model.model_validate({name: number})
+
+
+FILES = {
+    "radiometer-bench/1": lambda path: rm.open(path, uncalibrated=True).close(),
+    "radiometer-calibration/1": Calibration.read,
+    "radiometer-camera/1": CameraPreset.read,
+    "radiometer-light-box/1": read_preset,
+    "radiometer-light-calibration/1": LightCalibration.read,
+    "radiometer-protocol/1": read_protocol,
+    "radiometer-screen/1": lambda path: rm.screen_level(path, 50.0),
+}
+SCREEN = """\
+format: radiometer-screen/1
+channels:
+  grey: {levels: [0, 128, 255], bits: 8, radiance_W_per_sr_m2: [0, 0.1, 0.4], u_independent: [0.001, 0.001, 0.004],
+    u_common_rel: 0.02, photopic_lm_per_W: 320, scotopic_lm_per_W: 700, spectrum: white_led}
+"""
+
+
+def wholes(content: object, path: tuple[object, ...] = ()) -> Iterator[tuple[object, ...]]:
+    """Yield the path to each whole number of a file."""
+    items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    if type(content) is int:
+        yield path
+    for key, inside in items:
+        yield from wholes(inside, (*path, key))
+
+
+def test_no_whole_number_of_a_file_takes_memory_or_time(project_root: Path, tmp_path: Path) -> None:
+    """Every number of every shipped form, as 10¹¹ and 10²⁰: refused in a line, or at least read at once."""
+    texts = [path.read_text() for path in sorted((project_root / "configs").rglob("*.yaml"))]
+    at_first, seen = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, set()
+    for content in map(yaml.safe_load, (*texts, SCREEN)):
+        read, file = FILES.get(content.get("format")), tmp_path / "changed.yaml"
+        for place in wholes(content) if read else ():
+            seen.add(content["format"])
+            for number in (10**11, 10**20):
+                changed = copy.deepcopy(content)
+                functools.reduce(operator.getitem, place[:-1], changed)[place[-1]] = number
+                file.write_text(yaml.safe_dump(changed))
+                began = time.monotonic()
+                with contextlib.suppress(rm.RadiometerError):
+                    read(file)
+                assert time.monotonic() - began < 5.0, place
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - at_first < 1_000_000  # kB
+    assert {"radiometer-bench/1", "radiometer-screen/1", "radiometer-protocol/1"} <= seen
 
 
 def test_a_simulated_lens_may_be_nearly_opaque() -> None:
