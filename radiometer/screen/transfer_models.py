@@ -97,8 +97,8 @@ def fit_transfer(name: str, level: ArrayLike, value: ArrayLike, u: ArrayLike) ->
     def residuals(p: Array) -> Array:
         return np.asarray((model.curve(p, v) - y) / scale)
 
-    limits = np.array([(-np.inf, np.inf)] * (start.size - 1) + [_EXPONENTS]).T
-    found = least_squares(residuals, start, bounds=limits, x_scale=np.maximum(np.abs(start), 0.01), max_nfev=2000)
+    low, high = np.array([(-np.inf, np.inf)] * (start.size - 1) + [_EXPONENTS]).T
+    found = least_squares(residuals, start, bounds=(low, high), x_scale=np.maximum(np.abs(start), 0.01), max_nfev=2000)
     if not found.success:
         raise ValueError(f"{name}: the fit did not converge ({found.message})")
     return _judged(model, found.x, v, y)
