@@ -236,7 +236,8 @@ COMMANDS: Final = (
     Command("SOURce:LED:CATalog", "Names the channels of the light box in the order of <n>, from 1 on.",
             ask=_catalogue, reply='"name",…',
             example="SOUR:LED:CAT?", group=SOURCE),
-    Command("OUTPut:ALL", "OFF switches every channel off at once, even as the first message of a connection. ON is"
+    Command("OUTPut:ALL", "OFF switches every channel off before all that other clients wait for. What its own connection sent"
+            " before it comes first. ON is"
             " refused (−221). The query replies 1 while the box reports any channel lit.",
             do=_set_output, ask=_ask_output, parameters=(Boolean(),), reply="0 or 1", example="OUTP:ALL OFF;ALL?",
             group=SOURCE),
