@@ -59,7 +59,16 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
 from radiometer.photographs.stated import at_iso, reference_iso, with_f_number, with_gains, with_iso
-from radiometer.plausible import PLAUSIBLE, Exposure, FNumber, Iso, MeterConstant, Positive, RelativeUncertainty
+from radiometer.plausible import (
+    PLAUSIBLE,
+    Exposure,
+    FNumber,
+    Iso,
+    KnownRadiance,
+    MeterConstant,
+    Positive,
+    RelativeUncertainty,
+)
 from radiometer.progress import counted
 from radiometer.units import exact_exposure_s
 
@@ -158,7 +167,7 @@ def calibrate(
     out: PathLike | None = None,
     response: ResponseCurve | PathLike | None = None,
     patch: PatchLike | str | None = None,
-    radiance: Positive | PathLike | None = None,
+    radiance: KnownRadiance | PathLike | None = None,
     luminance: Positive | None = None,
     u_rel: RelativeUncertainty | None = None,
     luminance_meter_k: MeterConstant | None = None,
