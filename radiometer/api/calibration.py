@@ -255,6 +255,8 @@ def calibrate(
     measured = dict(measured_iso or {})
     real_iso = measured.get(iso, iso) if iso is not None else None
     speeds = IsoSpeeds(measured, real_iso, iso if iso in measured else None)
+    if capture is None and camera is None:
+        speeds.refuse_unstated("--measured-iso", set() if iso is None else {iso})
     if radiance is not None and not isinstance(radiance, int | float):
         radiance, u_rel = _certified(Path(radiance), u_rel)
     by_source = radiance is not None or luminance is not None

@@ -237,9 +237,8 @@ def _emitter(
             )
         return None
     for name, value, u in (("--diameter", diameter, diameter_u), ("--distance", distance, distance_u)):
-        if value is not None:
-            if u > _MOST_U_REL * value:
-                raise UsageError(f"{name} {value:g} mm: known to ± {u:g} mm; state both in mm, and closer")
+        if value is not None and u > _MOST_U_REL * value:
+            raise UsageError(f"{name} {value:g} mm: known to ± {u:g} mm; state both in mm, and closer")
     return Emitter(
         Quantity(half_angle, half_angle_u, "°"),
         None if diameter is None else Quantity(diameter, diameter_u, "mm"),

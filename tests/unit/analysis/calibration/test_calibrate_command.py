@@ -164,7 +164,7 @@ def test_a_known_luminance_goes_through_the_spectrum(capture, tmp_path):
         (["-o", "{out}", "--response", "{curve}", *meter(f_number="-16")], 2, "--f-number"),
         (["-o", "{out}", "--response", "{curve}", *meter(exposure="0")], 2, "above 0"),
         (["-o", "{out}", "--response", "{curve}", *meter(exposure="fast")], 2, "1/125"),
-        (["-o", "{out}", "--response", "{curve}", *meter(exposure="1e300s")], 2, "exposure_s is 1e+300"),
+        (["-o", "{out}", "--response", "{curve}", *meter(exposure="9999999999s")], 2, "exposure_s is 9999999999"),
         (["{capture}", "-o", "{out}", "--flat", "{curve}"], 1, "curve.csv"),
     ],
 )
