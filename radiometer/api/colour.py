@@ -16,9 +16,9 @@ from radiometer.analysis.colour.calibration import ColourCalibration, reference
 from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra, spectrum_of
 from radiometer.analysis.colour.chromaticity import QUANTITIES, Coordinates, coordinates, locus_points, tristimulus
 from radiometer.analysis.colour.matrix import Training
-from radiometer.analysis.colour.plausible import GRID_NM, on_grid
 from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
 from radiometer.analysis.exports.maps import MapPicture, write_exr, write_tiff
+from radiometer.analysis.photometry.displays import GRID_NM, on_grid
 from radiometer.analysis.photometry.photometry import luminous_efficacy, spectral_columns
 from radiometer.analysis.reading.budget import carried, frame_conditions
 from radiometer.analysis.regions.figures import LOST, region_figures

@@ -12,7 +12,7 @@ from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, fit_drive_
 from radiometer.analysis.flux.estimate import led_flux
 from radiometer.analysis.flux.report import Emitter, FluxReport
 from radiometer.analysis.flux.sensor import flux_scale
-from radiometer.analysis.signal.model import corrected_frames
+from radiometer.analysis.signal.model import corrected_settings
 from radiometer.api.files import PathLike, stack_of
 from radiometer.api.result import Result, require_other
 from radiometer.bench.sources import is_photographs, open_source
@@ -155,14 +155,15 @@ def flux(
     if camera_file is not None:
         preset = CameraPreset.read(Path(camera_file))
         camera, u_rel = preset.applied_to(camera, str(camera_file)), preset.figure_u_rel("R")
-    frames = taken.frames if known is None else list(corrected_frames(taken.frames, known.found, known.black_level.dn))
+    frames = taken.frames
+    if known is not None:
+        found, black_dn = known.found, known.black_level.dn
+        frames = [replace(one, settings=corrected_settings(one.settings, found, black_dn)) for one in frames]
     lit = [one.settings for one in frames if not one.settings.is_dark]
     scale = flux_scale(replace(taken.setup, camera=camera, calibration=known), lit, u_rel)
     report = led_flux(frames, scale, emitter, region, f_number_u_rel)
-    found = None
-    if drive_table is not None:
-        found = _driven(report.result, Path(drive_table), led, drive, at_drive)
-    return Flux(report, taken.notes, found)
+    law = None if drive_table is None else _driven(report.result, Path(drive_table), led, drive, at_drive)
+    return Flux(report, taken.notes, law)
 
 
 def _driven(flux: Quantity, path: Path, led: str | None, drive: float | None, at: float | None) -> DrivenFlux:

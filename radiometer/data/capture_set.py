@@ -56,7 +56,7 @@ class FrameEntry(FileSection):
     exposure_s: Annotated[float, within("exposure")]  # 0 means a bias frame: shutter closed, read out at once
     gain_db: Annotated[float, within("gain")] = 0.0
     f_number: Annotated[float | None, within("f_number")] = None
-    black_level_dn: float | None = None
+    black_level_dn: Annotated[float | None, within("black_level")] = None
     temperature_C: Annotated[float | None, within("temperature")] = None  # noqa: N815 (the file's key)
     timestamp_s: float | None = None
     source_level: float = Field(1.0, ge=0)
@@ -405,6 +405,11 @@ def _checked_header(header_path: Path) -> CaptureHeader:
             raise CaptureError(f"{header_path}: frame {entry.file!r} is outside the capture set")
         if not is_there:
             raise CaptureError(f"{header_path}: frame {entry.file!r} does not exist; the capture set is incomplete")
+        if (entry.black_level_dn or 0.0) >= header.camera.full_scale_dn:
+            raise CaptureError(
+                f"{header_path}: frame {entry.file!r}: black level {entry.black_level_dn:g} DN is not below full scale,"
+                f" {header.camera.full_scale_dn} DN; correct it"
+            )
     _refuse_patches_outside(header, header_path)
     return header
 

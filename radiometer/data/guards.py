@@ -171,7 +171,7 @@ def refuse_endless_tiff(path: Path, content: bytes) -> None:
 
 
 def refuse_deep_yaml(text: str, where: str) -> None:
-    """Refuse YAML that is nested too deeply or repeats itself too often: reading it would end the process.
+    """Refuse YAML that is nested too deeply, repeats itself too often or holds itself: reading it would not end.
 
     Raises:
         InputError: If it exceeds a limit.
@@ -194,6 +194,9 @@ def refuse_deep_yaml(text: str, where: str) -> None:
         if isinstance(event, yaml.ScalarEvent):
             size = 1
         elif isinstance(event, yaml.AliasEvent):
+            if any(anchor == event.anchor for anchor, _ in counting):
+                at = f", line {event.start_mark.line + 1}" if event.start_mark else ""
+                raise InputError(f"{where}{at}: *{event.anchor} holds itself; write the values out")
             size = sizes.get(str(event.anchor), 1)
         elif isinstance(event, yaml.CollectionEndEvent):
             anchor, inside = counting.pop()

@@ -20,6 +20,7 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import FACTS, Place, Statement, StatementMap, is_unknown, unit_stated, value_of
 from radiometer.errors import InputError, UnsettledError
 from radiometer.moments import moment_of
+from radiometer.plausible import LARGEST
 from radiometer.units import Unit, heading_parts, plain_name, unit_of
 
 _SEPARATORS: Final = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
@@ -490,6 +491,8 @@ def finite(values: Sequence[float | None], table: TextTable, at: int) -> list[fl
             raise InputError(
                 f"{table.where(line)}: {table.header[at] if table.header else at + 1} is missing; leave the row out"
             )
+        if abs(value) > LARGEST:
+            raise InputError(f"{table.where(line)}: no quantity has the size {value:g}; correct the power of ten")
     return [float(v) for v in values if v is not None]
 
 

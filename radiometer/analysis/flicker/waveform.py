@@ -225,10 +225,12 @@ def _few_periods(rows: Array, trend: Array) -> float:
     few, index = rows[::step], np.arange(rows.size)[::step]
 
     def unexplained(frequency: float) -> float:
-        columns = np.hstack([trend[::step], harmonic_columns(frequency * index, 2)[:, 1:]])
+        phases = np.asarray(frequency * index, dtype=np.float64)
+        columns = np.hstack([trend[::step], harmonic_columns(phases, 2)[:, 1:]])
         return float(np.sum((few - columns @ np.linalg.lstsq(columns, few, rcond=None)[0]) ** 2))
 
-    return min(np.arange(_FEWEST_SEEN, 16.0, 0.125) / rows.size, key=unexplained)
+    frequencies = np.arange(_FEWEST_SEEN, 16.0, 0.125) / rows.size
+    return min(frequencies.tolist(), key=unexplained)
 
 
 @dataclass(frozen=True, slots=True)
