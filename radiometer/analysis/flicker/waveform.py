@@ -230,7 +230,7 @@ def _few_periods(rows: Array, trend: Array) -> float:
         return float(np.sum((few - columns @ np.linalg.lstsq(columns, few, rcond=None)[0]) ** 2))
 
     frequencies = np.arange(_FEWEST_SEEN, 16.0, 0.125) / rows.size
-    return min(frequencies.tolist(), key=unexplained)
+    return float(min(frequencies.tolist(), key=unexplained))
 
 
 @dataclass(frozen=True, slots=True)
