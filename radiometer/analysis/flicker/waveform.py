@@ -24,7 +24,7 @@ _LIGHT_NAMES: Final = (
     "light", "value", "signal", "illuminance", "luminance", "radiance", "irradiance", "voltage", "volt", "v", "ch1",
     "channel_1", "y", "intensity", "amplitude",
 )  # fmt: skip
-_STEP_ROUNDING: Final = 0.02  # of a step: by so much a time may be off beyond what its decimals move it by
+_STEP_ROUNDING: Final = 0.02  # of a step: what decimals of a table may move a time by
 _MOST_HARMONICS: Final = 12  # that take part in finding the period; further ones hold little of a lamp's power
 # A period is accepted where its harmonics hold so much of the modulation that noise or chance cannot.
 _PERIODIC_SHARE: Final = 0.5
@@ -101,29 +101,21 @@ def read_waveform(
         doubts.append("the table has no heading: column 1 is the time in s, column 2 the light")
     time_s = np.array(finite(table.values(at_time, "timestamp", doubts, mapped, defined=unit), table, at_time))
     light = np.array(table.numbers(at_light))  # in any unit: every measure is a ratio
-    rate_hz = _rate_hz(path, time_s, table.written_step(at_time))
+    rate_hz = _rate_hz(path, time_s)
     assumptions = () if dark is not None else ("the value 0 is darkness; --dark VALUE states another",)
     return Waveform(light - (dark or 0.0), rate_hz, str(path), u_dark, averaged_s, assumptions), tuple(doubts)
 
 
-def _rate_hz(path: Path, time_s: Array, written: tuple[float, float]) -> float:
-    """Return the rate of times that rise in equal steps.
-
-    Args:
-        path: The table, for messages.
-        time_s: Times in s, shape (n,).
-        written: Step of the decimals in which the times are written, and their span, in one unit.
-    """
+def _rate_hz(path: Path, time_s: Array) -> float:
     if time_s.size < FEWEST_SAMPLES:
         raise InputError(f"{path}: {time_s.size} samples; a waveform needs {FEWEST_SAMPLES}")
     step_s = (time_s[-1] - time_s[0]) / (time_s.size - 1)
     if not step_s > 0.0 or np.any(np.diff(time_s) <= 0.0):
         raise InputError(f"{path}: the times do not rise from line to line")
-    # Decimals of the table, and those of a double, may move a time; jitter of the clock is none of both.
-    decimals, span = written
-    rounding_s = decimals * (time_s[-1] - time_s[0]) / span + 4.0 * float(np.spacing(np.abs(time_s).max()))
+    # Times are written with some decimals, which may be coarser than a step.
+    written_s = float(np.min(np.abs(np.diff(time_s))))
     off_s = float(np.max(np.abs(time_s - time_s[0] - step_s * np.arange(time_s.size))))
-    if off_s > _STEP_ROUNDING * step_s + rounding_s:
+    if off_s > _STEP_ROUNDING * step_s + max(0.0, step_s - written_s):
         at = int(np.argmax(np.abs(np.diff(time_s) - step_s)))
         raise InputError(
             f"{path}: the times do not rise in equal steps: {1e6 * (time_s[at + 1] - time_s[at]):.4g} us behind row "
@@ -177,8 +169,8 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
     """Return the light of rows over their fall-off, and what it is one standard uncertainty off, in each direction.
 
     Light of few periods is no less like a polynomial than the fall-off is: so period, harmonics and fall-off are
-    fitted together, and the covariance says what the rows leave open. Rows that show no period tell them apart by
-    nothing: then a parabola is taken off, or nothing is. Rates are in samples.
+    fitted together, and the covariance says what the rows leave open. Rows that show no period leave both open:
+    the light over a parabola, and the rows themselves, are then returned. Rates are in samples.
     """
     at, index = np.linspace(-1.0, 1.0, rows.size), np.arange(rows.size)
     powers = at[:, None] ** np.arange(1, _FALL_OFF_DEGREE + 1)
@@ -238,8 +230,7 @@ def _few_periods(rows: Array, trend: Array) -> float:
         return float(np.sum((few - columns @ np.linalg.lstsq(columns, few, rcond=None)[0]) ** 2))
 
     frequencies = np.arange(_FEWEST_SEEN, 16.0, 0.125) / rows.size
-    best: float = min(frequencies.tolist(), key=unexplained)
-    return best
+    return float(min(frequencies.tolist(), key=unexplained))
 
 
 @dataclass(frozen=True, slots=True)
