@@ -108,7 +108,7 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
         return cast(Signal, leaked.astype(signal.dtype))
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the numbers of pixels that stand out by more than 6 robust sigmas, or are unsteady."""
+        """Return the moments with the numbers of pixels that stand out by 6 robust sigmas, or are unsteady."""
         (above,) = self._above(self._standing_out(before.mean, context, before.spatial_variance), powers=1)
         pixels: Any = getattr(context, "tile_pixels", 1.0)
 
@@ -116,7 +116,8 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
             return (shares * pixels).mean(axis=-1, keepdims=True).sum(axis=-2, keepdims=True)
 
         return after.changed(
-            outliers=before.outliers + count(above), unsteady=before.unsteady + count(self._restless(before, context))
+            outliers=before.outliers + count(above),
+            unsteady=before.unsteady + count(self._restless(before.mean, after.mean, context)),
         )
 
     def _is_uneven(self) -> bool:
@@ -140,15 +141,15 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
         robust2 = np.square(self.shape / spread * pattern)  # what the median deviation of the body gives
         return 1.0 + spread * 6.0 * np.sqrt(noise2 + robust2) / pattern
 
-    def _restless(self, before: TileMoments, context: ExposureContext) -> Any:
-        """Return the share of the pixels whose charge scatters far more than that of their tile."""
+    def _restless(self, signal: Signal, kept: Signal, context: ExposureContext) -> Any:
+        """Return the share of the pixels whose charge scatters far more than what is kept of their tile."""
         frames: Any = np.asarray(getattr(context, "frames", 1.0))
         read2 = (context.camera.read_noise_e or 3.0) ** 2
         average, spread = self._lognormal()
         leak = (np.exp(self.shape * _SIGMAS) - average) / spread
-        noise2 = np.maximum(before.mean, 0.0) + read2
-        more = np.maximum(leak * (self.electrons(context) / noise2)[..., None], -0.9)
-        return (share_unsteady(frames[..., None], 1.0 + more) * _SHARES).sum(axis=-1)
+        noise2 = np.maximum(signal[..., None] + leak * np.asarray(self.electrons(context))[..., None], 0.0) + read2
+        of_tile2 = np.maximum(kept, 0.0) + read2
+        return (share_unsteady(frames[..., None], noise2 / of_tile2[..., None]) * _SHARES).sum(axis=-1)
 
     def _left_out(self, signal: Signal, context: ExposureContext) -> Any:
         """Return by how many s the mean falls where a series of captures leaves out what stands out in any dark one."""

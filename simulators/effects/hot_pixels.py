@@ -52,7 +52,7 @@ class HotPixels(KeepsMean, CatalogueEffect):
         return self.rate_e_per_s * warmer * context.settings.exposure_s
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the numbers of pixels that stand out by more than 6 sigmas of a time mean, or are unsteady.
+        """Return the moments with the numbers of pixels that stand out (by 6 sigmas of a time mean), or are unsteady.
 
         What leaks scatters, too: the shot noise of its charge. A full pixel does not.
         """
@@ -71,7 +71,7 @@ class HotPixels(KeepsMean, CatalogueEffect):
         return after.changed(outliers=before.outliers + count(standing_out), unsteady=before.unsteady + count(restless))
 
     def _full_e(self, context: ExposureContext) -> Any:
-        """Return the charge from which on the converter shows its highest code, or the well is full, with one more axis."""
+        """Return the charge that fills the converter's range or the well, with one more axis."""
         camera = context.camera
         codes_e = (2.0**camera.bit_depth - 1.0) * (camera.conversion_gain_e_per_dn or np.inf) / gain_of(context)
         return np.minimum(codes_e, well_e(context))[..., None]

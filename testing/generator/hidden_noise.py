@@ -92,14 +92,13 @@ def correlated_read_noise(world: World, rng: np.random.Generator, scale: float) 
 
 @entry("random_telegraph_noise", "none", "gain_db", "signal", "exposure_s", accepted=())
 def random_telegraph_noise(world: World, rng: np.random.Generator, scale: float) -> Truth:
-    """Let traps in three pixels of a thousand fill and empty, each at its rates; filled, they take 15 electrons.
+    """Let traps in five pixels of a thousand fill and empty, each at its rates; filled, they take 15 electrons.
 
     A trap is a chain of two states in continuous time. It stays in one for 20 to 200 ms, in the other for up to 1.5
     times as long or as short.
     """
-    share, mean_e = 0.003, 15.0 * scale
-    trapped = rng.random(world.shape) < share
-    height = np.where(trapped, -mean_e * np.log1p(-rng.random(world.shape)), 0.0)
+    trapped = rng.random(world.shape) < 0.005 * scale
+    height = np.where(trapped, -15.0 * np.log1p(-rng.random(world.shape)), 0.0)
     filling = 1.0 / rng.uniform(0.02, 0.2, world.shape)
     emptying = filling * np.exp(rng.uniform(-np.log(1.5), np.log(1.5), world.shape))
     full_share, rate = filling / (filling + emptying), filling + emptying
@@ -115,4 +114,4 @@ def random_telegraph_noise(world: World, rng: np.random.Generator, scale: float)
         return signal - height * (full - full_share)
 
     world.voltage.append(trap)
-    return {"share": share, "height_e": mean_e}
+    return {"share": float(trapped.mean()), "height_e": float(height[trapped].mean()) if trapped.any() else 0.0}
