@@ -108,8 +108,7 @@ class Certified:
 def certificate_xml(content: Certified, laboratory: Laboratory) -> str:
     """Return the certificate as XML.
 
-    Raises:
-        InputError: If a result's unit has no form in D-SI, or a text holds what XML cannot.
+    Raises InputError if a result's unit has no form in D-SI, or a text holds what XML cannot.
     """
     for prefix, space in (("dcc", _DCC), ("si", _SI), ("xsi", _XSI)):
         ET.register_namespace(prefix, space)
@@ -233,8 +232,7 @@ def read_certificate(path: Path, unit: str) -> Quantity:
         path: DCC file of schema 2 or 3.
         unit: "W sr-1 m-2" or "cd m-2".
 
-    Raises:
-        InputError: If it is no certificate, or does not state just one value in this unit with its uncertainty.
+    Raises InputError if it is no certificate, or does not state just one value in this unit with its uncertainty.
     """
     text = path.read_bytes()
     if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
