@@ -55,8 +55,8 @@ def examine(
         waiting: Called while the screen warms up with the time so far and the longest time, both in s.
         progress: Called after every method with (done, total).
 
-    Raises DeviceError if display or camera fail. Raises MeasurementError if a reading clips, or white is hardly brighter
-    than black.
+    Raises DeviceError if display or camera fail, MeasurementError if a reading clips or white is hardly brighter than
+    black.
     """
     bench = examined.bench
     measure_steps(bench.display, bench, [ScreenStep("grey", 255, "white"), ScreenStep("grey", 0, "black")])
