@@ -7,7 +7,7 @@ Source: CIE TN 012:2021 and IEEE 1789-2015 (modulation depth, flicker index), IE
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -107,18 +107,11 @@ def measure_flicker(waveform: Waveform) -> Flicker:
 
     rounded = _rounded(part)
     warnings += _sampling_warnings(part)
-    # A fall-off that is off moves the period as well.
     doubted = [(one, find_period(one)) for one in waveform.others]
     shapes = [_shape(one, period if periods else None)[0] for one in rounded]
     off = [_shape(one, again if periods else None)[0] for one, again in doubted]
 
-    def of_shape(name: str) -> Quantity:
-        one: Quantity = getattr(shape, name)
-        drawn, moved = ([getattr(other, name).value for other in others] for others in (shapes, off))
-        doubts = [value - one.value for value in moved]
-        return with_dark(Quantity(one.value, math.hypot(one.u, _spread(drawn), *doubts), "1"))
-
-    depth, index = of_shape("modulation_depth"), of_shape("flicker_index")
+    depth, index = (with_dark(_doubted(name, shape, shapes, off)) for name in ("modulation_depth", "flicker_index"))
     if depth.value - 2.0 * depth.u > 1.0:
         warnings.append("the light falls below the value of darkness: state that value by --dark")
     svm = pst = None
@@ -149,6 +142,15 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     frequency = None if period is None else Quantity(period.frequency_hz, period.u_hz, "Hz")
     k = float(student_t.ppf(0.5 + _COVERAGE / 2.0, blocks - 1)) if blocks else 2.0
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+
+
+def _doubted(name: str, shape: ShapeMeasures, drawn: Sequence[ShapeMeasures], off: Sequence[ShapeMeasures]) -> Quantity:
+    """Return a measure of a shape, with what shapes that were drawn spread, and those one u off differ, in u."""
+    one: Quantity = getattr(shape, name)
+    doubts = [getattr(other, name).value - one.value for other in off]
+    return Quantity(
+        one.value, math.hypot(one.u, _spread([getattr(other, name).value for other in drawn]), *doubts), "1"
+    )
 
 
 def _with_noise(pst: Quantity, part: Waveform, period: Period | None) -> tuple[Quantity, list[str]]:

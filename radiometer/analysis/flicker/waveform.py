@@ -169,8 +169,8 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
     """Return the light of rows over their fall-off, and what it is one standard uncertainty off, in each direction.
 
     Light of few periods is no less like a polynomial than the fall-off is: so period, harmonics and fall-off are
-    fitted together, and the covariance says what the rows leave open. Rows that show no period tell them apart by
-    nothing: then a parabola is taken off, or nothing is. Rates are in samples.
+    fitted together, and the covariance says what the rows leave open. Rows that show no period leave both open:
+    the light over a parabola, and the rows themselves, are then returned. Rates are in samples.
     """
     at, index = np.linspace(-1.0, 1.0, rows.size), np.arange(rows.size)
     powers = at[:, None] ** np.arange(1, _FALL_OFF_DEGREE + 1)
@@ -230,7 +230,7 @@ def _few_periods(rows: Array, trend: Array) -> float:
         return float(np.sum((few - columns @ np.linalg.lstsq(columns, few, rcond=None)[0]) ** 2))
 
     frequencies = np.arange(_FEWEST_SEEN, 16.0, 0.125) / rows.size
-    return min(frequencies.tolist(), key=unexplained)
+    return float(min(frequencies.tolist(), key=unexplained))
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,7 @@ from radiometer.analysis.signal.model import (
     corrected_frames,
     crop_frames,
     dark_levels,
+    refuse_brighter_darks,
     straightened,
     temperature_factor,
     without_glare,
@@ -124,6 +125,11 @@ def patch_situation(
         [one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked,
         darkest=[one.darkest for one in chosen],
     )  # fmt: skip
+    for one, level in zip(chosen, dark, strict=True):
+        if dark_frames:
+            refuse_brighter_darks(
+                one.settings, float(np.median(one.signal)), level.signal, level.u_common, settled.model
+            )
     dark = [replace(d, u_independent=math.hypot(d.u_independent, f.u_black)) for d, f in zip(dark, chosen, strict=True)]
     gain = 1.0 if taps is None else taps.gain_of(patch)
     place = _sensitivity(calibration, camera, settled.lens, shape, patch)
