@@ -302,8 +302,8 @@ async def test_patches_of_any_name_and_number_leave_the_page_whole(daemon: Daemo
                     assert await _json(browser, _BARS) == []
             read = "[...document.querySelectorAll('.patch-row > span')].every((e) => /±/.test(e.textContent))"
             await browser.wait_for(f"document.querySelectorAll('.patch-row').length === {count} && {read}")
-            number = "+document.getElementById('freshness').textContent.match(/#(\\d+)/)[1]"
-            before = await browser.evaluate(number)
+            number = "+document.getElementById('freshness').textContent.match(/#(\\d+)/)?.[1]"
+            before = await browser.wait_for(number)
             await browser.wait_for(f"{number} > {before}")
             assert not await browser.evaluate("document.getElementById('alarms').textContent.includes('This page')")
             assert browser.errors == []
