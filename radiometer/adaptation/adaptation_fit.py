@@ -224,10 +224,14 @@ def fit_adaptation(
     if not _has_break(chosen):
         evidence = with_power(evidence, chosen)
     criterion = _criterion(chosen, request)
-    draws = bootstrap_values(chosen, request.bootstrap_draws, rng, progress) if request.bootstrap_draws else []
+    weights = akaike_weights([fit for fit in fits if makes_sense(fit) and _has_break(fit) == _has_break(chosen)])
+    draws = [
+        (fit, bootstrap_values(fit, round(weight * request.bootstrap_draws), rng, progress)) for fit, weight in weights
+    ]
+    of_chosen = next(drawn for fit, drawn in draws if fit is chosen)
     estimates = {
-        **{name: _parameter(chosen, name, draws, request) for name in chosen.model.parameters},
-        **_derived_estimates(chosen, criterion, draws, request),
+        **{name: _parameter(chosen, name, of_chosen, request) for name in chosen.model.parameters},
+        **_derived_estimates(weights, criterion, draws, request),
         **_intercept_estimate(series, request),
     }
     return AdaptationFit(chosen, fits, estimates, criterion, _verdict(chosen, evidence), request, evidence)
@@ -328,7 +332,8 @@ def makes_sense(fit: BranchFit) -> bool:
         return False
     if "break_min" not in values:
         return True
-    seen = np.count_nonzero(times < values["break_min"]) >= 3 and np.count_nonzero(times > values["break_min"]) >= 3
+    breaks = [values[name] for name in fit.model.nonlinear[1:]]
+    seen = np.count_nonzero(times < breaks[0]) >= 3 and np.count_nonzero(times > breaks[-1]) >= 3
     settled = values["break_min"] >= SETTLED_TAUS * values["tau_min"]
     s3 = values.get("s3_slope_per_min", 0.0)
     fallen = values["amplitude"] * math.exp(-float(times[0]) / values["tau_min"])
@@ -410,14 +415,25 @@ def _parameter(fit: BranchFit, name: str, draws: list[dict[str, float]], request
     return _estimate(name, fit.values[name], profile, boot, request, 0.0)
 
 
+def akaike_weights(fits: list[BranchFit]) -> list[tuple[BranchFit, float]]:
+    """Return fits with the probability of each model: exp(−ΔAICc/2), in sum 1 (Burnham and Anderson 2002, 2.9)."""
+    raw = np.exp(-0.5 * (np.array([fit.aicc for fit in fits]) - min(fit.aicc for fit in fits)))
+    return list(zip(fits, map(float, raw / raw.sum()), strict=True))
+
+
 def _derived_estimates(
-    fit: BranchFit, criterion: float | None, draws: list[dict[str, float]], request: FitRequest
+    weights: list[tuple[BranchFit, float]],
+    criterion: float | None,
+    draws: list[tuple[BranchFit, list[dict[str, float]]]],
+    request: FitRequest,
 ) -> dict[str, Estimate]:
-    values = derived_quantities(fit.values, fit, criterion)
-    drawn = [derived_quantities(draw, fit, criterion) for draw in draws]
-    slope = _steepness(fit.values, criterion)
+    """Return what holds for every model, averaged over them: whether S3 ends before the test does is seldom sure."""
+    of_models = [(derived_quantities(fit.values, fit, criterion), weight) for fit, weight in weights]
+    drawn = [derived_quantities(draw, fit, criterion) for fit, of_fit in draws for draw in of_fit]
+    slope = sum(_steepness(fit.values, criterion) * weight for fit, weight in weights)
     found = {}
-    for name, value in values.items():
+    for name in of_models[0][0]:
+        value = sum(values[name] * weight for values, weight in of_models)
         boot = percentile_interval([one[name] for one in drawn], request.confidence) if drawn else None
         # A stated criterion is absolute: a wrong stimulus scale moves the time at which it is met.
         moved = request.stimulus_u_log10 / slope if name == "criterion_min" else 0.0

@@ -1,15 +1,17 @@
 """Fits one branch model to a threshold series: variable projection from many starts, with a robust loss.
 
-The models are the Mahroo–Lamb–Pugh family: a cone branch, then rods in one (S2) or two (S2, S3) straight lines.
+The models are the Mahroo–Lamb–Pugh family: a cone branch, then rods in one (S2) or two (S2, S3) straight lines, the
+latter down to the end of the test or to a final threshold.
 
-    log10 threshold = θ1 + θ2·exp(−min(t, α)/τ) + S2·(min(max(t, α), β) − α) + S3·max(t − β, 0)
+    log10 threshold = θ1 + θ2·exp(−min(t, α)/τ) + S2·(min(max(t, α), β) − α) + S3·(min(max(t, β), γ) − β)
 
-θ1 cone plateau, θ2 cone amplitude, τ cone time constant, α rod–cone break, S2 slope, β rod–rod break, S3 slope.
-Without rods α is infinite; with S2 alone β is. At fixed τ, α and β the model is linear in the rest.
+θ1 cone plateau, θ2 cone amplitude, τ cone time constant, α rod–cone break, S2 slope, β rod–rod break, S3 slope, γ when
+the final threshold is reached. Without rods α is infinite; with S2 alone β is; γ is where S3 goes on to the end. At
+fixed τ, α, β and γ the model is linear in the rest.
 
 Source: Mahroo and Lamb 2004 (J Physiol 554:417) and Lamb and Pugh 2004 (Prog Retin Eye Res 23:307), in the form of
 Kelly's R package `Dark`. Changed: from the break on the cone term is held, for the rods that decide then do not follow
-the cones' late decay; and S3 is the slope itself, not the change of slope.
+the cones' late decay; S3 is the slope itself, not the change of slope; and S3 may end at the dark-adapted threshold.
 """
 
 from __future__ import annotations
@@ -64,11 +66,12 @@ class BranchModel:
         tau = nonlinear[..., 0, np.newaxis]
         alpha = nonlinear[..., 1, np.newaxis] if len(self.nonlinear) > 1 else np.full_like(tau, np.inf)
         beta = nonlinear[..., 2, np.newaxis] if len(self.nonlinear) > 2 else np.full_like(tau, np.inf)
+        gamma = nonlinear[..., 3, np.newaxis] if len(self.nonlinear) > 3 else np.full_like(tau, np.inf)
         columns = [np.ones(np.broadcast_shapes(tau.shape, time_min.shape)), np.exp(-np.minimum(time_min, alpha) / tau)]
         if len(self.nonlinear) > 1:
             columns.append(np.minimum(np.maximum(time_min, alpha), beta) - alpha)
         if len(self.nonlinear) > 2:
-            columns.append(np.maximum(time_min - beta, 0.0))
+            columns.append(np.minimum(np.maximum(time_min, beta), gamma) - beta)
         return np.stack(columns, axis=-1)
 
     def threshold(self, time_min: Array, values: dict[str, float]) -> Array:
@@ -81,13 +84,16 @@ class BranchModel:
         """Return a grid of nonlinear parameters to start from, shape (starts, p)."""
         first, last = float(time_min[0]), float(time_min[-1])
         length = last - first
-        taus = np.geomspace(0.02 * length, 0.6 * length, 10)
-        alphas = np.linspace(first + 0.08 * length, last - 0.1 * length, 36)
-        grids = [taus, alphas, np.linspace(first + 0.2 * length, last - 0.05 * length, 18)]
+        finer = 1 if len(self.nonlinear) < 4 else 2  # every further break multiplies the starts
+        taus = np.geomspace(0.02 * length, 0.6 * length, 10 // finer)
+        alphas = np.linspace(first + 0.08 * length, last - 0.1 * length, 36 // finer)
+        betas = np.linspace(first + 0.2 * length, last - 0.05 * length, 18 // finer)
+        grids = [taus, alphas, betas, np.linspace(first + 0.4 * length, last - 0.05 * length, 9)]
         mesh = np.stack(np.meshgrid(*grids[: len(self.nonlinear)], indexing="ij"), axis=-1)
         flat = mesh.reshape(-1, len(self.nonlinear))
         flat = flat[flat[:, 0] < flat[:, 1]] if len(self.nonlinear) > 1 else flat
-        return flat[flat[:, 2] > flat[:, 1] + 0.05 * length] if len(self.nonlinear) > 2 else flat
+        flat = flat[flat[:, 2] > flat[:, 1] + 0.05 * length] if len(self.nonlinear) > 2 else flat
+        return flat[flat[:, 3] > flat[:, 2] + 0.05 * length] if len(self.nonlinear) > 3 else flat
 
     def allowed(self, time_min: Array, nonlinear: Array) -> bool:
         """Return whether nonlinear parameters make sense for these times: breaks inside, in order, settled cones."""
@@ -113,7 +119,13 @@ CONE_S2_S3: Final = BranchModel(
     ("tau_min", "break_min", "rod_rod_break_min"),
     "cones to their plateau, then rods in two straight lines",
 )
-MODELS: Final = (ONE_BRANCH, CONE_S2, CONE_S2_S3)
+CONE_S2_S3_FINAL: Final = BranchModel(
+    "cone+S2+S3+final",
+    ("plateau", "amplitude", "s2_slope_per_min", "s3_slope_per_min"),
+    ("tau_min", "break_min", "rod_rod_break_min", "final_from_min"),
+    "cones to their plateau, then rods in two straight lines to their final threshold",
+)
+MODELS: Final = (ONE_BRANCH, CONE_S2, CONE_S2_S3, CONE_S2_S3_FINAL)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,6 +34,7 @@ LABELS: Final = {
     "s2_slope_per_min": "S2 slope",
     "s3_slope_per_min": "S3 slope",
     "rod_rod_break_min": "Rod–rod break",
+    "final_from_min": "Final threshold from",
     "rod_intercept_min": "Rod-intercept time",
     "criterion_min": "Time at the criterion",
     "final_threshold": "Final threshold",
@@ -41,7 +42,6 @@ LABELS: Final = {
     "area_from_min": "AUDAC from",
     "area_to_min": "AUDAC cut at",
 }
-_COVERAGE: Final = 2.0
 _HELD_WEIGHT: Final = 0.5  # of the largest; below, a threshold hardly counts
 _POINTS: Final = 600  # about one per pixel
 _LEFT_PART: Final = 0.45  # of the time axis; where the break is there, its words are to the right of it
@@ -325,6 +325,8 @@ def meaning(fit: AdaptationFit) -> list[str]:
     ]
     if "rod_rod_break_min" in values:
         sentences.append(f"From {_with_interval(fit, 'rod_rod_break_min', 'min')} on it falls more slowly (S3).")
+    if "final_from_min" in values:
+        sentences.append(f"From {_with_interval(fit, 'final_from_min', 'min')} on it stays at its final threshold.")
     interval = fit.estimates["break_min"].profile or fit.estimates["break_min"].bootstrap
     if interval is None or not np.isfinite([interval.low, interval.high]).all():
         sentences.append("The break's interval is open at an end: more thresholds around it would close it.")
@@ -370,11 +372,12 @@ def _estimates(fit: AdaptationFit) -> str:
     rows = []
     for name, estimate in fit.estimates.items():
         interval = estimate.profile or estimate.bootstrap
-        value, expanded = rounded(estimate.value, _COVERAGE * estimate.u)
-        ends = [rounded(end, _COVERAGE * estimate.u)[0] for end in (interval.low, interval.high)] if interval else []
-        rows.append((label_of(name, fit), value, expanded, " to ".join(ends), unit_text(estimate.unit)))
-    head = ("", "value", "U (k = 2)", f"{100 * fit.request.confidence:g} % interval", "unit")
-    return table(head, rows, words=(4,))
+        half = 0.5 * (interval.high - interval.low) if interval is not None else 0.0  # 0 where a time is just stated
+        value = rounded(estimate.value, half or math.nan)[0]
+        ends = [rounded(end, half)[0] for end in (interval.low, interval.high)] if interval is not None and half else []
+        rows.append((label_of(name, fit), value, " to ".join(ends), unit_text(estimate.unit)))
+    head = ("", "value", f"{100 * fit.request.confidence:g} % interval", "unit")
+    return table(head, rows, words=(3,))
 
 
 def _reliability(fit: AdaptationFit) -> str:

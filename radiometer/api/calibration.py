@@ -555,8 +555,11 @@ def _with_statements(
         base = with_found_effects(base, Path(model), base.uncertainties.model_fields_set, shape)
     elif "exposure_u_s" not in base.uncertainties.model_fields_set and _has_unstated_offset(seen, base.response):
         base = _with_u(base, exposure_u_s=UNSTATED_SHUTTER_U_S)
-    if not spectrum_stated and "efficacy_u_rel" not in base.uncertainties.model_fields_set:
-        base = _with_u(base, efficacy_u_rel=UNKNOWN_EFFICACY_U_REL)
+    if "efficacy_u_rel" not in base.uncertainties.model_fields_set:
+        light, u_rel = spectrum_of(base.spectrum), UNKNOWN_EFFICACY_U_REL
+        if spectrum_stated:
+            u_rel = photometry.luminous_efficacy(light).u_rel if photometry.holds_visible_light(light) else 0.0
+        base = _with_u(base, efficacy_u_rel=u_rel) if u_rel > 0.0 else base
     if preset is not None and preset.spectral_response is not None:
         base = replace(base, spectral_response=preset.spectral_response)
     if spectral_response is not None:

@@ -63,8 +63,7 @@ def read_drive_table(path: Path) -> DriveTable:
     Args:
         path: CSV with a heading.
 
-    Raises:
-        InputError: If a column is missing, a value is no number, or a channel has fewer than six lit drives.
+    Raises InputError if a column is missing, a value is no number, or a channel has fewer than six lit drives.
     """
     table = _table(path)
     columns = _columns(table)

@@ -97,11 +97,8 @@ def fit_transfer(name: str, level: ArrayLike, value: ArrayLike, u: ArrayLike) ->
     def residuals(p: Array) -> Array:
         return np.asarray((model.curve(p, v) - y) / scale)
 
-    lowest, highest = np.full(start.size, -np.inf), np.full(start.size, np.inf)
-    lowest[-1], highest[-1] = _EXPONENTS
-    found = least_squares(
-        residuals, start, bounds=(lowest, highest), x_scale=np.maximum(np.abs(start), 0.01), max_nfev=2000
-    )
+    low, high = np.array([(-np.inf, np.inf)] * (start.size - 1) + [_EXPONENTS]).T
+    found = least_squares(residuals, start, bounds=(low, high), x_scale=np.maximum(np.abs(start), 0.01), max_nfev=2000)
     if not found.success:
         raise ValueError(f"{name}: the fit did not converge ({found.message})")
     return _judged(model, found.x, v, y)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from radiometer.analysis.photometry.photometry import KM_LM_PER_W, Spectrum, table
+from radiometer.analysis.photometry.photometry import KM_LM_PER_W, Spectrum, matching_functions
 from radiometer.typing import Array
 from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
 
@@ -54,12 +54,6 @@ class Coordinates:
         temperature = np.stack([self.cct_k, self.duv], axis=-1), np.stack([self.u_cct_k, self.u_duv], axis=-1)
         values = np.concatenate([xyz, self.xy, self.uv_prime, temperature[0]], axis=-1)
         return values, np.concatenate([u_xyz, u_xy, u_uv, temperature[1]], axis=-1)
-
-
-def matching_functions() -> tuple[Array, Array]:
-    """Return wavelengths in nm, and the colour matching functions x̄, ȳ, z̄ over them, shape (3, wavelengths)."""
-    wavelength_nm, columns = table("colour_matching.csv")
-    return wavelength_nm, np.stack([columns[name] for name in ("x_bar", "y_bar", "z_bar")])
 
 
 def tristimulus(light: Spectrum) -> Array:

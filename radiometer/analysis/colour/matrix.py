@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.stats import t as student_t
 
-from radiometer.analysis.colour.plausible import display_primaries, plausible_cameras, plausible_lights, tristimulus_of
+from radiometer.analysis.colour.plausible import plausible_cameras, plausible_lights
+from radiometer.analysis.photometry.displays import display_primaries, tristimulus_of
 from radiometer.analysis.photometry.photometry import DISPLAY_TYPES
 from radiometer.data.validation import FileArray, FileSection
 from radiometer.errors import CalibrationError
@@ -96,8 +97,7 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
         white: Name of a light whose X, Y, Z the matrix gives exactly, so that greys keep its colour; those of its like
             gain, the others lose little. None where there is none.
 
-    Raises:
-        CalibrationError: If they do not determine the matrix and its error.
+    Raises CalibrationError if they do not determine the matrix and its error.
 
     Source: Finlayson & Drew 1997, Proc. 5th Color Imaging Conf., 258 (white-preserving least squares).
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 import radiometer
-from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy
 from radiometer.data import PixelMask, Provenance, RadianceMap
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.reader_limits import bounded_reader
@@ -328,14 +329,9 @@ def in_luminance(found: RadianceMap, spectrum: Spectrum) -> RadianceMap:
     """
     if found.unit != RADIANCE_UNIT:
         raise UsageError("a relative map has no luminance; merge with a calibration")
-    efficacy = luminous_efficacy_lm_per_w(spectrum)
-    return replace(
-        found,
-        radiance=found.radiance * efficacy,
-        u_radiance=found.u_radiance * efficacy,
-        u_shared=None if found.u_shared is None else found.u_shared * efficacy,
-        unit=LUMINANCE_UNIT,
-    )
+    efficacy = luminous_efficacy(spectrum)
+    common = math.hypot(found.u_rel_common, efficacy.u_rel)
+    return replace(found.scaled(efficacy.value, LUMINANCE_UNIT), u_rel_common=common)
 
 
 def writer_for(path: Path) -> Writer:

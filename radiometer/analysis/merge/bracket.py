@@ -36,6 +36,7 @@ from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_
 from radiometer.analysis.signal.model import (
     corrected_settings,
     darkest_signal,
+    refuse_brighter_darks,
     some_lit_pixels,
     temperature_factor,
 )
@@ -172,9 +173,6 @@ class _Excused:
     def none(cls) -> _Excused:
         """Return no pixels."""
         return cls(np.empty(0, np.intp), np.empty(0), None)
-
-
-_DARKER_SIGMAS = 5.0  # of one pixel: no middle of a picture is so far below its dark level
 
 
 class StreamingMerge:
@@ -436,17 +434,11 @@ class StreamingMerge:
         return MergeSample.of(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
 
     def _refuse_foreign_darks(self, frame: Frame, terms: FrameTerms) -> None:
-        """Refuse dark frames that are brighter than a light frame: their dark signal is not that of its exposure."""
-        if not self._dark:
-            return
-        model = self._situation.model
-        middle = float(model.table(frame.settings)[int(np.median(frame.dn))])
-        sigma = math.hypot(math.sqrt(float(model.variance(0.0, frame.settings))), terms.u_dark)
-        if middle < float(np.mean(terms.dark)) - _DARKER_SIGMAS * sigma:
-            raise MeasurementError(
-                f"the light frame of {frame.settings.exposure_s:g} s is darker than the dark frames show for it; "
-                "take dark frames of its exposure and temperature, or of two exposures"
-            )
+        """Refuse dark frames that are brighter than a light frame."""
+        if self._dark:
+            model = self._situation.model
+            middle = float(model.table(frame.settings)[int(np.median(frame.dn))])
+            refuse_brighter_darks(frame.settings, middle, float(np.mean(terms.dark)), terms.u_dark, model)
 
     def _refuse_misfit(self, frame: Frame) -> None:
         if self._shape is None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from radiometer.analysis.reading.budget import (
+    OBSERVED,
     PatchSituation,
     Term,
     budget_terms,
@@ -21,9 +22,6 @@ from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.data import Calibration, CaptureSet, Frame, Patch
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
-
-# What two readings by one camera within a session do not share; all else drops out of their ratio.
-_OWN = frozenset({"repeatability", "source fluctuation"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +87,7 @@ def step_signal(
     if not situation.shown.frames[0].unclipped:
         raise MeasurementError(f"{capture.path}: the patch clips in every frame; capture shorter exposures")
     unit = _unit(situation)
-    own = tuple(_in_unit(term, unit) for term in budget_terms(situation) if term.name in _OWN)
+    own = tuple(_in_unit(term, unit) for term in budget_terms(situation) if term.name in OBSERVED)
     dark = situation.shown.estimate.coefficients @ [level.u_common for level in situation.shown.dark]
     alone = situation.shown.estimate.coefficients * [level.u_independent for level in situation.shown.dark]
     own += (Term("dark frames", unit * situation.scale * float(np.sqrt(np.sum(alone**2)))),)

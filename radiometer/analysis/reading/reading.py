@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.photometry.photometry import holds_visible_light, luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.photometry import holds_visible_light, luminous_efficacy
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.reading.budget import (
     Falloff,
@@ -33,6 +33,7 @@ from radiometer.analysis.signal.model import (
     corrected_frames,
     crop_frames,
     dark_levels,
+    refuse_brighter_darks,
     straightened,
     temperature_factor,
     without_glare,
@@ -124,6 +125,11 @@ def patch_situation(
         [one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked,
         darkest=[one.darkest for one in chosen],
     )  # fmt: skip
+    for one, level in zip(chosen, dark, strict=True):
+        if dark_frames:
+            refuse_brighter_darks(
+                one.settings, float(np.median(one.signal)), level.signal, level.u_common, settled.model
+            )
     dark = [replace(d, u_independent=math.hypot(d.u_independent, f.u_black)) for d, f in zip(dark, chosen, strict=True)]
     gain = 1.0 if taps is None else taps.gain_of(patch)
     place = _sensitivity(calibration, camera, settled.lens, shape, patch)
@@ -310,10 +316,13 @@ def _with_luminance(reading: Reading, setup: Setup) -> Reading:
     spectrum = spectrum_of(calibration.spectrum)
     if not holds_visible_light(spectrum):
         return reading
-    efficacy = luminous_efficacy_lm_per_w(spectrum)
-    radiance = reading.radiance
-    u = efficacy * _luminance_u(reading, calibration, spectrum_stated=setup.spectrum_stated)
-    return replace(reading, luminance=Quantity(efficacy * radiance.value, u, LUMINANCE_UNIT))
+    efficacy, radiance = luminous_efficacy(spectrum), reading.radiance
+    own = _luminance_u(reading, calibration, spectrum_stated=setup.spectrum_stated)
+    of_scale = calibration.scale.spectrum or calibration.spectrum
+    if calibration.scale.quantity == "radiance" or of_scale != calibration.spectrum:
+        own = math.hypot(own, efficacy.u_rel * radiance.value)
+    u = efficacy.value * own
+    return replace(reading, luminance=Quantity(efficacy.value * radiance.value, u, LUMINANCE_UNIT))
 
 
 def _luminance_u(reading: Reading, calibration: Calibration, *, spectrum_stated: bool) -> float:

@@ -82,6 +82,16 @@ def test_profile_interval_shrinks_with_the_noise():
     assert (narrow.high - narrow.low) / (wide.high - wide.low) == pytest.approx(0.5, abs=0.05)
 
 
+def test_a_final_threshold_is_not_extrapolated():
+    """S3 that ends at 25 of 35 min: the last thresholds are level, and the final threshold and the area hold that."""
+    times = np.arange(0.5, 35.0, 0.5)
+    level = MODELS[-1].threshold(times, EYE)
+    noisy = ThresholdSeries(times, level + np.random.default_rng(11).normal(0, 0.1, times.size))
+    found = fit_adaptation(noisy, FitRequest(bootstrap_draws=60), np.random.default_rng(0))
+    for name, truth in (("final_threshold", level[-1]), ("area_log10_min", np.trapezoid(level - level[-1], times))):
+        assert found.estimates[name].bootstrap.holds(truth)
+
+
 @pytest.mark.slow
 def test_bootstrap_and_profile_agree():
     """Both intervals of the break have about the same width."""
@@ -194,7 +204,8 @@ def test_command_writes_json_page_and_csv(tmp_path, capsys):
 
 EYE = {
     "plateau": -1.0, "amplitude": 2.0, "tau_min": 1.6, "break_min": 9.0,
-    "s2_slope_per_min": -0.24, "rod_rod_break_min": 20.0, "s3_slope_per_min": -0.03,
+    "s2_slope_per_min": -0.24, "rod_rod_break_min": 17.0, "s3_slope_per_min": -0.08,
+    "final_from_min": 25.0,
 }  # fmt: skip
 
 BRANCH_TIMES = np.linspace(0.5, 30.0, 60)

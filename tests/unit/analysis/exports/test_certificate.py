@@ -13,7 +13,7 @@ import yaml
 
 import radiometer as rm
 from radiometer.analysis.exports.certificate import SCHEMA_VERSION, read_certificate
-from radiometer.data import Contribution, Patch, Quantity, Reading
+from radiometer.data import Calibration, Contribution, Patch, Quantity, Reading
 from radiometer.errors import ConfigurationError, InputError, OutputRefused, UsageError
 
 LABORATORY = """\
@@ -101,6 +101,10 @@ def test_a_calibration_is_certified_as_its_camera(project_root: Path, laboratory
     """A calibration is certified as its camera."""
     stored = project_root / "configs" / "calibrations" / "simulated.yaml"
     made = rm.certificate(stored, tmp_path / "c.xml", laboratory=laboratory, identifier="2")
+    assert made.content.item.name == "camera"  # not the laboratory's item, which is the source that it reads
+    assert made.content.item.serial == Calibration.read(stored).camera.serial
+    kinds = {line.name: line.kind for line in made.content.budget}
+    assert (kinds["repeatability"], kinds["reference source"]) == ("A", "B")
     name, scale, k = made.content.results[0]
     assert (name, scale.unit, k) == ("exposure per unit of the linear signal", "J m-2", 2.0)
     assert scale.u > 0
