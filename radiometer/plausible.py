@@ -105,6 +105,8 @@ Luminance = Annotated[float, PLAUSIBLE["luminance"]]
 ScotopicRatio = Annotated[float, PLAUSIBLE["scotopic_ratio"]]
 WavelengthUncertainty = Annotated[float, PLAUSIBLE["wavelength_u"]]
 Length = Annotated[float, PLAUSIBLE["length"]]
+Millimetres = Annotated[float, Range(1e-3, 1e9, "mm")]  # of a source, or to it
+KnownRadiance = Annotated[float, PLAUSIBLE["radiance"]]
 HalfAngle = Annotated[float, PLAUSIBLE["angle"]]
 FieldOfView = Annotated[float, Range(0.0, 360.0, "°", above=True)]
 FieldArea = Annotated[float, Range(0.01, PLAUSIBLE["field"].high, "deg2")]

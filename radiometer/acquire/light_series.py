@@ -27,11 +27,8 @@ def take_series(camera: Camera, patch: Patch, duration_s: float, exposure_s: flo
     """Take frames of a patch as fast as the camera gives them; light is in DN above darkness.
 
     Only the patch is read out. The exposure is 1 ms or shorter, so that no frame clips. Darkness comes from the
-    camera's own shutter, else from its stated black level.
-
-    Raises:
-        MeasurementError: If frames clip at the shortest exposure, were lost, or the black level is unknown.
-        DeviceError: If the camera fails.
+    camera's own shutter, else from its stated black level. Raises MeasurementError if frames clip at the shortest
+    exposure, were lost, or the black level is unknown, and DeviceError if the camera fails.
     """
     before = camera.settings
     roi = Roi(patch.x, patch.y, patch.width, patch.height)

@@ -29,7 +29,7 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.importing.drive_table import read_drive_table
 from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
-from radiometer.plausible import PLAUSIBLE, HalfAngle, Iso, NotNegative, Positive, RelativeUncertainty, Uncertainty
+from radiometer.plausible import HalfAngle, Iso, Millimetres, NotNegative, Positive, RelativeUncertainty, Uncertainty
 
 __all__ = ["Flux", "FluxReport", "Quantity", "flux"]
 
@@ -98,9 +98,9 @@ def flux(
     patch: Patch | tuple[int, int, int, int] | None = None,
     half_angle: HalfAngle | None = None,
     half_angle_u: Uncertainty = 1.0,
-    diameter: Positive | None = None,
+    diameter: Millimetres | None = None,
     diameter_u: Uncertainty = 0.05,
-    distance: Positive | None = None,
+    distance: Millimetres | None = None,
     distance_u: Uncertainty = 0.5,
     f_number_u_rel: RelativeUncertainty = 0.02,
     datasheet_mw: Positive | None = None,
@@ -237,10 +237,8 @@ def _emitter(
             )
         return None
     for name, value, u in (("--diameter", diameter, diameter_u), ("--distance", distance, distance_u)):
-        if value is not None:
-            PLAUSIBLE["length"].check(name, 1e-3 * value, UsageError)
-            if u > _MOST_U_REL * value:
-                raise UsageError(f"{name} {value:g} mm: known to ± {u:g} mm; state both in mm, and closer")
+        if value is not None and u > _MOST_U_REL * value:
+            raise UsageError(f"{name} {value:g} mm: known to ± {u:g} mm; state both in mm, and closer")
     return Emitter(
         Quantity(half_angle, half_angle_u, "°"),
         None if diameter is None else Quantity(diameter, diameter_u, "mm"),

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Final
 
@@ -185,6 +186,22 @@ class TextTable:
                     f"{self.where(line)}: {cells[at][:20]!r} is no number; correct it, or leave the row out"
                 ) from error
         return finite(found, self, at)
+
+    def written_step(self, at: int) -> tuple[float, float]:
+        """Return the step of the decimals in which a column is written, and last less first value, in its own unit.
+
+        Of numbers with an exponent it is that of the largest. (0, 1) where a cell holds more than a number.
+        """
+        try:
+            found = [Decimal(cells[at]) for _, cells in self.rows]
+        except InvalidOperation:
+            return 0.0, 1.0
+        powers = [int(one.as_tuple().exponent) for one in found if one.is_finite()]
+        finest = min(powers, default=0)
+        if any("e" in cells[at].lower() for _, cells in self.rows):
+            digits = max(len(one.as_tuple().digits) for one in found)
+            finest = max(one.adjusted() for one in found) - digits + 1
+        return 10.0**finest, float(found[-1] - found[0]) or 1.0
 
     def not_used(self, used: Sequence[int | None]) -> list[str]:
         """Return a line that names the columns that are not among those used; nothing where all are."""

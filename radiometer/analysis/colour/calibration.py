@@ -99,8 +99,7 @@ class ColourCalibration(FileSection):
     def fit(self, kind: str | None) -> Fit:
         """Return the matrix for a kind of light.
 
-        Raises:
-            UsageError: If there is one for each kind and none is stated, or the kind is not known.
+        Raises UsageError if there is one for each kind and none is stated, or the kind is not known.
         """
         if kind is not None and kind not in self.errors:
             raise UsageError(f"--kind {kind}: the calibration knows {', '.join(self.errors)}")
@@ -137,8 +136,7 @@ class ColourCalibration(FileSection):
             covariance: Their covariance, shape (…, channels, channels).
             kind: Kind of light; None where it is not known.
 
-        Raises:
-            UsageError: As `fit`.
+        Raises UsageError as `fit`.
         """
         fit = self.fit(kind)
         xyz = signal @ fit.matrix.T
@@ -168,9 +166,8 @@ class ColourCalibration(FileSection):
     def read(cls, path: Path) -> ColourCalibration:
         """Return the calibration in a file.
 
-        Raises:
-            InputError: If the file cannot be read, or is not YAML.
-            CalibrationError: If it is no colour calibration; the message names the key, the value and what is allowed.
+        Raises InputError if the file cannot be read, or is not YAML. Raises CalibrationError if it is no colour
+        calibration; the message names the key, the value and what is allowed.
         """
         mapping = read_yaml(path)
         if mapping.get("format") != FORMAT:

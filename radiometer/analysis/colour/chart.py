@@ -39,9 +39,8 @@ def read_chart(path: Path) -> list[KnownLight]:
     Args:
         path: The table. Captures are relative to its folder, places are pixels of a colour's plane.
 
-    Raises:
-        InputError: If it cannot be read, a column of a group is missing, or a number is no number.
-        UnsettledError: If a column's unit is not known.
+    Raises InputError if it cannot be read, a column of a group is missing, or a number is no number, and UnsettledError
+    if a column's unit is not known.
     """
     table = read_table(path, _NEEDS, named=True)
     at = table.find(_NAMES)
@@ -88,8 +87,7 @@ def _words(table: TextTable, name: str) -> list[str]:
 def read_spectra(path: Path) -> dict[str, Spectrum]:
     """Return spectra by plain name of a table with one column each next to the wavelength in nm.
 
-    Raises:
-        InputError: If it cannot be read, or a spectrum holds a value below 0.
+    Raises InputError if it cannot be read, or a spectrum holds a value below 0.
     """
     table = read_table(path, "the columns wavelength_nm and one per spectrum", named=True)
     names = table.plain[1:]

@@ -97,8 +97,7 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
         white: Name of a light whose X, Y, Z the matrix gives exactly, so that greys keep its colour; those of its like
             gain, the others lose little. None where there is none.
 
-    Raises:
-        CalibrationError: If they do not determine the matrix and its error.
+    Raises CalibrationError if they do not determine the matrix and its error.
 
     Source: Finlayson & Drew 1997, Proc. 5th Color Imaging Conf., 258 (white-preserving least squares).
     """

@@ -43,11 +43,9 @@ def train_on_lights(
     """Return the calibration fitted to readings of known lights.
 
     The error for a kind of light is that of lights left out of the training, and that of plausible lights of the kind;
-    the larger counts. Spectra (`powers`) are over the grid of plausible lights; all known X, Y, Z share `u_rel`.
-    The matrix gives the X, Y, Z of `white` exactly.
-
-    Raises:
-        CalibrationError: If the lights do not determine a matrix, or none is called as the white.
+    the larger counts. Spectra (`powers`) are over the grid of plausible lights; all known X, Y, Z share `u_rel`. The
+    matrix gives the X, Y, Z of `white` exactly. Raises CalibrationError if the lights do not determine a matrix, or
+    none is called as the white.
     """
     if white is not None and white not in training.names:
         raise CalibrationError(f"--white {white}: no light has that name; there are {', '.join(training.names)}")
@@ -97,8 +95,7 @@ def train_on_responsivities(
 ) -> ColourCalibration:
     """Return the calibration fitted to plausible lights, through the camera's responsivities.
 
-    Raises:
-        CalibrationError: If the responsivities determine no matrix, or a known light has no reading.
+    Raises CalibrationError if the responsivities determine no matrix, or a known light has no reading.
     """
     responsivities = known.responsivities
     if responsivities is None:

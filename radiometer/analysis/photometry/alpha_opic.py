@@ -65,9 +65,8 @@ def alpha_opic_quantities(
         u_rel: Relative standard uncertainty of each entry of the spectrum, independent of the others.
         wavelength_u_nm: Standard uncertainty of its wavelength scale in nm, the same for all entries.
 
-    Raises:
-        InputError: If the unit is none of those, or the spectrum holds or states too little light where the functions
-            are tabulated.
+    Raises InputError if the unit is none of those, or the spectrum holds or states too little light where the functions
+    are tabulated.
     """
     if quantity.unit not in _FORMS:
         raise InputError(f"unit {quantity.unit!r}: an α-opic quantity is made of one in {', '.join(UNITS)}")

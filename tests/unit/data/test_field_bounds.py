@@ -118,7 +118,7 @@ SCALE = {"value": 1e-6, "u_rel": 0.01, "method": "known_radiance"}
         (FrameEntry, GOOD | {"exposure_s": 1e30}, "exposure_s.*1e\\+30 s is outside 0 to 1e\\+09 s"),
         (FrameEntry, GOOD | {"gain_db": 1e9}, "gain_db.*-200 to 200 dB"),
         (FrameEntry, GOOD | {"temperature_C": 1e6}, "temperature_C.*to 150 °C"),
-        (FrameEntry, GOOD | {"black_level_dn": 1e300}, "black_level_dn = 1e\\+300: no quantity has this size"),
+        (FrameEntry, GOOD | {"black_level_dn": 1e300}, "black_level_dn.*-65536 to 65536 DN"),
         (Scale, SCALE | {"value": 1e300}, "value.*1e-15 to 1e\\+06"),
         (Scale, SCALE | {"value": 1e-300}, "value.*1e-15 to 1e\\+06"),
         (Scale, SCALE | {"unit": "mJ m-2"}, "unit = 'mJ m-2': input should be 'J m-2 per unit of signal'"),
@@ -219,7 +219,8 @@ def test_no_whole_number_of_a_file_takes_memory_or_time(project_root: Path, tmp_
     """Every number of every shipped form, as 10¹¹ and 10²⁰: refused in a line, or at least read at once."""
     at_first, seen = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, set()
     file = tmp_path / "changed.yaml"
-    for content in shipped(project_root)[::2]:
+    every = shipped(project_root)
+    for content in (*every[::2], every[-1]):
         for place in (place for place, value in places(content) if type(value) is int):
             seen.add(content["format"])
             for number in (10**11, 10**20):
