@@ -138,9 +138,8 @@ class NamedPatch:
         try:
             content: Mapping[str, Any] = parsed_json(line)
             every_s = content.get("every_s")  # daemons before kept none
-            if every_s is not None and not (isinstance(every_s, int | float) and math.isfinite(every_s)):
-                raise ValueError("every_s")
-            return cls(name, Patch(**content["patch"]), PatchLimits(**content["limits"]), every_s)
+            period_s = None if every_s is None else float(every_s)
+            return cls(name, Patch(**content["patch"]), PatchLimits(**content["limits"]), period_s)
         except (ValueError, KeyError, TypeError, RecursionError, UsageError) as error:
             raise InputError(
                 f"what the journal keeps of patch {name[:40]!r} is damaged ({type(error).__name__}); move the journal "

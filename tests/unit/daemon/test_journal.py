@@ -243,8 +243,9 @@ def test_the_trend_of_a_journal_of_form_2_is_made_anew_by_place(tmp_path: Path, 
     with sqlite3.connect(path) as connection:
         connection.executescript(
             "DROP TABLE trend; CREATE TABLE trend (stream TEXT NOT NULL, minute INTEGER NOT NULL, unit TEXT NOT NULL,"
-            " count INTEGER NOT NULL, total REAL NOT NULL, total_u REAL NOT NULL, low REAL NOT NULL, high REAL NOT NULL,"
-            " flagged INTEGER NOT NULL, PRIMARY KEY (stream, minute, unit)) WITHOUT ROWID; PRAGMA user_version = 2"
+            " count INTEGER NOT NULL, total REAL NOT NULL, total_u REAL NOT NULL, low REAL NOT NULL,"
+            " high REAL NOT NULL, flagged INTEGER NOT NULL, PRIMARY KEY (stream, minute, unit)) WITHOUT ROWID;"
+            " PRAGMA user_version = 2"
         )
     connection.close()
     assert JournalReader(path).trend("", *span) == []

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.data import Bracket, Flag, Frame, FrameSettings, Patch, Quantity, Reading
+from radiometer.data import Bracket, Contribution, Flag, Frame, FrameSettings, Patch, Quantity, Reading
 from radiometer.data.provenance import Provenance, source_hash
 from radiometer.data.serials import other_notation, same_serial, serial_shown
 from radiometer.errors import InputError
@@ -184,7 +184,9 @@ def test_a_hash_over_no_source_is_refused() -> None:
 def test_what_clips_in_every_frame_has_a_lower_limit() -> None:
     """JSON gives it with its probability, without the part of the uncertainty that says "a bound"; others have none."""
     budget = (Contribution("scale", 0.1), Contribution("clipping", 1.0))
-    reading = Reading(Quantity(2.0, 2.01, "W sr-1 m-2"), Patch(0, 0, 9, 9), "4711", flags=(Flag.SATURATED,), budget=budget)
+    reading = Reading(
+        Quantity(2.0, 2.01, "W sr-1 m-2"), Patch(0, 0, 9, 9), "4711", flags=(Flag.SATURATED,), budget=budget
+    )
     limit = reading.to_mapping()["lower_limit"]
     assert (limit["probability"], limit["unit"]) == (0.95, "W sr-1 m-2")
     assert limit["value"] == pytest.approx(2.0 * (1 - 1.645 * 0.1))
