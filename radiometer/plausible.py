@@ -68,6 +68,7 @@ PLAUSIBLE: Final[Mapping[str, Range]] = {
     "iso": Range(1.0, 1e9),  # cameras state 6 to 4.5 million
     "f_number": Range(0.5, 1000.0),  # the least that a lens in air can have, and a pinhole's
     "conversion_gain": Range(1e-6, 1e9, "e-/DN"),  # with electron multiplication 10⁻³; large wells in 8 bits 10⁴
+    "black_level": Range(-65_536.0, 65_536.0, "DN"),  # of 16 bits; taps and processed frames may be below 0
     "read_noise": Range(0.0, 1e9, "e-"),
     "radiance": Range(1e-18, 1e18, "W sr-1 m-2"),  # a dark sky 10⁻⁷, the sun 2·10⁷, lasers 10¹⁵
     "width": Range(1e-6, 1000.0, "nm"),  # of a line: lasers 10⁻⁶, phosphors 100
@@ -104,6 +105,8 @@ Luminance = Annotated[float, PLAUSIBLE["luminance"]]
 ScotopicRatio = Annotated[float, PLAUSIBLE["scotopic_ratio"]]
 WavelengthUncertainty = Annotated[float, PLAUSIBLE["wavelength_u"]]
 Length = Annotated[float, PLAUSIBLE["length"]]
+Millimetres = Annotated[float, Range(1e-3, 1e9, "mm")]  # of a source, or to it
+KnownRadiance = Annotated[float, PLAUSIBLE["radiance"]]
 HalfAngle = Annotated[float, PLAUSIBLE["angle"]]
 FieldOfView = Annotated[float, Range(0.0, 360.0, "°", above=True)]
 FieldArea = Annotated[float, Range(0.01, PLAUSIBLE["field"].high, "deg2")]

@@ -59,7 +59,16 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
 from radiometer.photographs.stated import at_iso, reference_iso, with_f_number, with_gains, with_iso
-from radiometer.plausible import PLAUSIBLE, Exposure, FNumber, Iso, MeterConstant, Positive, RelativeUncertainty
+from radiometer.plausible import (
+    PLAUSIBLE,
+    Exposure,
+    FNumber,
+    Iso,
+    KnownRadiance,
+    MeterConstant,
+    Positive,
+    RelativeUncertainty,
+)
 from radiometer.progress import counted
 from radiometer.units import exact_exposure_s
 
@@ -158,7 +167,7 @@ def calibrate(
     out: PathLike | None = None,
     response: ResponseCurve | PathLike | None = None,
     patch: PatchLike | str | None = None,
-    radiance: Positive | PathLike | None = None,
+    radiance: KnownRadiance | PathLike | None = None,
     luminance: Positive | None = None,
     u_rel: RelativeUncertainty | None = None,
     luminance_meter_k: MeterConstant | None = None,
@@ -246,6 +255,8 @@ def calibrate(
     measured = dict(measured_iso or {})
     real_iso = measured.get(iso, iso) if iso is not None else None
     speeds = IsoSpeeds(measured, real_iso, iso if iso in measured else None)
+    if capture is None and camera is None:
+        speeds.refuse_unstated("--measured-iso", set() if iso is None else {iso})
     if radiance is not None and not isinstance(radiance, int | float):
         radiance, u_rel = _certified(Path(radiance), u_rel)
     by_source = radiance is not None or luminance is not None

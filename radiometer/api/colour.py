@@ -16,9 +16,9 @@ from radiometer.analysis.colour.calibration import ColourCalibration, reference
 from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra, spectrum_of
 from radiometer.analysis.colour.chromaticity import QUANTITIES, Coordinates, coordinates, locus_points, tristimulus
 from radiometer.analysis.colour.matrix import Training
-from radiometer.analysis.colour.plausible import GRID_NM, on_grid
 from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
 from radiometer.analysis.exports.maps import MapPicture, write_exr, write_tiff
+from radiometer.analysis.photometry.displays import GRID_NM, on_grid
 from radiometer.analysis.photometry.photometry import luminous_efficacy, spectral_columns
 from radiometer.analysis.reading.budget import carried, frame_conditions
 from radiometer.analysis.regions.figures import LOST, region_figures
@@ -46,7 +46,7 @@ from radiometer.data.setup import Setup
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, MeasurementError, UsageError
 from radiometer.importing import open_capture
-from radiometer.plausible import RelativeUncertainty
+from radiometer.plausible import FNumber, RelativeUncertainty
 from radiometer.progress import unseen
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import listed, page, section, table
@@ -207,7 +207,7 @@ def colour_calibrate(
     u_rel: RelativeUncertainty = 0.0,
     filters: Mapping[str, PathLike] | None = None,
     linear: bool = False,
-    f_number: float | None = None,
+    f_number: FNumber | None = None,
     response: ResponseLike | None = None,
     out: PathLike | None = None,
     notice: Notice = unheard,
@@ -284,7 +284,7 @@ def colour_measure(
     kind: str | None = None,
     filters: Mapping[str, PathLike] | None = None,
     linear: bool = False,
-    f_number: float | None = None,
+    f_number: FNumber | None = None,
     response: ResponseLike | None = None,
     maps: PathLike | None = None,
     report: PathLike | None = None,

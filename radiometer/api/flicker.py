@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -173,7 +173,7 @@ def flicker(
     found_time = None if row_time is None else Quantity(row_time, 0.0, "s")
     if known_frequency is not None:
         found_time = _row_time(rows, known_frequency)
-        rows = replace(rows, rate_hz=1.0 / found_time.value)
+        rows = rows.at_rate(1.0 / found_time.value)
     return FlickerReport(rows, measure_flicker(rows), found_time)
 
 

@@ -12,7 +12,7 @@ from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, fit_drive_
 from radiometer.analysis.flux.estimate import led_flux
 from radiometer.analysis.flux.report import Emitter, FluxReport
 from radiometer.analysis.flux.sensor import flux_scale
-from radiometer.analysis.signal.model import corrected_frames
+from radiometer.analysis.signal.model import corrected_settings
 from radiometer.api.files import PathLike, stack_of
 from radiometer.api.result import Result, require_other
 from radiometer.bench.sources import is_photographs, open_source
@@ -29,7 +29,7 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.importing.drive_table import read_drive_table
 from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
-from radiometer.plausible import PLAUSIBLE, HalfAngle, Iso, NotNegative, Positive, RelativeUncertainty, Uncertainty
+from radiometer.plausible import HalfAngle, Iso, Millimetres, NotNegative, Positive, RelativeUncertainty, Uncertainty
 
 __all__ = ["Flux", "FluxReport", "Quantity", "flux"]
 
@@ -98,9 +98,9 @@ def flux(
     patch: Patch | tuple[int, int, int, int] | None = None,
     half_angle: HalfAngle | None = None,
     half_angle_u: Uncertainty = 1.0,
-    diameter: Positive | None = None,
+    diameter: Millimetres | None = None,
     diameter_u: Uncertainty = 0.05,
-    distance: Positive | None = None,
+    distance: Millimetres | None = None,
     distance_u: Uncertainty = 0.5,
     f_number_u_rel: RelativeUncertainty = 0.02,
     datasheet_mw: Positive | None = None,
@@ -155,14 +155,15 @@ def flux(
     if camera_file is not None:
         preset = CameraPreset.read(Path(camera_file))
         camera, u_rel = preset.applied_to(camera, str(camera_file)), preset.figure_u_rel("R")
-    frames = taken.frames if known is None else list(corrected_frames(taken.frames, known.found, known.black_level.dn))
+    frames = taken.frames
+    if known is not None:
+        found, black_dn = known.found, known.black_level.dn
+        frames = [replace(one, settings=corrected_settings(one.settings, found, black_dn)) for one in frames]
     lit = [one.settings for one in frames if not one.settings.is_dark]
     scale = flux_scale(replace(taken.setup, camera=camera, calibration=known), lit, u_rel)
     report = led_flux(frames, scale, emitter, region, f_number_u_rel)
-    found = None
-    if drive_table is not None:
-        found = _driven(report.result, Path(drive_table), led, drive, at_drive)
-    return Flux(report, taken.notes, found)
+    law = None if drive_table is None else _driven(report.result, Path(drive_table), led, drive, at_drive)
+    return Flux(report, taken.notes, law)
 
 
 def _driven(flux: Quantity, path: Path, led: str | None, drive: float | None, at: float | None) -> DrivenFlux:
@@ -236,10 +237,8 @@ def _emitter(
             )
         return None
     for name, value, u in (("--diameter", diameter, diameter_u), ("--distance", distance, distance_u)):
-        if value is not None:
-            PLAUSIBLE["length"].check(name, 1e-3 * value, UsageError)
-            if u > _MOST_U_REL * value:
-                raise UsageError(f"{name} {value:g} mm: known to ± {u:g} mm; state both in mm, and closer")
+        if value is not None and u > _MOST_U_REL * value:
+            raise UsageError(f"{name} {value:g} mm: known to ± {u:g} mm; state both in mm, and closer")
     return Emitter(
         Quantity(half_angle, half_angle_u, "°"),
         None if diameter is None else Quantity(diameter, diameter_u, "mm"),

@@ -28,7 +28,7 @@ from radiometer.data.storage import state_folder, write_text_atomic
 from radiometer.errors import OutputError, RadiometerError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": identifies a radiometer journal to `file` and to us
-SCHEMA_VERSION: Final = 2  # 1 had no streams
+SCHEMA_VERSION: Final = 3  # 1 had no streams, 2 a trend that mixed places
 OWN_STREAM: Final = "own"
 _BUSY_TIMEOUT_S: Final = 2.0  # a reader's snapshot or a backup lasts that long; then an alarm
 _WAITING: Final = "-waiting-"  # after the journal's name: readings that could not be committed at the end
@@ -42,27 +42,32 @@ _TREND_COLUMNS: Final = (
     "stream TEXT NOT NULL",
     "minute INTEGER NOT NULL",
     "unit TEXT NOT NULL",
+    "place TEXT NOT NULL",
     "count INTEGER NOT NULL",
     "total REAL NOT NULL",
     "total_u REAL NOT NULL",
     "low REAL NOT NULL",
     "high REAL NOT NULL",
     "flagged INTEGER NOT NULL",
-    "PRIMARY KEY (stream, minute, unit)",
+    "PRIMARY KEY (stream, minute, unit, place)",
 )
-_TREND: Final = f"""
+PLACE_OF: Final = "json_extract({}, '$.instrument', '$.patch')"  # readings of other places share neither mean nor line
+_TREND: Final = f"CREATE TABLE trend ({', '.join(_TREND_COLUMNS)}) WITHOUT ROWID;"
+_STREAMS: Final = """
 CREATE INDEX readings_by_stream ON readings (stream, sequence);
-CREATE TABLE trend ({", ".join(_TREND_COLUMNS)}) WITHOUT ROWID;
 CREATE TABLE patches (name TEXT PRIMARY KEY, json TEXT NOT NULL) WITHOUT ROWID;
 """
-_UPGRADE_FROM_1: Final = f"""
-ALTER TABLE readings ADD COLUMN stream TEXT NOT NULL DEFAULT '';
-{_TREND}
-INSERT INTO trend SELECT '', time_us / 60000000 AS minute, json_extract(json, '$.radiance.unit') AS unit, count(*),
-    sum(radiance), sum(coalesce(json_extract(json, '$.radiance.u'), 0)), min(radiance), max(radiance), sum(flags <> '')
-    FROM readings WHERE radiance IS NOT NULL GROUP BY minute, unit;
+_FILL_TREND: Final = f"""
+INSERT INTO trend SELECT stream, time_us / 60000000 AS minute, json_extract(json, '$.radiance.unit') AS unit,
+    {PLACE_OF.format("json")} AS place, count(*), sum(radiance), sum(coalesce(json_extract(json, '$.radiance.u'), 0)),
+    min(radiance), max(radiance), sum(flags <> '')
+    FROM readings WHERE radiance IS NOT NULL AND stream <> '{OWN_STREAM}' GROUP BY stream, minute, unit, place;
 PRAGMA user_version = {SCHEMA_VERSION};
 """
+_UPGRADES: Final = {
+    1: f"ALTER TABLE readings ADD COLUMN stream TEXT NOT NULL DEFAULT ''; {_STREAMS} {_TREND} {_FILL_TREND}",
+    2: f"DROP TABLE trend; {_TREND} {_FILL_TREND}",
+}
 _TREND_UPDATES: Final = (
     "count = count + 1",
     "total = total + :value",
@@ -72,7 +77,7 @@ _TREND_UPDATES: Final = (
     "flagged = flagged + :flagged",
 )
 _ADD_TO_TREND: Final = f"""
-INSERT INTO trend VALUES (:stream, :minute, :unit, 1, :value, :u, :value, :value, :flagged)
+INSERT INTO trend VALUES (:stream, :minute, :unit, {PLACE_OF.format(":json")}, 1, :value, :u, :value, :value, :flagged)
 ON CONFLICT DO UPDATE SET {", ".join(_TREND_UPDATES)}
 """
 _SCHEMA: Final = f"""
@@ -91,6 +96,7 @@ CREATE TABLE events (id INTEGER PRIMARY KEY, time_us INTEGER NOT NULL, kind TEXT
 CREATE INDEX events_by_time ON events (time_us);
 CREATE TABLE counters (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
 INSERT INTO counters VALUES ('last_sequence', 0);
+{_STREAMS}
 {_TREND}
 PRAGMA user_version = {SCHEMA_VERSION};
 """
@@ -363,7 +369,7 @@ class Journal:
         if not tables:
             connection.executescript(f"BEGIN EXCLUSIVE; {_SCHEMA} COMMIT;")
         elif version < SCHEMA_VERSION:
-            connection.executescript(f"BEGIN EXCLUSIVE; {_UPGRADE_FROM_1} COMMIT;")
+            connection.executescript(f"BEGIN EXCLUSIVE; {_UPGRADES[version]} COMMIT;")
         if self._max_bytes is not None:
             (page_size,) = connection.execute("PRAGMA page_size").fetchone()
             connection.execute(f"PRAGMA max_page_count = {max(1, self._max_bytes // page_size)}")
@@ -779,4 +785,5 @@ class _Row:
             "value": float(radiance["value"]),
             "u": float(radiance["u"] or 0.0),
             "flagged": int(bool(self.mapping["flags"])),
+            "json": json_text(self.mapping),
         }

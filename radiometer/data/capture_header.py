@@ -54,7 +54,7 @@ class CameraDescription(FileSection):
     dark_current_e_per_s: float | None = Field(None, ge=0)
     dark_current_reference_C: Annotated[float | None, within("temperature")] = None  # noqa: N815 (the file's key)
     dark_current_doubling_K: Annotated[float | None, within("doubling")] = None  # noqa: N815
-    black_level_dn: float | None = None
+    black_level_dn: Annotated[float | None, within("black_level")] = None
     white_level_dn: float | None = Field(None, gt=0)  # from which pixels are saturated, where the camera states it
     quantum_efficiency: float | None = Field(None, gt=0, le=1)
     mosaic: Literal["RGGB", "GRBG", "GBRG", "BGGR"] | None = None  # colour filters of 2 × 2 pixels, row by row

@@ -637,6 +637,7 @@ _SEEN: Final = {
     "rows": "how rows differ from each other",
     "edge": "how sharp the borders of patches are",
     "outliers": "how many single pixels stand far out",
+    "unsteady": "how many single pixels are far noisier than the others",
     "comb": "which codes occur",
 }
 

@@ -42,6 +42,7 @@ class Prediction:
     fixed_row_variance: Array
     edge: Array
     outliers: Array
+    unsteady: Array
     comb_step: float
     comb_kept: float
     signal: Array  # (captures, tiles) light signal in electrons, for regressors
@@ -235,6 +236,11 @@ class Counted:
         even = ~(self.design.source_level > 0) | self.design.uniform
         return self.inside.any(axis=1) & self.calm & even
 
+    @property
+    def quiet(self) -> Mask:
+        """Return which captures show the noise of the sensor alone: no light, not even what a scene left behind."""
+        return np.asarray(self.design.uniform & self.patched & ~(self.design.source_level > 0) & self.noisy.all(axis=1))
+
     def lines(self, name: str) -> Mask:
         """Return where a profile of lines has freedom left and is above zero."""
         dof, ratio = getattr(self.seen, f"{name}_dof"), getattr(self.seen, name)
@@ -359,13 +365,12 @@ class Scatter:
         honest = honest_comb(self.design, self.seen, self.base)
         return np.asarray(np.sqrt(_COMB_SQUARES / count[:, None] + honest**2))
 
-    @property
-    def outliers(self) -> Array:
+    def standing_out(self, name: str) -> Array:
         """Return that of twice the root of their number: 1 of a few, as counts have it.
 
         Of thousands the form of the tail counts, which no law of two parameters holds better than to a tenth.
         """
-        many = np.maximum(np.sqrt(self.seen.outliers) - np.sqrt(_MANY_OUTLIERS), 0.0)
+        many = np.maximum(np.sqrt(getattr(self.seen, name)) - np.sqrt(_MANY_OUTLIERS), 0.0)
         return np.asarray(np.hypot(1.0, 2.0 * _TAIL_FORM * many))
 
     def one(self, name: str) -> Array:
@@ -448,8 +453,12 @@ _ROWS: Final = (
         lambda c: c.bordered, ("constant", "f_number"), holds_form=True,
     ),
     Statistic(
-        "outliers", Given.CAPTURE, Scale.ROOT, lambda s: s.outliers, lambda c: c.patched,
+        "outliers", Given.CAPTURE, Scale.ROOT, lambda s: s.standing_out("outliers"), lambda c: c.patched,
         ("constant", "exposure_s", "temperature_C"),
+    ),
+    Statistic(
+        "unsteady", Given.CAPTURE, Scale.ROOT, lambda s: s.standing_out("unsteady"), lambda c: c.quiet,
+        ("constant", "exposure_s", "gain_db"),
     ),
     Statistic("comb", Given.PERIOD, Scale.COMB, lambda s: s.comb, lambda c: c.combed, ("constant",)),
     Statistic(

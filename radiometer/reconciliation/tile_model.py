@@ -649,6 +649,7 @@ class TileModel:
             fixed_row_variance=rows.mean(axis=-1),
             edge=captures(final.edge_share),
             outliers=captures(final.outliers),
+            unsteady=captures(final.unsteady),
             comb_step=final.comb_step,
             comb_kept=final.comb_kept,
             signal=signal,

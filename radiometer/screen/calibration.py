@@ -29,6 +29,7 @@ FORMAT = "radiometer-screen/1"
 RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
 
 # Displays follow a power law of about this exponent, so its root is nearly a straight line of the level.
+_MOST_FALL: Final = 0.1  # share of a screen's range by which its light may fall; noise of meters is far below
 _STRAIGHTENING: Final = 1 / 2.2
 
 
@@ -42,8 +43,9 @@ def rising(values: ArrayLike, u: ArrayLike) -> Array:
     Source: pool-adjacent-violators (Ayer et al. 1955), scipy.optimize.isotonic_regression.
     """
     sigma = np.asarray(u, dtype=np.float64)
-    floor = max(float(sigma.max(initial=0.0)) * 1e-3, 1e-300)
-    fitted = isotonic_regression(np.asarray(values, dtype=np.float64), weights=1.0 / np.maximum(sigma, floor) ** 2)
+    largest = float(sigma.max(initial=0.0))
+    shares = np.maximum(sigma / largest, 1e-3) if largest > 0.0 else np.ones_like(sigma)
+    fitted = isotonic_regression(np.asarray(values, dtype=np.float64), weights=shares**-2.0)
     return np.asarray(fitted.x, dtype=np.float64)
 
 
@@ -233,15 +235,18 @@ class ChannelCurve:
         Raises:
             CalibrationError: If the light does not rise with the level as that of a display does.
         """
-        levels = np.array(self.levels) / self.top_level
+        levels, values = np.array(self.levels) / self.top_level, np.array(self.radiance)
+        fall = float(np.max(np.maximum.accumulate(values) - values))
+        if fall > _MOST_FALL * float(np.ptp(values)):
+            raise CalibrationError(
+                f"the light does not rise with the level as that of a display does: it falls by "
+                f"{100.0 * fall / float(np.ptp(values)):.0f} % of its range; correct the levels, or measure again"
+            )
         usable = [name for name, model in MODELS.items() if len(self.levels) >= len(model.parameters)]
         try:
             return {name: fit_transfer(name, levels, self.radiance, self.u_independent) for name in usable}
         except ValueError as error:
-            raise CalibrationError(
-                f"the light does not rise with the level as that of a display does ({error}); correct the levels, or "
-                "measure again"
-            ) from error
+            raise CalibrationError(f"the light over the level is not that of a display: {error}") from error
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping that is written to the file."""

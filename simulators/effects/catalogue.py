@@ -39,7 +39,7 @@ class CatalogueEffect(Effect):
             temperature_C, source_level, timestamp_s, signal, patch_level, field_radius, image_x, image_y, screen_x or
             previous_frame.
         block: Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour,
-            first, common, bands, row_temporal, columns, rows, edge, outliers or comb.
+            first, common, bands, row_temporal, columns, rows, edge, outliers, unsteady or comb.
         also: Further statistics that count as its evidence.
         trials: Sets of parameters from which the search starts, the likeliest first.
         fitted: Parameters that are fitted; the others keep their trial's value.

@@ -13,11 +13,15 @@ from simulators.effects.base import ELECTRONS, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect, dark_exposures_vary, dark_temperatures_c, warmer_k
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
+from simulators.effects.unsteady_pixels import share_unsteady
 
 _USUAL_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
 _VARYING_K: Final = 2.0  # by which darks must differ to tell a law
 _LEAST_E: Final = 1e-12  # a pattern that is none
 _SURELY: Final = 9.0  # sigmas of the leak's logarithm below which less than 1e-18 of the pixels lie
+_EDGES: Final = np.arange(-16, 25) / 4.0
+_SIGMAS: Final = 0.5 * (_EDGES[1:] + _EDGES[:-1])  # of the leak's logarithm
+_SHARES: Final = np.diff(ndtr(_EDGES))  # share of the pixels with each
 _SMOOTH: Final = ("rise_x", "rise_y", "bend_x", "bend_y")
 _THIRD: Final = 1.0 / 3.0  # mean of x² from −1 to 1
 
@@ -104,11 +108,17 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
         return cast(Signal, leaked.astype(signal.dtype))
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the number of pixels that stand out by more than 6 robust sigmas."""
+        """Return the moments with the numbers of pixels that stand out by 6 robust sigmas, or are unsteady."""
         (above,) = self._above(self._standing_out(before.mean, context, before.spatial_variance), powers=1)
         pixels: Any = getattr(context, "tile_pixels", 1.0)
-        count = (above * pixels).mean(axis=-1, keepdims=True).sum(axis=-2, keepdims=True)
-        return after.changed(outliers=before.outliers + count)
+
+        def count(shares: Any) -> Any:
+            return (shares * pixels).mean(axis=-1, keepdims=True).sum(axis=-2, keepdims=True)
+
+        return after.changed(
+            outliers=before.outliers + count(above),
+            unsteady=before.unsteady + count(self._restless(before.mean, after.mean, context)),
+        )
 
     def _is_uneven(self) -> bool:
         return any(getattr(self, name) for name in _SMOOTH)
@@ -130,6 +140,16 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
         _, spread = self._lognormal()
         robust2 = np.square(self.shape / spread * pattern)  # what the median deviation of the body gives
         return 1.0 + spread * 6.0 * np.sqrt(noise2 + robust2) / pattern
+
+    def _restless(self, signal: Signal, kept: Signal, context: ExposureContext) -> Any:
+        """Return the share of the pixels whose charge scatters far more than what is kept of their tile."""
+        frames: Any = np.asarray(getattr(context, "frames", 1.0))
+        read2 = (context.camera.read_noise_e or 3.0) ** 2
+        average, spread = self._lognormal()
+        leak = (np.exp(self.shape * _SIGMAS) - average) / spread
+        noise2 = np.maximum(signal[..., None] + leak * np.asarray(self.electrons(context))[..., None], 0.0) + read2
+        of_tile2 = np.maximum(kept, 0.0) + read2
+        return (share_unsteady(frames[..., None], noise2 / of_tile2[..., None]) * _SHARES).sum(axis=-1)
 
     def _left_out(self, signal: Signal, context: ExposureContext) -> Any:
         """Return by how many s the mean falls where a series of captures leaves out what stands out in any dark one."""

@@ -23,7 +23,7 @@ from simulators.effects.tile_moments import TileMoments
 LARGEST: Final = 100.0  # times the effect's own size
 _PREFIX: Final = "at_"
 _FAINT: Final = 1e-3  # of the range of a signal, below which its logarithm is no axis
-_WHOLE: Final = ("edge_share", "outliers")  # what a capture has one figure of
+_WHOLE: Final = ("edge_share", "outliers", "unsteady")  # what a capture has one figure of
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ from typing import Any, cast
 import numpy as np
 
 from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, warmer_k
+from simulators.effects.catalogue import CatalogueEffect, gain_of, warmer_k, well_e
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
+from simulators.effects.unsteady_pixels import EXPONENTIAL, EXPONENTIAL_SHARES, share_unsteady
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,26 @@ class HotPixels(KeepsMean, CatalogueEffect):
         return self.rate_e_per_s * warmer * context.settings.exposure_s
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the number of pixels that stand out by more than 6 sigmas of a time mean."""
+        """Return the moments with the numbers of pixels that stand out (by 6 sigmas of a time mean), or are unsteady.
+
+        What leaks scatters, too: the shot noise of its charge. A full pixel does not.
+        """
         frames: Any = getattr(context, "frames", 1.0)
         read = context.camera.read_noise_e or 3.0
         noise = np.sqrt((np.maximum(before.mean, 0.0) + read**2) / frames)
         standing_out = np.exp(-6.0 * noise / np.maximum(self.electrons(context), 1e-12))
         pixels: Any = getattr(context, "tile_pixels", 1.0)
-        count = (self.share * standing_out * pixels).mean(axis=-1, keepdims=True).sum(axis=-2, keepdims=True)
-        return after.changed(outliers=before.outliers + count)
+        leak = np.asarray(self.electrons(context))[..., None] * EXPONENTIAL
+        scatters = share_unsteady(np.asarray(frames)[..., None], 1.0 + leak / (frames * noise**2)[..., None])
+        restless = (scatters * (leak < self._full_e(context)) * EXPONENTIAL_SHARES).sum(axis=-1)
+
+        def count(shares: Any) -> Any:
+            return (self.share * shares * pixels).mean(axis=-1, keepdims=True).sum(axis=-2, keepdims=True)
+
+        return after.changed(outliers=before.outliers + count(standing_out), unsteady=before.unsteady + count(restless))
+
+    def _full_e(self, context: ExposureContext) -> Any:
+        """Return the charge that fills the converter's range or the well, with one more axis."""
+        camera = context.camera
+        codes_e = (2.0**camera.bit_depth - 1.0) * (camera.conversion_gain_e_per_dn or np.inf) / gain_of(context)
+        return np.minimum(codes_e, well_e(context))[..., None]

@@ -82,6 +82,7 @@ class TileMoments(Moments):
     first_excess: Signal  # mean of a capture's first frame minus that of its other frames
     edge_share: Signal  # share of a step at a patch's edge that is in the last line inside it
     outliers: Signal  # expected number of outlying pixels in the frame
+    unsteady: Signal  # expected number of pixels that scatter far more than the others of their tile
     comb_step: float = 1.0  # spacing of the codes in use; 1 for all
     band_frequency: float = 0.0  # periods of that wave per row
     # Part of the fixed-pattern variance that limits which differ from pixel to pixel leave
@@ -106,4 +107,5 @@ class TileMoments(Moments):
             mean, variance=nothing, spatial_variance=nothing, common_variance=nothing, row_variance=nothing,
             band_variance=nothing, fixed_column_variance=nothing, fixed_row_variance=nothing, neighbour_x=nothing,
             neighbour_y=nothing, first_excess=nothing, edge_share=nothing, outliers=nothing,
+            unsteady=nothing,
         )  # fmt: skip

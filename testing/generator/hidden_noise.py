@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from testing.generator.hidden_levels import BASE_C
@@ -86,3 +88,30 @@ def correlated_read_noise(world: World, rng: np.random.Generator, scale: float) 
 
     world.voltage.append(share)
     return {"sigma_e": sigma * float(np.sqrt(2.0))}
+
+
+@entry("random_telegraph_noise", "none", "gain_db", "signal", "exposure_s", accepted=())
+def random_telegraph_noise(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Let traps in five pixels of a thousand fill and empty, each at its rates; filled, they take 15 electrons.
+
+    A trap is a chain of two states in continuous time. It stays in one for 20 to 200 ms, in the other for up to 1.5
+    times as long or as short.
+    """
+    trapped = rng.random(world.shape) < 0.005 * scale
+    height = np.where(trapped, -15.0 * np.log1p(-rng.random(world.shape)), 0.0)
+    filling = 1.0 / rng.uniform(0.02, 0.2, world.shape)
+    emptying = filling * np.exp(rng.uniform(-np.log(1.5), np.log(1.5), world.shape))
+    full_share, rate = filling / (filling + emptying), filling + emptying
+    last: dict[str, Any] = {}
+
+    def trap(signal: np.ndarray, shot: Shot, dice: np.random.Generator) -> np.ndarray:
+        chance = full_share
+        if shot.number:
+            left = np.exp(-rate * (shot.time_s - last["time_s"]))
+            chance = full_share + (last["full"] - full_share) * left
+        full = dice.random(world.shape) < chance
+        last.update(full=full, time_s=shot.time_s)
+        return signal - height * (full - full_share)
+
+    world.voltage.append(trap)
+    return {"share": float(trapped.mean()), "height_e": float(height[trapped].mean()) if trapped.any() else 0.0}

@@ -205,8 +205,8 @@ def gain_with_noise_in_dn(world: World, rng: np.random.Generator, scale: float) 
     return {"relative_error": error}
 
 
-@variant("excess_read_noise", "telegraph", "none", "gain_db", "signal", "exposure_s")
-def telegraph_noise(world: World, rng: np.random.Generator, scale: float) -> Truth:
+@variant("random_telegraph_noise", "many", "none", "gain_db", "signal", "exposure_s", accepted=("excess_read_noise",))
+def many_telegraph_pixels(world: World, rng: np.random.Generator, scale: float) -> Truth:
     """Let a tenth of the pixels jump between two levels 4 electrons apart."""
     jumpy = rng.random(world.shape) < 0.1
     height = 4.0 * scale

@@ -17,6 +17,7 @@ SHOWS = {
     "dark_current_nonuniformity": ("spatial",),
     "conversion_gain_error": ("variance",),
     "excess_read_noise": ("variance",),
+    "random_telegraph_noise": ("variance",),
     "tap_noise": ("variance",),
     "missing_codes": ("codes", "mean"),
     "reduced_bit_depth": ("codes", "mean"),

@@ -42,6 +42,7 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.reading import CLIPPING
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
 from radiometer.moments import moment_of
@@ -457,6 +458,7 @@ class Shown:
     good: NDArray[np.bool_]  # pixels used
     light_frames: int  # number of light frames seen
     unsteady: bool  # whether a frame clips that was exposed no longer than one that does not: the light changes
+    notes: tuple[str, ...] = ()  # what to say of copies among the frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -694,7 +696,7 @@ def _magnification(situation: PatchSituation, value: float) -> Term:
 def _clipped(situation: PatchSituation) -> list[Term]:
     if situation.shown.frames[0].unclipped:
         return []
-    return [Term("clipping", abs(situation.value), note="clips in the shortest exposure: the value is a lower bound")]
+    return [Term(CLIPPING, abs(situation.value), note="clips in the shortest exposure: the value is a lower bound")]
 
 
 def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Flag, ...]:

@@ -54,7 +54,7 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
         raise InputError(f"region {name}: leaves the map of {found.shape[1]} × {found.shape[0]} pixels")
     values, mask = found.radiance[patch.slices].astype(np.float64), found.mask[patch.slices]
     own, shared = found.parts_of_u(patch.slices)
-    good = (mask & LOST) == 0
+    good = ((mask & LOST) == 0) & np.isfinite(values)
     share = float(good.mean())
     if share < 0.5:
         raise MeasurementError(
@@ -70,7 +70,8 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     ends = [int(boxes.argmin()), int(boxes.argmax())]
     low, high = (float(boxes[at]) for at in ends)
     u_low, u_high = (math.hypot(noise[at], _extreme_u(noise[at], values.size)) for at in ends)
-    spread = spread_beyond_noise(float(values[good].var(ddof=1)), float(np.mean(own[good] ** 2)), count)
+    variance = float(values[good].var(ddof=1)) if count > 1 else math.nan  # of one pixel it is not known
+    spread = spread_beyond_noise(variance, float(np.mean(own[good] ** 2)), count)
     uniformity = low / high if high > 0 else math.nan
     u_uniformity = u_low / max(high, 1e-30)
     if low > 0:

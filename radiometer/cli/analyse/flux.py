@@ -11,7 +11,7 @@ import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch
 from radiometer.cli.console import console, note, show_remarks, show_table
 from radiometer.cli.options import JsonOption, relative_option
-from radiometer.plausible import HalfAngle, NotNegative, Positive, Uncertainty
+from radiometer.plausible import HalfAngle, Millimetres, NotNegative, Positive, Uncertainty
 
 if TYPE_CHECKING:
     from radiometer.api.led_flux import FluxReport, Quantity
@@ -31,9 +31,11 @@ def command(
         typer.Option(help="Angle in degrees at which its intensity is one half (half the viewing angle)."),
     ] = None,
     half_angle_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in degrees.")] = 1.0,
-    diameter: Annotated[Positive | None, typer.Option(help="Diameter of its emitting area in mm.")] = None,
+    diameter: Annotated[Millimetres | None, typer.Option(help="Diameter of its emitting area in mm.")] = None,
     diameter_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in mm.")] = 0.05,
-    distance: Annotated[Positive | None, typer.Option(help="From emitter to the lens's entrance pupil in mm.")] = None,
+    distance: Annotated[
+        Millimetres | None, typer.Option(help="From emitter to the lens's entrance pupil in mm.")
+    ] = None,
     distance_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in mm.")] = 0.5,
     f_number_u_rel: Annotated[float, relative_option("--f-number-u-rel", "Relative u (k = 1) of the f-number")] = 0.02,
     datasheet_mw: Annotated[Positive | None, typer.Option(help="Flux that the datasheet states, in mW.")] = None,

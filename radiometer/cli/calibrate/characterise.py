@@ -13,7 +13,7 @@ from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, ReportOption, TapsOption, relative_option
 from radiometer.cli.outputs import writes
 from radiometer.numbers import with_u
-from radiometer.plausible import ExposureSteps, Positive
+from radiometer.plausible import ExposureSteps, KnownRadiance
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,7 +31,7 @@ def command(
     bench: BenchOption = None,
     patch: Annotated[str | None, typer.Option(help="Look at this region X,Y,W,H only.")] = None,
     radiance: Annotated[
-        Positive | None,
+        KnownRadiance | None,
         typer.Option(help="Known radiance of the region in W/(sr m2), for the quantum efficiency."),
     ] = None,
     radiance_u_rel: Annotated[float, relative_option("--radiance-u-rel", "Its relative u (k = 1)")] = 0.0,

@@ -29,6 +29,7 @@ from radiometer.reconciliation.measure.lines import RowBins, edge_shares, row_li
 from radiometer.statistics.scale import MAD_TO_SIGMA, TWENTIETH_TO_SIGMA
 from radiometer.typing import Array, Mask
 from radiometer.units import gain_factor
+from simulators.effects.unsteady_pixels import unsteady_from
 
 Corners = NDArray[np.intp]
 
@@ -349,6 +350,7 @@ class CaptureSums:
         row_sums = self._without_flicker(means, counting, out, black_dn) if structured and n > 1 else self.row_sums
         result: dict[str, Array | float] = dict(out)
         result["outliers"] = float(outlying.sum())
+        result["unsteady"] = 0.0 if structured else self._unsteady(out["variance"], n, spacing_dn)
         free = _free(out)  # a clipped tile has hardly any noise and would outweigh all
         variance, spatial = (np.where(free, out[name], np.nan) for name in ("variance", "spatial"))
         known = [group.cut(~self.defects).astype(np.bool_) for group in self.groups]
@@ -360,6 +362,18 @@ class CaptureSums:
         result["side_lines"], result["side_unevenness"] = self.sides.lines(self.side_pixels / n)
         result |= _comb(self.histogram)
         return result, outlying
+
+    def _unsteady(self, variance: Array, n: int, spacing_dn: float) -> float:
+        """Return how many pixels, defects or not, scatter far more than their tile's that count.
+
+        Where the noise hides below the spacing of the codes, one sample two codes off is no sign of that.
+        """
+        found = 0
+        for number, group in enumerate(self.groups):
+            scatter = self.square[number] - np.square(self.total[number]) / n
+            limit = unsteady_from(n) * variance[group.index]
+            found += int(np.sum(scatter > (n - 1) * np.maximum(limit, 4.0 * spacing_dn**2 / n)[:, None, None]))
+        return float(found)
 
     def _half_waves(self) -> Array:
         """Return the mean over each tile of half waves down the frame, (tiles, waves): as many as tiles can resolve."""

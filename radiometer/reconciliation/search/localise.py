@@ -144,6 +144,7 @@ _AXIS_OF_CONSTANT: Final = {
     "rows": "image_y",
     "edge": "image_x",
     "outliers": "exposure_s",
+    "unsteady": "gain_db",
 }
 _AXIS_OF_SHAPE: Final = {"time_waves": "timestamp_s", "half_x": "image_x", "half_y": "image_y"}
 _AS_SEEN: Final = {"screen_x": "image_x", "screen_y": "image_y"}

@@ -138,7 +138,7 @@ def _checkerboard(examined: Examined) -> Section:
         "checkerboard_contrast",
         f"Checkerboard luminance and contrast ({columns} × {rows}, IDMS 5.26; ANSI contrast for 4 × 4)",
         (f"checkerboard of {columns} × {rows} fields; mean of white over mean of black fields' middles (C_Cave)",),
-        (contrast_of(*read, "contrast", examined.unsettled_rel),),
+        (contrast_of(read[0], read[1], "contrast", examined.unsettled_rel),),
         ("field", "shown", "luminance (cd·m⁻²)"), tuple(cells),
         ("light that the lens scatters from white into black fields counts as far as the calibration states it",),
     )  # fmt: skip

@@ -14,7 +14,7 @@ from radiometer.analysis.flux.sensor import SensorFlux, flux_scale, sensor_flux
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription, Patch, Quantity, SourceDescription
 from radiometer.data.calibration import StatedUncertainties
 from radiometer.data.setup import Setup
-from radiometer.errors import CalibrationError
+from radiometer.errors import CalibrationError, UsageError
 
 # 2 electrons per DN, of 0.5 electrons per photon of 500 nm on (10 µm)²: 4 photons stand behind a DN above black.
 CAMERA = CameraDescription(
@@ -259,3 +259,18 @@ def test_the_rim_is_a_twentieth_of_the_shorter_side(side: int, rim: int) -> None
         measured = flux_of(picture)
         assert measured.background_w == pytest.approx(dn.size * 10 * JOULE / 1e-3, rel=1e-9)
         assert measured.u_background_w == pytest.approx(0.0, abs=1e-20)
+
+
+@pytest.mark.parametrize("magnification", [0.01, 0.05, 0.2, 1.0])
+@pytest.mark.parametrize(("factor", "taken"), [(1.0, True), (1.2, True), (0.1, False), (0.001, False), (10.0, False)])
+def test_a_distance_that_the_lens_excludes_is_refused(magnification: float, factor: float, taken: bool) -> None:
+    """One in cm or m, or of another set-up; a thick lens is not at exactly f·(1 + 1/m)."""
+    lens = LensDescription(focal_length_mm=16.0, f_number=4.0, magnification=magnification)
+    away = Quantity(factor * 16.0 * (1.0 + 1.0 / magnification), 0.01 * factor, "mm")
+    emitter = Emitter(Quantity(60.0, 0.0, "°"), None, away)
+    frames, scale = [frame(500, 1e-3), frame(100, 1e-3, level=0.0)], flux_scale(Setup(CAMERA, lens, None, SOURCE))
+    if taken:
+        assert led_flux(frames, scale, emitter).emitted
+        return
+    with pytest.raises(UsageError, match=r"lens\.magnification"):
+        led_flux(frames, scale, emitter)

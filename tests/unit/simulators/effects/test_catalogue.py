@@ -44,6 +44,7 @@ led_thermal_droop pwm_flicker mains_ripple display_gamma_error display_black_lea
 quantum_efficiency_temperature nominal_settings exposure_label_error source_not_proportional_to_exposure
 lamp_step first_frame_offset readout_dark_charge series_settling line_start_offset
 correlated_read_noise row_dependent_exposure dark_frame_subtracted charge_transfer_inefficiency
+random_telegraph_noise
 """.split()  # noqa: SIM905
 
 # Those whose flexible forms need no further settings than those of one frame.
@@ -326,7 +327,7 @@ def test_noise_from_before_passes_by_the_slope(name: str) -> None:
     for field in TileMoments.squared:
         assert _grown(effect, field) == pytest.approx(np.mean(slope**2), rel=1e-9), field
     assert _grown(effect, "first_excess") == pytest.approx(np.mean(slope), rel=1e-9)
-    for field in ("edge_share", "outliers"):
+    for field in ("edge_share", "outliers", "unsteady"):
         assert _grown(effect, field) == pytest.approx(1.0, rel=1e-9), field
 
 

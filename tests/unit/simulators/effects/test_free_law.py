@@ -138,7 +138,8 @@ FRAMES, SIGMAS = 16, 5.0
 SIGNALS = (40.0, 900.0, 9000.0, 10_200.0)
 
 # Few lines or phases, or few pixels, make all of it: their draws have tests of their own, over many frames.
-APART = {"column_pattern", "row_pattern", "row_temporal_noise", "rolling_shutter_banding", "mains_ripple", "hot_pixels"}
+APART = {"column_pattern", "row_pattern", "row_temporal_noise", "rolling_shutter_banding", "mains_ripple", "hot_pixels",
+         "random_telegraph_noise"}  # fmt: skip
 
 SPREAD_OVER_CODES = {"missing_codes"}  # what lies between two codes is noise in its moments: an even signal has none
 

@@ -37,6 +37,7 @@ from simulators.effects.nominal_settings import NominalSettings
 from simulators.effects.polarisation import Polarisation
 from simulators.effects.pwm_flicker import PwmFlicker
 from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
+from simulators.effects.random_telegraph_noise import RandomTelegraphNoise
 from simulators.effects.reciprocity_failure import ReciprocityFailure
 from simulators.effects.registry import EFFECTS
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
@@ -46,6 +47,7 @@ from simulators.effects.spectral_mismatch import SpectralMismatch
 from simulators.effects.tap_gain import TapGain
 from simulators.effects.tap_noise import TapNoise
 from simulators.effects.tile_moments import TileMoments
+from simulators.effects.unsteady_pixels import unsteady_from
 from testing.effect_context import effect_context
 
 CAMERA = CameraDescription(bit_depth=12, full_well_e=10_000.0, read_noise_e=3.0)
@@ -186,6 +188,60 @@ def test_hot_pixels_that_stand_out_are_counted() -> None:
     nothing = TileMoments.exactly(np.zeros((1, 1, 1)))
     predicted = effect.tile(nothing, nothing, tiles).outliers
     assert float(np.sum(predicted)) == pytest.approx(10.0 * math.exp(-9.0 / 80.0))
+
+
+class _FourDarks(ExposureContext):
+    frames, tile_pixels = np.full((1, 1, 1), 4.0), np.full((1, 1, 1), 240_000.0)
+
+
+def _unsteady(frames: Any, counting: Any) -> float:
+    """Return how many pixels of some frames scatter far more than those that count."""
+    scatter = frames.var(axis=0, ddof=1)
+    return float(np.sum(scatter > unsteady_from(len(frames)) * scatter[counting].mean()))
+
+
+def test_jumping_pixels_are_counted_and_scatter_as_drawn_ones() -> None:
+    """5 % of the pixels jump by 20 e⁻ on average, with 3 e⁻ of noise, in four frames.
+
+    Those whose time mean stands out by six sigmas are left out. The noise and the pattern of the others are predicted,
+    and so are the numbers of those that stand out or scatter far more.
+    """
+    effect = RandomTelegraphNoise(share=0.05, height_e=20.0)
+    context = at(shutter="closed")
+    rng = np.random.default_rng(5)
+    even = np.zeros((400, 600))
+    frames = np.array([effect.sample(even, context, rng) + 3.0 * rng.standard_normal(even.shape) for _ in range(4)])
+    tiles: Any = _FourDarks(context.settings, context.geometry, CAMERA, LensDescription())
+    before = replace(TileMoments.exactly(np.zeros((1, 1, 1))), variance=np.full((1, 1, 1), 9.0))
+    predicted = effect.tile(before, before, tiles)
+    out = np.abs(frames.mean(axis=0)) > 6.0 * 1.5
+    noise = frames.var(axis=0, ddof=1)[~out].mean()
+    for name, seen in (("outliers", float(out.sum())), ("unsteady", _unsteady(frames, ~out))):
+        assert seen > 1000
+        assert float(np.sum(getattr(predicted, name))) == pytest.approx(seen, rel=0.05), name
+    assert float(np.sum(predicted.variance)) == pytest.approx(noise, rel=0.02)
+    still = float(np.var(frames.mean(axis=0)[~out])) - noise / 4.0
+    assert float(np.sum(predicted.spatial_variance)) == pytest.approx(still, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        HotPixels(share=0.05, rate_e_per_s=100.0),
+        DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=1.0),
+    ],
+)
+def test_leaking_pixels_are_unsteady_by_their_shot_noise(effect: Any) -> None:
+    """Charge that leaks into a pixel scatters by its root: where it is much more than the others', the pixel counts."""
+    context = at(1.0, shutter="closed")
+    rng = np.random.default_rng(6)
+    leaked = effect.sample(np.full((400, 600), 40.0), context, rng)
+    frames = rng.poisson(leaked, (4, 400, 600)) + 3.0 * rng.standard_normal((4, 400, 600))
+    mean = frames.mean(axis=0) - np.median(frames.mean(axis=0))
+    counting = np.abs(mean) < 6.0 * 1.4826 * np.median(np.abs(mean))
+    tiles: Any = _FourDarks(context.settings, context.geometry, CAMERA, LensDescription())
+    before = TileMoments.exactly(np.full((1, 1, 1), 40.0))
+    assert float(np.sum(effect.moments(before, tiles).unsteady)) == pytest.approx(_unsteady(frames, counting), rel=0.25)
 
 
 def test_taps_that_are_no_quarters_have_a_size_each() -> None:
