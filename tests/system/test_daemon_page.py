@@ -312,6 +312,38 @@ async def test_patches_of_any_name_and_number_leave_the_page_whole(daemon: Daemo
             daemon.post("/patches/delete", {"name": name})
 
 
+async def test_the_list_of_patches_is_folded_and_shows_what_was_last_read(
+    daemon: DaemonProcess, tmp_path: Path
+) -> None:
+    """Where nothing is measured any more, every row still has its value; what has no room is a click away."""
+    names = [f"lamp {number}" for number in range(9)]
+    for number, name in enumerate(names):
+        daemon.post("/patches", {"name": name, "patch": {"x": 95 + 5 * number, "y": 80, "width": 8, "height": 8}})
+    every_s, count = daemon.get("/status")["every_s"], len(daemon.get("/status")["patches"])
+    read = "document.querySelectorAll('.patch-row > span')"
+    seen = "[...document.querySelectorAll('.patch-row')].filter((e) => e.checkVisibility())"
+    inside = (
+        f"{seen}.every((e) => e.getBoundingClientRect().bottom <= e.parentElement.getBoundingClientRect().bottom + 1)"
+    )
+    try:
+        async with headless(tmp_path / "profile", SIZES[0]) as browser:
+            await _shown_size(browser, daemon, (1280, 800))
+            await browser.wait_for(f"{read}.length === {count} && [...{read}].every((e) => /±/.test(e.textContent))")
+            daemon.post("/settings", {"every_s": None})
+            await _shown_size(browser, daemon, (1280, 800))
+            await browser.wait_for(f"{read}.length === {count} && [...{read}].every((e) => /±/.test(e.textContent))")
+            await browser.wait_for(f"{seen}.length < {count} && {seen}.length > 0 && {inside}")
+            assert await browser.evaluate("document.getElementById('patches-all').textContent") == f"all {count}"
+            await browser.evaluate("document.getElementById('patches-all').click()")
+            await browser.wait_for(f"{seen}.length === {count} && {inside}")
+            assert await browser.evaluate("document.getElementById('patches-all').textContent") == "fewer"
+            assert browser.errors == []
+    finally:
+        daemon.post("/settings", {"every_s": every_s})
+        for name in names:
+            daemon.post("/patches/delete", {"name": name})
+
+
 @pytest.mark.parametrize(
     "gone", ["/page.js", "/trends.js", "/response.js", "/uplot.js", "/page.css", "/status", "/events"]
 )

@@ -76,11 +76,14 @@ def test_a_line_and_its_band_end_where_the_readings_pause(tmp_path, make_reading
         (PatchLimits(0.29, 0.31), [0.29, 0.31], "lamp (limits 0.29 to 0.31)"),
         (PatchLimits(high=0.305), [0.305], "lamp (limits none to 0.305)"),
         (PatchLimits(low=0.0), [], "lamp (limits 0 to none)"),
+        (PatchLimits(low=9.0), [9.0], "lamp (limits 9 to none)"),
+        (PatchLimits(high=0.01), [0.01], "lamp (limits none to 0.01)"),
+        (PatchLimits(high=0.305, unit="relative"), [], "lamp"),
         (PatchLimits(), [], "lamp"),
     ],
 )
 def test_limits_are_drawn_where_they_are_near_and_named_always(tmp_path, make_reading, limits, drawn, legend):
-    """Those of a patch with a name; a limit far from its readings would flatten them."""
+    """Those of a patch with a name and of its unit; one far from its readings only where the newest is beyond it."""
     with Journal(tmp_path / "j.sqlite") as written:
         written.append(hours(make_reading, 0, 1, 2, name="lamp"))
         written.keep_patch("lamp", NamedPatch("lamp", Patch(1, 2, 3, 4), limits).to_json())
