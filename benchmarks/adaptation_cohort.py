@@ -241,7 +241,8 @@ def main() -> None:
         f"{chance:.1f} % here.\n\n"
         f"| parameter | 95 % intervals that hold the truth |\n|---|---|\n{rows}\n\n"
         f"Break: bias {found.mean():+.3f} min (standard error {error_min:.3f}), retest limits ±{limits_min:.2f} min "
-        "from threshold scatter alone (published for people: ±2.1 min)."
+        "from threshold scatter alone (published for people: ±2.1 min). Plateau, amplitude and tau_min (time constant) "
+        "are those of the cones; rod_rod_break_min is the time at which S3 begins."
     )
     print(body)
     command = "python -m benchmarks adaptation_cohort"

@@ -180,8 +180,8 @@ def main() -> None:
     body = note + (
         f"For {seconds:g} s, {CLIENTS} SCPI connections ask `FETC?` {PER_CLIENT_PER_S:g} times a second each. At the"
         f" same time {sum(count for count, _, _ in _HOSTILE)} hostile clients measure further patches without end,"
-        " never read replies or streams, drip bodies, send noise, connect and disconnect. The small simulated camera"
-        f" measures every {EVERY_S:g} s.\n\n| what | figure |\n|---|---|\n"
+        " never read replies or streams, drip bodies, send noise, connect and disconnect. The simulated camera"
+        f" (160 × 120 pixels) measures every {EVERY_S:g} s.\n\n| what | figure |\n|---|---|\n"
         f"| replies, errors | {replies.asked}, {replies.errors} |\n"
         f"| median, p99, slowest | {replies.p50_ms:.1f} ms, {replies.p99_ms:.1f} ms, {replies.slowest_ms:.0f} ms |\n"
         f"| readings of the shared patch, median and longest pause | {len(gaps) + 1}, {gaps[len(gaps) // 2]:.2f} s,"

@@ -24,7 +24,8 @@ ABOUT = (
     " the longest pulse that is not refused. Cables are pulled, answers get lost, boxes"
     " and computer restart, the clock is set wrong, the account is deleted or damaged. What an eye receives is"
     " integrated from the outputs of the boxes, for the brightest box that the preset allows. A tenth of the limit is"
-    " promised."
+    " promised. The second table counts requests for light (asked; not all get an answer) and events. Killed in the"
+    " midst is a program that was ended inside a request; confirmed is an account that a person declared free."
 )
 SHOWN = (
     "asked", "given", "refused", "programs", "killed", "killed in the midst", "rebooted", "clock set", "replugged",

@@ -194,16 +194,20 @@ def main() -> None:
         values = file[..., ("blue", "green", "red").index(channel)].astype(np.float64)
         rows.append(row(channel, values, bracket, curve, ours, rim))
         predictions.append(prediction_row(channel, values, bracket, curve, ours))
-    toes = " | ".join(f"ln H at {dn} DN: by others, by itself, ours" for dn in _TOE_DN)
+    toes = " | ".join(f"ln H at {dn} DN: shorter frames, longest, ours" for dn in _TOE_DN)
     body = (
         "Root mean square of ln (ours / memorial.hdr) over pixels without a flag, one factor free, nothing aligned. "
-        f"The share is where the frame of 32 s shows {_CLEAR_OF_TOE_DN} DN or more. Last is ln H of dark values less "
-        f"that of {_MIDDLE_DN} DN, by shorter frames, by the longest frame, and by our curve.\n\n"
-        f"| colour | rms ln | without rims | share | rms there | 99 % of it | by the hat | {toes} |\n"
+        "Rims are the borders without picture that the scans have. The share is of pixels where the frame of 32 s "
+        f"shows {_CLEAR_OF_TOE_DN} DN or more. The next columns are for these pixels, for the 99 % of them that differ "
+        "least, and with Debevec and Malik's weights (hat) in our map. The last columns have ln H of dark values less "
+        f"that of {_MIDDLE_DN} DN, by shorter frames, by the longest frame itself, and by our curve.\n\n"
+        f"| colour | rms ln | without rims | share | rms there | best 99 % | with hat weights | {toes} |\n"
         "|---|---|---|---|---|---|---|---|---|\n"
         + "\n".join(rows)
         + "\n\nMean error in DN with which a map predicts the photographs' numbers from "
-        f"{_LEAST_DN} to {_MOST_DN}, through the rising curve that suits it best. The toe is the two longest frames "
+        f"{_LEAST_DN} to {_MOST_DN}, through the rising curve that suits it best. By halves is the mean "
+        "over odd and even frames; frames not seen are predicted by a map of the other half. The toe is the two "
+        "longest frames "
         f"where 32 s shows less than {_CLEAR_OF_TOE_DN} DN.\n\n"
         "| colour | pixels | memorial.hdr | ours | memorial.hdr, by halves | ours, frames not seen "
         "| toe: memorial.hdr | ours |\n|---|---|---|---|---|---|---|---|\n" + "\n".join(predictions)

@@ -156,9 +156,10 @@ def speed_and_memory() -> list[str]:
     }
     return [
         f"{FRAMES} frames of {WIDTH} × {HEIGHT}, {_TURNS} runs, taken in turns: median time, least time, median of the "
-        "processor time of all threads.",
+        "processor time of all threads. Speed-up and saving are the ratios of OpenCV's median time and processor time "
+        "to those of the row.",
         "",
-        "| | time | least | faster | processor time | less |",
+        "| | time | least | speed-up | processor time | saving |",
         "|---|---|---|---|---|---|",
         *rows,
         "",

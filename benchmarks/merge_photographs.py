@@ -87,7 +87,9 @@ def main() -> None:
         rows += [row(f"{name}, {channel}", pair) for channel, pair in pairs.items()]
         lay.append(f"{name}: {sentence}.")
     parts = [
-        "Odd against even frames, each half with its response, labels and noise; aligned once, one factor free. Both "
+        "Odd against even frames, each half with its response, labels and noise; aligned once, one factor free. Differ "
+        "is the rms difference of the maps, stated its rms u, and z the ratio. By pixel, z is the rms of difference "
+        "over u, at last of the brightest eighth alone. Both "
         "halves share what the ladder of stops leaves open, so z well below 1 does not show that u is too large.",
         "| set, colour | pixels | differ (rms) | stated | z | z by pixel | brightest |\n|---|---|---|---|---|---|---|\n"
         + "\n".join(rows),

@@ -52,8 +52,9 @@ def table(found: list[tuple[str, ...]]) -> str:
     return (
         "Each reader gets files that none may stumble over (unpacking bombs, loops, nesting, noise), then good files"
         " with one to four damages. Refused means with one line of our own. A fault is anything else: a traceback, a"
-        " crash, two lines. One process reads them all and may take 1 GB; so may the one that reads apart. The time is"
-        " processor time of both.\n\n| kinds | files | refused, by kind | faults | longest | peak memory |\n"
+        " crash, two lines. One process reads them all and may take 1 GB; so may the second process, in which some"
+        " formats are read. The time is processor time of both.\n\n"
+        "| kinds | files | refused, by kind | faults | longest | peak memory |\n"
         f"|---|---|---|---|---|---|\n| {' | '.join(row)} |\n"
     )
 

@@ -81,7 +81,7 @@ def as_setting(frame: dict[str, Any]) -> Setting:
 
 def page(rows: list[dict[str, Any]]) -> str:
     """Return the table in Markdown."""
-    lines = ["| hidden | patches | asked for | at random |", "|---|---|---|---|"]
+    lines = ["| hidden | patches | proposed | at random |", "|---|---|---|---|"]
     for (name, known), group in _grouped(rows).items():
         asked_for, random = (", ".join("–" if r[k] is None else str(r[k]) for r in group) for k in ("asked", "random"))
         lines.append(f"| {name} | {'stated' if known else 'unknown'} | {asked_for} | {random} |")

@@ -159,9 +159,16 @@ def main() -> None:
     others = list(peers())
     absent = [peer for peer in ("colour-hdri", "pfstools") if not any(name.startswith(peer) for name, _ in others)]
     missing = f"\n\nNot installed, so not compared: {', '.join(absent)}." if absent else ""
-    source = "the DoRF curves" if DORF.exists() else "parametric curves (the DoRF set is absent)"
+    source = (
+        "the curves of DoRF (Database of Response Functions)"
+        if DORF.exists()
+        else "parametric curves (the DoRF set is absent)"
+    )
     count = sum(1 for _ in stacks(8))
-    parts = [f"rms error of ln H over 5–95 % of the digital numbers, free offset taken out, over {count} of {source}."]
+    parts = [
+        f"rms error of ln H over 5–95 % of the digital numbers, free offset taken out, over {count} of {source}. "
+        "The χ² compares curves from three separate thirds of the pixels, by their stated u."
+    ]
     for bit_depth, runs in ((8, others), (12, [])):
         tallies = measure(bit_depth, runs)
         rows = "\n".join(tally.row(name) for name, tally in tallies.items())

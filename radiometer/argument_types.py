@@ -1,11 +1,13 @@
-"""Refuses arguments of the public interface whose types are not those of the signature, before any work begins."""
+"""Refuses arguments of the public interface that are not what the signature states, before any work begins.
+
+A signature states a type and, by the types of `plausible`, the range of a number. A plain `float` is any finite number.
+"""
 
 from __future__ import annotations
 
 import builtins
 import functools
 import inspect
-import math
 import numbers
 import os
 import types
@@ -14,10 +16,15 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 from radiometer.errors import UsageError
+from radiometer.plausible import LARGEST, Range
 
 _T = TypeVar("_T")
 _LONGEST: Final = 60  # characters of a value in a message
+_LONGEST_PATH: Final = 4096  # bytes: PATH_MAX of Linux
+_LONGEST_NAME: Final = 255  # bytes: NAME_MAX
 _KINDS: Final = {float: numbers.Real, int: numbers.Integral}  # numbers of NumPy are registered there
+_FINITE: Final = Range()
+_ALTERNATIVES: Final = (typing.Union, types.UnionType)
 
 _WORDS: Final = {
     types.NoneType: "None",
@@ -33,7 +40,7 @@ _WORDS: Final = {
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a public function that first compares its arguments with its annotations.
 
-    It keeps name, signature and help. A default always fits. NaN is no number, and `True` neither.
+    It keeps name, signature and help. A default always fits. NaN and infinity are no numbers, and `True` neither.
 
     Args:
         function: Function whose annotations `typing.get_type_hints` resolves.
@@ -92,19 +99,30 @@ class _Scope(dict[str, Any]):
 
 @functools.cache
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:
-    return typing.get_type_hints(function, _Scope(function.__globals__))
+    return typing.get_type_hints(function, _Scope(function.__globals__), include_extras=True)
 
 
-def _fits(value: object, hint: Any) -> bool:
+def range_of(hint: Any) -> Range | None:
+    """Return the range that a type states of its number, also within `X | None`; None where it states none."""
+    found = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Range)]
+    inner = typing.get_args(hint) if typing.get_origin(hint) in (typing.Annotated, *_ALTERNATIVES) else ()
+    return next(iter(found or filter(None, map(range_of, inner))), None)
+
+
+def _fits(value: object, hint: Any, limits: Range = _FINITE) -> bool:
+    if typing.get_origin(hint) is typing.Annotated:
+        return _fits(value, hint.__origin__, range_of(hint) or limits)
     kind, parts = typing.get_origin(hint) or hint, typing.get_args(hint)
-    if kind in (typing.Union, types.UnionType):
+    if kind in _ALTERNATIVES:
+        if isinstance(value, str | os.PathLike) and os.PathLike in [typing.get_origin(part) for part in parts]:
+            return _may_be_path(value)
         return any(_fits(value, part) for part in parts)
     if kind is typing.Literal:
         return isinstance(value, str) and value in parts
     if kind is Callable:
         return callable(value)
     if kind in _KINDS:
-        return isinstance(value, _KINDS[kind]) and not isinstance(value, bool) and not _is_nan(value)
+        return isinstance(value, _KINDS[kind]) and not isinstance(value, bool) and limits.holds(typing.cast(Any, value))
     if kind is tuple or kind is Sequence:
         return _is_sequence(value) and _elements_fit(value, parts, fixed=kind is tuple and parts[-1] is not ...)
     if kind is Mapping:
@@ -114,10 +132,12 @@ def _fits(value: object, hint: Any) -> bool:
     return isinstance(value, kind)
 
 
-def _words(hint: Any) -> str:
+def _words(hint: Any, limits: Range = _FINITE) -> str:
     """Return what a type takes, as words of a message."""
+    if typing.get_origin(hint) is typing.Annotated:
+        return _words(hint.__origin__, range_of(hint) or limits)
     kind, parts = typing.get_origin(hint) or hint, typing.get_args(hint)
-    if kind in (typing.Union, types.UnionType):
+    if kind in _ALTERNATIVES:
         return " or ".join(map(_words, parts))
     if kind is typing.Literal:
         return " or ".join(map(repr, parts))
@@ -127,11 +147,15 @@ def _words(hint: Any) -> str:
         return f"a list of {_words(parts[0])}"
     if kind is Mapping:
         return f"a mapping of {_words(parts[0])} to {_words(parts[1])}"
+    if kind in _KINDS:
+        return limits.words("finite number" if kind is float and limits.high == LARGEST else _WORDS[kind])
     return _WORDS.get(kind, getattr(kind, "__name__", str(kind)))
 
 
-def _is_nan(value: Any) -> bool:
-    return isinstance(value, numbers.Real) and math.isnan(value)
+def _may_be_path(value: str | os.PathLike[str]) -> bool:
+    """Return whether the system takes a path: not one with a zero, or with a name that no folder can hold."""
+    path = os.fsencode(value)
+    return b"\0" not in path and len(path) < _LONGEST_PATH and max(map(len, path.split(b"/"))) <= _LONGEST_NAME
 
 
 def _is_sequence(value: object) -> bool:

@@ -85,6 +85,16 @@ def upper_limit(value: float, u: float) -> float:
     return max(value, 0.0) + ONE_SIDED_95 * u
 
 
+def lower_limit(value: float, u: float) -> float:
+    """Return what a quantity that is not negative is above with a probability of 95 %.
+
+    Args:
+        value: Estimate that the quantity is at least, same unit.
+        u: Standard uncertainty of that estimate.
+    """
+    return max(value - ONE_SIDED_95 * u, 0.0)
+
+
 def below(limit: float, unit: str = "", *, bare: bool = False) -> str:
     """Return "< limit unit, 95 %", to two digits; bare without both, for where they are stated once for all."""
     decimals = _decimals(limit) if limit > 0 and math.isfinite(limit) else 0

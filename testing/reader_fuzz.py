@@ -16,6 +16,7 @@ import random
 import resource
 import struct
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
@@ -32,12 +33,14 @@ import numpy as np
 import tifffile
 import yaml
 
+import radiometer as rm
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.analysis.exports.curves import read_curves, write_curves
+from radiometer.analysis.exports.maps import MapPicture, write_tiff
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.archive.trend import read_histories
 from radiometer.bench.boxes import read_preset
-from radiometer.data import Calibration, CaptureSet, ResponseCurve
+from radiometer.data import Calibration, CaptureSet, RadianceMap, ResponseCurve
 from radiometer.data.capture_set import read_digital_numbers
 from radiometer.data.event_journal import read_events
 from radiometer.data.light_calibration import LightCalibration
@@ -152,7 +155,15 @@ def seeds(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
             lambda path: read_xmp(path.read_bytes()),
         ),
     }
-    return made | _pictures(folder) | _texts(folder) | _records(root) | _fits(folder, dn) | _apart(folder, dn)
+    return (
+        made
+        | _pictures(folder)
+        | _imported(folder)
+        | _texts(folder)
+        | _records(root)
+        | _fits(folder, dn)
+        | _apart(folder, dn)
+    )
 
 
 def _records(root: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
@@ -235,6 +246,23 @@ def _pictures(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
         OpenEXR.File(header, {"RGB": picture}).write(str(folder / "p.exr"))
         made["p.exr"] = ((folder / "p.exr").read_bytes(), _picture)
     return made
+
+
+def _imported(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
+    """Return files that commands use to the end: a map of radiance, and frames without and with compression."""
+    level, mask = np.full((20, 30), 0.5, np.float32), np.zeros((20, 30), np.uint8)
+    write_tiff(folder / "map.tiff", MapPicture({"mono": RadianceMap(level, 0.01 * level, mask, "W sr-1 m-2", 0.02)}))
+    dn = np.random.default_rng(2).integers(0, 4096, (32, 48)).astype(np.uint16)
+    tifffile.imwrite(folder / "plain.tiff", dn, metadata=None)
+    tifffile.imwrite(folder / "tiled.tiff", dn, tile=(16, 16), compression="zlib", predictor=True)
+
+    def taken(path: Path) -> Any:
+        with tempfile.TemporaryDirectory() as out:
+            return rm.import_capture([path], Path(out) / "set", mapped=["exposure=0.02:s"])
+
+    readers = {"map.tiff": lambda path: rm.analyse(path, regions={"a": (1, 1, 9, 9)})}
+    names = ("map.tiff", "plain.tiff", "tiled.tiff")
+    return {name: ((folder / name).read_bytes(), readers.get(name, taken)) for name in names}
 
 
 def _texts(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:

@@ -447,7 +447,8 @@ class SerialLightBox(Opened):
             self._channels[channel.name], self._buckets[channel.name] = channel, bucket
             if self.ledger.take_colour(channel.name, channel.peak_nm):
                 _LOG.warning("the preset is of another box: the light counts as the box says", channel=channel.name)
-        self.ledger.open(self._identity.serial)  # a session starts dark, however the one before has ended
+        # A session starts dark, however the one before has ended.
+        self.ledger.open(self._identity.serial, self.link.line.name)
 
     def _hello(self) -> tuple[str, ...]:
         """Return the answer to HI in the newest version that the box speaks."""
@@ -498,9 +499,9 @@ class SerialLightBox(Opened):
                 self.ledger.darken(channel)
                 return self.read_channel(channel)
         radiance = self._highest_radiance(channel, drive)
-        with self._giving(Stimulus(channel, radiance, bright_s, lasting_s, ramp_s), words):
+        with self._giving(Stimulus(channel, radiance, bright_s, lasting_s, ramp_s), words) as answer:
             state = self.read_channel(channel)
-            self._refuse_other_than(drive, state, steady=verb == "SL")
+            self._refuse_other_than(drive, answer, state, verb)
             return state
 
     @contextmanager
@@ -539,12 +540,21 @@ class SerialLightBox(Opened):
                 )
             self.ledger.clock_factor = 1.0 + max(off, MOST_RATE)
 
-    def _refuse_other_than(self, drive: DriveLevel, state: ChannelState, *, steady: bool) -> None:
-        if steady and drive.level and state.drive != drive:
+    def _refuse_other_than(self, drive: DriveLevel, answer: tuple[str, ...], state: ChannelState, verb: str) -> None:
+        """Darken the box where it states other light than was asked for; a pulse or blink may be dark already."""
+        known = self._channels[state.channel]
+        steps = round(known.duty(drive.level) * known.duty_steps)
+        stated = (RANGE_LETTERS[drive.current_range], str(drive.level), str(steps))
+        is_over = verb != "SL" and state.drive.level == 0
+        is_as_asked = verb == "RA" or is_over or not drive.level or state.drive == drive
+        if answer != stated or not is_as_asked:
             self.safe()
             brightest = self._highest_radiance(state.channel, DriveLevel(FULL_LEVEL, CurrentRange.HIGH))
             self.ledger.note(Stimulus(state.channel, brightest, DARK_AFTER_S, DARK_AFTER_S))
-            raise DeviceError(f"{self._name}: asked for {drive}, read back {state.drive}; every channel was darkened")
+            raise DeviceError(
+                f"{self._name}: asked for {drive}, answered {' '.join(answer)!r}, read back {state.drive};"
+                " every channel was darkened"
+            )
 
     def _drive(self, channel: str, level: Level) -> DriveLevel:
         if channel not in self.ledger.optics:

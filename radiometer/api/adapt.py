@@ -45,7 +45,20 @@ from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import MeasurementError, OutputRefused, UsageError
 from radiometer.numbers import rounded, unit_text
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import (
+    Age,
+    AnyCount,
+    Duration,
+    FieldArea,
+    Luminance,
+    NotNegative,
+    Port,
+    Pupil,
+    PupilAge,
+    ScotopicRatio,
+    Seed,
+    Uncertainty,
+)
 from radiometer.progress import Progress, unseen
 
 # Opens what watches a run for as long as it lasts, such as a live view of a terminal.
@@ -114,22 +127,22 @@ def adapt_run(
     camera: str | None = None,
     bench: PathLike | None = None,
     white: str = "white_led",
-    fixation: float | None = None,
+    fixation: NotNegative | None = None,
     simulate: str | None = None,
-    room: float = 0.0,
-    slow_s: float = 0.0,
-    seed: int = 0,
+    room: NotNegative = 0.0,
+    slow_s: Duration = 0.0,
+    seed: Seed = 0,
     eye: str = "right",
-    age: float | None = None,
-    pupil: float | None = None,
+    age: Age | None = None,
+    pupil: Pupil | None = None,
     visit: str | None = None,
     practice: bool = False,
     preset: PathLike | None = None,
     screen: PathLike | None = None,
     display: str | None = None,
-    port: int = 0,
+    port: Port = 0,
     page: bool = False,
-    page_port: int = 0,
+    page_port: Port = 0,
     audio: bool = False,
     force: bool = False,
     watch: Watcher | None = None,
@@ -158,7 +171,7 @@ def adapt_run(
         white: Spectrum of the bleaching light.
         fixation: Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance by default.
         simulate: Simulated subject: "steady", "never", "always", "leaves", "wanders", "healthy" or "amd".
-        room: Luminance of the simulated box's room in cd·m⁻².
+        room: NotNegative of the simulated box's room in cd·m⁻².
         slow_s: Real time in s per simulated trial, to watch it.
         seed: Seed of catches and of the simulated subject.
         eye: "right" or "left".
@@ -316,9 +329,9 @@ def adapt_fit(
     data: PathLike,
     criterion: float | None = None,
     *,
-    stimulus_u_log10: float | None = None,
-    bootstrap: int = 200,
-    seed: int = 1,
+    stimulus_u_log10: Uncertainty | None = None,
+    bootstrap: AnyCount = 200,
+    seed: Seed = 1,
     mapped: StatementMap | Sequence[str] = (),
     progress: Progress = unseen,
 ) -> AdaptationCurve:
@@ -601,13 +614,13 @@ class Bleach(Result):
 
 
 def adapt_bleach(
-    luminance: float,
-    duration: float,
+    luminance: Luminance,
+    duration: Duration,
     *,
-    pupil: float | None = None,
-    field: float = 100.0,
-    age: float = 28.58,
-    scotopic_ratio: float = 2.0,
+    pupil: Pupil | None = None,
+    field: FieldArea = 100.0,
+    age: PupilAge = 28.58,
+    scotopic_ratio: ScotopicRatio = 2.0,
 ) -> Bleach:
     """Find how much of the visual pigment a field bleaches.
 
@@ -627,10 +640,6 @@ def adapt_bleach(
     Raises:
         UsageError: If a number is outside its plausible range.
     """
-    PLAUSIBLE["luminance"].check("luminance", luminance, UsageError)
-    PLAUSIBLE["exposure"].check("duration", duration, UsageError)
-    PLAUSIBLE["field"].check("field", field, UsageError)
-    PLAUSIBLE["scotopic_ratio"].check("scotopic ratio", scotopic_ratio, UsageError)
     diameter_mm = pupil if pupil is not None else pupil_diameter_mm(luminance, field, age)
     trolands = retinal_illuminance_td(luminance, diameter_mm)
     return Bleach(

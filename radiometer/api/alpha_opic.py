@@ -17,7 +17,7 @@ from radiometer.data.drawing import new_axes
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UsageError
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import Length, NotNegative, RelativeUncertainty, Uncertainty, WavelengthUncertainty
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 
 if TYPE_CHECKING:
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 _SPELT: Final = {
     "cd": "cd m-2", "cd/m2": "cd m-2", "cd·m⁻²": "cd m-2", "lux": "lx",
     "W": "W sr-1 m-2", "W/sr/m2": "W sr-1 m-2", "W·sr⁻¹·m⁻²": "W sr-1 m-2", "W/m2": "W m-2", "W·m⁻²": "W m-2",
+}  # fmt: skip
+_IN_JSON: Final = {
+    "quantity": "quantity", "equivalent_daylight": "equivalent_daylight", "efficacy": "efficacy_mw_lm",
+    "daylight_efficacy_ratio": "daylight_ratio",
 }  # fmt: skip
 _FOR_SPECTRUM: Final = "spectrum "  # an assumption of a reading: which light its luminance is of
 
@@ -56,12 +60,7 @@ class AlphaOpicQuantities(Drawn):
             "source": self.source.to_mapping(),
             "spectrum": self.spectrum,
             "quantities": {
-                one.receptor: {
-                    "quantity": one.quantity.to_mapping(),
-                    "equivalent_daylight": one.equivalent_daylight.to_mapping(),
-                    "efficacy": one.efficacy_mw_lm.to_mapping(),
-                    "daylight_efficacy_ratio": one.daylight_ratio.to_mapping(),
-                }
+                one.receptor: {name: getattr(one, field).to_mapping() for name, field in _IN_JSON.items()}
                 for one in self.quantities
             },
             "assumptions": list(self.assumptions),
@@ -84,20 +83,20 @@ class AlphaOpicQuantities(Drawn):
 
 
 def alpha_opic(
-    value: float | Reading | None = None,
+    value: NotNegative | Reading | None = None,
     unit: str = "cd m-2",
     *,
-    u: float = 0.0,
+    u: Uncertainty = 0.0,
     reading: PathLike | None = None,
     screen: ScreenCalibration | PathLike | None = None,
-    level: float | None = None,
+    level: NotNegative | None = None,
     channel: str = "grey",
     spectrum: str | None = None,
-    spectrum_u_rel: float = 0.0,
-    wavelength_u_nm: float = 0.0,
-    size_m: Sequence[float] | None = None,
-    distance_m: float | None = None,
-    u_distance_m: float = 0.0,
+    spectrum_u_rel: RelativeUncertainty = 0.0,
+    wavelength_u_nm: WavelengthUncertainty = 0.0,
+    size_m: Sequence[Length] | None = None,
+    distance_m: Length | None = None,
+    u_distance_m: Uncertainty = 0.0,
 ) -> AlphaOpicQuantities:
     """Convert a radiance, luminance, irradiance or illuminance into the five α-opic quantities of CIE S 026.
 
@@ -160,10 +159,7 @@ def alpha_opic(
         assumptions.append(f"the spectrum {named} is exact; --spectrum-u-rel states how well it is known")
     if (size_m is None) != (distance_m is None) or (u_distance_m and distance_m is None):
         raise UsageError("--size and --distance need each other, and --distance-u both")
-    PLAUSIBLE["wavelength_u"].check("--wavelength-u", wavelength_u_nm, UsageError)
     if size_m is not None and distance_m is not None:
-        for name, length_m in (("--distance", distance_m), *(("--size", one) for one in size_m)):
-            PLAUSIBLE["length"].check(name, length_m, UsageError)
         source = facing_irradiance(source, size_m, distance_m, u_distance_m)
         assumptions.append("the source is evenly bright, alike in all directions, and straight before the plane")
     light = spectrum_of(named)
@@ -174,8 +170,7 @@ def alpha_opic(
 def _quantity_of(content: Mapping[str, Any], spectrum: str | None, assumptions: list[str]) -> Quantity:
     """Return the luminance of a reading, or its radiance where it has none; its flags join the assumptions.
 
-    Raises:
-        UsageError: If the reading is a relative one, or was made for another spectrum.
+    Raises UsageError if the reading is a relative one, or was made for another spectrum.
     """
     flags = [str(flag) for flag in content.get("flags", [])]
     if Flag.UNCALIBRATED.value in flags or (content["radiance"] or {}).get("unit") == "relative":
@@ -197,6 +192,5 @@ def _quantity_of_file(path: Path, spectrum: str | None, assumptions: list[str]) 
     try:
         return _quantity_of(parsed_json(read_text(path)), spectrum, assumptions)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(
-            f"{path}: is not the JSON of a reading, as `radiometer measure --json` prints it ({error})"
-        ) from error
+        form = "the JSON of a reading, as `radiometer measure --json` prints it"
+        raise InputError(f"{path}: is not {form} ({error})") from error

@@ -20,6 +20,7 @@ from radiometer.archive.trend_report import trend_report
 from radiometer.data.event_journal import journal_of
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, UsageError
+from radiometer.plausible import AnyCount
 from radiometer.progress import counted, unseen
 
 
@@ -103,7 +104,7 @@ def batch(
     output: PathLike = "results.csv",
     *,
     scheduler: str | None = None,
-    workers: int = 0,
+    workers: AnyCount = 0,
     calibration: PathLike | None = None,
     patch: PatchLike | None = None,
     maps: PathLike | None = None,

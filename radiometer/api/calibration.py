@@ -59,7 +59,16 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
 from radiometer.photographs.stated import at_iso, reference_iso, with_f_number, with_gains, with_iso
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import (
+    PLAUSIBLE,
+    Exposure,
+    FNumber,
+    Iso,
+    KnownRadiance,
+    MeterConstant,
+    Positive,
+    RelativeUncertainty,
+)
 from radiometer.progress import counted
 from radiometer.units import exact_exposure_s
 
@@ -158,27 +167,27 @@ def calibrate(
     out: PathLike | None = None,
     response: ResponseCurve | PathLike | None = None,
     patch: PatchLike | str | None = None,
-    radiance: float | PathLike | None = None,
-    luminance: float | None = None,
-    u_rel: float | None = None,
-    luminance_meter_k: float | None = None,
-    k_u_rel: float | None = None,
-    f_number: float | None = None,
-    exposure_s: float | None = None,
-    iso: float | None = None,
-    measured_iso: Mapping[float, float] | None = None,
+    radiance: KnownRadiance | PathLike | None = None,
+    luminance: Positive | None = None,
+    u_rel: RelativeUncertainty | None = None,
+    luminance_meter_k: MeterConstant | None = None,
+    k_u_rel: RelativeUncertainty | None = None,
+    f_number: FNumber | None = None,
+    exposure_s: Exposure | None = None,
+    iso: Iso | None = None,
+    measured_iso: Mapping[Iso, Iso] | None = None,
     channel: str = "luminance",
     pattern: str | None = None,
     align: str = "auto",
-    reference_dn: float | None = None,
-    dynamic_range: Sequence[tuple[float, ...]] = (),
+    reference_dn: Positive | None = None,
+    dynamic_range: Sequence[tuple[Positive, ...]] = (),
     as_printed: bool = False,
     spectrum: str | None = None,
     black_level: float | None = None,
-    validity_days: float = 365.0,
+    validity_days: Positive = 365.0,
     spectral_response: PathLike | None = None,
     flat: PathLike | None = None,
-    flat_u_rel: float = 0.0,
+    flat_u_rel: RelativeUncertainty = 0.0,
     camera: str | None = None,
     bench: PathLike | None = None,
     camera_file: PathLike | None = None,
@@ -246,6 +255,8 @@ def calibrate(
     measured = dict(measured_iso or {})
     real_iso = measured.get(iso, iso) if iso is not None else None
     speeds = IsoSpeeds(measured, real_iso, iso if iso in measured else None)
+    if capture is None and camera is None:
+        speeds.refuse_unstated("--measured-iso", set() if iso is None else {iso})
     if radiance is not None and not isinstance(radiance, int | float):
         radiance, u_rel = _certified(Path(radiance), u_rel)
     by_source = radiance is not None or luminance is not None
@@ -544,8 +555,11 @@ def _with_statements(
         base = with_found_effects(base, Path(model), base.uncertainties.model_fields_set, shape)
     elif "exposure_u_s" not in base.uncertainties.model_fields_set and _has_unstated_offset(seen, base.response):
         base = _with_u(base, exposure_u_s=UNSTATED_SHUTTER_U_S)
-    if not spectrum_stated and "efficacy_u_rel" not in base.uncertainties.model_fields_set:
-        base = _with_u(base, efficacy_u_rel=UNKNOWN_EFFICACY_U_REL)
+    if "efficacy_u_rel" not in base.uncertainties.model_fields_set:
+        light, u_rel = spectrum_of(base.spectrum), UNKNOWN_EFFICACY_U_REL
+        if spectrum_stated:
+            u_rel = photometry.luminous_efficacy(light).u_rel if photometry.holds_visible_light(light) else 0.0
+        base = _with_u(base, efficacy_u_rel=u_rel) if u_rel > 0.0 else base
     if preset is not None and preset.spectral_response is not None:
         base = replace(base, spectral_response=preset.spectral_response)
     if spectral_response is not None:

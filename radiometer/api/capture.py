@@ -18,6 +18,7 @@ from radiometer.bench.capturing import capture_exposures, capture_settings
 from radiometer.data import CaptureSet, Patch
 from radiometer.devices import Camera
 from radiometer.errors import UsageError
+from radiometer.plausible import AnyCount, Count, Exposure, NotNegative, Positive, RelativeUncertainty
 from radiometer.progress import counted
 
 
@@ -66,14 +67,14 @@ def bracket(
     camera: str | None = None,
     bench: PathLike | None = None,
     patch: PatchLike | None = None,
-    stops: float | None = None,
-    shortest_s: float | None = None,
-    longest_s: float | None = None,
-    repeat: int = 1,
-    u_rel: float | None = None,
-    darks: int = 0,
+    stops: Positive | None = None,
+    shortest_s: Exposure | None = None,
+    longest_s: Exposure | None = None,
+    repeat: Count = 1,
+    u_rel: RelativeUncertainty | None = None,
+    darks: AnyCount = 0,
     plan: PathLike | None = None,
-    time_limit_s: float = 60.0,
+    time_limit_s: NotNegative = 60.0,
     ask: Ask | None = None,
     progress: Progress | None = None,
 ) -> BracketReport:

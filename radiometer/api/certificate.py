@@ -10,13 +10,21 @@ from pathlib import Path
 from typing import Any, Final
 
 import radiometer
-from radiometer.analysis.exports.certificate import COVERAGE_FACTORS, Certified, Item, Laboratory, certificate_xml
+from radiometer.analysis.exports.certificate import (
+    COVERAGE_FACTORS,
+    COVERAGE_PROBABILITY,
+    Certified,
+    Item,
+    Laboratory,
+    certificate_xml,
+)
 from radiometer.analysis.reading.budget import OBSERVED
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
 from radiometer.data.capture_set import refuse_inputs
 from radiometer.data.json_text import parsed_json
+from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
 from radiometer.data.storage import check_outputs, read_text, write_text_atomic
 from radiometer.errors import InputError, UsageError
 from radiometer.moments import moment_of
@@ -143,23 +151,18 @@ def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory,
     if isinstance(source, Calibration):
         return _of_calibration(source, laboratory, identifier)
     if isinstance(source, Reading):
-        return _of_reading(source.to_mapping(), source.budget, laboratory, identifier)
+        return _of_reading({**source.to_mapping(), "budget": source.budget_lines}, laboratory, identifier)
     path = Path(source)
     if path.suffix.lower() in (".yaml", ".yml"):
         return _of_calibration(Calibration.read(path), laboratory, identifier)
     try:
-        content = parsed_json(read_text(path))
-        budget = [
-            Contribution(str(line["name"]), float(line["u_rel"]), str(line.get("kind", "B")))
-            for line in content.get("budget", [])
-        ]
-        return _of_reading(content, tuple(budget), laboratory, identifier)
+        return _of_reading(parsed_json(read_text(path)), laboratory, identifier)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: is neither the JSON of a reading nor the YAML of a calibration ({error})") from error
 
 
 def _calibration_of(content: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the calibration that a reading was made with as equipment; nothing where the reading does not state it."""
+    """Return the calibration that a reading was made with as equipment; nothing where it is not stated."""
     stated = content.get("calibration")
     if not isinstance(stated, dict):
         return []
@@ -167,9 +170,7 @@ def _calibration_of(content: dict[str, Any]) -> list[tuple[str, str]]:
     return [("calibration", ", ".join(str(word) for word in words if word))]
 
 
-def _of_reading(
-    content: dict[str, Any], budget: tuple[Contribution, ...], laboratory: Laboratory, identifier: str
-) -> Certified:
+def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str) -> Certified:
     if laboratory.item is None:
         raise UsageError(
             "the laboratory file states no item; a certificate of a reading needs the source that was read"
@@ -179,14 +180,22 @@ def _of_reading(
         raise UsageError(_RELATIVE)
     # Three digits, as every face prints k: U is that k times u, so a reader who divides has u again.
     k = float(f"{COVERAGE_FACTORS.check('coverage_factor', float(content['coverage_factor'])):.3g}")
+    if k < _K:
+        raise InputError(
+            f"coverage_factor is {k:g}; for the probability of {100 * COVERAGE_PROBABILITY:g} % it is {_K:g} or more"
+        )
+    if Flag.SATURATED.value in content["flags"]:
+        raise InputError("the reading is saturated: its value is a lower bound, which no certificate states")
     if Flag.UNCALIBRATED.value in content["flags"]:
         raise UsageError(_RELATIVE)
     results = tuple((name, _result(name, stated[name]), k) for name in stated)
-    conditions = [("exposure times", ", ".join(f"{one:.4g} s" for one in content["exposures_s"]))]
-    patch = content["patch"]
-    conditions.append(
-        ("region of the picture", f"{patch['x']},{patch['y']} {patch['width']} × {patch['height']} pixels")
+    budget = tuple(
+        Contribution(str(line["name"]), float(line["u_rel"]), str(line.get("kind", "B")))
+        for line in content.get("budget", [])
     )
+    exposures = ", ".join(f"{one:.4g} s" for one in content["exposures_s"])
+    region = "{x},{y} {width} × {height} pixels".format(**content["patch"])
+    conditions = [("exposure times", exposures), ("region of the picture", region)]
     conditions += [("flag", str(flag)) for flag in content["flags"]]
     conditions += [("assumption", str(one)) for one in content.get("assumptions", [])]
     return Certified(
@@ -198,10 +207,10 @@ def _of_reading(
 
 def _result(name: str, stated: dict[str, Any]) -> Quantity:
     """Return a quantity of a reading as a file states it. Raises InputError if no reading has it."""
-    unit, known = {"radiance": ("W sr-1 m-2", "radiance"), "luminance": ("cd m-2", "luminance")}[name]
+    unit = {"radiance": RADIANCE_UNIT, "luminance": LUMINANCE_UNIT}[name]
     if stated["unit"] != unit:
         raise InputError(f"{name} has the unit {stated['unit']!r}; a reading states it in {unit}")
-    value, u = PLAUSIBLE[known].check(name, float(stated["value"])), float(stated["u"])
+    value, u = PLAUSIBLE[name].check(name, float(stated["value"])), float(stated["u"])
     if not 0.0 < u < math.inf:
         raise InputError(f"{name}: the standard uncertainty is {u:g}; it must be above 0")
     return Quantity(value, u, unit)
@@ -233,19 +242,12 @@ def _of_calibration(calibration: Calibration, laboratory: Laboratory, identifier
     if scale.f_number is not None:
         conditions.append(("f-number", f"{scale.f_number:g}"))
     conditions += [("assumption", one) for one in calibration.provenance.assumptions]
+    exposure = Quantity(scale.value, scale.value * scale.u_rel, "J m-2")
+    budget = (Contribution(name, u_rel, "A" if name in OBSERVED else "B") for name, u_rel in scale.budget.items())
     return Certified(
-        identifier=identifier,
-        title="radiometric calibration of a camera",
-        date=calibration.created[:10],
-        method=(calibration.provenance.method, f"The scale is by {scale.method.replace('_', ' ')}."),
-        item=item,
-        equipment=(("reference", scale.reference),) if scale.reference else (),
-        conditions=tuple(conditions),
-        results=(
-            ("exposure per unit of the linear signal", Quantity(scale.value, scale.value * scale.u_rel, "J m-2"), _K),
-        ),
-        budget=tuple(
-            Contribution(name, u_rel, "A" if name in OBSERVED else "B") for name, u_rel in scale.budget.items()
-        ),
+        identifier=identifier, title="radiometric calibration of a camera", date=calibration.created[:10],
+        method=(calibration.provenance.method, f"The scale is by {scale.method.replace('_', ' ')}."), item=item,
+        equipment=(("reference", scale.reference),) if scale.reference else (), conditions=tuple(conditions),
+        results=(("exposure per unit of the linear signal", exposure, _K),), budget=tuple(budget),
         version=radiometer.__version__,
-    )
+    )  # fmt: skip

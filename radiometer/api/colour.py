@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from radiometer.analysis.calibration.shared import require_camera, require_lens, settle
-from radiometer.analysis.colour.calibration import ColourCalibration
+from radiometer.analysis.colour.calibration import ColourCalibration, reference
 from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra, spectrum_of
 from radiometer.analysis.colour.chromaticity import QUANTITIES, Coordinates, coordinates, locus_points, tristimulus
 from radiometer.analysis.colour.matrix import Training
-from radiometer.analysis.colour.plausible import GRID_NM, on_grid
 from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
 from radiometer.analysis.exports.maps import MapPicture, write_exr, write_tiff
-from radiometer.analysis.photometry.photometry import spectral_columns
+from radiometer.analysis.photometry.displays import GRID_NM, on_grid
+from radiometer.analysis.photometry.photometry import luminous_efficacy, spectral_columns
+from radiometer.analysis.reading.budget import carried, frame_conditions
 from radiometer.analysis.regions.figures import LOST, region_figures
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.meter import PatchLike, as_patch
@@ -28,9 +28,10 @@ from radiometer.api.radiance import ResponseLike, merge
 from radiometer.api.result import Drawn, Notice, Progress, Result, or_null, unheard
 from radiometer.bench.sources import is_photographs, open_source
 from radiometer.data import (
-    CameraDescription,
-    CaptureHeader,
+    Calibration,
+    CaptureSet,
     Flag,
+    FrameSettings,
     LensDescription,
     Patch,
     PixelMask,
@@ -41,9 +42,11 @@ from radiometer.data.calibration import DEFAULT_VALIDITY_DAYS
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.mosaic import COLOURS
 from radiometer.data.provenance import is_out_of_date
+from radiometer.data.setup import Setup
 from radiometer.data.storage import check_outputs, write_text_atomic
-from radiometer.errors import CalibrationError, InputError, MeasurementError, UsageError
+from radiometer.errors import InputError, MeasurementError, UsageError
 from radiometer.importing import open_capture
+from radiometer.plausible import FNumber, RelativeUncertainty
 from radiometer.progress import unseen
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import listed, page, section, table
@@ -201,9 +204,10 @@ def colour_calibrate(
     kind: str | None = None,
     per_kind: bool = False,
     white: str | None = None,
-    u_rel: float = 0.0,
+    u_rel: RelativeUncertainty = 0.0,
     filters: Mapping[str, PathLike] | None = None,
     linear: bool = False,
+    f_number: FNumber | None = None,
     response: ResponseLike | None = None,
     out: PathLike | None = None,
     notice: Notice = unheard,
@@ -230,6 +234,7 @@ def colour_calibrate(
         u_rel: Relative standard uncertainty that all known X, Y, Z share.
         filters: Of a monochrome camera with filters: capture set by channel, instead of a source.
         linear: Photographs that are no raw files are proportional to light above black.
+        f_number: f-number of frames that state none.
         response: Response of photographs.
         out: File to write.
         notice: Gets what a user should know, a line each.
@@ -243,7 +248,7 @@ def colour_calibrate(
     """
     if out is not None:
         check_outputs(Path(out), force=True)
-    frames = _Frames(filters, linear, response, notice, progress)
+    frames = _Frames(filters, linear, f_number, response, notice, progress)
     with_lights = chart is not None or spectra is not None
     if white is not None and train_on != "chart":
         raise UsageError("--white has no effect with --train-on responsivities; leave one out")
@@ -279,6 +284,7 @@ def colour_measure(
     kind: str | None = None,
     filters: Mapping[str, PathLike] | None = None,
     linear: bool = False,
+    f_number: FNumber | None = None,
     response: ResponseLike | None = None,
     maps: PathLike | None = None,
     report: PathLike | None = None,
@@ -301,6 +307,7 @@ def colour_measure(
         kind: Kind of light, one that the calibration knows; by default the error is the mean over those.
         filters: Of a monochrome camera with filters: capture set by channel, instead of a source.
         linear: Photographs that are no raw files are proportional to light above black.
+        f_number: f-number of frames that state none.
         response: Response of photographs, the same as for the calibration.
         maps: File for the quantities of every pixel, .exr or .tiff.
         report: Page to write, .html.
@@ -318,23 +325,12 @@ def colour_measure(
         _writer(Path(maps))
     known = calibration if isinstance(calibration, ColourCalibration) else ColourCalibration.read(Path(calibration))
     known.fit(kind)
-    seen = _Frames(filters, linear, response, notice, progress).channels(source)
+    seen = _Frames(filters, linear, f_number, response, notice, progress).channels(source)
     if tuple(seen.maps) != known.channels:
         raise UsageError(f"{seen.origin}: has the channels {', '.join(seen.maps)}, the calibration "
                          f"{', '.join(known.channels)}")  # fmt: skip
-    require_camera(known, seen.camera)
-    require_lens(known, seen.lens)
-    if (known.lens.f_number is None) != (seen.lens.f_number is None):
-        settle("f-number", known.lens.f_number, seen.lens.f_number)
-    for name, there, here in (
-        ("f-number", known.lens.f_number, seen.lens.f_number),
-        ("transmittance", known.lens.transmittance, seen.lens.transmittance),
-    ):
-        if there is not None and here is not None and not math.isclose(there, here, rel_tol=1e-3):
-            raise CalibrationError(
-                f"{seen.origin}: was taken at a {name} of {here:g}, the colour calibration at {there:g}; take the "
-                "frames with the same lens setting and filter, or calibrate colours with this one"
-            )
+    seen, u_rel = seen.carried(known.reference)
+    known = known.model_copy(update={"u_rel": math.hypot(known.u_rel, u_rel)})
     where = as_patch(patch) or Patch(0, 0, *next(iter(seen.maps.values())).shape[::-1])
     signal, own, flags = seen.signal(where, str(seen.origin))
     readings = seen.covariance(signal, own)
@@ -351,7 +347,7 @@ def colour_measure(
             name: Quantity(values[n], u[n], unit) if np.isfinite(values[n]) else None
             for n, (name, unit) in enumerate(_units(known.unit).items())
         },
-        found, (*flags, *_flags(known, found, kind, seen.taken)),
+        found, (*flags, *_flags(known, found, kind, seen.setup.taken)),
         (*known.provenance.assumptions, *seen.assumptions), known,
         _converted(seen, known, kind) if maps is not None else None,
         next(iter(seen.maps.values())).provenance.parameters.get("origin", {}),
@@ -369,16 +365,27 @@ class _Channels:
 
     origin: str
     maps: Mapping[str, RadianceMap]
-    camera: CameraDescription
-    lens: LensDescription
+    setup: Setup
+    settings: tuple[FrameSettings, ...]  # of the light frames, as they were merged
     patches: Mapping[str, Patch]
     together: bool
-    taken: dt.datetime | None = None
 
     @property
     def assumptions(self) -> tuple[str, ...]:
         """Return what was assumed of the frames."""
         return tuple(dict.fromkeys(text for one in self.maps.values() for text in one.provenance.assumptions))
+
+    @property
+    def reference(self) -> Calibration:
+        """Return how the frames were taken, for comparison with others."""
+        iso = min((one.iso for one in self.settings if one.iso is not None), default=None)
+        when = (self.setup.taken or dt.datetime.now(dt.UTC)).isoformat()
+        return reference(self.setup.camera, self.setup.lens, frame_conditions(self.settings), iso, when)
+
+    def carried(self, to: Calibration) -> tuple[_Channels, float]:
+        """Return the channels as if taken as a calibration's frames were, and the relative u of that."""
+        factor, u_rel = carried(replace(self.setup, calibration=to), self.settings)
+        return replace(self, maps={name: one.scaled(factor, one.unit) for name, one in self.maps.items()}), u_rel
 
     def signal(self, patch: Patch, name: str) -> tuple[Array, Array, tuple[str, ...]]:
         """Return the mean of each channel over a patch, its u without what all pixels share, and flags."""
@@ -412,6 +419,7 @@ class _Frames:
 
     filters: Mapping[str, PathLike] | None
     linear: bool
+    f_number: float | None
     response: ResponseLike | None
     notice: Notice
     progress: Progress
@@ -429,32 +437,41 @@ class _Frames:
         path = Path(str(source))
         if is_photographs(path):
             return self._of_photographs(path)
-        header = open_capture(path).header
-        if header.camera.mosaic is None:
+        capture = open_capture(path)
+        if capture.header.camera.mosaic is None:
             raise UsageError(
                 f"{path}: states no camera.mosaic: its frames have one channel; of a monochrome camera give "
                 "--filter NAME=FOLDER for each filter"
             )
-        maps, places = self._merged(path, channel="each"), {one.name: one.patch for one in header.patches}
-        return _Channels(str(path), maps, header.camera, _stated(header), places, True, header.taken)
+        return self._of_capture(capture, self._merged(path, channel="each"))
 
     def _merged(self, source: Stack | Path, **how: Any) -> Mapping[str, RadianceMap]:
         """Return the map of each channel; a user hears what is doubted of the frames."""
-        found = merge(source, progress=self.progress, **how)
+        found = merge(source, progress=self.progress, f_number=self.f_number, **how)
         for line in found.notes:
             self.notice(line)
         return found.maps
 
     def _behind_filters(self, filters: Mapping[str, PathLike]) -> _Channels:
-        headers = {name: open_capture(Path(folder)).header for name, folder in filters.items()}
-        for name, one in headers.items():
-            if one.camera.mosaic is not None:
+        seen = dict[str, _Channels]()
+        for name, folder in filters.items():
+            capture = open_capture(Path(folder))
+            if capture.header.camera.mosaic is not None:
                 raise UsageError(f"--filter {name}={filters[name]}: the camera has colour filters; give its set alone")
-        maps = {name: merge(folder, progress=self.progress).map for name, folder in filters.items()}
+            seen[name] = self._of_capture(capture, {name: self._merged(Path(folder))["mono"]})
+        first = next(iter(seen.values()))
+        maps = {name: one.carried(first.reference)[0].maps[name] for name, one in seen.items()}
         if len({one.shape for one in maps.values()}) > 1:
             raise InputError("--filter: the frames behind the filters differ in size; capture the same region")
-        first, origin = next(iter(headers.values())), ", ".join(map(str, filters.values()))
-        return _Channels(origin, maps, first.camera, _stated(first), {}, False, first.taken)
+        return replace(first, origin=", ".join(map(str, filters.values())), maps=maps, patches={}, together=False)
+
+    def _of_capture(self, capture: CaptureSet, maps: Mapping[str, RadianceMap]) -> _Channels:
+        header = capture.header
+        settings = tuple(header.frames[at].settings for at in capture.lit_indices()[1])
+        number = settings[0].f_number or header.lens.f_number or self.f_number
+        setup = Setup(header.camera, header.lens.model_copy(update={"f_number": number}), taken=header.taken)
+        places = {one.name: one.patch for one in header.patches}
+        return _Channels(str(capture.path), maps, setup, settings, places, together=True)
 
     def _of_photographs(self, path: Path) -> _Channels:
         stack = stack_of(open_source(path, "each"), str(path))
@@ -466,14 +483,10 @@ class _Frames:
                 "FILE or --linear"
             )
         found = self._merged(stack, response=self.response, linear=self.linear)
-        lens = LensDescription(f_number=next(iter(stack)).light[0].settings.f_number)
-        return _Channels(str(path), {name: found[name] for name in COLOURS}, stack.camera, lens, {}, together=True)
-
-
-def _stated(header: CaptureHeader) -> LensDescription:
-    """Return the lens of a capture set with the f-number that its frames state."""
-    numbers = [one.f_number for one in header.frames if one.f_number is not None]
-    return header.lens.model_copy(update={"f_number": numbers[0]}) if numbers else header.lens
+        settings = tuple(one.settings for one in next(iter(stack)).light)
+        lens = LensDescription(f_number=settings[0].f_number or self.f_number)
+        setup = Setup(stack.camera, lens, taken=stack.taken)
+        return _Channels(str(path), {name: found[name] for name in COLOURS}, setup, settings, {}, together=True)
 
 
 def _lights(
@@ -481,20 +494,23 @@ def _lights(
 ) -> tuple[Training, Array | None, ColourCamera]:
     """Return the raw readings of known lights, their spectra where known, and the camera."""
     powers = None if spectra is None else read_spectra(Path(spectra))
-    seen = dict[str, _Channels]()
+    seen = dict[str, tuple[_Channels, float]]()
 
-    def channels(of: PathLike | None) -> _Channels:
-        return seen.setdefault(str(of), frames.channels(of) if str(of) not in seen else seen[str(of)])
+    def channels(of: PathLike | None) -> tuple[_Channels, float]:
+        if str(of) not in seen:
+            found, first = frames.channels(of), next(iter(seen.values()), None)
+            seen[str(of)] = (found, 0.0) if first is None else found.carried(first[0].reference)
+        return seen[str(of)]
 
     lights = [] if chart is None else read_chart(Path(chart))
     if chart is None:
-        lights = [KnownLight(name, "", None, 0.0, place, None) for name, place in channels(source).patches.items()]
+        lights = [KnownLight(name, "", None, 0.0, place, None) for name, place in channels(source)[0].patches.items()]
         if not lights:
             raise UsageError(f"{source}: its header names no patches: give --chart FILE with the places of the lights")
-    names, kinds, xyz, readings = [], [], [], []
+    names, kinds, xyz, readings, doubts = [], [], [], [], list[float]()
     curves: list[Array] = []
     for light in lights:
-        here = channels(light.capture or source)
+        here, u_rel = channels(light.capture or source)
         place = light.patch or here.patches.get(light.name)
         if place is None and light.capture is not None:
             place = Patch(0, 0, *next(iter(here.maps.values())).shape[::-1])
@@ -503,10 +519,12 @@ def _lights(
         signal, u_signal, flags = here.signal(place, light.name)
         if "saturated" in flags:
             raise MeasurementError(f"light {light.name!r}: saturated pixels; capture shorter exposures")
-        readings.append((signal, u_signal))
+        readings.append((signal, np.hypot(u_signal, u_rel * signal)))
+        doubts.append(light.u_rel)
         if powers is not None:
             spectrum = spectrum_of(light.name, powers, Path(str(spectra)))
             curves.append(on_grid(spectrum))
+            doubts[-1] = math.hypot(light.u_rel, luminous_efficacy(spectrum).u_rel if light.xyz is None else 0.0)
             xyz.append(tristimulus(spectrum) if light.xyz is None else light.xyz)
         elif light.xyz is None:
             raise InputError(f"{chart}: has no columns X, Y, Z: add them, or give --spectra FILE")
@@ -515,11 +533,11 @@ def _lights(
         names.append(light.name)
         kinds.append(light.kind or kind or _UNSTATED)
     signal, u_signal = (np.array(one) for one in zip(*readings, strict=True))
-    first = next(iter(seen.values()))
-    training = Training(
-        tuple(names), tuple(kinds), signal, u_signal, np.array(xyz), np.array([one.u_rel for one in lights])
-    )
-    return training, np.array(curves) if curves else None, ColourCamera(tuple(first.maps), first.camera, first.lens)
+    first = next(iter(seen.values()))[0]
+    training = Training(tuple(names), tuple(kinds), signal, u_signal, np.array(xyz), np.array(doubts))
+    base = first.reference
+    camera = ColourCamera(tuple(first.maps), base.camera, base.lens, base.scale.conditions, base.scale.iso)
+    return training, np.array(curves) if curves else None, camera
 
 
 def _responsivities(path: Path, channels: tuple[str, ...]) -> Array:

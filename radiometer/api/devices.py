@@ -19,6 +19,7 @@ from radiometer.bench.served_box import serve_box
 from radiometer.bench.served_camera import Faults, serve, served_camera
 from radiometer.data.serials import other_notation, serial_shown
 from radiometer.devices import CameraIdentity, Finding, Health, LightBoxIdentity
+from radiometer.plausible import AnyCount, Duration, FilterDensity, FNumber, PerMille, Positive, Seed, Share
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,8 +136,8 @@ def new_bench(
     output: PathLike,
     camera: str,
     *,
-    focal_length_mm: float | None = None,
-    f_number: float | None = None,
+    focal_length_mm: Positive | None = None,
+    f_number: FNumber | None = None,
     calibration: str | None = None,
     patch: PatchLike | None = None,
 ) -> Path:
@@ -170,13 +171,13 @@ def simulate_camera(
     serial: str | None = None,
     bench: PathLike | None = None,
     address: str = "127.0.0.1",
-    seed: int | None = None,
+    seed: Seed | None = None,
     real_time: bool = True,
-    lose_per_mille: int = 0,
-    answer_delay_s: float = 0.0,
-    stall_after: int | None = None,
-    drop_after: int | None = None,
-    frame_pool: int = 0,
+    lose_per_mille: PerMille = 0,
+    answer_delay_s: Duration = 0.0,
+    stall_after: AnyCount | None = None,
+    drop_after: AnyCount | None = None,
+    frame_pool: AnyCount = 0,
     awkward: bool = False,
     ready: Callable[[str], None] = print,
 ) -> None:
@@ -215,13 +216,13 @@ def simulate_box(
     *,
     firmware: PathLike | None = None,
     clock_ppm: float = 0.0,
-    corrupt: float = 0.0,
-    drop: float = 0.0,
-    reset_every_s: float | None = None,
-    press_every_s: float | None = None,
-    seed: int = 0,
+    corrupt: Share = 0.0,
+    drop: Share = 0.0,
+    reset_every_s: Positive | None = None,
+    press_every_s: Positive | None = None,
+    seed: Seed = 0,
     subject: str | None = None,
-    filter_density: float = 3.0,
+    filter_density: FilterDensity = 3.0,
     ready: Callable[[str], None] = print,
     entered: Callable[[float], bool] | None = None,
 ) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from radiometer.data.drawing import new_axes
 from radiometer.data.statements import StatementMap
 from radiometer.errors import InputError, UsageError
 from radiometer.importing.photograph_pixels import read_photograph
+from radiometer.plausible import Exposure, NotNegative, Positive, Uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,14 +94,14 @@ def flicker(
     *,
     camera: str | None = None,
     bench: PathLike | None = None,
-    duration: float = 1.0,
+    duration: Positive = 1.0,
     dark: float | None = None,
-    u_dark: float = 0.0,
+    u_dark: Uncertainty = 0.0,
     mapped: StatementMap | Sequence[str] = (),
-    row_time: float | None = None,
-    known_frequency: float | None = None,
-    exposure: float | None = None,
-    black_level: float | None = None,
+    row_time: Positive | None = None,
+    known_frequency: Positive | None = None,
+    exposure: Exposure | None = None,
+    black_level: NotNegative | None = None,
     flat: PathLike | None = None,
     patch: PatchLike | None = None,
     notice: Notice = unheard,
@@ -155,8 +156,6 @@ def flicker(
         given = [name for name, value in of_frame.items() if value is not None]
         if given:
             raise UsageError(f"{', '.join(given)}: of a frame only; {path} is a table")
-        if exposure is not None and not exposure > 0.0:
-            raise UsageError(f"--exposure {exposure:g}: must be above 0 s")
         known = StatementMap.of(mapped)
         waveform, reported = read_waveform(path, dark, u_dark, known, exposure or 0.0)
         for line in reported:
@@ -174,7 +173,7 @@ def flicker(
     found_time = None if row_time is None else Quantity(row_time, 0.0, "s")
     if known_frequency is not None:
         found_time = _row_time(rows, known_frequency)
-        rows = replace(rows, rate_hz=1.0 / found_time.value)
+        rows = rows.at_rate(1.0 / found_time.value)
     return FlickerReport(rows, measure_flicker(rows), found_time)
 
 
@@ -206,8 +205,6 @@ def _plane(path: Path, patch: PatchLike | None) -> Any:
 
 def _row_time(rows: Waveform, known_hz: float) -> Quantity:
     """Return the time from row to row in s of light whose frequency is known; `rows` counts in rows."""
-    if not known_hz > 0.0:
-        raise UsageError(f"--known-frequency {known_hz:g}: must be above 0 Hz")
     period = find_period(rows)
     if period is None:
         raise InputError(

@@ -14,6 +14,7 @@ from radiometer.api.result import Progress, Result
 from radiometer.data.statements import StatementMap
 from radiometer.importing import ImportOptions, import_into
 from radiometer.importing.sources import WrittenSet
+from radiometer.plausible import Count, Positive
 from radiometer.progress import counted
 
 
@@ -44,8 +45,8 @@ def import_capture(
     output: PathLike,
     *,
     crop: PatchLike | None = None,
-    sample: int = 1,
-    full_scale: float | None = None,
+    sample: Count = 1,
+    full_scale: Positive | None = None,
     pedestal: float = 0.0,
     mapped: StatementMap | Sequence[str] = (),
     progress: Progress | None = None,

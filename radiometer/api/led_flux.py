@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,25 +12,24 @@ from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, fit_drive_
 from radiometer.analysis.flux.estimate import led_flux
 from radiometer.analysis.flux.report import Emitter, FluxReport
 from radiometer.analysis.flux.sensor import flux_scale
+from radiometer.analysis.signal.model import corrected_settings
 from radiometer.api.files import PathLike, stack_of
 from radiometer.api.result import Result, require_other
 from radiometer.bench.sources import is_photographs, open_source
 from radiometer.data import (
     Calibration,
-    CameraDescription,
     Frame,
-    LensDescription,
     Patch,
     Quantity,
-    SourceDescription,
 )
+from radiometer.data.setup import Setup
 from radiometer.devices import CameraPreset
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.importing import imported_of, open_capture
 from radiometer.importing.drive_table import read_drive_table
 from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import HalfAngle, Iso, Millimetres, NotNegative, Positive, RelativeUncertainty, Uncertainty
 
 __all__ = ["Flux", "FluxReport", "Quantity", "flux"]
 
@@ -97,20 +96,20 @@ def flux(
     calibration: Calibration | PathLike | None = None,
     camera_file: PathLike | None = None,
     patch: Patch | tuple[int, int, int, int] | None = None,
-    half_angle: float | None = None,
-    half_angle_u: float = 1.0,
-    diameter: float | None = None,
-    diameter_u: float = 0.05,
-    distance: float | None = None,
-    distance_u: float = 0.5,
-    f_number_u_rel: float = 0.02,
-    datasheet_mw: float | None = None,
+    half_angle: HalfAngle | None = None,
+    half_angle_u: Uncertainty = 1.0,
+    diameter: Millimetres | None = None,
+    diameter_u: Uncertainty = 0.05,
+    distance: Millimetres | None = None,
+    distance_u: Uncertainty = 0.5,
+    f_number_u_rel: RelativeUncertainty = 0.02,
+    datasheet_mw: Positive | None = None,
     channel: str = "luminance",
-    measured_iso: Mapping[float, float] | None = None,
+    measured_iso: Mapping[Iso, Iso] | None = None,
     drive_table: PathLike | None = None,
     led: str | None = None,
-    drive: float | None = None,
-    at_drive: float | None = None,
+    drive: NotNegative | None = None,
+    at_drive: NotNegative | None = None,
 ) -> Flux:
     """Find the radiant flux of a light-emitting diode.
 
@@ -152,16 +151,19 @@ def flux(
         raise UsageError("--calibration and --camera-file exclude each other")
     known = calibration if isinstance(calibration, Calibration | None) else Calibration.read(Path(calibration))
     taken = _taken(Path(capture), known, channel, measured_iso)
-    camera, u_rel = taken.camera, None
+    camera, u_rel = taken.setup.camera, None
     if camera_file is not None:
         preset = CameraPreset.read(Path(camera_file))
         camera, u_rel = preset.applied_to(camera, str(camera_file)), preset.figure_u_rel("R")
-    scale = flux_scale(camera, taken.source, known, u_rel)
-    report = led_flux(taken.frames, scale, taken.lens, emitter, region, f_number_u_rel)
-    found = None
-    if drive_table is not None:
-        found = _driven(report.result, Path(drive_table), led, drive, at_drive)
-    return Flux(report, taken.notes, found)
+    frames = taken.frames
+    if known is not None:
+        found, black_dn = known.found, known.black_level.dn
+        frames = [replace(one, settings=corrected_settings(one.settings, found, black_dn)) for one in frames]
+    lit = [one.settings for one in frames if not one.settings.is_dark]
+    scale = flux_scale(replace(taken.setup, camera=camera, calibration=known), lit, u_rel)
+    report = led_flux(frames, scale, emitter, region, f_number_u_rel)
+    law = None if drive_table is None else _driven(report.result, Path(drive_table), led, drive, at_drive)
+    return Flux(report, taken.notes, law)
 
 
 def _driven(flux: Quantity, path: Path, led: str | None, drive: float | None, at: float | None) -> DrivenFlux:
@@ -196,9 +198,7 @@ class _Taken:
     """Frames of the lit diode, of the dark, and with the diode off."""
 
     frames: Sequence[Frame]
-    camera: CameraDescription
-    lens: LensDescription
-    source: SourceDescription
+    setup: Setup
     notes: tuple[str, ...]
 
 
@@ -211,13 +211,13 @@ def _taken(
         stack = stack_of(open_source(path, channel), str(path))
         ready = prepared(stack.as_photographs(), calibration=calibration, measured_iso=measured_iso)
         frames = (*ready.only.dark, *ready.without_absent().light)
-        return _Taken(frames, calibration.camera, calibration.lens, SourceDescription(), ready.notes)
+        return _Taken(frames, Setup(calibration.camera, calibration.lens, spectrum=None), ready.notes)
     capture = open_capture(path)
     chosen = capture.pattern_of()
     frames = tuple(one for one in capture.frames() if one.settings.is_dark or one.settings.pattern == chosen)
     notes = tuple(f"{path.name}: {line}" for line in imported_of(capture).lines()) if capture.store is not None else ()
     header = capture.header
-    return _Taken(frames, header.camera, header.lens, header.source, notes)
+    return _Taken(frames, Setup(header.camera, header.lens, None, header.source, None, header.taken), notes)
 
 
 def _emitter(
@@ -236,15 +236,9 @@ def _emitter(
                 "viewing angle; 60 for an emitter without a lens)"
             )
         return None
-    for name, value in (("--diameter", diameter), ("--distance", distance), ("--datasheet-mw", datasheet_mw)):
-        if value is not None and not value > 0:
-            raise UsageError(f"{name} {value:g}: must be above 0")
-    PLAUSIBLE["angle"].check("--half-angle", half_angle, UsageError)
     for name, value, u in (("--diameter", diameter, diameter_u), ("--distance", distance, distance_u)):
-        if value is not None:
-            PLAUSIBLE["length"].check(name, 1e-3 * value, UsageError)
-            if u > _MOST_U_REL * value:
-                raise UsageError(f"{name} {value:g} mm: known to ± {u:g} mm; state both in mm, and closer")
+        if value is not None and u > _MOST_U_REL * value:
+            raise UsageError(f"{name} {value:g} mm: known to ± {u:g} mm; state both in mm, and closer")
     return Emitter(
         Quantity(half_angle, half_angle_u, "°"),
         None if diameter is None else Quantity(diameter, diameter_u, "mm"),

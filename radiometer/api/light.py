@@ -38,7 +38,16 @@ from radiometer.devices.exposure_account import name_of_eye
 from radiometer.devices.light_box import Level
 from radiometer.errors import DeviceError, DeviceNotFound, UsageError
 from radiometer.importing.drive_table import DriveTable, read_drive_table
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import (
+    BlinkCount,
+    BoxLevel,
+    Count,
+    Duration,
+    NotNegative,
+    PointsPerDecade,
+    RelativeUncertainty,
+    Seed,
+)
 
 RUN_FORMAT: Final = "radiometer-light-run/1"  # of the journal of an unfinished calibration
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
@@ -94,11 +103,11 @@ def _unwatched(lit: LitChannel) -> None:
 
 def light_set(
     channel: str,
-    radiance: float | None = None,
+    radiance: NotNegative | None = None,
     *,
-    level: int | None = None,
+    level: BoxLevel | None = None,
     low: bool = False,
-    hold_s: float | None = None,
+    hold_s: Duration | None = None,
     box: str | None = None,
     subject: str | None = None,
     eye: str | None = None,
@@ -135,7 +144,6 @@ def light_set(
         UnsafeStimulus: If it is too much for the eye or the box.
         DeviceError: If the box fails or ends the light early.
     """
-    _require_hold(hold_s)
     expected, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     with _opened(box, calibration, preset, looks, notice) as opened:
         found = _found(opened, opened.box.set_level(channel, expected), radiance)
@@ -146,10 +154,10 @@ def light_set(
 
 def light_pulse(
     channel: str,
-    duration_s: float,
-    radiance: float | None = None,
+    duration_s: Duration,
+    radiance: NotNegative | None = None,
     *,
-    level: int | None = None,
+    level: BoxLevel | None = None,
     low: bool = False,
     box: str | None = None,
     subject: str | None = None,
@@ -184,14 +192,14 @@ def light_pulse(
 
 def light_blink(
     channel: str,
-    on_s: float = 0.2,
-    off_s: float = 0.8,
-    count: int = 0,
-    radiance: float | None = None,
+    on_s: NotNegative = 0.2,
+    off_s: NotNegative = 0.8,
+    count: BlinkCount = 0,
+    radiance: NotNegative | None = None,
     *,
-    level: int | None = None,
+    level: BoxLevel | None = None,
     low: bool = False,
-    hold_s: float | None = None,
+    hold_s: Duration | None = None,
     box: str | None = None,
     subject: str | None = None,
     eye: str | None = None,
@@ -218,7 +226,6 @@ def light_blink(
     Raises:
         RadiometerError: As `light_set`.
     """
-    _require_hold(hold_s)
     drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     lit_s = hold_s if hold_s is not None else (on_s + off_s) * count if count else None
     with _opened(box, calibration, preset, looks, notice) as opened:
@@ -226,12 +233,6 @@ def light_blink(
         lit(found)
         _stay(opened, lit_s, channel if count == 0 else None, notice)
     return found
-
-
-def _require_hold(hold_s: float | None) -> None:
-    """Refuse a time that is no time in s. Raises UsageError."""
-    if hold_s is not None:
-        PLAUSIBLE["hold"].check("hold_s", hold_s, UsageError)
 
 
 @dataclass(frozen=True, repr=False)
@@ -354,7 +355,7 @@ class ButtonPress(Result):
 
 
 def light_watch_buttons(
-    hold_s: float | None = None, count: int | None = None, *, box: str | None = None
+    hold_s: Duration | None = None, count: Count | None = None, *, box: str | None = None
 ) -> Iterator[ButtonPress]:
     """Yield presses and releases as they come, with the uncertainty of their times.
 
@@ -371,7 +372,6 @@ def light_watch_buttons(
     Raises:
         DeviceError: If the box fails.
     """
-    _require_hold(hold_s)
     presses = 0
     with open_light_box(box) as opened:
         start_s = opened.box.link.line.now()
@@ -503,10 +503,10 @@ def light_calibrate(
     bench: PathLike | None = None,
     patch: PatchLike | None = None,
     camera_calibration: PathLike | None = None,
-    points_per_decade: float = 4.0,
+    points_per_decade: PointsPerDecade = 4.0,
     responsivity: PathLike | None = None,
-    spectral_u_rel: float | None = None,
-    seed: int | None = None,
+    spectral_u_rel: RelativeUncertainty | None = None,
+    seed: Seed | None = None,
     preset: PathLike | None = None,
     out: PathLike | None = None,
     force: bool = False,

@@ -13,6 +13,7 @@ from radiometer.bench.assembly import open_instrument
 from radiometer.bench.instrument import Instrument
 from radiometer.data import Bracket, Calibration, Patch, Reading
 from radiometer.data.pile_up import with_white_levels
+from radiometer.plausible import AnyCount, FNumber, NotNegative, RelativeUncertainty
 
 PatchLike = Patch | tuple[int, int, int, int]
 
@@ -54,7 +55,7 @@ class Meter:
         """Close the camera; again does nothing."""
         self._held.close()
 
-    def measure(self, patch: PatchLike | None = None, *, u_rel: float | None = None) -> Reading:
+    def measure(self, patch: PatchLike | None = None, *, u_rel: RelativeUncertainty | None = None) -> Reading:
         """Return the radiance of a patch in W·sr⁻¹·m⁻² with its uncertainty.
 
         Args:
@@ -70,7 +71,7 @@ class Meter:
         return instrument.with_origin(instrument.measure(target_u_rel=u_rel))
 
     def bracket(
-        self, patch: PatchLike | None = None, *, darks: int = 0, time_limit_s: float = DEFAULT_TIME_LIMIT_S
+        self, patch: PatchLike | None = None, *, darks: AnyCount = 0, time_limit_s: NotNegative = DEFAULT_TIME_LIMIT_S
     ) -> Stack:
         """Take the exposures that cover the scene.
 
@@ -111,7 +112,7 @@ def open(
     patch: PatchLike | None = None,
     calibration: PathLike | None = None,
     uncalibrated: bool = False,
-    f_number: float | None = None,
+    f_number: FNumber | None = None,
 ) -> Meter:
     """Open a camera as a radiance meter.
 

@@ -20,6 +20,7 @@ from radiometer.errors import UsageError
 from radiometer.photographs.response import relative_calibration
 from radiometer.photographs.scene import Photographs, prepared, with_shutter_doubt
 from radiometer.photographs.stated import with_f_number, with_iso_in_reading
+from radiometer.plausible import FNumber, Iso
 from radiometer.progress import counted, unseen
 from radiometer.reporting.reading_page import check_report_name, write_reading_page
 
@@ -34,9 +35,9 @@ def measure_photographs(
     pattern: str | None = None,
     align: str = "auto",
     linear: bool = False,
-    measured_iso: Mapping[float, float] | None = None,
-    iso: float | None = None,
-    f_number: float | None = None,
+    measured_iso: Mapping[Iso, Iso] | None = None,
+    iso: Iso | None = None,
+    f_number: FNumber | None = None,
     spectrum: str | None = None,
     monte_carlo: bool = False,
     report: PathLike | None = None,

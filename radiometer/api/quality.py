@@ -18,6 +18,7 @@ from radiometer.bench.quality_session import chosen_steps, procedure_named, take
 from radiometer.data import Calibration, SpectralResponse
 from radiometer.data.json_text import json_text
 from radiometer.errors import DeviceError
+from radiometer.plausible import AnyCount, Count, RelativeUncertainty
 from radiometer.progress import counted, unseen
 
 
@@ -92,8 +93,8 @@ def quality_take(
     camera: str | None = None,
     bench: PathLike | None = None,
     patch: PatchLike | None = None,
-    repeat: int = 4,
-    darks: int = 2,
+    repeat: Count = 4,
+    darks: AnyCount = 2,
     ask: Ask | None = None,
     progress: Progress | None = None,
 ) -> list[Path]:
@@ -143,7 +144,7 @@ def quality_report(
     *,
     calibration: PathLike | None = None,
     patch: PatchLike | None = None,
-    source_u_rel: float = SOURCE_U_REL,
+    source_u_rel: RelativeUncertainty = SOURCE_U_REL,
     spectral_response: PathLike | None = None,
     progress: Progress | None = None,
 ) -> QualityReport:

@@ -51,6 +51,7 @@ from radiometer.photographs.scene import (
     merge_photographs,
     prepared,
 )
+from radiometer.plausible import FNumber, Iso
 from radiometer.progress import counted, unseen
 
 if TYPE_CHECKING:
@@ -317,9 +318,9 @@ def merge(
     calibration: Calibration | PathLike | None = None,
     channel: str | None = None,
     pattern: str | None = None,
-    measured_iso: Mapping[float, float] | None = None,
-    iso: float | None = None,
-    f_number: float | None = None,
+    measured_iso: Mapping[Iso, Iso] | None = None,
+    iso: Iso | None = None,
+    f_number: FNumber | None = None,
     linear: bool = False,
     demosaic: bool = False,
     align: str = "auto",

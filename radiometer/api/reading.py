@@ -22,6 +22,7 @@ from radiometer.bench.reopening import reopen
 from radiometer.data import Bracket, CameraDescription, LensDescription, Reading
 from radiometer.data.serials import serial_shown
 from radiometer.errors import DeviceLost, DeviceTimeout, UsageError
+from radiometer.plausible import FNumber, Limit, Period, RelativeUncertainty
 from radiometer.progress import counted
 from radiometer.reporting.reading_page import ReadingRecord, check_report_name, write_reading_page
 
@@ -33,9 +34,9 @@ def measure(
     bench: PathLike | None = None,
     calibration: PathLike | None = None,
     uncalibrated: bool = False,
-    f_number: float | None = None,
+    f_number: FNumber | None = None,
     spectrum: str | None = None,
-    u_rel: float | None = None,
+    u_rel: RelativeUncertainty | None = None,
     darks: bool = False,
     monte_carlo: bool = False,
     report: PathLike | None = None,
@@ -88,15 +89,15 @@ def readings(
     bench: PathLike | None = None,
     calibration: PathLike | None = None,
     uncalibrated: bool = False,
-    f_number: float | None = None,
+    f_number: FNumber | None = None,
     spectrum: str | None = None,
-    u_rel: float | None = None,
+    u_rel: RelativeUncertainty | None = None,
     darks: bool = False,
     monte_carlo: bool = False,
     report: PathLike | None = None,
-    repeat: int = 1,
+    repeat: Limit = 1,
     watch: bool = False,
-    every_s: float = 0.0,
+    every_s: Period = 0.0,
     ask: Ask | None = None,
     notice: Notice = unheard,
     progress: Progress | None = None,

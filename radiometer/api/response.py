@@ -27,6 +27,7 @@ from radiometer.errors import MeasurementError, UsageError
 from radiometer.photographs.response import ENOUGH_PIXELS
 from radiometer.photographs.scene import Photographs, reject_inconsistent_photographs
 from radiometer.photographs.stated import with_gains, with_iso_speeds
+from radiometer.plausible import Iso, Positive
 from radiometer.progress import counted, unseen
 
 if TYPE_CHECKING:
@@ -152,8 +153,8 @@ def recover_response(
     method: str = DEFAULT_METHOD,
     *,
     channel: str = "luminance",
-    known_ratio: Mapping[int, float] | None = None,
-    measured_iso: Mapping[float, float] | None = None,
+    known_ratio: Mapping[int, Positive] | None = None,
+    measured_iso: Mapping[Iso, Iso] | None = None,
     align: str = "auto",
     output: PathLike | None = None,
     plot: PathLike | None = None,

@@ -18,13 +18,15 @@ from radiometer.data.drawing import picture
 from radiometer.data.provenance import utc_now
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
+from radiometer.plausible import Duration, Port, Seed
 from radiometer.progress import counted
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 from radiometer.screen.plan import parse_levels
 from radiometer.screen.report.examination import chosen_methods, examine
 from radiometer.screen.report.figures import Examined, Section
-from radiometer.screen.report.geometry import POINTS, Geometry, geometry_of
+from radiometer.screen.report.geometry import FIELD_SHARE, GEOMETRIES, POINTS, Geometry
+from radiometer.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +40,7 @@ class DisplayReport(Result):
 
     Attributes:
         screen: Name of the screen.
-        geometry: How display and camera stood.
+        geometry: Name of the geometry, how display and camera stood.
         conditions: Measuring conditions that all methods share, a sentence each.
         sections: Results, one section for each method.
         created: When, as ISO 8601 in UTC.
@@ -46,7 +48,7 @@ class DisplayReport(Result):
     """
 
     screen: str
-    geometry: Geometry
+    geometry: str
     conditions: tuple[str, ...]
     sections: tuple[Section, ...]
     created: str
@@ -62,7 +64,7 @@ class DisplayReport(Result):
             "screen": self.screen,
             "created": self.created,
             "measured_with": dict(self.measured_with),
-            "geometry": self.geometry.name,
+            "geometry": self.geometry,
             "conditions": list(self.conditions),
             "methods": {
                 one.method: {
@@ -95,7 +97,7 @@ class DisplayReport(Result):
                     one.title,
                     listed(one.conditions),
                     table(("result", "k = 2"), rows),
-                    "" if one.picture is None else picture(partial(_drawn, one), one.title),
+                    "" if one.picture is None else picture(partial(_drawn, one.picture), one.title),
                     folded("All readings, k = 2", table(one.columns, cells)) if cells else "",
                     *(paragraph(note, "flag") for note in one.notes),
                 )
@@ -107,14 +109,14 @@ class DisplayReport(Result):
         known = self.measured_with
         origin = Origin(
             moment(self.created), known["camera"], known["lens"], known["calibration"], box=self.screen,
-            protocol=f"geometry {self.geometry.name}",
+            protocol=f"geometry {self.geometry}",
         )  # fmt: skip
         text = page(f"display {self.screen}", outcome, parts, kind="display report", origin=origin)
         write_text_atomic(Path(path), text)
 
     def lines(self) -> list[str]:
         """Return every figure and note in plain lines."""
-        found = []
+        found = list[str]()
         for one in self.sections:
             found.append(f"{one.title}  (± by k = 2)" if one.figures else one.title)
             found += [f"  {_in_words(each.name):<28} {each.text}" for each in one.figures]
@@ -131,13 +133,11 @@ def _in_words(name: str) -> str:
     return name.replace("_", " ").replace(" percent", " %").replace(" deg", "°")
 
 
-def _drawn(one: Section, axes: Axes) -> Axes:
-    if one.picture is not None:
-        largest = float(abs(one.picture).max()) or 1.0
-        shown = axes.imshow(one.picture, cmap="RdBu_r", vmin=-largest, vmax=largest)
-        axes.figure.colorbar(shown, ax=axes, label="band-passed, % of the shading")
-        axes.set_xlabel("x (px)")
-        axes.set_ylabel("y (px)")
+def _drawn(mura: Array, axes: Axes) -> Axes:
+    largest = float(abs(mura).max()) or 1.0
+    shown = axes.imshow(mura, cmap="RdBu_r", vmin=-largest, vmax=largest)
+    axes.figure.colorbar(shown, ax=axes, label="band-passed, % of the shading")
+    axes.set(xlabel="x (px)", ylabel="y (px)")
     return axes
 
 
@@ -153,14 +153,14 @@ def screen_report(
     checkers: tuple[int, int] = (4, 4),
     levels: str = "17",
     area: PatchLike | None = None,
-    warm_up_s: float = 900.0,
+    warm_up_s: Duration = 900.0,
     white: str = "white_led",
     primaries: str | None = None,
     camera: str | None = None,
     bench: PathLike | None = None,
     calibration: PathLike | None = None,
-    port: int = 0,
-    seed: int = 1,
+    port: Port = 0,
+    seed: Seed = 1,
     ask: Ask | None = None,
     announce: Callable[[str], None] = lambda url: None,
     notice: Notice = unheard,
@@ -206,7 +206,9 @@ def screen_report(
         DeviceError: If display or camera fails.
         OutputError: If the page cannot be written.
     """
-    known = geometry_of(geometry)
+    if geometry not in GEOMETRIES:
+        raise UsageError(f"geometry {geometry!r} is unknown; choose {', '.join(GEOMETRIES)}")
+    known = GEOMETRIES[geometry]
     turned = tuple(known.angles_deg if angles is None else angles)
     chosen = chosen_methods(methods, turned=bool(turned))
     _refuse(points, checkers, turned)
@@ -222,15 +224,16 @@ def screen_report(
     ) as opened:
         size = opened.instrument.camera.capabilities
         where = as_patch(area) or Patch(0, 0, size.width, size.height)
-        doubts = _conditions(opened, known, where, white, stated)
-        examined = Examined(opened, where, known, lamps, opened.turn or _by_hand(ask), points, checkers, greys, turned)
+        conditions = (f"geometry {geometry}", *_conditions(opened, known, where, white, stated))
+        turn = opened.turn or (lambda angle: (ask or unheard)(f"turn the screen to {angle:g}° from its normal"))
+        examined = Examined(opened, where, lamps, turn, points, checkers, greys, turned)
         found = examine(
             examined, chosen, warm_up_limit_s=warm_up_s, waiting=warming(progress),
             progress=counted(progress, "methods of the report"),
         )  # fmt: skip
         warn_of_page(opened.display, notice)
         with_what = opened.measured_with
-    report = DisplayReport(name or display, known, doubts, found, utc_now(), with_what)
+    report = DisplayReport(name or display, geometry, conditions, found, utc_now(), with_what)
     if out is not None:
         report.write_report(out)
     return report
@@ -246,30 +249,18 @@ def _refuse(points: int, checkers: tuple[int, int], angles: Sequence[float]) -> 
             raise UsageError(f"--angles {angle:g}: at most 80° from the normal")
 
 
-def _by_hand(ask: Ask | None) -> Callable[[float], None]:
-    def turn(angle_deg: float) -> None:
-        if ask is not None:
-            ask(f"turn the screen to {angle_deg:g}° from its normal")
-
-    return turn
-
-
 def _conditions(
     opened: ScreenBench, geometry: Geometry, area: Patch, white: str, primaries: str | None
 ) -> tuple[str, ...]:
     """Return what all methods share, and what of the geometry is in doubt."""
     camera, lens, known = opened.instrument.camera, opened.instrument.lens, opened.instrument.calibration
     model = " ".join(word for word in (camera.identity.vendor, camera.identity.model, camera.identity.serial) if word)
-    scale = (
-        "none: values are relative"
-        if known is None
-        else f"{known.scale.reference or 'as stated'}, {moment(known.created)}"
-    )
+    scale = f"{known.scale.reference or 'as stated'}, {moment(known.created)}" if known else "none: values are relative"
     lines = [
-        f"geometry {geometry.name}",
         *geometry.conditions,
         f"camera {model}; calibration: {scale}",
         f"the screen fills {area.width} × {area.height} pixels at {area.x},{area.y} of the camera's picture",
+        f"measuring fields have {100 * FIELD_SHARE:g} % of the screen's height",
         f"luminance assumes the spectrum {white} for grey"
         + (f", {primaries} for the primaries" if primaries else "")
         + "; u of each luminance holds how displays differ from it",
@@ -280,7 +271,7 @@ def _conditions(
         lines.append(f"entrance pupil of the lens {pupil_mm:.2g} mm")
         if geometry.pupil_mm is not None and not geometry.pupil_mm[0] <= pupil_mm <= geometry.pupil_mm[1]:
             low, high = geometry.pupil_mm
-            lines.append(f"doubt: {geometry.name} needs an entrance pupil of {low:g} to {high:g} mm, as an eye has")
+            lines.append(f"doubt: near_eye needs an entrance pupil of {low:g} to {high:g} mm, as an eye has")
     elif geometry.pupil_mm is not None:
         lines.append("doubt: focal length or f-number of the lens is unknown, so the entrance pupil is as well")
     return tuple(lines)

@@ -40,6 +40,7 @@ from radiometer.devices import Camera, CameraCapabilities
 from radiometer.errors import UsageError
 from radiometer.importing import open_capture
 from radiometer.numbers import unit_text, with_u
+from radiometer.plausible import ExposureSteps, KnownRadiance, RelativeUncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -149,9 +150,9 @@ def characterise(
     *,
     camera: str | None = None,
     bench: PathLike | None = None,
-    radiance: float | None = None,
-    radiance_u_rel: float = 0.0,
-    steps: int = 30,
+    radiance: KnownRadiance | None = None,
+    radiance_u_rel: RelativeUncertainty = 0.0,
+    steps: ExposureSteps = 30,
     keep: PathLike | None = None,
     emva_descriptor: PathLike | None = None,
     taps: str | None = None,

@@ -13,6 +13,7 @@ from radiometer.bench.assembly import open_bench_camera
 from radiometer.bench.instrument import central_patch, refuse_outside
 from radiometer.bench.live_view import LiveView
 from radiometer.data import Patch
+from radiometer.plausible import Count, Period, Port
 
 
 def view(
@@ -20,9 +21,9 @@ def view(
     patch: PatchLike | None = None,
     *,
     bench: PathLike | None = None,
-    port: int = 0,
-    every_s: float = 0.3,
-    frames: int | None = None,
+    port: Port = 0,
+    every_s: Period = 0.3,
+    frames: Count | None = None,
     announce: Callable[[str], None] = lambda url: None,
     notice: Notice = unheard,
     sleep: Callable[[float], None] = time.sleep,

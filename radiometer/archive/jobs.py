@@ -17,11 +17,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.data import Calibration, CaptureSet, Patch, RadianceMap
+from radiometer.data import Bracket, Calibration, CaptureSet, Frame, Patch, RadianceMap
 from radiometer.data.json_text import json_text
 from radiometer.data.provenance import source_hash
 from radiometer.data.setup import Setup
-from radiometer.errors import InputError, MeasurementError, MissingLibrary, OutputError, RadiometerError
+from radiometer.errors import CaptureError, InputError, MeasurementError, MissingLibrary, OutputError, RadiometerError
 
 Row = dict[str, Any]
 COLUMNS: Final = (
@@ -126,7 +126,7 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
 
     header = capture_set.header
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
-    frames = list(capture_set.frames())
+    frames = _lit(capture_set)
     rows: list[Row] = []
     for name, patch in _patches(capture_set, settings, frames[0].shape):
         setup = Setup(header.camera, header.lens, calibration, header.source, None, header.taken)
@@ -136,6 +136,14 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
         if reading.luminance:
             rows.append({**shared, "quantity": "luminance", **reading.luminance.to_mapping()})
     return rows
+
+
+def _lit(capture_set: CaptureSet) -> list[Frame]:
+    """Return the frames with the source on, and dark ones. Raises CaptureError where the source never is."""
+    frames = [one for one in capture_set.frames() if one.settings.is_dark or one.settings.source_level > 0]
+    if all(one.settings.is_dark for one in frames):
+        raise CaptureError(f"{capture_set.path}: holds no frame with the shutter open and the source on")
+    return frames
 
 
 def response(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
@@ -166,7 +174,8 @@ def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
 
     header = capture_set.header
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
-    merged = merge_frames(capture_set.bracket(), Setup(header.camera, header.lens, calibration))
+    bracket = Bracket.from_frames(_lit(capture_set), origin=str(capture_set.path))
+    merged = merge_frames(bracket, Setup(header.camera, header.lens, calibration))
     if settings.maps:
         # Another calibration gives another map, and the one before still belongs to its table.
         name = f"{capture_set.path.name}-{capture_set.content_hash()[:12]}-{settings.fingerprint()[:8]}.zarr"

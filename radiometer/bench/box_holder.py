@@ -9,7 +9,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -29,7 +29,7 @@ class HeldBox:
     serial: str  # its serial number; empty where that program does not answer
     port: str  # the port it is on; empty where that program does not answer
     pid: int  # process that holds it
-    address: Path  # socket on which that program can be asked
+    address: Path | str  # socket on which that program can be asked: a file, or a name without one (unix(7))
 
 
 def account_folder() -> Path:
@@ -82,22 +82,54 @@ def holding(serial: str, port: str, darken: Callable[[], None]) -> Iterator[None
         serial: Serial number of the box held.
         darken: Darkens every channel, or raises DeviceError; called from a separate thread.
     """
-    folder = own_folder(_held_here())
-    address = folder / f"{hashlib.sha256(port.encode()).hexdigest()[:12]}-{os.getpid()}-{threading.get_ident()}"
+    own = f"{os.getpid()}-{threading.get_ident()}"
+    file = own_folder(_held_here()) / f"{hashlib.sha256(port.encode()).hexdigest()[:12]}-{own}"
+    with ExitStack() as held:
+        for address in (file, f"{_of_port(port)}{own}"):
+            held.enter_context(_listening(address, f"{serial} {os.getpid()} {port}", darken))
+        yield
+
+
+@contextmanager
+def _listening(address: Path | str, name: str, darken: Callable[[], None]) -> Iterator[None]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         with _short(address) as short:
             listener.bind(short)
         listener.listen(4)
-        thread = threading.Thread(
-            target=_serve, args=(listener, f"{serial} {os.getpid()} {port}", darken), name="box holder", daemon=True
-        )
+        thread = threading.Thread(target=_serve, args=(listener, name, darken), name="box holder", daemon=True)
         thread.start()
         try:
             yield
         finally:
-            address.unlink(missing_ok=True)
+            if isinstance(address, Path):
+                address.unlink(missing_ok=True)
             listener.shutdown(socket.SHUT_RDWR)
             thread.join(_PATIENCE_S)
+
+
+def _of_port(port: str) -> str:
+    """Return how the names of sockets begin that holders of a port listen on, whatever their state folder is."""
+    real = hashlib.sha256(os.path.realpath(port).encode()).hexdigest()[:12]
+    return f"\0radiometer-box-{os.getuid()}-{real}-"
+
+
+def holder_of(port: str) -> HeldBox | None:
+    """Return the program of this user that holds the light box on a port; None where none of this software does.
+
+    It is found wherever it keeps its state, in this network namespace.
+    """
+    try:
+        listening = Path("/proc/net/unix").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return None
+    beginning = _of_port(port).replace("\0", "@")
+    for address in sorted({line.rpartition(" ")[2] for line in listening}):
+        if address.startswith(beginning):
+            name = address.replace("@", "\0", 1)
+            words = _asked(name, "who").split(" ", 2)
+            if len(words) == 3 and words[1].isdigit():
+                return HeldBox(words[0], words[2], int(words[1]), name)
+    return None
 
 
 def held_boxes() -> list[HeldBox]:
@@ -144,25 +176,31 @@ def darken_held() -> str:
     return f"dark: light box {', '.join(dark)}" if dark else "no program holds a light box, so none is lit"
 
 
-def _asked(address: Path, word: str) -> str:
+def _asked(address: Path | str, word: str) -> str:
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
             line.settimeout(_PATIENCE_S)
             with _short(address) as short:
                 line.connect(short)
+            if _peer_uid(line) not in (os.getuid(), 0):
+                return ""
             line.sendall(word.encode() + b"\n")
             with line.makefile("r", encoding="utf-8", errors="replace") as answer:
                 return answer.readline(_LONGEST_WORD).strip()
     except ConnectionRefusedError:
-        address.unlink(missing_ok=True)
+        if isinstance(address, Path):
+            address.unlink(missing_ok=True)
         return ""
     except OSError:
         return ""
 
 
 @contextmanager
-def _short(address: Path) -> Iterator[str]:
+def _short(address: Path | str) -> Iterator[str]:
     """Name a socket by a path of few bytes: it may have 107, which folders in folders outgrow (unix(7))."""
+    if isinstance(address, str):
+        yield address
+        return
     folder = os.open(address.parent, os.O_PATH | os.O_DIRECTORY)
     try:
         yield f"/proc/self/fd/{folder}/{address.name}"

@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from drivers.light_box.box import FLASH, SerialLightBox
 from drivers.light_box.link import BoxLink
 from drivers.light_box.serial_line import SerialLine, SerialPort, list_serial_ports
-from radiometer.bench.box_holder import account_folder, ask_for_darkness, held_boxes, holding, is_ours
+from radiometer.bench.box_holder import account_folder, ask_for_darkness, held_boxes, holder_of, holding, is_ours
 from radiometer.data.config_files import shipped_config
 from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
@@ -52,6 +52,7 @@ _SILENT: Final[
     dict[str, float]
 ] = {}  # ports that were asked and did not answer as a box, and when they were plugged in
 _DIMMEST_REL: Final = 1e-4  # of the preset's bound: neutral filters before a spot have a density of 3
+_DIM_REL: Final = 0.01  # of the preset's bound: no box is so dim in all of its channels
 _LINKED_WITHIN_S: Final = 0.1  # a box links its terminal at once; the clock of file times ticks in 4 ms
 SIMULATED_PORTS: Final = "simulated-boxes"
 _FORMAT: Final = "radiometer-known-boxes/1"
@@ -305,12 +306,26 @@ def darken(name: str | None = None, channel: str | None = None) -> tuple[list[Da
                 if name is not None and not is_port and box.identity.serial != name:
                     continue
                 dark.append(_darkened(box, channel))
+        except DeviceInUse as error:
+            try:
+                dark.append(_darkened_by_holder(port, error))
+            except DeviceInUse as still:
+                failures.append(still)
         except DeviceNotFound as error:
             if is_port:
                 failures.append(error)
         except DeviceError as error:
             failures.append(error)
     return dark, failures
+
+
+def _darkened_by_holder(port: str, error: DeviceInUse) -> DarkBox:
+    """Have whoever locks a port darken its box, wherever that program keeps its account. Raises DeviceInUse."""
+    held = holder_of(port)
+    if held is None:
+        raise error
+    ask_for_darkness(held)
+    return DarkBox(held.serial, {}, held.pid)
 
 
 def _darkened(box: SerialLightBox, channel: str | None) -> DarkBox:
@@ -428,10 +443,12 @@ def open_light_box(
             remember(box.link.line.name, list_serial_ports())
         with nullcontext() if opened.twin else holding(box.identity.serial, box.link.line.name, box.switch_off):
             yield OpenedBox(box, config, known, opened.wait, opened.twin)
+        box.darken()  # what does not go dark is an error of whoever lit it
 
 
 def _require_plausible(known: LightCalibration, file: Path, box: SerialLightBox, config: LightBoxConfig) -> None:
     """Refuse a calibration that is not of this box's channels: the account of the exposure would count too little."""
+    shares = []
     for name, channel in known.channels.items():
         own, preset = box.channels.get(name), config.channels.get(name)
         if own is None or channel.duty_steps != own.duty_steps:
@@ -443,11 +460,17 @@ def _require_plausible(known: LightCalibration, file: Path, box: SerialLightBox,
         brightest = known.highest_radiance(name, own.level_limit[CurrentRange.HIGH], high=True)
         if preset is not None and brightest is not None:
             bound = preset.radiance_bound_W_per_sr_m2
+            shares.append(brightest / bound)
             if brightest < _DIMMEST_REL * bound:
                 raise CalibrationError(
                     f"{file}: {name} has {brightest:.3g} W·sr⁻¹·m⁻² at its highest level, the preset's bound is "
                     f"{bound:g}. Was a cap or filter before the camera? Calibrate again, or state the bound by --preset"
                 )
+    if shares and max(shares) < _DIM_REL:
+        raise CalibrationError(
+            f"{file}: no channel reaches more than {max(shares):.2g} of the preset's bound. Was a filter before the"
+            " camera? Calibrate again without it, or state the bounds behind a filter of the box by --preset"
+        )
 
 
 def read_box_calibration(path: Path, serial: str) -> LightCalibration:

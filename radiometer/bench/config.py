@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from radiometer.data import LensDescription, Patch, PatchDescription, SourceDescription
 from radiometer.data.config_files import shipped_config
 from radiometer.data.storage import read_yaml
-from radiometer.data.validation import ConfigSection, validate
+from radiometer.data.validation import ConfigSection, Side, refuse_large_frame, validate, within
 from radiometer.errors import ConfigurationError, InputError
 
 DEFAULT_BENCH = "bench-simulated.yaml"
@@ -38,10 +38,16 @@ class SimulatedCameraConfig(ConfigSection):
     black_level_dn: float = Field(64.0, ge=0, description="Black level at power-on in DN.")
     gain_db: float = Field(0.0, ge=0, description="Gain at power-on in dB.")
     pixel_format: str = Field("Mono12", description="GenICam pixel format.")
-    width: int | None = Field(None, gt=0, description="Width in pixels; the preset's by default.")
-    height: int | None = Field(None, gt=0, description="Height in pixels; the preset's by default.")
+    width: Side | None = Field(None, description="Width in pixels; the preset's by default.")
+    height: Side | None = Field(None, description="Height in pixels; the preset's by default.")
     model: str | None = Field(None, description="Camera model with hidden effects, such as `reconcile -o` writes.")
     flicker: FlickerConfig | None = Field(None, description="How the light changes in time; steady by default.")
+
+    @model_validator(mode="after")
+    def _has_pixels_of_a_sensor(self) -> Self:
+        if self.width is not None and self.height is not None:
+            refuse_large_frame(self.width, self.height)
+        return self
 
 
 def _as_text(value: object) -> object:
@@ -75,7 +81,7 @@ class LensConfig(LensDescription):
 
     model_config = ConfigDict(extra="forbid")
     focal_length_mm: float = Field(gt=0, description="Focal length in mm.")
-    f_number: float = Field(gt=0, description="f-number that it is set to.")
+    f_number: Annotated[float, within("f_number")] = Field(description="f-number that it is set to.")
 
     @property
     def description(self) -> LensDescription:
@@ -88,8 +94,8 @@ class PatchConfig(ConfigSection):
 
     x: int = Field(ge=0, description="Left edge.")
     y: int = Field(ge=0, description="Upper edge.")
-    width: int = Field(gt=0, description="Width.")
-    height: int = Field(gt=0, description="Height.")
+    width: Side = Field(description="Width.")
+    height: Side = Field(description="Height.")
 
     @property
     def patch(self) -> Patch:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,16 +42,13 @@ def write_bench(
         patch: Region to measure; None for the middle.
 
     Raises:
-        UsageError: If the camera, or the f-number of a known lens, is missing, or a number is not above 0.
+        UsageError: If the camera, or the f-number of a known lens, is missing.
         ConfigurationError: If the form of bench files does not allow a value.
         OutputError: If the file cannot be written.
     """
     require_name(path)
     if not camera:
         raise UsageError("a bench needs a camera: --camera sim, or the serial number that `radiometer devices` lists")
-    for option, value in (("--focal-length", focal_length_mm), ("--f-number", f_number)):
-        if value is not None and not 0 < value < math.inf:
-            raise UsageError(f"{option} {value:g}: expected a number above 0")
     if focal_length_mm and not f_number:
         raise UsageError("a lens of known focal length needs its f-number: --f-number 4")
     lens = {"focal_length_mm": focal_length_mm, "f_number": f_number} if focal_length_mm else None

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.colour.plausible import GRID_NM, display_primaries, display_whites
 from radiometer.analysis.merge.bracket import merge
+from radiometer.analysis.photometry.displays import GRID_NM, display_primaries, display_whites
 from radiometer.analysis.photometry.photometry import (
     CRT,
     DISPLAY_TYPES,

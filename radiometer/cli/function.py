@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final, get_args, get_origin
 import typer
 
 import radiometer as rm
+from radiometer import plausible
 from radiometer.cli.console import asker, note, progress
 from radiometer.cli.options import JsonOption
 from radiometer.cli.outputs import writes
@@ -29,6 +30,7 @@ _KINDS: Final = {
     "float": float,
     "Sequence": list[str],
     "Mapping": list[str],
+    **{name: of for name, of in vars(plausible).items() if get_origin(of) is Annotated},
 }
 _DRAWN: Final = {
     "plot": "Picture to draw: PNG, PDF or SVG.",
@@ -140,11 +142,12 @@ def _value(default: ast.expr | None) -> Any:
 def _annotation(name: str, kind: str, default: Any, stated: Any, said: str) -> Any:
     """Return the annotation that typer reads of a parameter, as the command line writes it."""
     whole = get_origin(stated) is Annotated
-    info = copy.copy(get_args(stated)[1] if whole else stated or typer.Option())
+    info = copy.copy(get_args(stated)[-1] if whole else stated or typer.Option())
     if kind == "bool" and not info.param_decls:  # without its opposite
         info.param_decls = (f"--{name.replace('_', '-')}",)
     info.help = info.help or said
     if whole:
-        return Annotated[get_args(stated)[0], info]
-    word = str if info.parser else next((of for known, of in _KINDS.items() if known in kind), str)
+        return Annotated[(*get_args(stated)[:-1], info)]
+    names = re.findall(r"\w+", kind)
+    word = str if info.parser else next((of for known, of in _KINDS.items() if known in names), str)
     return Annotated[word | None if default is None else word, info]

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand
+from typer.models import ParameterInfo
 
+from radiometer.argument_types import range_of
 from radiometer.cli.arguments import parse_f_number, parse_relative
 from radiometer.errors import UsageError
+from radiometer.plausible import LARGEST, Seed
 
 
 def relative_option(name: str, text: str) -> Any:
@@ -60,7 +64,7 @@ TapsOption = Annotated[
         help="Output amplifiers: COLUMNSxROWS of equal parts (2x2), or find. Default: what the files state.",
     ),
 ]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random draws.")]
+SeedOption = Annotated[Seed, typer.Option("--seed", help="Seed of the random draws.")]
 
 
 class OnceCommand(TyperCommand):
@@ -89,8 +93,24 @@ class Commands(typer.Typer):
         super().__init__(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, **how)
 
     def command(self, name: str | None = None, **how: Any) -> Any:
-        """Return the decorator of a command."""
-        return super().command(name, cls=OnceCommand, **how)
+        """Return the decorator of a command; the range that an option's type states bounds the option."""
+        make = super().command(name, cls=OnceCommand, **how)
+        return lambda function: make(_with_ranges(function))
+
+
+def _with_ranges(function: Any) -> Any:
+    """Return a command whose options have the ranges that their types state (`plausible`), and plain types."""
+    signature, plain = inspect.signature(function, eval_str=True), get_type_hints(function)
+    parameters = []
+    for one in signature.parameters.values():
+        allowed, info = range_of(one.annotation), next(reversed(get_args(one.annotation)), None)
+        if allowed is not None and isinstance(info, ParameterInfo):
+            info.min = allowed.low if allowed.low > -LARGEST else None
+            info.max = allowed.high if allowed.high < LARGEST else None
+            one = one.replace(annotation=Annotated[plain[one.name], info])
+        parameters.append(one)
+    function.__signature__ = signature.replace(parameters=parameters)
+    return function
 
 
 def command_group(text: str) -> typer.Typer:

@@ -20,6 +20,7 @@ from radiometer.daemon.keeper import DeviceKeeper
 from radiometer.daemon.lateness import Lateness
 from radiometer.data import Patch, Reading
 from radiometer.errors import DeviceError, RadiometerError, SettingOutOfRange, UsageError
+from radiometer.numbers import unit_text
 
 _log = structlog.get_logger(__name__)
 ALARM: Final = "measurement"
@@ -99,6 +100,16 @@ class Acquisition:
         if every_s is None:
             self._round.clear()
             self._alarms.clear(ALARM, "continuous measurement was ended")
+        self._wake.set()
+
+    def hasten(self, name: str) -> None:
+        """Measure a patch next, "main" the one for all, where any is measured continuously."""
+        if self._every_s is None:
+            return
+        if name in self.named:
+            self._round.append(name)
+        else:
+            self._due_at = time.monotonic()
         self._wake.set()
 
     def check_settings(self, settings: MeasurementSettings) -> None:
@@ -181,7 +192,7 @@ class Acquisition:
 
     async def _serve(self, request: _Request) -> None:
         try:
-            committed = await self._measure(self._origin(request))
+            _, committed = await self._measure(self._origin(request))
         except RadiometerError as error:
             request.done.set_exception(error)
             return
@@ -192,9 +203,10 @@ class Acquisition:
         self._due_at = max(self._due_at + every_s, time.monotonic())
         started = time.monotonic()
         try:
-            await self._measure(Origin(self.settings))
+            reading, _ = await self._measure(Origin(self.settings))
             self._lateness.took(time.monotonic() - started)
-            self._alarms.clear(ALARM)
+            if self._every_s is not None:
+                self._judge(ALARM, "the shared patch", reading)
         except DeviceError:
             self._due_at = time.monotonic() + _PAUSE_AFTER_ERROR_S  # the keeper has its alarm up already
         except RadiometerError as error:
@@ -209,10 +221,12 @@ class Acquisition:
             return  # deleted meanwhile
         alarm = f"{ALARM} {name}"
         try:
-            await self._measure(Origin(replace(self.settings, patch=patch), name=name))
-            self._alarms.clear(alarm)
+            reading, _ = await self._measure(Origin(replace(self.settings, patch=patch), name=name))
+            if name in self.named:
+                self._judge(alarm, f"patch {name}", reading)
         except DeviceError:
             self._round.clear()
+            self._due_at = min(self._due_at, time.monotonic() + _PAUSE_AFTER_ERROR_S)  # all are tried again
         except RadiometerError as error:
             self._alarms.put_up(alarm, f"measuring patch {name} failed: {error}")
 
@@ -222,7 +236,19 @@ class Acquisition:
             return Origin(request.settings)
         return Origin(request.settings, tuple(filter(None, request.sessions)) or ("unnamed",))
 
-    async def _measure(self, origin: Origin) -> asyncio.Future[Reading]:
+    def _judge(self, alarm: str, patch: str, reading: Reading) -> None:
+        """Alarm where a reading is a lower bound only: every frame clipped, so that nothing was measured."""
+        if (limit := reading.lower_limit) is not None:
+            self._alarms.put_up(
+                alarm,
+                f"{patch} cannot be measured: its pixels are saturated even in the shortest exposure"
+                f" (above {limit.value:.3g} {unit_text(limit.unit)}); shorten the exposure, close the lens, or dim the"
+                " light",
+            )
+        else:
+            self._alarms.clear(alarm)
+
+    async def _measure(self, origin: Origin) -> tuple[Reading, asyncio.Future[Reading]]:
         started = time.perf_counter()
         self.busy = True
         try:
@@ -234,7 +260,7 @@ class Acquisition:
             self.busy = False
         self._on_measured(measurement, origin, time.perf_counter() - started)
         reading = replace(measurement.reading, name=origin.name, session=",".join(origin.sessions))
-        return self._writer.submit(reading, origin)
+        return reading, self._writer.submit(reading, origin)
 
     def _refuse_outside(self, name: str, value: float, low: float, high: float, unit: str) -> None:
         if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):

@@ -39,16 +39,17 @@ KINDS: Final = (
               "a reading of it is in the journal, or continuous measurement ended"),
     AlarmKind("reading PATCH", "the same for a patch with a name", "a reading of it came, or it was deleted"),
     AlarmKind("stopped",
-              "continuous measurement was stopped, or its period set to over 5 times that at start (and 10 s), "
-              "although a patch has limits",
-              "it goes on, or no patch has limits"),
+              "a patch has limits, and nothing is measured continuously, or at a period of over 5 times that at which "
+              "they were set (and 10 s)",
+              "it is, at a shorter period, or no patch has limits"),
     AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch, or are bounds (clipped, "
-              "or below noise) that cannot show whether they are",
+              "or below noise) or of another unit, which cannot show whether they are",
               "two in a row are back inside by the hysteresis, or the limits or the patch changed"),
     AlarmKind("calibration", "the calibration could not be read again, and the old one stays in use",
               "it was read again"),
-    AlarmKind("mqtt", "the broker is away, refuses, or does not acknowledge what is published",
-              "it is connected and has acknowledged everything"),
+    AlarmKind("mqtt", "the broker is away, refuses, or does not acknowledge what is published; or another daemon "
+              "publishes as the same instrument",
+              "it is connected and has acknowledged everything; no other one did for 15 s"),
     AlarmKind("descriptors", "the system gives no more file descriptors, so that new clients are not served",
               "a tenth of them is free again"),
 )  # fmt: skip

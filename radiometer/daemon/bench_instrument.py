@@ -6,7 +6,7 @@ import math
 import time
 import zlib
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -364,7 +364,8 @@ class BenchLight:
     def close(self) -> None:
         """Switch every channel off and release the box."""
         self._box = None
-        self._held.close()
+        with suppress(DeviceError):  # lost, or not dark: its dead-man timer ends the light
+            self._held.close()
 
     def check(self) -> DeviceReport:
         """Ask the box for temperature, counts and what each channel really does. Raises DeviceError."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US, refuse_foreign_objects
+from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US, PLACE_OF, SCHEMA_VERSION, refuse_foreign_objects
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data.json_text import parsed_json
 from radiometer.data.reader_limits import refuse_endless
@@ -27,18 +27,19 @@ CSV_COLUMNS: Final = (
     "session",
 )  # fmt: skip
 _FINE_US: Final = 7_500_000_000  # two hours and a bit: up to here readings, beyond it minutes
-_FINE_TREND: Final = """
+_FINE_TREND: Final = f"""
 SELECT time_us / ? AS bucket, avg(radiance), avg(coalesce(json_extract(json, '$.radiance.u'), 0)), min(radiance),
-    max(radiance), count(*), sum(flags <> ''), json_extract(json, '$.radiance.unit') AS unit
+    max(radiance), count(*), sum(flags <> ''), json_extract(json, '$.radiance.unit') AS unit,
+    {PLACE_OF.format("json")} AS place
 FROM (SELECT * FROM readings INDEXED BY readings_by_time
     WHERE stream = ? AND time_us >= ? AND time_us < ? AND radiance IS NOT NULL)
-GROUP BY bucket, unit ORDER BY bucket
+GROUP BY bucket, unit, place ORDER BY bucket, min(time_us)
 """
 _COARSE_TREND: Final = """
 SELECT minute / ? AS bucket, sum(total) / sum(count), sum(total_u) / sum(count), min(low), max(high), sum(count),
-    sum(flagged), unit
+    sum(flagged), unit, place
 FROM (SELECT * FROM trend WHERE stream = ? AND minute >= ? AND minute < ?)
-GROUP BY bucket, unit ORDER BY bucket
+GROUP BY bucket, unit, place ORDER BY bucket, min(minute)
 """
 _STEPS_BETWEEN_CHECKS: Final = 10_000  # of SQLite's machine: short against any deadline
 
@@ -91,6 +92,7 @@ class TrendPoint:
     count: int  # how many readings
     flagged: int  # how many of them have a flag
     unit: str  # unit of the radiances
+    place: str = ""  # camera and patch that they are of
 
 
 class JournalReader:
@@ -131,6 +133,8 @@ class JournalReader:
     def trend(self, stream: str, since_us: int, until_us: int, points: int = 1500) -> list[TrendPoint]:
         """Return the course of a stream, oldest first, as means over times that suit the number of points.
 
+        Readings of two places, where a patch was moved or another camera serves, share no mean.
+
         Args:
             stream: The stream, "" for the patch measured for all.
             since_us: From this time on, µs since 1970.
@@ -143,7 +147,7 @@ class JournalReader:
         span_us = max(until_us - since_us, 1)
         with self._connect() as connection:
             (version,) = connection.execute("PRAGMA user_version").fetchone()
-            if version < 2:
+            if version < SCHEMA_VERSION:
                 return []
             if span_us <= _FINE_US:
                 bucket_us = max(1, span_us // points)

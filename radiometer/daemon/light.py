@@ -129,6 +129,8 @@ class Light:
             DeviceError: If a channel could not be darkened.
         """
         box, keeper = self._present()
+        if not box.channels:
+            raise DeviceLost(f"the light box was never reached, so nothing was darkened: {keeper.loss_message()}")
         self._darkness_of(asker, *box.channels)
         dark, failures = list[str](), list[DeviceError]()
 

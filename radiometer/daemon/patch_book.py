@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from radiometer.daemon.acquisition import ALARM as MEASUREMENT_ALARM
 from radiometer.daemon.acquisition import Acquisition
@@ -16,6 +16,9 @@ from radiometer.daemon.patches import MAIN, MOST_PATCHES, NamedPatch, PatchLimit
 from radiometer.daemon.state import patch_mapping
 from radiometer.data import Patch, Reading
 from radiometer.errors import UsageError
+
+_SLOW: Final = 5.0  # times the period at which limits were set: they are hardly watched then
+_SLOW_S: Final = 10.0  # a shorter period than this watches them well enough
 
 
 class PatchBook:
@@ -50,10 +53,11 @@ class PatchBook:
         acquisition.check_settings(replace(acquisition.settings, patch=patch))
         if name not in acquisition.named and len(acquisition.named) >= MOST_PATCHES:
             raise UsageError(f"there are {MOST_PATCHES} patches with names already; delete one first")
-        limits = self.watches[name].limits if name in self.watches else PatchLimits()
+        before = self.watches.get(name, PatchWatch())
         self._metrics.drop_patch(name)
-        self.watches[name] = PatchWatch(limits)
+        self.watches[name] = PatchWatch(before.limits, before.every_s)
         acquisition.named[name] = patch
+        acquisition.hasten(name)
         self._lateness.expect(name)
         self._keep(name)
         self._alarms.clear(limit_alarm(name), "the patch was moved")
@@ -76,7 +80,11 @@ class PatchBook:
 
     def set_limits(self, name: str, limits: PatchLimits) -> None:
         """Alarm where a patch leaves its limits. Raises UsageError if there is no such patch."""
-        self._watch(name).limit(limits)
+        watch = self._watch(name)
+        watch.limit(limits)
+        if watch.every_s is None or not limits.any:
+            watch.every_s = self._acquisition.every_s if limits.any else None
+        self._acquisition.hasten(name)
         self._metrics.limit_alarm.labels(name).set(0)
         self._keep(name)
         self._alarms.clear(limit_alarm(name), "the limits were set anew")
@@ -85,9 +93,21 @@ class PatchBook:
         self._changed()
 
     @property
-    def limited(self) -> list[str]:
-        """Return the names of the patches that have limits."""
-        return [name for name, watch in self.watches.items() if (watch.limits.low, watch.limits.high) != (None, None)]
+    def unwatched(self) -> list[str]:
+        """Return the names of the patches with limits that no continuous measurement, or too rare a one, watches.
+
+        Limits are to be watched at the period at which they were set, or the first one after it, whatever daemon
+        measures since then.
+        """
+        every_s = self._acquisition.every_s
+        for name, watch in self.watches.items():
+            if watch.limits.any and watch.every_s is None and every_s is not None:
+                watch.every_s = every_s
+                self._keep(name)
+        limited = {name: watch for name, watch in self.watches.items() if watch.limits.any}
+        if every_s is None:
+            return list(limited)
+        return [n for n, watch in limited.items() if every_s > max(_SLOW * (watch.every_s or 0.0), _SLOW_S)]
 
     def latest_of(self, name: str) -> Reading | None:
         """Return the latest reading of a patch, "main" for the one for all. Raises UsageError if there is no such."""
@@ -97,6 +117,9 @@ class PatchBook:
         """Take a committed reading of a patch: it is its latest, and may break its limits."""
         self._lateness.came(name)
         watch = self.watches[name]
+        if watch.limits.any and not watch.limits.unit:
+            watch.limits = replace(watch.limits, unit=reading.radiance.unit)
+            self._keep(name)
         if not watch.take(reading):
             return
         self._metrics.limit_alarm.labels(name).set(bool(watch.breached))
@@ -107,14 +130,15 @@ class PatchBook:
 
     def forget_main(self) -> None:
         """Forget the readings of the patch for all: it is another place, or another wavelength, now."""
-        self.watches[MAIN] = PatchWatch(self.watches[MAIN].limits)
+        before = self.watches[MAIN]
+        self.watches[MAIN] = PatchWatch(before.limits, before.every_s)
         self._alarms.clear(limit_alarm(MAIN), "the patch was moved")
 
     def restore(self, kept: Mapping[str, str]) -> None:
         """Take over what the journal has kept of patches, as lines of JSON by name."""
         for name, line in kept.items():
             named = NamedPatch.from_json(name, line)
-            self.watches[name] = PatchWatch(named.limits)
+            self.watches[name] = PatchWatch(named.limits, named.every_s)
             if name != MAIN:
                 self._acquisition.named[name] = named.patch
                 self._lateness.expect(name)
@@ -137,8 +161,9 @@ class PatchBook:
         return self.watches[name]
 
     def _keep(self, name: str) -> None:
+        watch = self.watches[name]
         patch = self._acquisition.named.get(name, Patch(0, 0, 0, 0))  # of the one for all only its limits are kept
-        self._writer.keep_patch(name, NamedPatch(name, patch, self.watches[name].limits).to_json())
+        self._writer.keep_patch(name, NamedPatch(name, patch, watch.limits, watch.every_s).to_json())
 
 
 def limit_alarm(name: str) -> str:

@@ -10,6 +10,7 @@ from typing import Any, Final
 from radiometer.data import Flag, Patch, Reading
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.errors import InputError, UsageError
+from radiometer.numbers import unit_text
 
 MAIN: Final = "main"  # means the patch that is measured for all where a name is asked for
 MOST_PATCHES: Final = 12  # engineering choice: each takes a measurement in every period
@@ -27,6 +28,7 @@ class PatchLimits:
     high: float | None = None  # highest; None for no bound
     # By which part of a limit the radiance must be back inside before the alarm goes
     hysteresis_rel: float = DEFAULT_HYSTERESIS_REL
+    unit: str = ""  # unit of both, that of the first reading compared with them; "" before there was one
 
     def __post_init__(self) -> None:
         for value in (self.low, self.high):
@@ -37,19 +39,26 @@ class PatchLimits:
         if not 0.0 <= self.hysteresis_rel <= 0.5:
             raise UsageError(f"the hysteresis must be 0 to 0.5 of the limit, not {self.hysteresis_rel:g}")
 
-    def to_mapping(self) -> dict[str, float | None]:
-        """Return {low, high, hysteresis_rel}."""
-        return {"low": self.low, "high": self.high, "hysteresis_rel": self.hysteresis_rel}
+    @property
+    def any(self) -> bool:
+        """Return whether there is a limit at all."""
+        return (self.low, self.high) != (None, None)
+
+    def to_mapping(self) -> dict[str, float | str | None]:
+        """Return {low, high, hysteresis_rel, unit}."""
+        return {"low": self.low, "high": self.high, "hysteresis_rel": self.hysteresis_rel, "unit": self.unit}
 
     def breach(self, reading: Reading, *, standing: bool) -> str:
         """Return which limit a reading breaks, "" where it is well, UNSEEN where the reading cannot show it.
 
         A saturated value is a lower bound and one below the noise an upper bound: neither breaks the limit that it may
-        well be within, nor shows that it is within.
+        well be within, nor shows that it is within. A value in another unit than the limits shows nothing.
 
         Args:
             standing: Whether an alarm is up: then the limits are drawn in by the hysteresis.
         """
+        if self.is_of_other_unit(reading):
+            return UNSEEN
         value, drawn_in = reading.radiance.value, self.hysteresis_rel if standing else 0.0
         least, most = -math.inf if _is_upper_bound(reading) else value, math.inf if _is_lower_bound(reading) else value
         high = math.inf if self.high is None else self.high - abs(self.high) * drawn_in
@@ -60,12 +69,17 @@ class PatchLimits:
             return "low"
         return "" if low <= least and most <= high else UNSEEN
 
+    def is_of_other_unit(self, reading: Reading) -> bool:
+        """Return whether a reading has another unit than the limits, so that nothing can be compared."""
+        return self.any and self.unit not in ("", reading.radiance.unit)
+
 
 @dataclass(slots=True)
 class PatchWatch:
     """Follows one patch: its latest reading, and whether it keeps within its limits."""
 
     limits: PatchLimits = field(default_factory=PatchLimits)  # the limits
+    every_s: float | None = None  # period in s at which they are to be watched; None where it is not known yet
     latest: Reading | None = None  # its latest reading; None where there is none
     breached: str = ""  # which limit it is beyond, as alarmed; "" where it is well, UNSEEN where that is not known
     _saying: str = ""
@@ -91,6 +105,11 @@ class PatchWatch:
     def message(self, name: str) -> str:
         """Return what is wrong in words."""
         assert self.latest is not None
+        if self.limits.is_of_other_unit(self.latest):
+            return (
+                f"patch {name} reads {self.latest}, but its limits are in {unit_text(self.limits.unit)}: they are not"
+                " compared; measure in that unit, or set the limits anew"
+            )
         if self.breached == UNSEEN:
             return f"patch {name} reads {self.latest}: whether it keeps its limits cannot be seen; change the exposure"
         limit = self.limits.high if self.breached == "high" else self.limits.low
@@ -105,19 +124,22 @@ class NamedPatch:
     name: str  # its name
     patch: Patch  # where it is
     limits: PatchLimits = field(default_factory=PatchLimits)  # between which radiances it should stay
+    every_s: float | None = None  # period in s at which the limits are to be watched; None where it is not known
 
     def to_json(self) -> str:
         """Return it as one line of JSON."""
         patch = self.patch
         where = {"x": patch.x, "y": patch.y, "width": patch.width, "height": patch.height}
-        return json_text({"patch": where, "limits": self.limits.to_mapping()})
+        return json_text({"patch": where, "limits": self.limits.to_mapping(), "every_s": self.every_s})
 
     @classmethod
     def from_json(cls, name: str, line: str) -> NamedPatch:
         """Return the patch that a line of JSON describes. Raises InputError if it describes none."""
         try:
             content: Mapping[str, Any] = parsed_json(line)
-            return cls(name, Patch(**content["patch"]), PatchLimits(**content["limits"]))
+            every_s = content.get("every_s")  # daemons before kept none
+            period_s = None if every_s is None else float(every_s)
+            return cls(name, Patch(**content["patch"]), PatchLimits(**content["limits"]), period_s)
         except (ValueError, KeyError, TypeError, RecursionError, UsageError) as error:
             raise InputError(
                 f"what the journal keeps of patch {name[:40]!r} is damaged ({type(error).__name__}); move the journal "

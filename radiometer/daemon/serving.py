@@ -27,6 +27,7 @@ from radiometer.daemon.mqtt import parse_target
 from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station
 from radiometer.errors import ConfigurationError
+from radiometer.plausible import Days, Megabytes, Period, Port, RequestRate
 
 TOKEN_VARIABLE: Final = "RADIOMETER_TOKEN"  # name of a variable, no token
 MQTT_PASSWORD_VARIABLE: Final = "RADIOMETER_MQTT_PASSWORD"  # name of a variable, no password
@@ -96,19 +97,19 @@ def serve(
     box: str | None = None,
     box_preset: PathLike | None = None,
     patch: PatchLike | None = None,
-    every_s: float = 1.0,
+    every_s: Period = 1.0,
     on_demand: bool = False,
     journal: PathLike | None = None,
-    keep_days: float | None = None,
-    journal_max_mb: float | None = None,
+    keep_days: Days | None = None,
+    journal_max_mb: Megabytes | None = None,
     scpi_address: str = "127.0.0.1",
-    scpi_port: int = 5025,
+    scpi_port: Port = 5025,
     scpi_socket: PathLike | None = None,
     scpi_allow: Sequence[str] = (),
     http_address: str = "127.0.0.1",
-    http_port: int = 8080,
+    http_port: Port = 8080,
     token_file: PathLike | None = None,
-    http_rate: float = 100.0,
+    http_rate: RequestRate = 100.0,
     scpi: bool = True,
     http: bool = True,
     mqtt: str | None = None,

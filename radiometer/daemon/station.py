@@ -32,8 +32,6 @@ from radiometer.errors import RadiometerError, UsageError
 
 _log = structlog.get_logger(__name__)
 _LONGEST_REMARK = 500  # a paragraph; it is one line of the log
-_SLOW = 5.0  # times the period at the start: limits are hardly watched then
-_SLOW_S = 10.0  # a shorter period than this watches them well enough
 
 
 class Station:
@@ -72,8 +70,6 @@ class Station:
         )
         self.clock = ClockWatch(self._clock_jumped)
         self.latest_jump: Jump | None = None
-        self._first_every_s = 0.0  # period that the daemon was started with; 0 before there is one
-        self._was_stopped = False  # by a client: a daemon that measures on demand alone was not
         self.started = time.monotonic()
         self.on_change: list[Callable[[], None]] = []
         self._tasks: list[asyncio.Task[None]] = []
@@ -145,23 +141,19 @@ class Station:
         """Set the period of continuous measurement in s; None stops it. Raises SettingOutOfRange."""
         before = self.acquisition.every_s
         self.acquisition.set_every(every_s)
-        if every_s is None:
-            self._was_stopped = before is not None or self._was_stopped
-        else:
-            self._first_every_s = self._first_every_s or every_s
-            self._was_stopped = every_s > max(_SLOW * self._first_every_s, _SLOW_S)
         if before is not None and before != every_s:
             now = "stopped" if every_s is None else f"set to a period of {every_s:g} s"
             self.writer.note("period", f"continuous measurement, every {before:g} s before, was {now}")
         self._patches_changed()
 
     def _patches_changed(self) -> None:
-        """Alarm where a client stopped the measurement that watches the limits of patches."""
-        if self._was_stopped and self.patches.limited:
-            limited = ", ".join(self.patches.limited)
+        """Alarm where patches have limits that no measurement watches."""
+        if unwatched := self.patches.unwatched:
             every_s = self.acquisition.every_s
-            now = "was stopped" if every_s is None else f"takes place every {every_s:g} s only"
-            self.alarms.put_up("stopped", f"continuous measurement {now}: limits of {limited} are not watched")
+            now = "does not take place" if every_s is None else f"takes place every {every_s:g} s only"
+            self.alarms.put_up(
+                "stopped", f"continuous measurement {now}: limits of {', '.join(unwatched)} are not watched"
+            )
         else:
             self.alarms.clear("stopped")
         self.publish_status()

@@ -20,7 +20,7 @@ from radiometer.data.provenance import Provenance, is_out_of_date, utc_now
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.data.storage import read_yaml, write_yaml_atomic
-from radiometer.data.validation import FileSection, validate, within
+from radiometer.data.validation import FileSection, Side, validate, within
 from radiometer.errors import CalibrationError
 
 ScaleMethod = Literal["known_radiance", "light_meter_k", "datasheet", "relative"]
@@ -104,7 +104,7 @@ class FlatField(FileSection):
     radius_px: float = Field(gt=0)  # radius at which ρ is 1
     coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)  # k₂, k₄, k₆
     u_rel: float = Field(0.0, ge=0)  # relative standard uncertainty of the correction at a pixel
-    shape: tuple[int, int]  # (height, width) of the frames it was made from; it fits no other size
+    shape: tuple[Side, Side]  # (height, width) of the frames it was made from; it fits no other size
     f_number: Annotated[float | None, within("f_number")] = None  # f-number it was made at; vignetting changes with it
 
     def at(self, x_px: NDArray[np.float64], y_px: NDArray[np.float64]) -> NDArray[np.float64]:

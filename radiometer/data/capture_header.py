@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from radiometer.data.reading import Patch
-from radiometer.data.validation import FileSection, within
+from radiometer.data.validation import FileSection, Side, within
 from radiometer.data.white_level import WhiteLevel
 
 LensHandling = Literal["reseated", "refocused", "iris_reset"]
@@ -25,8 +25,8 @@ class TapDescription(FileSection):
     name: str
     x: int = Field(ge=0)
     y: int = Field(ge=0)
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
+    width: Side
+    height: Side
     overscan: tuple[tuple[int, int, int, int], ...] = ()
     first_pixel: Literal["upper left", "upper right", "lower left", "lower right"] | None = None
     conversion_gain_e_per_dn: float | None = Field(None, gt=0)
@@ -54,7 +54,7 @@ class CameraDescription(FileSection):
     dark_current_e_per_s: float | None = Field(None, ge=0)
     dark_current_reference_C: Annotated[float | None, within("temperature")] = None  # noqa: N815 (the file's key)
     dark_current_doubling_K: Annotated[float | None, within("doubling")] = None  # noqa: N815
-    black_level_dn: float | None = None
+    black_level_dn: Annotated[float | None, within("black_level")] = None
     white_level_dn: float | None = Field(None, gt=0)  # from which pixels are saturated, where the camera states it
     quantum_efficiency: float | None = Field(None, gt=0, le=1)
     mosaic: Literal["RGGB", "GRBG", "GBRG", "BGGR"] | None = None  # colour filters of 2 × 2 pixels, row by row
@@ -141,8 +141,8 @@ class PatchDescription(FileSection):
     name: str = Field(description="Its name.")
     x: int = Field(ge=0, description="Left edge in pixels.")
     y: int = Field(ge=0, description="Upper edge in pixels.")
-    width: int = Field(gt=0, description="Width in pixels.")
-    height: int = Field(gt=0, description="Height in pixels.")
+    width: Side = Field(description="Width in pixels.")
+    height: Side = Field(description="Height in pixels.")
     radiance_W_per_sr_m2: float | dict[str, float] | None = Field(  # noqa: N815 (the file's key)
         None, description="Radiance in W·sr⁻¹·m⁻² at source level 1, or one for each pattern; unknown by default."
     )

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final, Literal, Protocol, Self
 
 import cv2
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from radiometer.data.bracket import Bracket
 from radiometer.data.capture_header import (
@@ -26,7 +26,7 @@ from radiometer.data.capture_header import (
 )
 from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
-from radiometer.data.guards import refuse_large_picture
+from radiometer.data.guards import refuse_endless_tiff, refuse_large_picture
 from radiometer.data.mosaic import in_planes, plane_of
 from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
@@ -56,7 +56,7 @@ class FrameEntry(FileSection):
     exposure_s: Annotated[float, within("exposure")]  # 0 means a bias frame: shutter closed, read out at once
     gain_db: Annotated[float, within("gain")] = 0.0
     f_number: Annotated[float | None, within("f_number")] = None
-    black_level_dn: float | None = None
+    black_level_dn: Annotated[float | None, within("black_level")] = None
     temperature_C: Annotated[float | None, within("temperature")] = None  # noqa: N815 (the file's key)
     timestamp_s: float | None = None
     source_level: float = Field(1.0, ge=0)
@@ -116,11 +116,17 @@ class SettingStatistics(FileSection):
         return FrameSettings(**{name: getattr(self, key) for name, key in known.items()})
 
 
+def _as_moment(text: str | None) -> str | None:
+    if text is not None:
+        moment_of(text)
+    return text
+
+
 class CaptureHeader(FileSection):
     """The whole of `capture.yaml`."""
 
     format: str = FORMAT
-    created: str | None = None  # when it was taken: ISO 8601 time in UTC
+    created: Annotated[str | None, AfterValidator(_as_moment)] = None  # when it was taken: ISO 8601 time in UTC
     camera: CameraDescription
     lens: LensDescription = LensDescription()
     source: SourceDescription = SourceDescription()
@@ -136,10 +142,7 @@ class CaptureHeader(FileSection):
         A text without a zone counts as UTC, as the form says.
         """
         if self.created is not None:
-            try:
-                return moment_of(self.created)
-            except ValueError:
-                return None
+            return moment_of(self.created)
         stamp = self.frames[0].timestamp_s if self.frames else None
         return dt.datetime.fromtimestamp(stamp, dt.UTC) if stamp is not None and UNIX_S[0] < stamp < UNIX_S[1] else None
 
@@ -371,6 +374,9 @@ def read_digital_numbers(path: Path) -> DigitalNumbers:
         raise CaptureError(f"cannot read frame {path}: {error.strerror or error}") from error
     _refuse_truncated(path, head=content[:8].tobytes(), tail=content[-16:].tobytes())
     refuse_large_picture(path, content.tobytes())
+    is_tiff = content[:4].tobytes() in (b"II*\x00", b"MM\x00*")
+    if is_tiff and (pages := refuse_endless_tiff(path, content.tobytes())) > 1:
+        raise CaptureError(f"{path}: a TIFF of {pages} pages; a frame is one picture: save each page as a file")
     image = decoded(content)
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); capture it again")
@@ -405,6 +411,11 @@ def _checked_header(header_path: Path) -> CaptureHeader:
             raise CaptureError(f"{header_path}: frame {entry.file!r} is outside the capture set")
         if not is_there:
             raise CaptureError(f"{header_path}: frame {entry.file!r} does not exist; the capture set is incomplete")
+        if (entry.black_level_dn or 0.0) >= header.camera.full_scale_dn:
+            raise CaptureError(
+                f"{header_path}: frame {entry.file!r}: black level {entry.black_level_dn:g} DN is not below full scale,"
+                f" {header.camera.full_scale_dn} DN; correct it"
+            )
     _refuse_patches_outside(header, header_path)
     return header
 

@@ -28,6 +28,7 @@ DEEPEST_NESTING: Final = 64  # files of this program nest some ten levels
 MOST_SCANS: Final = 100
 MOST_ENTRIES: Final = 5_000_000  # after all repetitions are written out
 _Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_SUBFILE: Final = 254  # NewSubfileType; bit 0: a smaller copy of another picture (TIFF 6.0, section 8)
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # PNG specification, 11.2.2: channels of each colour type
 _HDR_RESOLUTION: Final = re.compile(rb"[-+][XY] +(\d{1,12}) +[-+][XY] +(\d{1,12})\s")
@@ -140,11 +141,11 @@ def _tiff_sizes(content: bytes) -> list[tuple[int, int, int, int]]:
     return [(found[256], found[257], found[277], found[258])]
 
 
-def refuse_endless_tiff(path: Path, content: bytes) -> None:
-    """Refuse a TIFF whose directories point back to one before: readers that follow them never end.
+def refuse_endless_tiff(path: Path, content: bytes) -> int:
+    """Return the number of pictures of a TIFF, previews left out; refuse one whose directories never end.
 
     A classic TIFF and a BigTIFF are walked (TIFF 6.0, section 2; BigTIFF design of the Aware Systems). A directory
-    beyond the file ends the walk: its reader names it.
+    beyond the file ends the walk: its reader names it. One that points back to one before would be read for ever.
 
     Args:
         path: The file, for the message.
@@ -156,7 +157,7 @@ def refuse_endless_tiff(path: Path, content: bytes) -> None:
     order = "<" if content[:2] == b"II" else ">"
     big = content[2:4] in (b"+\x00", b"\x00+")
     counted, width, pointer = ("Q", 20, "Q") if big else ("H", 12, "I")
-    seen = set[int]()
+    seen, previews = set[int](), 0
     try:
         (at,) = struct.unpack_from(f"{order}{pointer}", content, 8 if big else 4)
         while at:
@@ -164,14 +165,17 @@ def refuse_endless_tiff(path: Path, content: bytes) -> None:
                 raise CaptureError(f"{path}: the chain of its TIFF directories never ends; write the file again")
             seen.add(at)
             (entries,) = struct.unpack_from(f"{order}{counted}", content, at)
-            after = at + struct.calcsize(f"{order}{counted}") + width * entries
-            (at,) = struct.unpack_from(f"{order}{pointer}", content, after)
+            first = at + struct.calcsize(f"{order}{counted}")
+            (at,) = struct.unpack_from(f"{order}{pointer}", content, first + width * entries)
+            if entries and struct.unpack_from(f"{order}H", content, first) == (_SUBFILE,):  # tags ascend: it is first
+                previews += struct.unpack_from(f"{order}I", content, first + (12 if big else 8))[0] & 1
     except struct.error:
-        return
+        pass
+    return len(seen) - previews
 
 
 def refuse_deep_yaml(text: str, where: str) -> None:
-    """Refuse YAML that is nested too deeply or repeats itself too often: reading it would end the process.
+    """Refuse YAML that is nested too deeply, repeats itself too often or holds itself: reading it would not end.
 
     Raises:
         InputError: If it exceeds a limit.
@@ -194,6 +198,9 @@ def refuse_deep_yaml(text: str, where: str) -> None:
         if isinstance(event, yaml.ScalarEvent):
             size = 1
         elif isinstance(event, yaml.AliasEvent):
+            if any(anchor == event.anchor for anchor, _ in counting):
+                at = f", line {event.start_mark.line + 1}" if event.start_mark else ""
+                raise InputError(f"{where}{at}: *{event.anchor} holds itself; write the values out")
             size = sizes.get(str(event.anchor), 1)
         elif isinstance(event, yaml.CollectionEndEvent):
             anchor, inside = counting.pop()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from typing import Any
 
@@ -42,6 +42,13 @@ class RadianceMap:
     # Part of `u_radiance` that pixels of one level and place share, so that no mean makes it smaller (response curve,
     # dark level, fall-off, exposure), float32; None where there is none
     u_shared: NDArray[np.float32] | None = None
+
+    def scaled(self, factor: float, unit: str) -> RadianceMap:
+        """Return the map with all values and uncertainties times a factor, in another unit."""
+        shared = None if self.u_shared is None else self.u_shared * factor
+        return replace(
+            self, radiance=self.radiance * factor, u_radiance=self.u_radiance * factor, u_shared=shared, unit=unit
+        )
 
     def parts_of_u(self, where: Any) -> tuple[Array, Array]:
         """Return the noise of some pixels, and the uncertainty that they share, float64, in `unit`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -11,11 +12,13 @@ from typing import TYPE_CHECKING, Any, Final
 from radiometer.argument_types import with_checked_methods
 from radiometer.data.json_text import finite_or_null, json_text
 from radiometer.data.provenance import Provenance, utc_now
-from radiometer.numbers import below, upper_limit, with_u
+from radiometer.errors import UsageError
+from radiometer.numbers import below, lower_limit, upper_limit, with_u
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+CLIPPING: Final = "clipping"  # name of the contribution that says that a value is a lower bound
 _BARS: Final = 8  # contributions that a plot shows
 RADIANCE_UNIT = "W sr-1 m-2"
 LUMINANCE_UNIT = "cd m-2"
@@ -67,6 +70,11 @@ class Patch:
     y: int
     width: int
     height: int
+
+    def __post_init__(self) -> None:
+        for number in (self.x, self.y, self.width, self.height):
+            if not isinstance(number, numbers.Integral):
+                raise UsageError(f"a patch is of whole pixels; {number!r} is no whole number")
 
     @property
     def slices(self) -> tuple[slice, slice]:
@@ -196,6 +204,16 @@ class Reading:
         return Quantity(upper_limit(self.radiance.value, self.radiance.u), self.radiance.u, self.radiance.unit)
 
     @property
+    def lower_limit(self) -> Quantity | None:
+        """Return what the radiance is above with 95 % probability where every frame clips; None where none does."""
+        if Flag.SATURATED not in self.flags:
+            return None
+        value = self.radiance.value
+        known = [line.u_rel for line in self.budget if line.name != CLIPPING]
+        u = abs(value) * math.hypot(*known) if self.budget else self.radiance.u
+        return Quantity(lower_limit(value, u), u, self.radiance.unit)
+
+    @property
     def expanded_u_rel(self) -> float:
         """Return the expanded relative uncertainty U_rel = k·u/|value|."""
         return self.coverage_factor * self.radiance.u_rel
@@ -227,8 +245,9 @@ class Reading:
             "sequence": self.sequence,
         }
         mapping |= {"band_nm": list(self.band_nm)} if self.band_nm else {}
-        limit = self.upper_limit
-        mapping |= {"upper_limit": {"value": limit.value, "unit": limit.unit, "probability": 0.95}} if limit else {}
+        limits = {"upper_limit": self.upper_limit, "lower_limit": self.lower_limit}
+        for name, limit in limits.items():
+            mapping |= {name: {"value": limit.value, "unit": limit.unit, "probability": 0.95}} if limit else {}
         mapping |= {"name": self.name} if self.name else {}
         mapping |= {"session": self.session} if self.session else {}
         mapping |= self.more

@@ -7,7 +7,7 @@ import io
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from radiometer.data.storage import dump_yaml, read_text, read_yaml, write_text_
 from radiometer.errors import InputError
 
 FORMAT = "radiometer-response/1"
+_LARGEST_LOG: Final = 100.0  # of an exposure: e¹⁰⁰ and e⁻¹⁰⁰ J·m⁻² are beyond all light
 _CSV_HEADER = ["dn", "log_exposure", "u_log_exposure"]
 
 
@@ -47,6 +48,8 @@ class ResponseCurve:
         finite = self.log_exposure[np.isfinite(self.log_exposure)]
         if finite.size < 2 or np.any(np.diff(finite) < 0):
             raise InputError("a response curve must not fall: more light never gives a lower digital number")
+        if np.abs(finite).max() > _LARGEST_LOG:
+            raise InputError(f"a response curve holds a log exposure beyond ± {_LARGEST_LOG:g}; correct the number")
         for name in ("log_exposure", "u_log_exposure"):
             values = np.array(getattr(self, name), dtype=np.float64)
             values.flags.writeable = False

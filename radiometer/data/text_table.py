@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +21,7 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import FACTS, Place, Statement, StatementMap, is_unknown, unit_stated, value_of
 from radiometer.errors import InputError, UnsettledError
 from radiometer.moments import moment_of
+from radiometer.plausible import LARGEST
 from radiometer.units import Unit, heading_parts, plain_name, unit_of
 
 _SEPARATORS: Final = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
@@ -184,6 +186,22 @@ class TextTable:
                     f"{self.where(line)}: {cells[at][:20]!r} is no number; correct it, or leave the row out"
                 ) from error
         return finite(found, self, at)
+
+    def written_step(self, at: int) -> tuple[float, float]:
+        """Return the step of the decimals in which a column is written, and last less first value, in its own unit.
+
+        Of numbers with an exponent it is that of the largest. (0, 1) where a cell holds more than a number.
+        """
+        try:
+            found = [Decimal(cells[at]) for _, cells in self.rows]
+        except InvalidOperation:
+            return 0.0, 1.0
+        powers = [int(one.as_tuple().exponent) for one in found if one.is_finite()]
+        finest = min(powers, default=0)
+        if any("e" in cells[at].lower() for _, cells in self.rows):
+            digits = max(len(one.as_tuple().digits) for one in found)
+            finest = max(one.adjusted() for one in found) - digits + 1
+        return 10.0**finest, float(found[-1] - found[0]) or 1.0
 
     def not_used(self, used: Sequence[int | None]) -> list[str]:
         """Return a line that names the columns that are not among those used; nothing where all are."""
@@ -490,6 +508,8 @@ def finite(values: Sequence[float | None], table: TextTable, at: int) -> list[fl
             raise InputError(
                 f"{table.where(line)}: {table.header[at] if table.header else at + 1} is missing; leave the row out"
             )
+        if abs(value) > LARGEST:
+            raise InputError(f"{table.where(line)}: no quantity has the size {value:g}; correct the power of ten")
     return [float(v) for v in values if v is not None]
 
 

@@ -11,6 +11,7 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Field,
     PlainSerializer,
     PlainValidator,
     ValidationError,
@@ -18,14 +19,14 @@ from pydantic import (
 )
 
 from radiometer.errors import RadiometerError
-from radiometer.plausible import PLAUSIBLE
+from radiometer.plausible import LARGEST, PLAUSIBLE
 from radiometer.typing import Array
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
-# No quantity in the units of these files is so large; what must be above 0 is not so small. Products and powers of
-# some stay finite.
-_LARGEST: Final = 1e30
-_SMALLEST: Final = 1e-30
+_SMALLEST: Final = 1 / LARGEST  # what must be above 0 is not so small
+_LARGEST_WHOLE: Final = 2**32  # counts, places, and seeds of 32 bits
+_MOST_SIDE: Final = 100_000  # pixels; the longest line sensors have 32,768
+_MOST_PIXELS: Final = 200_000_000  # the largest sensors sold have 151 million
 
 
 def within(quantity: str) -> AfterValidator:
@@ -56,7 +57,7 @@ def _array(values: Any) -> Array:
         raise ValueError("is no table of numbers with rows of one length") from error
     if found.ndim == 0:
         raise ValueError("is one number; a list is needed")
-    if not np.all(np.abs(found) <= _LARGEST):
+    if not np.all(np.abs(found) <= LARGEST):
         raise ValueError("holds a number that no quantity has; correct it")
     return found
 
@@ -64,23 +65,34 @@ def _array(values: Any) -> Array:
 # An array that is rows of numbers in the file.
 FileArray = Annotated[Array, PlainValidator(_array), PlainSerializer(lambda array: array.tolist())]
 
+# Width or height of a frame in pixels: what a file states decides how large an array will be.
+Side = Annotated[int, Field(gt=0, le=_MOST_SIDE)]
+
+
+def refuse_large_frame(width: int, height: int) -> None:
+    """Refuse a frame that no sensor has. Raises ValueError, which pydantic reports with the section."""
+    if width * height > _MOST_PIXELS:
+        raise ValueError(f"{width} × {height} pixels: no sensor has so many; at most {_MOST_PIXELS / 1e6:g} million")
+
 
 class _Section(BaseModel):
     """A section of a file, whose `true` is no number: pydantic would take it as 1."""
 
     @model_validator(mode="before")
     @classmethod
-    def _true_is_no_number(cls, mapping: Any) -> Any:
+    def _numbers_are_numbers(cls, mapping: Any) -> Any:
         for key, value in mapping.items() if isinstance(mapping, Mapping) else ():
             if _holds_truth(value) and key in cls.model_fields and not _takes_truth(cls, key):
                 raise ValueError(f"{key} = {value}: true and false are no numbers; state the number")
+            if key in cls.model_fields and int in _kinds(cls, key) and _exceeds_whole(value):
+                raise ValueError(f"{key} = {str(value)[:40]}: no count has this size; at most {_LARGEST_WHOLE}")
         return mapping
 
     @model_validator(mode="after")
     def _numbers_have_a_size(self) -> Self:
         for key in type(self).model_fields:
             for number in _numbers_of(getattr(self, key)):
-                if abs(number) > _LARGEST or (_is_above_zero(type(self), key) and number < _SMALLEST):
+                if abs(number) > LARGEST or (_is_above_zero(type(self), key) and number < _SMALLEST):
                     raise ValueError(f"{key} = {number:g}: no quantity has this size; correct the power of ten")
         return self
 
@@ -156,13 +168,31 @@ def _holds_truth(value: Any) -> bool:
     return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_holds_truth, value)))
 
 
+def _exceeds_whole(value: Any) -> bool:
+    """Return whether a number, one written as text, or one in a list is larger than a count can be."""
+    if isinstance(value, list | tuple):
+        return any(map(_exceeds_whole, value))
+    try:
+        return abs(float(value)) > _LARGEST_WHOLE
+    except OverflowError:  # an integer of more than 308 digits
+        return True
+    except (TypeError, ValueError):
+        return False
+
+
 @functools.cache
-def _takes_truth(model: type[BaseModel], name: str) -> bool:
-    """Return whether a field may hold true or false: where nothing that it takes is a number, its type decides."""
-    kinds = [model.model_fields[name].annotation]
+def _kinds(model: type[BaseModel], name: str) -> frozenset[type]:
+    """Return the plain types of which the type of a field is put together."""
+    kinds: list[Any] = [model.model_fields[name].annotation]
     for kind in kinds:
         kinds.extend(get_args(kind))
-    return bool in kinds or not {int, float} & {kind for kind in kinds if isinstance(kind, type)}
+    return frozenset(kind for kind in kinds if isinstance(kind, type))
+
+
+def _takes_truth(model: type[BaseModel], name: str) -> bool:
+    """Return whether a field may hold true or false: where nothing that it takes is a number, its type decides."""
+    kinds = _kinds(model, name)
+    return bool in kinds or not {int, float} & kinds
 
 
 def _is_model(candidate: Any) -> bool:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from radiometer.data import CameraDescription, SpectralResponse
 from radiometer.data.config_files import shipped_config
 from radiometer.data.storage import read_yaml
-from radiometer.data.validation import ConfigSection, FileSection, validate
+from radiometer.data.validation import ConfigSection, FileSection, Side, refuse_large_frame, validate
 from radiometer.devices.camera import CameraCapabilities
 from radiometer.errors import CalibrationError, ConfigurationError
 
@@ -22,8 +22,8 @@ _CAMERA_KEYS: Final = frozenset(CameraDescription.model_fields)
 class CameraLimits(ConfigSection):
     """Limits of a camera model in a camera file; ranges are [lowest, highest]."""
 
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
+    width: Side
+    height: Side
     exposure_s: tuple[float, float]
     gain_db: tuple[float, float] = (0.0, 0.0)
     black_level_dn: tuple[float, float] = (0.0, 0.0)
@@ -41,6 +41,7 @@ class CameraLimits(ConfigSection):
                 raise ValueError(f"limits.{name}: the lowest value {low:g} is above the highest {high:g}")
         if self.exposure_s[0] <= 0:
             raise ValueError("limits.exposure_s: the shortest exposure must be above 0 s")
+        refuse_large_frame(self.width, self.height)
         return self
 
     def capabilities(self, *, has_shutter: bool | None = None) -> CameraCapabilities:

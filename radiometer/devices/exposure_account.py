@@ -95,6 +95,26 @@ def is_running(name: str) -> bool:
     return pid.isdigit() and process_name(int(pid)) == name
 
 
+def simulates(name: str, port: str) -> bool:
+    """Return whether the process of a name runs and holds the far end of a pseudo-terminal: what answers there is it.
+
+    Where the system does not say so (before Linux 4.20, or of another user's process) it counts as not.
+    """
+    terminal = Path(os.path.realpath(port))
+    if not is_running(name) or terminal.parent.name != "pts":
+        return False
+    process = Path("/proc") / name.partition(" ")[0]
+    with contextlib.suppress(OSError):
+        for handle in (process / "fd").iterdir():
+            with contextlib.suppress(OSError):  # closed meanwhile
+                if handle.readlink().name != "ptmx":
+                    continue
+                lines = (process / "fdinfo" / handle.name).read_text(encoding="ascii").splitlines()
+                if terminal.name in (line.partition("tty-index:")[2].strip() for line in lines):
+                    return True
+    return False
+
+
 @dataclass(frozen=True, slots=True)
 class Phase:
     """Light of one radiance within a stimulus, in fractions of the exposure limits."""
@@ -195,15 +215,16 @@ class Account:
         """Return the uptime at which it was brought up to date, in s."""
         return self.moment.uptime_s
 
-    def meet(self, serial: str, lives: Callable[[str], bool]) -> None:
+    def meet(self, serial: str, simulated_by: Callable[[str], bool]) -> None:
         """Take up a box; one that the account does not know counts as used up for the window from now on.
 
         Args:
             serial: Its serial number.
-            lives: Returns whether a program runs: once its simulation has ended, a box of that number is another one.
+            simulated_by: Returns whether the box is the simulation of a program: on another port, or once that
+                simulation has ended, a box of its number is another one.
         """
         key = box_key(serial)
-        if key not in self.given or (key in self.simulated and not lives(self.simulated[key])):
+        if key not in self.given or (key in self.simulated and not simulated_by(self.simulated[key])):
             self.given.setdefault(key, {})
             self.simulated.pop(key, None)
             self.assumed[key] = self.now_s + BLUE_WINDOW_S, self.reason
@@ -300,6 +321,9 @@ class AccountStore(Protocol):
     def lives(self, holder: str) -> bool:
         """Return whether another program that entered light still runs."""
 
+    def simulates(self, holder: str, port: str) -> bool:
+        """Return whether what answers on a port is the simulation of a program that runs."""
+
     def now_s(self) -> float:
         """Return the present uptime in s."""
 
@@ -324,6 +348,10 @@ class MemoryStore:
     _account: Account | None = None
 
     def lives(self, holder: str) -> bool:
+        """Return False: there is no other program in this world."""
+        return False
+
+    def simulates(self, holder: str, port: str) -> bool:
         """Return False: there is no other program in this world."""
         return False
 
@@ -359,10 +387,17 @@ class FileStore:
     sleep: Callable[[float], None] = time.sleep  # waits between two looks at a lock
     holder: str = field(default_factory=lambda: process_name(os.getpid()))  # name of this program
     running: Callable[[str], bool] = is_running  # returns whether the program of a name still runs
+    simulating: Callable[[str, str], bool] = (
+        simulates  # returns whether the program of a name simulates what a port has
+    )
 
     def lives(self, holder: str) -> bool:
         """Return whether another program that entered light still runs."""
         return holder != self.holder and self.running(holder)
+
+    def simulates(self, holder: str, port: str) -> bool:
+        """Return whether what answers on a port is the simulation of a program that runs."""
+        return self.simulating(holder, port)
 
     @property
     def path(self) -> Path:

@@ -67,17 +67,22 @@ class ExposureLedger:
     eye: str | None = None  # whose eye looks into the box; None where it is not known, NO_EYE where none does
     clock_factor: float = _CLOCK_FACTOR  # how much longer than planned the box's light may last
     _box: str = ""
+    _port: str = ""
     _open: dict[str, _Open] = field(default_factory=dict)  # by name in the account
     _dark_s: dict[str, float] = field(default_factory=dict)  # by name: from when on it is dark, where not yet stored
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
-    def open(self, serial: str) -> None:
+    def open(self, serial: str, port: str = "") -> None:
         """Take up the account of a box that has just gone dark; what a program that ended left open is over now.
+
+        Args:
+            serial: Its serial number.
+            port: The port it answers on, by which a simulated box is known.
 
         An account that cannot be had is no error here, for darkness needs none: every light is refused then.
         """
         with self._lock:
-            self._box = serial
+            self._box, self._port = serial, port
             try:
                 with self.store.change() as account:
                     self._meet(account)
@@ -214,7 +219,7 @@ class ExposureLedger:
             self._dark_s = {}
 
     def _meet(self, account: Account) -> None:
-        account.meet(self._box, lambda holder: holder == self.store.holder or self.store.lives(holder))
+        account.meet(self._box, lambda holder: self.store.simulates(holder, self._port))
 
     def _settle_known(self, account: Account) -> None:
         for name, dark_s in self._dark_s.items():

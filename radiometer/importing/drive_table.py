@@ -36,6 +36,9 @@ class ChannelDrive:
     reading: Array
 
 
+_MOST_BELOW_ZERO: Final = 0.01  # of the most light: what noise and zero of a meter may be below it
+
+
 @dataclass(frozen=True, slots=True)
 class DriveTable:
     """Channels of a light engine, and how the table was read."""
@@ -55,13 +58,8 @@ def read_drive_table(path: Path) -> DriveTable:
     """Return the channels of a table.
 
     Light at drive 0, where the table has it, is taken off. The reading that a meter's range follows is the light, or
-    the largest value of a spectrum.
-
-    Args:
-        path: CSV with a heading.
-
-    Raises:
-        InputError: If a column is missing, a value is no number, or a channel has fewer than six lit drives.
+    the largest value of a spectrum. Raises InputError if a column is missing, a value is no number, or a channel has
+    fewer than six lit drives.
     """
     table = _table(path)
     columns = _columns(table)
@@ -76,9 +74,14 @@ def read_drive_table(path: Path) -> DriveTable:
     if settings.min() < 0.0 or top <= 0.0:
         raise InputError(f"{path}: drives go from {settings.min():g} to {top:g}; expected 0 and above")
     found = tuple(_channel(path, one, names, settings / top, values) for one in dict.fromkeys(names))
+    dark = [
+        f"{one.name}: no light at drive {', '.join(f'{top * at:g}' for at in one.drive[one.light <= 0.0])}: left out"
+        for one in found
+        if np.any(one.light <= 0.0)
+    ]
     kind = f"sum of {len(lights)} wavelengths" if len(lights) > 1 else f"column {table.header[lights[0]]!r}"
     taken = (f"light: {kind}", f"drive: column {table.header[drive]!r} over its largest value {top:g}")
-    return DriveTable(found, taken, top)
+    return DriveTable(found, (*taken, *dark), top)
 
 
 def _table(path: Path) -> TextTable:
@@ -95,6 +98,9 @@ def _channel(path: Path, name: str, names: Sequence[str], drive: Array, values: 
     if int(lit.sum()) < _FEWEST:
         raise InputError(f"{path}: channel {name} has {int(lit.sum())} drives above 0; measure {_FEWEST} or more")
     net = values[lit] - (values[dark].mean(axis=0) if dark.any() else 0.0)
+    least, most = float(values[lit].min()), float(values[lit].max())
+    if least < -_MOST_BELOW_ZERO * abs(most):
+        raise InputError(f"{path}: channel {name} has the light {least:g}; no light is below 0: correct the row")
     order = np.argsort(drive[lit], kind="stable")
     light = net.sum(axis=1)[order]
     return ChannelDrive(name, drive[lit][order], light, net.max(axis=1)[order])

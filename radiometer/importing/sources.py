@@ -73,7 +73,11 @@ def read_found(frame: FoundFrame, options: ImportOptions) -> DigitalNumbers:
     Raises:
         CaptureError: If the file is damaged, or its numbers need a full scale or a pedestal that is not stated.
     """
-    return options.digital_numbers(_pixels(frame), str(frame.file.with_name(frame.label)))
+    pixels, where = _pixels(frame), str(frame.file.with_name(frame.label))
+    if pixels.shape != frame.shape:
+        found, stated = (" × ".join(map(str, shape)) for shape in (pixels.shape, frame.shape))
+        raise DamagedFileError(f"{where}: holds {found} values, its header states {stated}; copy the file again")
+    return options.digital_numbers(pixels, where)
 
 
 def _pixels(frame: FoundFrame) -> NDArray[Any]:

@@ -8,16 +8,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
 from radiometer.data import Provenance, Quantity
 from radiometer.data.provenance import utc_now
 from radiometer.data.storage import read_yaml, write_yaml_atomic
+from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CalibrationError, SettingOutOfRange
 from radiometer.screen.transfer_models import MODELS, TransferFit, fit_transfer
 from radiometer.statistics.scale import robust_sigma
@@ -27,6 +29,7 @@ FORMAT = "radiometer-screen/1"
 RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
 
 # Displays follow a power law of about this exponent, so its root is nearly a straight line of the level.
+_MOST_FALL: Final = 0.1  # share of a screen's range by which its light may fall; noise of meters is far below
 _STRAIGHTENING: Final = 1 / 2.2
 
 
@@ -40,8 +43,9 @@ def rising(values: ArrayLike, u: ArrayLike) -> Array:
     Source: pool-adjacent-violators (Ayer et al. 1955), scipy.optimize.isotonic_regression.
     """
     sigma = np.asarray(u, dtype=np.float64)
-    floor = max(float(sigma.max(initial=0.0)) * 1e-3, 1e-300)
-    fitted = isotonic_regression(np.asarray(values, dtype=np.float64), weights=1.0 / np.maximum(sigma, floor) ** 2)
+    largest = float(sigma.max(initial=0.0))
+    shares = np.maximum(sigma / largest, 1e-3) if largest > 0.0 else np.ones_like(sigma)
+    fitted = isotonic_regression(np.asarray(values, dtype=np.float64), weights=shares**-2.0)
     return np.asarray(fitted.x, dtype=np.float64)
 
 
@@ -76,6 +80,21 @@ class LevelTable:
         return high
 
 
+class _ChannelForm(FileSection):
+    """A channel as the file holds it."""
+
+    levels: tuple[Annotated[int, Field(ge=0)], ...]
+    radiance_W_per_sr_m2: tuple[float, ...]  # noqa: N815 (the file's key)
+    u_independent: tuple[Annotated[float, Field(ge=0)], ...]
+    u_common_rel: float = Field(ge=0)
+    photopic_lm_per_W: float = Field(gt=0)  # noqa: N815
+    scotopic_lm_per_W: float = Field(gt=0)  # noqa: N815
+    spectrum: str
+    detection_limit: float = Field(0.0, ge=0)
+    bits: int = Field(8, ge=1, le=16)
+    u_spectrum_rel: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class ChannelCurve:
     """Radiance over the level of one channel ("grey", "red", "green" or "blue")."""
@@ -100,6 +119,8 @@ class ChannelCurve:
             raise CalibrationError(f"channel {self.name}: needs three levels or more, each with radiance and u")
         if any(b <= a for a, b in zip(self.levels, self.levels[1:], strict=False)):
             raise CalibrationError(f"channel {self.name}: levels must ascend")
+        if self.levels[-1] > self.top_level:
+            raise CalibrationError(f"channel {self.name}: level {self.levels[-1]} is above those of {self.bits} bits")
 
     @property
     def top_level(self) -> int:
@@ -214,15 +235,18 @@ class ChannelCurve:
         Raises:
             CalibrationError: If the light does not rise with the level as that of a display does.
         """
-        levels = np.array(self.levels) / self.top_level
+        levels, values = np.array(self.levels) / self.top_level, np.array(self.radiance)
+        fall = float(np.max(np.maximum.accumulate(values) - values))
+        if fall > _MOST_FALL * float(np.ptp(values)):
+            raise CalibrationError(
+                f"the light does not rise with the level as that of a display does: it falls by "
+                f"{100.0 * fall / float(np.ptp(values)):.0f} % of its range; correct the levels, or measure again"
+            )
         usable = [name for name, model in MODELS.items() if len(self.levels) >= len(model.parameters)]
         try:
             return {name: fit_transfer(name, levels, self.radiance, self.u_independent) for name in usable}
         except ValueError as error:
-            raise CalibrationError(
-                f"the light does not rise with the level as that of a display does ({error}); correct the levels, or "
-                "measure again"
-            ) from error
+            raise CalibrationError(f"the light over the level is not that of a display: {error}") from error
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping that is written to the file."""
@@ -251,24 +275,22 @@ class ChannelCurve:
     @classmethod
     def from_mapping(cls, name: str, mapping: Mapping[str, Any], where: str) -> ChannelCurve:
         """Return the channel that a mapping describes. Raises CalibrationError."""
-        try:
-            return cls(
-                name,
-                tuple(int(n) for n in mapping["levels"]),
-                tuple(float(v) for v in mapping["radiance_W_per_sr_m2"]),
-                tuple(float(v) for v in mapping["u_independent"]),
-                float(mapping["u_common_rel"]),
-                float(mapping["photopic_lm_per_W"]),
-                float(mapping["scotopic_lm_per_W"]),
-                str(mapping["spectrum"]),
-                float(mapping.get("detection_limit", 0.0)),
-                int(mapping.get("bits", 8)),
-                {str(unit): float(u) for unit, u in mapping.get("u_spectrum_rel", {}).items()},
-            )
-        except KeyError as error:
-            raise CalibrationError(f"{where}: channel {name}: key {error} is missing") from error
-        except (TypeError, ValueError) as error:
-            raise CalibrationError(f"{where}: channel {name}: {error}") from error
+        if not isinstance(mapping, Mapping):
+            raise CalibrationError(f"{where}: channel {name}: {str(mapping)[:40]!r} holds no keys and values")
+        form = validate(_ChannelForm, mapping, f"{where}: channel {name}", CalibrationError)
+        return cls(
+            name,
+            form.levels,
+            form.radiance_W_per_sr_m2,
+            form.u_independent,
+            form.u_common_rel,
+            form.photopic_lm_per_W,
+            form.scotopic_lm_per_W,
+            form.spectrum,
+            form.detection_limit,
+            form.bits,
+            form.u_spectrum_rel,
+        )
 
 
 @dataclass(frozen=True)

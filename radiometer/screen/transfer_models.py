@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from radiometer.typing import Array
 
 Curve = Callable[[Array, Array], Array]
+_EXPONENTS: Final = (0.01, 100.0)  # of γ, the last parameter of every model: light rises with the drive
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +97,8 @@ def fit_transfer(name: str, level: ArrayLike, value: ArrayLike, u: ArrayLike) ->
     def residuals(p: Array) -> Array:
         return np.asarray((model.curve(p, v) - y) / scale)
 
-    found = least_squares(residuals, start, x_scale=np.maximum(np.abs(start), 0.01), max_nfev=2000)
+    low, high = np.array([(-np.inf, np.inf)] * (start.size - 1) + [_EXPONENTS]).T
+    found = least_squares(residuals, start, bounds=(low, high), x_scale=np.maximum(np.abs(start), 0.01), max_nfev=2000)
     if not found.success:
         raise ValueError(f"{name}: the fit did not converge ({found.message})")
     return _judged(model, found.x, v, y)

@@ -70,9 +70,9 @@ class AdcSaturation(CatalogueEffect):
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return highest codes from a little below full scale to half of it."""
+        """Return highest codes from a little below full scale to what four cut-off bits leave."""
         full_scale = float((1 << context.camera.bit_depth) - 1)
-        return tuple(cls(round(full_scale * share)) for share in (0.98, 0.95, 0.9, 0.8, 0.65, 0.5))
+        return tuple(cls(round(full_scale * share)) for share in (0.98, 0.95, 0.9, 0.8, *np.geomspace(0.65, 1 / 16, 8)))
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:

@@ -40,7 +40,7 @@ def scene_from_mapping(mapping: Mapping[str, Any], where: str = "scene", folder:
         ConfigurationError: If the kind or a key is unknown, or a value is not allowed; the message names it.
     """
     kind = mapping.get("kind")
-    if kind not in SCENES:
+    if not isinstance(kind, str) or kind not in SCENES:
         raise ConfigurationError(f"{where}: kind = {kind!r}: there is no such scene; allowed are {', '.join(SCENES)}")
     model: type[BaseModel] = SCENES[kind]
     scene: Any = validate(model, mapping, where, ConfigurationError)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from radiometer.data import Patch, PatchDescription
-from radiometer.data.validation import ConfigSection
+from radiometer.data.validation import ConfigSection, Side
 from simulators.scenes.base import SceneImage
 from simulators.scenes.layout import LitScene, described, per_pattern, refuse_outside, refuse_unknown_pattern
 
@@ -25,8 +25,8 @@ class ScreenPatch(ConfigSection):
     name: str
     x: int = Field(ge=0)
     y: int = Field(ge=0)
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
+    width: Side
+    height: Side
     drive: float | dict[str, float] | None = None
     radiance_W_per_sr_m2: float | None = Field(None, ge=0)  # noqa: N815 (the file's key)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiometer.numbers import below, rounded, unit_text, upper_limit, with_u
+from radiometer.numbers import below, lower_limit, rounded, unit_text, upper_limit, with_u
 
 LOWERED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
@@ -51,6 +51,12 @@ def test_what_is_printed_has_two_digits_of_u_and_lies_within_half_of_the_last(va
     assert len(u.replace(".", "").lstrip("0")) == 2
     assert float(u) * power == pytest.approx(u_rel * value, rel=0.051)
     assert abs(float(number) * power - value) <= 0.051 * u_rel * value
+
+
+def test_limit_of_what_clips_is_never_negative() -> None:
+    """What is at least 3 ± 1 (k = 1) is above 1.355 with 95 %; what is at least 1 ± 1 is above 0."""
+    assert lower_limit(3.0, 1.0) == pytest.approx(1.355)
+    assert lower_limit(1.0, 1.0) == 0.0
 
 
 def test_limit_below_the_noise_is_never_negative() -> None:

@@ -16,8 +16,8 @@ from radiometer.data import Calibration, CameraDescription, Frame, LensDescripti
 from radiometer.data.serials import same_serial
 from radiometer.errors import CalibrationError, RadiometerError, UsageError
 
-# A zoom's rings and the tags of EXIF round the focal length to this.
-_SAME_FOCAL_LENGTH_REL: Final = 0.01
+# A zoom's rings, the tags of EXIF and data sheets round lengths to this.
+_SAME_LENGTH_REL: Final = 0.01
 # Colours that photographs are read in; numbers of a grey frame are of no colour.
 _COLOURS: Final = frozenset({"red", "green", "blue", "luminance"})
 
@@ -89,6 +89,9 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     "serial": _of_device("serial"),
     # Both sides always state it.
     "bit depth": {state: _of_device("bit depth")[state] for state in (State.EQUAL, State.DIFFERENT)},
+    # Binned pixels have another, and another scale.
+    "pixel pitch": _of_device("pixel pitch in µm"),
+    "mosaic": _of_device("mosaic"),
     "focal length": {
         State.EQUAL: _KEPT,
         State.DIFFERENT: _refused(
@@ -218,13 +221,16 @@ def require_camera(calibration: OfCamera, camera: CameraDescription) -> None:
     """Refuse a camera that a calibration does not belong to.
 
     Raises:
-        CalibrationError: If model, serial number or bit depth differ.
+        CalibrationError: If model, serial number, bit depth, pixel pitch or mosaic differ.
     """
     mine = calibration.camera
     settle("model", mine.model, camera.model)
     alike = None not in (mine.serial, camera.serial) and same_serial(str(mine.serial), str(camera.serial))
     settle("serial", mine.serial, camera.serial, equal=alike)
     settle("bit depth", mine.bit_depth, camera.bit_depth)
+    pitches = mine.pixel_pitch_um, camera.pixel_pitch_um
+    settle("pixel pitch", *pitches, equal=_is_near(*pitches))
+    settle("mosaic", mine.mosaic, camera.mosaic)
 
 
 def require_lens(calibration: OfCamera, lens: LensDescription) -> None:
@@ -234,8 +240,11 @@ def require_lens(calibration: OfCamera, lens: LensDescription) -> None:
         CalibrationError: If the focal lengths differ by more than 1 %.
     """
     mine, theirs = calibration.lens.focal_length_mm, lens.focal_length_mm
-    near = mine is not None and theirs is not None and abs(mine / theirs - 1.0) <= _SAME_FOCAL_LENGTH_REL
-    settle("focal length", mine, theirs, equal=near)
+    settle("focal length", mine, theirs, equal=_is_near(mine, theirs))
+
+
+def _is_near(there: float | None, here: float | None) -> bool:
+    return there is not None and here is not None and abs(there / here - 1.0) <= _SAME_LENGTH_REL
 
 
 def require_photograph(calibration: Calibration, frame: Frame) -> str | None:

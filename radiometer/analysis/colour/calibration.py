@@ -20,7 +20,15 @@ from pydantic import (
 from scipy.spatial import ConvexHull
 
 from radiometer.analysis.colour.matrix import Fit, Training, of_rows
-from radiometer.data import CameraDescription, LensDescription, Provenance
+from radiometer.data import (
+    Calibration,
+    CameraDescription,
+    LensDescription,
+    Provenance,
+    Scale,
+    ScaleConditions,
+    SensorNoise,
+)
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.data.validation import FileArray, FileSection, validate
 from radiometer.errors import CalibrationError, UsageError
@@ -51,6 +59,8 @@ class ColourCalibration(FileSection):
     u_rel: float = Field(ge=0)  # relative standard uncertainty that all known X, Y, Z share
     camera: CameraDescription
     lens: LensDescription = LensDescription()  # with its f-number
+    conditions: ScaleConditions = ScaleConditions()  # gain and temperature of the frames of known lights
+    iso: float | None = None  # lowest ISO speed of their photographs
     # Matrix by kind of light, or a single one named `ALL`
     fits: dict[str, Fit] = Field(
         min_length=1, validation_alias=AliasChoices("fits", "matrices"), serialization_alias="matrices"
@@ -61,6 +71,12 @@ class ColourCalibration(FileSection):
     display_errors: dict[str, _OfDisplays] = Field(default_factory=dict)
     training: _Training = None  # raw readings of known lights, which gave the matrices or their scale
     provenance: Provenance = Field(default_factory=lambda: Provenance("unknown"))
+
+    @property
+    def reference(self) -> Calibration:
+        """Return camera, lens and conditions as a calibration of radiance has them, for comparison with a reading."""
+        absolute, when = self.unit != "relative", self.created.isoformat()
+        return reference(self.camera, self.lens, self.conditions, self.iso, when, absolute=absolute)
 
     @model_validator(mode="after")
     def _are_of_the_channels(self) -> Self:
@@ -83,8 +99,7 @@ class ColourCalibration(FileSection):
     def fit(self, kind: str | None) -> Fit:
         """Return the matrix for a kind of light.
 
-        Raises:
-            UsageError: If there is one for each kind and none is stated, or the kind is not known.
+        Raises UsageError if there is one for each kind and none is stated, or the kind is not known.
         """
         if kind is not None and kind not in self.errors:
             raise UsageError(f"--kind {kind}: the calibration knows {', '.join(self.errors)}")
@@ -96,11 +111,7 @@ class ColourCalibration(FileSection):
     def error(self, kind: str | None, xyz: Array) -> Array:
         """Return the covariance of the matrix' error for light of a kind, shape (…, 3, 3).
 
-        Light of unstated kind has the mean over the kinds, each as likely.
-
-        Args:
-            kind: Kind of light.
-            xyz: Its X, Y, Z, shape (…, 3).
+        Light of unstated kind has the mean over the kinds, each as likely. X, Y, Z have the shape (…, 3).
         """
         square, found = np.sum(xyz, axis=-1)[..., None, None] ** 2, []
         for name in self.errors if kind is None else (kind,):
@@ -114,15 +125,12 @@ class ColourCalibration(FileSection):
         """Return X, Y, Z, shape (…, 3), and their covariance, shape (…, 3, 3).
 
         The covariance holds that of the readings, the error of the matrix for this kind of light, which grows with the
-        distance from the training set, and the scale of the known X, Y, Z.
+        distance from the training set, and the scale of the known X, Y, Z. Raises UsageError as `fit`.
 
         Args:
             signal: Channel readings, shape (…, channels).
             covariance: Their covariance, shape (…, channels, channels).
             kind: Kind of light; None where it is not known.
-
-        Raises:
-            UsageError: As `fit`.
         """
         fit = self.fit(kind)
         xyz = signal @ fit.matrix.T
@@ -152,14 +160,30 @@ class ColourCalibration(FileSection):
     def read(cls, path: Path) -> ColourCalibration:
         """Return the calibration in a file.
 
-        Raises:
-            InputError: If the file cannot be read, or is not YAML.
-            CalibrationError: If it is no colour calibration; the message names the key, the value and what is allowed.
+        Raises InputError if the file cannot be read, or is not YAML. Raises CalibrationError if it is no colour
+        calibration; the message names the key, the value and what is allowed.
         """
         mapping = read_yaml(path)
         if mapping.get("format") != FORMAT:
             raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
         return validate(cls, mapping, str(path), CalibrationError)
+
+
+def reference(
+    camera: CameraDescription,
+    lens: LensDescription,
+    conditions: ScaleConditions,
+    iso: float | None,
+    created: str,
+    *,
+    absolute: bool = True,
+) -> Calibration:
+    """Return how frames were taken as a calibration of radiance states it, its scale 1."""
+    scale = Scale(
+        value=1.0, u_rel=0.0, method="known_radiance" if absolute else "relative", f_number=lens.f_number, iso=iso,
+        conditions=conditions,
+    )  # fmt: skip
+    return Calibration(camera, lens, scale, None, SensorNoise.of(camera), created=created)
 
 
 def _is_covariance(found: Array, size: int) -> bool:

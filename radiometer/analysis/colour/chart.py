@@ -34,14 +34,10 @@ class KnownLight:
 
 
 def read_chart(path: Path) -> list[KnownLight]:
-    """Return the lights of a table.
+    """Return the lights of a table. Captures are relative to its folder, places are pixels of a colour's plane.
 
-    Args:
-        path: The table. Captures are relative to its folder, places are pixels of a colour's plane.
-
-    Raises:
-        InputError: If it cannot be read, a column of a group is missing, or a number is no number.
-        UnsettledError: If a column's unit is not known.
+    Raises InputError if it cannot be read, a column of a group is missing, or a number is no number, and UnsettledError
+    if a column's unit is not known.
     """
     table = read_table(path, _NEEDS, named=True)
     at = table.find(_NAMES)
@@ -88,8 +84,7 @@ def _words(table: TextTable, name: str) -> list[str]:
 def read_spectra(path: Path) -> dict[str, Spectrum]:
     """Return spectra by plain name of a table with one column each next to the wavelength in nm.
 
-    Raises:
-        InputError: If it cannot be read, or a spectrum holds a value below 0.
+    Raises InputError if it cannot be read, or a spectrum holds a value below 0.
     """
     table = read_table(path, "the columns wavelength_nm and one per spectrum", named=True)
     names = table.plain[1:]
@@ -97,7 +92,7 @@ def read_spectra(path: Path) -> dict[str, Spectrum]:
     for name, power in columns.items():
         if np.any(power < 0.0) or not power.any():
             raise InputError(f"{path}: {name}: powers must be 0 or more, not all 0")
-    return {name: Spectrum(name, wavelength_nm, power) for name, power in columns.items()}
+    return {name: Spectrum(name, wavelength_nm, power, is_sampled=True) for name, power in columns.items()}
 
 
 def spectrum_of(name: str, spectra: dict[str, Spectrum], path: Path) -> Spectrum:

@@ -9,8 +9,9 @@ import numpy as np
 
 from radiometer.analysis.colour.calibration import ALL, ColourCalibration
 from radiometer.analysis.colour.matrix import Fit, Training, errors_of_other_lights, fit_matrix, plausible_training
-from radiometer.analysis.colour.plausible import COLOURS, plausible_lights
-from radiometer.data import CameraDescription, LensDescription, Provenance
+from radiometer.analysis.colour.plausible import plausible_lights
+from radiometer.data import CameraDescription, LensDescription, Provenance, ScaleConditions
+from radiometer.data.mosaic import COLOURS
 from radiometer.data.reading import LUMINANCE_UNIT, RELATIVE_UNIT
 from radiometer.errors import CalibrationError
 from radiometer.typing import Array
@@ -23,28 +24,23 @@ class ColourCamera:
     channels: tuple[str, ...]  # names of its channels
     camera: CameraDescription = field(default_factory=lambda: CameraDescription(bit_depth=16))  # its description
     lens: LensDescription = field(default_factory=LensDescription)  # its lens
+    conditions: ScaleConditions = field(default_factory=ScaleConditions)  # gain and temperature of its frames
+    iso: float | None = None  # lowest ISO speed of its photographs
     # Per watt over the grid of plausible lights, up to a common factor; None where unknown
     responsivities: Array | None = None
     inputs: tuple[str, ...] = ()  # files with their content hashes, for the record
 
 
 def train_on_lights(
-    known: ColourCamera,
-    training: Training,
-    *,
-    powers: Array | None,
-    per_kind: bool,
-    u_rel: float,
+    known: ColourCamera, training: Training, *, powers: Array | None, per_kind: bool, u_rel: float,
     white: str | None = None,
-) -> ColourCalibration:
+) -> ColourCalibration:  # fmt: skip
     """Return the calibration fitted to readings of known lights.
 
     The error for a kind of light is that of lights left out of the training, and that of plausible lights of the kind;
-    the larger counts. Spectra (`powers`) are over the grid of plausible lights; all known X, Y, Z share `u_rel`.
-    The matrix gives the X, Y, Z of `white` exactly.
-
-    Raises:
-        CalibrationError: If the lights do not determine a matrix, or none is called as the white.
+    the larger counts. Spectra (`powers`) are over the grid of plausible lights; all known X, Y, Z share `u_rel`. The
+    matrix gives the X, Y, Z of `white` exactly. Raises CalibrationError if the lights do not determine a matrix, or
+    none is called as the white.
     """
     if white is not None and white not in training.names:
         raise CalibrationError(f"--white {white}: no light has that name; there are {', '.join(training.names)}")
@@ -59,12 +55,12 @@ def train_on_lights(
         trained = [name] if part else list(kinds)
         others, linear = dict[str, Array](), dict[str, Array]()
         if known.responsivities is not None or known.channels == COLOURS:
-            chosen = np.array([part is None or one == part for one in training.kinds])
-            own_powers = None if powers is None else powers[chosen]
+            chosen = [part in (None, one) for one in training.kinds]
             others, linear = errors_of_other_lights(
-                fits[name].matrix, training.of_kind(part), own_powers, known.responsivities
-            )
-        own = {kind: _larger(fits[name].error, others.get(kind)) for kind in trained}
+                fits[name].matrix, training.of_kind(part), None if powers is None else powers[chosen],
+                known.responsivities,
+            )  # fmt: skip
+        own = {kind: max(fits[name].error, others.get(kind, fits[name].error), key=np.trace) for kind in trained}
         errors |= own if part else {**others, **own}
         left_out = np.einsum("ij,ab->iajb", fits[name].error, np.ones((3, 3)))
         for kind, one in linear.items():
@@ -79,13 +75,10 @@ def train_on_lights(
         )
     origin = Provenance("least squares weighted by 1/u²", known.inputs, tuple(assumed), {"per_kind": per_kind})
     return ColourCalibration(
-        channels=known.channels, camera=known.camera, lens=known.lens, unit=LUMINANCE_UNIT, fits=fits, errors=errors,
-        trained=kinds, training=training, u_rel=u_rel, provenance=origin, display_errors=of_displays,
+        channels=known.channels, camera=known.camera, lens=known.lens, conditions=known.conditions, iso=known.iso,
+        unit=LUMINANCE_UNIT, fits=fits, errors=errors, trained=kinds,
+        training=training, u_rel=u_rel, provenance=origin, display_errors=of_displays,
     )  # fmt: skip
-
-
-def _larger(left_out: Array, plausible: Array | None) -> Array:
-    return left_out if plausible is None or np.trace(plausible) < np.trace(left_out) else plausible
 
 
 def train_on_responsivities(
@@ -93,8 +86,7 @@ def train_on_responsivities(
 ) -> ColourCalibration:
     """Return the calibration fitted to plausible lights, through the camera's responsivities.
 
-    Raises:
-        CalibrationError: If the responsivities determine no matrix, or a known light has no reading.
+    Raises CalibrationError if the responsivities determine no matrix, or a known light has no reading.
     """
     responsivities = known.responsivities
     if responsivities is None:
@@ -123,8 +115,9 @@ def train_on_responsivities(
     u_all = math.hypot(u_rel, u_scale)
     trained = tuple(fits) if per_kind else tuple(plausible_lights())
     return ColourCalibration(
-        channels=known.channels, camera=known.camera, lens=known.lens, unit=unit, fits=fits, errors=errors,
-        trained=trained, training=scale, u_rel=u_all, provenance=origin, display_errors=of_displays,
+        channels=known.channels, camera=known.camera, lens=known.lens, conditions=known.conditions, iso=known.iso,
+        unit=unit, fits=fits, errors=errors, trained=trained,
+        training=scale, u_rel=u_all, provenance=origin, display_errors=of_displays,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from pydantic import Field
 
@@ -24,7 +24,7 @@ from radiometer.plausible import PLAUSIBLE, Range
 SCHEMA_VERSION: Final = "3.1.2"
 COVERAGE_PROBABILITY: Final = 0.9545  # of the coverage factors of readings
 _DCC, _SI = "https://ptb.de/dcc", "https://ptb.de/si"
-_XSI = "http://www.w3.org/2001/XMLSchema-instance"
+_SPACES: Final = {"dcc": _DCC, "si": _SI, "xsi": "http://www.w3.org/2001/XMLSchema-instance"}
 # Units of the product as the D-SI writes them.
 _UNITS: Final[Mapping[str, str]] = {
     "W sr-1 m-2": r"\watt\steradian\tothe{-1}\metre\tothe{-2}",
@@ -108,117 +108,96 @@ class Certified:
 def certificate_xml(content: Certified, laboratory: Laboratory) -> str:
     """Return the certificate as XML.
 
-    Raises:
-        InputError: If a result's unit has no form in D-SI, or a text holds what XML cannot.
+    Raises InputError if a result's unit has no form in D-SI, or a text holds what XML cannot.
     """
-    for prefix, space in (("dcc", _DCC), ("si", _SI), ("xsi", _XSI)):
+    for prefix, space in _SPACES.items():
         ET.register_namespace(prefix, space)
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": SCHEMA_VERSION})
-    root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{SCHEMA_VERSION}/dcc.xsd")
-    _administrative(root, content, laboratory)
-    measured = _named(_child(root, "measurementResults"), "measurementResult", content.title)
-    _texts(_child(_named(_child(measured, "usedMethods"), "usedMethod", "method"), "description"), content.method)
-    if content.equipment:
-        equipment = _child(measured, "measuringEquipments")
-        for name, identification in content.equipment:
-            _identification(_named(equipment, "measuringEquipment", name), "calibrationLaboratory", identification)
-    if content.conditions:
-        conditions = _child(measured, "influenceConditions")
-        for name, text in content.conditions:
-            _texts(_child(_child(_named(conditions, "influenceCondition", name), "data"), "text"), (text,))
-    results = _child(measured, "results")
-    for name, quantity, k in content.results:
-        _real(_child(_child(_named(results, "result", name), "data"), "quantity"), name, quantity, k)
-    if content.budget:
-        budget = _named(results, "result", "uncertainty budget: relative standard uncertainties")
-        lines = _child(_child(budget, "data"), "list")
-        for line in content.budget:
-            one = _named(lines, "quantity", f"{line.name} (type {line.kind})")
-            _real(one, line.name, Quantity(line.u_rel, 0.0, "1"), None)
+    root.set(f"{{{_SPACES['xsi']}}}schemaLocation", f"{_DCC} {_DCC}/v{SCHEMA_VERSION}/dcc.xsd")
+    _grow(root, _administrative(content, laboratory))
+    results = [_named("result", name, ("data", ("quantity", _real(name, one, k)))) for name, one, k in content.results]
+    budget = [
+        _named("quantity", f"{one.name} (type {one.kind})", _real(one.name, Quantity(one.u_rel, 0.0, "1"), None))
+        for one in content.budget
+    ]
+    of_budget = _named("result", "uncertainty budget: relative standard uncertainties", ("data", ("list", *budget)))
+    method = ("description", *(("content", text) for text in content.method))
+    equipment = [
+        _named("measuringEquipment", name, _identified("calibrationLaboratory", one)) for name, one in content.equipment
+    ]
+    conditions = [
+        _named("influenceCondition", name, ("data", ("text", ("content", text)))) for name, text in content.conditions
+    ]
+    measured = _named(
+        "measurementResult", content.title, ("usedMethods", _named("usedMethod", "method", method)),
+        equipment and ("measuringEquipments", *equipment), conditions and ("influenceConditions", *conditions),
+        ("results", *results, budget and of_budget),
+    )  # fmt: skip
+    _grow(root, ("measurementResults", measured))
     for written in root.iter(f"{{{_DCC}}}content"):
         written.set("lang", laboratory.language)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _administrative(root: ET.Element, content: Certified, laboratory: Laboratory) -> None:
-    data = _child(root, "administrativeData")
-    _child(_named(_child(data, "dccSoftware"), "software", "radiometer"), "release", content.version)
-    core = _child(data, "coreData")
-    for tag, text in (
-        ("countryCodeISO3166_1", laboratory.laboratory.country),
-        ("usedLangCodeISO639_1", laboratory.language),
-        ("mandatoryLangCodeISO639_1", laboratory.language),
-        ("uniqueIdentifier", content.identifier),
-        ("beginPerformanceDate", content.date),
-        ("endPerformanceDate", content.date),
+def _grow(parent: ET.Element, node: Sequence[Any]) -> None:
+    """Add an element: its tag, without a prefix of the DCC, then its text or its children; empty ones are left out."""
+    space, _, tag = node[0].rpartition(":")
+    element = ET.SubElement(parent, f"{{{_SPACES[space or 'dcc']}}}{tag}")
+    for one in filter(None, node[1:]):
+        if not isinstance(one, str):
+            _grow(element, one)
+        elif (wrong := _NO_XML.search(one)) is None:
+            element.text = one
+        else:
+            raise InputError(
+                f"{tag} {one[:40]!r}: character U+{ord(wrong[0]):04X} is not allowed in a certificate; remove it"
+            )
+
+
+def _named(tag: str, name: str, *parts: Sequence[Any]) -> Sequence[Any]:
+    return (tag, ("name", ("content", name)), *parts)
+
+
+def _administrative(content: Certified, laboratory: Laboratory) -> Sequence[Any]:
+    item, person, language = content.item, laboratory.responsible, laboratory.language
+    software = ("dccSoftware", _named("software", "radiometer", ("release", content.version)))
+    core = (
+        "coreData", ("countryCodeISO3166_1", laboratory.laboratory.country), ("usedLangCodeISO639_1", language),
+        ("mandatoryLangCodeISO639_1", language), ("uniqueIdentifier", content.identifier),
+        ("beginPerformanceDate", content.date), ("endPerformanceDate", content.date),
         ("performanceLocation", laboratory.place),
-    ):
-        _child(core, tag, text)
-    item = _named(_child(data, "items"), "item", content.item.name)
-    _named(item, "manufacturer", content.item.manufacturer)
-    if content.item.model:
-        _child(item, "model", content.item.model)
-    _identification(item, "manufacturer", content.item.serial)
-    _contact(_child(data, "calibrationLaboratory"), "contact", laboratory.laboratory)
-    person = _child(_child(data, "respPersons"), "respPerson")
-    _named(person, "person", laboratory.responsible.name)
-    if laboratory.responsible.role:
-        _child(person, "role", laboratory.responsible.role)
-    _child(person, "mainSigner", "true")
-    _contact(data, "customer", laboratory.customer)
+    )  # fmt: skip
+    model, maker = item.model and ("model", item.model), _named("manufacturer", item.manufacturer)
+    items = ("items", _named("item", item.name, maker, model, _identified("manufacturer", item.serial)))
+    signer = (_named("person", person.name), person.role and ("role", person.role), ("mainSigner", "true"))
+    return (
+        "administrativeData", software, core, items,
+        ("calibrationLaboratory", _contact("contact", laboratory.laboratory)),
+        ("respPersons", ("respPerson", *signer)), _contact("customer", laboratory.customer),
+    )  # fmt: skip
 
 
-def _child(parent: ET.Element, tag: str, text: str | None = None, space: str = _DCC) -> ET.Element:
-    element = ET.SubElement(parent, f"{{{space}}}{tag}")
-    if text is not None and (wrong := _NO_XML.search(text)) is not None:
-        raise InputError(
-            f"{tag} {text[:40]!r}: character U+{ord(wrong[0]):04X} is not allowed in a certificate; remove it"
-        )
-    element.text = text
-    return element
+def _identified(issuer: str, value: str) -> Sequence[Any]:
+    return ("identifications", ("identification", ("issuer", issuer), ("value", value)))
 
 
-def _named(parent: ET.Element, tag: str, name: str) -> ET.Element:
-    element = _child(parent, tag)
-    _texts(_child(element, "name"), (name,))
-    return element
+def _contact(tag: str, party: Party) -> Sequence[Any]:
+    place = [(name, one) for name, one in (("street", party.street), ("postCode", party.post_code)) if one]
+    place += [("city", party.city), ("countryCode", party.country)]
+    return _named(tag, party.name, ("eMail", party.email), ("location", *place))
 
 
-def _texts(parent: ET.Element, texts: Sequence[str]) -> None:
-    for text in texts:
-        _child(parent, "content", text)
-
-
-def _identification(parent: ET.Element, issuer: str, value: str) -> None:
-    one = _child(_child(parent, "identifications"), "identification")
-    _child(one, "issuer", issuer)
-    _child(one, "value", value)
-
-
-def _contact(parent: ET.Element, tag: str, party: Party) -> None:
-    contact = _named(parent, tag, party.name)
-    _child(contact, "eMail", party.email)
-    location = _child(contact, "location")
-    for name, text in (("street", party.street), ("postCode", party.post_code), ("city", party.city)):
-        if text:
-            _child(location, name, text)
-    _child(location, "countryCode", party.country)
-
-
-def _real(parent: ET.Element, label: str, quantity: Quantity, k: float | None) -> None:
-    """Add a value with its expanded uncertainty; without one where `k` is None."""
+def _real(label: str, quantity: Quantity, k: float | None) -> Sequence[Any]:
+    """Return a value with its expanded uncertainty; without one where `k` is None."""
     if quantity.unit not in _UNITS:
         raise InputError(f"{label}: the unit {quantity.unit!r} has no form in D-SI that is known here")
-    real = _child(parent, "real", space=_SI)
-    _child(real, "label", label, _SI)
-    _child(real, "value", repr(float(quantity.value)), _SI)
-    _child(real, "unit", _UNITS[quantity.unit], _SI)
-    if k is not None:
-        expanded = _child(real, "expandedUnc", space=_SI)
-        _child(expanded, "uncertainty", repr(float(k * quantity.u)), _SI)
-        _child(expanded, "coverageFactor", repr(float(k)), _SI)
-        _child(expanded, "coverageProbability", repr(COVERAGE_PROBABILITY), _SI)
+    expanded = k is not None and (
+        "si:expandedUnc", ("si:uncertainty", repr(float(k * quantity.u))), ("si:coverageFactor", repr(float(k))),
+        ("si:coverageProbability", repr(COVERAGE_PROBABILITY)),
+    )  # fmt: skip
+    value = repr(float(quantity.value))
+    return ("si:real", ("si:label", label), ("si:value", value), ("si:unit", _UNITS[quantity.unit]), expanded or ())
 
 
 # How releases of D-SI call uncertainty and coverage factor: 1.x and 2.1 the first, 2.2 and later the second.
@@ -233,8 +212,7 @@ def read_certificate(path: Path, unit: str) -> Quantity:
         path: DCC file of schema 2 or 3.
         unit: "W sr-1 m-2" or "cd m-2".
 
-    Raises:
-        InputError: If it is no certificate, or does not state just one value in this unit with its uncertainty.
+    Raises InputError if it is no certificate, or does not state just one value in this unit with its uncertainty.
     """
     text = path.read_bytes()
     if b"<!DOCTYPE" in text or b"<!ENTITY" in text:

@@ -3,31 +3,47 @@
 from __future__ import annotations
 
 import io
+import math
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
+from pydantic import Field
 
 import radiometer
-from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy
 from radiometer.data import PixelMask, Provenance, RadianceMap
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
 from radiometer.data.storage import write_bytes_atomic
+from radiometer.data.validation import FileSection, validate
 from radiometer.errors import InputError, MeasurementError, MissingLibrary, OutputError, UsageError
 from radiometer.reporting.origin import moment
 
 _LABELS: Final = {RADIANCE_UNIT: "radiance in W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance in cd·m⁻²"}
 _LETTERS: Final = {"red": "R", "green": "G", "blue": "B"}  # channels of colour pictures, as programs know them
 _SHARED: Final = "shared standard uncertainty"  # name of the page with what pixels of one level share
+_WITHOUT_VALUE: Final = int(PixelMask.SATURATED | PixelMask.UNLIT)
 _CLIPPED_COLOUR: Final = "#ff40ff"
 _MOST_DECADES: Final = 6.0  # more than an eye can tell apart in one picture
+
+_Unit = Literal["W sr-1 m-2", "cd m-2", "relative", "1", "K"]  # of maps that this program writes
+
+
+class _MapFacts(FileSection):
+    """What the description of a map's page of values states."""
+
+    unit: _Unit
+    u_rel_common: float = Field(ge=0)
+    channels: tuple[str, ...] | None = None
+    units: tuple[_Unit, ...] | None = None
+    origin: dict[str, Any] = Field(default_factory=dict)
 
 
 def write_exr(path: Path, picture: MapPicture) -> None:
@@ -187,15 +203,24 @@ def read_tiff(path: Path) -> MapPicture:
         raise InputError(
             f"{path}: is no map of radiance with its uncertainty; write one by `radiometer merge -o FILE.tiff`"
         ) from error
-    names = facts.get("channels") or (tuple(_LETTERS) if values.ndim == 3 else ("mono",))
+    stated = validate(_MapFacts, facts, str(path), InputError)
+    names = stated.channels or (tuple(_LETTERS) if values.ndim == 3 else ("mono",))
     value, own, bits = (one.reshape(*one.shape[:2], -1) for one in (values, u, mask))
-    common, units = float(facts["u_rel_common"]), facts.get("units") or [facts["unit"]] * len(names)
-    stated = facts.get("origin")
-    provenance = Provenance("read", (str(path),), parameters={"origin": stated if isinstance(stated, dict) else {}})
+    units = stated.units or (stated.unit,) * len(names)
+    alike = {one.shape for one in (value, own, bits, *([] if shared is None else [shared]))}
+    if alike != {(*value.shape[:2], len(names))} or len(units) != len(names):
+        raise InputError(f"{path}: its pages are of different sizes; write the map again by `radiometer merge`")
+    unknown = np.isfinite(value) & ((bits & _WITHOUT_VALUE) == 0) & ~(np.isfinite(own) & (own >= 0.0))
+    if unknown.any():
+        raise InputError(
+            f"{path}: {int(unknown.sum())} values are without their uncertainty; write the map again by "
+            "`radiometer merge`"
+        )
+    provenance = Provenance("read", (str(path),), parameters={"origin": stated.origin})
     return MapPicture(
         {
             name: RadianceMap(
-                *(value[..., n], own[..., n], bits[..., n], str(units[n]), common),
+                *(value[..., n], own[..., n], bits[..., n], units[n], stated.u_rel_common),
                 provenance=provenance,
                 u_shared=None if shared is None else shared[..., n],
             )
@@ -304,14 +329,9 @@ def in_luminance(found: RadianceMap, spectrum: Spectrum) -> RadianceMap:
     """
     if found.unit != RADIANCE_UNIT:
         raise UsageError("a relative map has no luminance; merge with a calibration")
-    efficacy = luminous_efficacy_lm_per_w(spectrum)
-    return replace(
-        found,
-        radiance=found.radiance * efficacy,
-        u_radiance=found.u_radiance * efficacy,
-        u_shared=None if found.u_shared is None else found.u_shared * efficacy,
-        unit=LUMINANCE_UNIT,
-    )
+    efficacy = luminous_efficacy(spectrum)
+    common = math.hypot(found.u_rel_common, efficacy.u_rel)
+    return replace(found.scaled(efficacy.value, LUMINANCE_UNIT), u_rel_common=common)
 
 
 def writer_for(path: Path) -> Writer:

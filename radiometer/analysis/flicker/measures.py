@@ -7,7 +7,7 @@ Source: CIE TN 012:2021 and IEEE 1789-2015 (modulation depth, flicker index), IE
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -100,19 +100,18 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         return Quantity(one.value, math.hypot(one.u, abs(one.value) * u_dark_rel), "1")
 
     def with_u(of: Callable[[Waveform, Period | None], float]) -> Quantity:
+        value = of(part, period)
+        doubts = [of(one, again) - value for one, again in doubted]
         u = math.hypot(_jackknife(of, part, period, blocks, periods), _spread([of(one, period) for one in rounded]))
-        return with_dark(Quantity(of(part, period), u, "1"))
+        return with_dark(Quantity(value, math.hypot(u, *doubts), "1"))
 
     rounded = _rounded(part)
     warnings += _sampling_warnings(part)
+    doubted = [(one, find_period(one)) for one in waveform.others]
     shapes = [_shape(one, period if periods else None)[0] for one in rounded]
-    depth, index = (
-        with_dark(Quantity(one.value, math.hypot(one.u, _spread([other.value for other in others])), "1"))
-        for one, others in (
-            (shape.modulation_depth, [one.modulation_depth for one in shapes]),
-            (shape.flicker_index, [one.flicker_index for one in shapes]),
-        )
-    )
+    off = [_shape(one, again if periods else None)[0] for one, again in doubted]
+
+    depth, index = (with_dark(_doubted(name, shape, shapes, off)) for name in ("modulation_depth", "flicker_index"))
     if depth.value - 2.0 * depth.u > 1.0:
         warnings.append("the light falls below the value of darkness: state that value by --dark")
     svm = pst = None
@@ -143,6 +142,15 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     frequency = None if period is None else Quantity(period.frequency_hz, period.u_hz, "Hz")
     k = float(student_t.ppf(0.5 + _COVERAGE / 2.0, blocks - 1)) if blocks else 2.0
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+
+
+def _doubted(name: str, shape: ShapeMeasures, drawn: Sequence[ShapeMeasures], off: Sequence[ShapeMeasures]) -> Quantity:
+    """Return a measure of a shape, with what shapes that were drawn spread, and those one u off differ, in u."""
+    one: Quantity = getattr(shape, name)
+    doubts = [getattr(other, name).value - one.value for other in off]
+    return Quantity(
+        one.value, math.hypot(one.u, _spread([getattr(other, name).value for other in drawn]), *doubts), "1"
+    )
 
 
 def _with_noise(pst: Quantity, part: Waveform, period: Period | None) -> tuple[Quantity, list[str]]:

@@ -20,6 +20,9 @@ from radiometer.errors import UsageError
 # Lambertian part of the axial intensity of lensed diodes: 0 to some 10 %; a data sheet's half angle says nothing of it.
 PEDESTAL_U: Final = 0.05
 _PLATEAU_SHARE = 0.5
+# From a stated distance to that of a thin lens. Magnifications are stated roughly, and the entrance pupil of a close-up
+# lens may be a focal length from its principal plane.
+_MOST_OFF_REL = 0.5
 
 
 def intensity_exponent(half_angle_deg: float) -> float:
@@ -96,7 +99,6 @@ def mean_to_axial_radiance(exponent: float, half_angle_rad: float) -> float:
 def led_flux(
     frames: Sequence[Frame],
     scale: FluxScale,
-    lens: LensDescription,
     emitter: Emitter | None = None,
     region: Patch | None = None,
     f_number_u_rel: float = 0.02,
@@ -105,19 +107,20 @@ def led_flux(
 
     Args:
         frames: Bracket of the lit diode; frames with the source off and dark frames where there are any.
-        scale: From digital numbers to exposure on the sensor.
-        lens: The lens; its transmittance, f-number, focal length and magnification count.
+        scale: From digital numbers to exposure on the sensor, with the lens, whose transmittance, f-number, focal
+            length and magnification count.
         emitter: The diode; without it only the flux on the sensor can be given.
         region: Where the diode and its glow are; None for the whole frame.
         f_number_u_rel: Relative standard uncertainty of the effective f-number.
 
     Raises:
         MeasurementError: If no frame shows the diode, or it clips everywhere.
-        UsageError: If a figure of the emitter is impossible.
+        UsageError: If a figure of the emitter is impossible, or contradicts the lens.
     """
     measured = sensor_flux(frames, scale, region)
-    f_number = frames[0].settings.f_number or lens.f_number
-    ways = _Ways(measured, scale, lens, f_number, f_number_u_rel, emitter)
+    f_number = frames[0].settings.f_number or scale.lens.f_number
+    _refuse_other_distance(emitter, scale.lens)
+    ways = _Ways(measured, scale, scale.lens, f_number, f_number_u_rel, emitter)
     emitted = ways.emitted()
     steps = ways.steps(emitted)
     thesis_exposure, thesis_w, left_out = _typical(measured)
@@ -135,6 +138,30 @@ def led_flux(
         assumptions=(*scale.assumptions, *ways.assumptions()),
         clipped_everywhere=measured.clipped_everywhere,
     )
+
+
+def _thin_lens_mm(lens: LensDescription) -> float | None:
+    """Return the distance f·(1 + 1/m) of what a thin lens shows sharply; None where focus or lens is not stated."""
+    if lens.focal_length_mm is None or lens.magnification <= 0:
+        return None
+    return lens.focal_length_mm * (1.0 + 1.0 / lens.magnification)
+
+
+def _refuse_other_distance(emitter: Emitter | None, lens: LensDescription) -> None:
+    """Refuse a distance that focal length and magnification exclude, such as one in cm.
+
+    Raises:
+        UsageError: If it is farther off than a lens is thick.
+    """
+    focused = _thin_lens_mm(lens)
+    if emitter is None or emitter.distance_mm is None or focused is None:
+        return
+    stated = emitter.distance_mm.value
+    if abs(stated / focused - 1.0) > _MOST_OFF_REL:
+        raise UsageError(
+            f"--distance {stated:g} mm: f = {lens.focal_length_mm:g} mm at a magnification of {lens.magnification:g}, "
+            f"as the lens is stated, belong to {focused:.4g} mm; correct the distance, or lens.magnification"
+        )
 
 
 def _typical(measured: SensorFlux) -> tuple[float, float, float]:
@@ -217,11 +244,8 @@ class _Ways:
         assert self.emitter is not None
         if self.emitter.distance_mm is not None:
             return self.emitter.distance_mm
-        focal, magnification = self.lens.focal_length_mm, self.lens.magnification
-        if focal is None or magnification <= 0:
-            return None
-        distance = focal * (1.0 + 1.0 / magnification)
-        return Quantity(distance, 0.01 * distance, "mm")
+        distance = _thin_lens_mm(self.lens)
+        return None if distance is None else Quantity(distance, 0.01 * distance, "mm")
 
     def _distance_value(self) -> float:
         distance = self._distance()

@@ -9,18 +9,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.calibration.shared import require_camera
-from radiometer.analysis.signal.model import SignalModel, dark_levels, signal_model
+from radiometer.analysis.reading.budget import frame_u_rel, spectral_u_rel
+from radiometer.analysis.signal.lens import known_f_number
+from radiometer.analysis.signal.model import (
+    SignalModel,
+    dark_levels,
+    signal_model,
+    temperature_factor,
+)
+from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,
-    Calibration,
-    CameraDescription,
     Frame,
+    FrameSettings,
+    LensDescription,
     Patch,
     Quantity,
     SensorNoise,
-    SourceDescription,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 from radiometer.units import photon_energy_j
 
@@ -37,6 +44,7 @@ class FluxScale:
     joule_per_m2: float  # exposure per unit of the signal in J·m⁻²
     u_rel: float  # its relative standard uncertainty
     pixel_area_m2: float  # area of the sensor that one stored pixel covers in m²
+    lens: LensDescription  # the lens in use, as far as capture or calibration state it
     assumptions: tuple[str, ...] = ()  # what was assumed rather than measured
 
 
@@ -56,55 +64,63 @@ class SensorFlux:
 
 
 def flux_scale(
-    camera: CameraDescription,
-    source: SourceDescription,
-    calibration: Calibration | None,
-    responsivity_u_rel: float | None = None,
+    setup: Setup, settings: Sequence[FrameSettings] = (), responsivity_u_rel: float | None = None
 ) -> FluxScale:
     """Return the scale of a calibration, or else the one that the camera's description gives.
 
     Without a calibration H = x·c·h·c₀/(λ·η·A): conversion gain c, quantum efficiency η, pixel area A, wavelength λ.
 
     Args:
-        camera: The camera.
-        source: Its wavelength counts.
+        setup: Camera, lens, calibration and light.
+        settings: Of the light frames, which a calibration is compared with as for a radiance.
         responsivity_u_rel: Relative standard uncertainty of η/c where it was measured; None takes 3 %.
 
     Raises:
         CalibrationError: If the calibration is of another camera, is relative, or holds for radiance only; or if
             there is none and the description leaves out a figure.
     """
+    camera, wavelength_nm = setup.camera, setup.source.wavelength_nm if setup.source else None
     spacing_um = camera.pixel_spacing_um or camera.pixel_pitch_um
     if spacing_um is None:
         raise CalibrationError("the flux needs the pixel's area: give camera.pixel_pitch_um in the capture")
     area_m2 = (spacing_um * 1e-6) ** 2
-    if calibration is not None:
-        return _of_calibration(calibration, camera, area_m2)
+    if setup.calibration is not None:
+        return _of_calibration(setup, settings, area_m2)
     eta, c, pitch_um = camera.quantum_efficiency, camera.conversion_gain_e_per_dn, camera.pixel_pitch_um
-    if eta is None or c is None or pitch_um is None or source.wavelength_nm is None:
+    if eta is None or c is None or pitch_um is None or wavelength_nm is None:
         raise CalibrationError(
             "no calibration, and the capture does not state quantum_efficiency, conversion_gain_e_per_dn, "
             "pixel_pitch_um and source.wavelength_nm: give --calibration, or add them"
         )
     black = BlackLevel(dn=camera.black_level_dn or 0.0)
-    joule = c * photon_energy_j(source.wavelength_nm) / (eta * (pitch_um * 1e-6) ** 2)
+    joule = c * photon_energy_j(wavelength_nm) / (eta * (pitch_um * 1e-6) ** 2)
     model = signal_model(camera, None, SensorNoise.of(camera), black.dn)
     if responsivity_u_rel is not None:
-        return FluxScale(model, black, joule, responsivity_u_rel, area_m2)
+        return FluxScale(model, black, joule, responsivity_u_rel, area_m2, setup.lens)
     note = f"scale from the camera's description, taken as known to {100 * _DESCRIPTION_U_REL:g} %"
-    return FluxScale(model, black, joule, _DESCRIPTION_U_REL, area_m2, (note,))
+    return FluxScale(model, black, joule, _DESCRIPTION_U_REL, area_m2, setup.lens, (note,))
 
 
-def _of_calibration(calibration: Calibration, camera: CameraDescription, area_m2: float) -> FluxScale:
-    require_camera(calibration, camera)
+def _of_calibration(setup: Setup, settings: Sequence[FrameSettings], area_m2: float) -> FluxScale:
+    situation, calibration = situation_of(setup), setup.calibration
+    assert calibration is not None
     if not calibration.absolute or calibration.scale.f_number is None:
         raise CalibrationError(
             "this calibration holds no exposure on the sensor (it is relative, or was made without an f-number); "
             "calibrate with a known radiance and a stated f-number"
         )
-    model = signal_model(calibration.camera, calibration.response, calibration.noise, calibration.black_level.dn)
-    u_rel = math.hypot(calibration.scale.u_rel, calibration.uncertainties.spectral_u_rel)
-    return FluxScale(model, calibration.black_level, calibration.scale.value, u_rel, area_m2)
+    lens, stated = situation.lens, situation.stated
+    numbers = {known_f_number(calibration, one, lens) for one in settings}
+    u_rel = math.hypot(
+        calibration.scale.u_rel,
+        spectral_u_rel(calibration, stated, spectrum_stated=setup.spectrum_stated),
+        frame_u_rel(calibration, lens, numbers, settings, setup.taken),
+    )
+    temperatures = [one.temperature_c for one in settings if one.temperature_c is not None]
+    here_c = sum(temperatures) / len(temperatures) if temperatures and len(temperatures) == len(settings) else None
+    warm = temperature_factor(calibration.found, here_c, calibration.scale.conditions.temperature_c)
+    joule = situation.scale * warm
+    return FluxScale(situation.model, situation.black, joule, u_rel, area_m2, lens, situation.assumptions)
 
 
 def sensor_flux(frames: Sequence[Frame], scale: FluxScale, region: Patch | None = None) -> SensorFlux:

@@ -36,6 +36,7 @@ from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_
 from radiometer.analysis.signal.model import (
     corrected_settings,
     darkest_signal,
+    refuse_brighter_darks,
     some_lit_pixels,
     temperature_factor,
 )
@@ -49,6 +50,7 @@ from radiometer.data import (
     Provenance,
     RadianceMap,
 )
+from radiometer.data.frame import Copies
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
@@ -174,9 +176,6 @@ class _Excused:
         return cls(np.empty(0, np.intp), np.empty(0), None)
 
 
-_DARKER_SIGMAS = 5.0  # of one pixel: no middle of a picture is so far below its dark level
-
-
 class StreamingMerge:
     """Merges frames as they arrive; holds sums per pixel and the frames of a small batch.
 
@@ -203,6 +202,7 @@ class StreamingMerge:
         self._sums: MergeSums | None = None
         self._pending: list[MergeSample] = []
         self._finished = False
+        self._copies = Copies()
 
     def add(self, frame: Frame) -> None:
         """Take a frame in; its pixels are read now or with one of the next frames, and must stay as they are.
@@ -212,6 +212,8 @@ class StreamingMerge:
         """
         frame = self._corrected(frame)
         self._refuse_misfit(frame)
+        if self._copies.again(frame):
+            return
         if frame.settings.is_dark:
             if self._terms:
                 raise MeasurementError("a dark frame came after light ones; give dark frames first")
@@ -283,8 +285,10 @@ class StreamingMerge:
         """
         for dark in bracket.dark:
             self.add(dark)
-        for taken in bracket.light:
-            frame = self._corrected(taken)
+        kept = [n for n, one in enumerate(bracket.light) if not self._copies.again(one)]
+        absent = [absent[n] for n in kept] if absent else absent
+        for n in kept:
+            frame = self._corrected(bracket.light[n])
             self._refuse_misfit(frame)
             self._pending.append(self._sample(frame))
         batch, self._pending = self._pending, []
@@ -436,17 +440,11 @@ class StreamingMerge:
         return MergeSample.of(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
 
     def _refuse_foreign_darks(self, frame: Frame, terms: FrameTerms) -> None:
-        """Refuse dark frames that are brighter than a light frame: their dark signal is not that of its exposure."""
-        if not self._dark:
-            return
-        model = self._situation.model
-        middle = float(model.table(frame.settings)[int(np.median(frame.dn))])
-        sigma = math.hypot(math.sqrt(float(model.variance(0.0, frame.settings))), terms.u_dark)
-        if middle < float(np.mean(terms.dark)) - _DARKER_SIGMAS * sigma:
-            raise MeasurementError(
-                f"the light frame of {frame.settings.exposure_s:g} s is darker than the dark frames show for it; "
-                "take dark frames of its exposure and temperature, or of two exposures"
-            )
+        """Refuse dark frames that are brighter than a light frame."""
+        if self._dark:
+            model = self._situation.model
+            middle = float(model.table(frame.settings)[int(np.median(frame.dn))])
+            refuse_brighter_darks(frame.settings, middle, float(np.mean(terms.dark)), terms.u_dark, model)
 
     def _refuse_misfit(self, frame: Frame) -> None:
         if self._shape is None:
@@ -695,7 +693,7 @@ class StreamingMerge:
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
-                assumptions=(*self._situation.assumptions, *white, *used, *in_u, *not_in_u),
+                assumptions=(*self._situation.assumptions, *white, *self._copies.notes, *used, *in_u, *not_in_u),
                 parameters={
                     "frames": len(self._terms),
                     "dark_frames": len(self._dark),

@@ -15,8 +15,9 @@ import numpy as np
 from radiometer.analysis.photometry.photometry import (
     KM_LM_PER_W,
     Spectrum,
-    holds_visible_light,
+    luminous_efficacy,
     luminous_efficiency,
+    mean_weight,
     spectrum,
     table,
 )
@@ -56,46 +57,31 @@ def alpha_opic_quantities(
     """Return the five α-opic quantities of a radiance, luminance, irradiance or illuminance.
 
     A photometric quantity X_v gives X_α = X_v·∫S·s_α dλ / (K_m·∫S·V dλ), a radiometric one X_e·∫S·s_α dλ / ∫S dλ.
-    The uncertainty holds the quantity's own, and the ratio's from independent entries and from the wavelength scale.
-
-    Args:
-        quantity: Value and standard uncertainty in one of `UNITS`.
-        light: Its spectrum.
-        u_rel: Relative standard uncertainty of each entry of the spectrum, independent of the others.
-        wavelength_u_nm: Standard uncertainty of its wavelength scale in nm, the same for all entries.
-
-    Raises:
-        InputError: If the unit is none of those, or the spectrum holds no light where the functions are tabulated.
+    The uncertainty holds the quantity's own, and the ratio's from independent relative errors `u_rel` of the spectrum's
+    entries and from its wavelength scale. Raises InputError if the unit is none of `UNITS`, or the spectrum holds or
+    states too little light where the functions are tabulated.
     """
     if quantity.unit not in _FORMS:
         raise InputError(f"unit {quantity.unit!r}: an α-opic quantity is made of one in {', '.join(UNITS)}")
     photometric, unit, daylight_unit = _FORMS[quantity.unit]
-    if not holds_visible_light(light):
-        raise InputError(f"spectrum {light.name!r} holds no visible light: its α-opic efficacies are not defined")
+    luminous_efficacy(light)  # without one the α-opic efficacies are not defined
     low, high = _TABULATED_NM
     if not np.any(light.power[(light.wavelength_nm >= low) & (light.wavelength_nm <= high)] > 0.0):
-        raise InputError(
-            f"spectrum {light.name!r} holds no light from {low:g} to {high:g} nm, where the functions of the cones "
-            "are tabulated"
-        )
-    if not (math.isfinite(quantity.value) and quantity.value >= 0.0):
-        raise InputError(
-            f"{quantity.value:g} {unit_text(quantity.unit)}: an α-opic quantity is made of a value of 0 or more"
-        )
-    found = list[AlphaOpic]()
-    for receptor in RECEPTORS:
+        raise InputError(f"spectrum {light.name!r} holds no light from {low:g} to {high:g} nm, where the functions of "
+                         "the cones are tabulated")  # fmt: skip
+    value = quantity.value
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InputError(f"{value:g} {unit_text(quantity.unit)}: an α-opic quantity is made of a value of 0 or more")
+
+    def of(receptor: str) -> AlphaOpic:
         efficacy = _ratio(light, receptor, u_rel, wavelength_u_nm, photometric=True)
-        d65 = _ratio(spectrum(DAYLIGHT), receptor, photometric=True).value
+        of_d65 = 1.0 / _ratio(spectrum(DAYLIGHT), receptor, photometric=True).value
         factor = efficacy if photometric else _ratio(light, receptor, u_rel, wavelength_u_nm, photometric=False)
-        u = math.hypot(quantity.u * factor.value, quantity.value * factor.u)
-        of_receptor = Quantity(quantity.value * factor.value, u, unit)
-        found.append(
-            AlphaOpic(
-                receptor, of_receptor, of_receptor.scaled(1.0 / d65, daylight_unit), efficacy.scaled(1e3, "mW lm-1"),
-                efficacy.scaled(1.0 / d65, "1"),
-            )
-        )  # fmt: skip
-    return tuple(found)
+        found = Quantity(value * factor.value, math.hypot(quantity.u * factor.value, value * factor.u), unit)
+        daylight, ratio = found.scaled(of_d65, daylight_unit), efficacy.scaled(of_d65, "1")
+        return AlphaOpic(receptor, found, daylight, efficacy.scaled(1e3, "mW lm-1"), ratio)
+
+    return tuple(map(of, RECEPTORS))
 
 
 def _ratio(
@@ -107,16 +93,20 @@ def _ratio(
     the derivative of N/D by the relative error of entry i is (Nᵢ − r·Dᵢ)/D.
     """
     wavelength_nm, columns = table("alpha_opic.csv")
+    stated = slice(*(np.flatnonzero(columns[receptor])[[0, -1]] + [0, 1]))
+    weighting = wavelength_nm[stated], columns[receptor][stated]
 
     def parts(of: Spectrum) -> tuple[float, float]:
         below = KM_LM_PER_W * of.integral(*luminous_efficiency()) if photometric else of.integral()
-        return of.integral(wavelength_nm, columns[receptor]), below
+        return of.integral(*weighting), below
 
     def moved(by_nm: float) -> float:
         above, below = parts(Spectrum(light.name, light.wavelength_nm + by_nm, light.power))
         return above / below
 
     value, below = moved(0.0), parts(light)[1]
+    unknown = mean_weight(light, weighting, luminous_efficiency() if photometric else None)
+    u_unknown = unknown.u / (KM_LM_PER_W if photometric else 1.0)
     u_wavelength = abs(moved(wavelength_u_nm) - moved(-wavelength_u_nm)) / 2.0
     derivatives = []
     places = range(light.wavelength_nm.size) if u_rel and light.wavelength_nm.size > 1 else ()  # a line: no shape
@@ -125,4 +115,4 @@ def _ratio(
         alone = np.where(np.arange(light.wavelength_nm.size)[near] == at, light.power[near], 0.0)
         n_i, d_i = parts(Spectrum(light.name, light.wavelength_nm[near], alone))
         derivatives.append((n_i - value * d_i) / below)
-    return Quantity(value, math.hypot(u_wavelength, float(np.linalg.norm(derivatives)) * u_rel), "1")
+    return Quantity(value, math.hypot(u_wavelength, u_unknown, float(np.linalg.norm(derivatives)) * u_rel), "1")

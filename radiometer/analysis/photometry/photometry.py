@@ -20,7 +20,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data import SpectralResponse
+from radiometer.data import Quantity, SpectralResponse
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
@@ -67,6 +67,9 @@ CRT: Final = "crt"
 DISPLAY_TYPES: Final = (*LINES, CRT)
 KM_LM_PER_W: Final = 683.0  # maximum photopic luminous efficacy, at 540 THz (SI, candela)
 KM_SCOTOPIC_LM_PER_W: Final = 1700.05  # CIE S 010, K'm at 507 nm
+# Of a luminous efficacy, from what the table of a light does not state: beyond it, nothing is converted.
+MOST_UNKNOWN_REL: Final = 0.05
+COARSEST_NM: Final = 20.0  # of a light that is not a line: the widest step of tables of CIE 015:2018
 Observer = Literal["photopic", "photopic_gaussian", "scotopic"]
 
 _COLUMNS: Final = {"photopic": "photopic_cie1924", "scotopic": "scotopic_cie1951"}
@@ -92,6 +95,8 @@ class Spectrum:
     name: str  # name it is asked for by
     wavelength_nm: NDArray[np.float64]  # ascending wavelengths in nm; a single one for a monochromatic line
     power: NDArray[np.float64]  # relative power per nm at each, 0 or more
+    # Whether it was sampled from a light: beyond its entries and between them it is unknown
+    is_sampled: bool = False
 
     @property
     def band_nm(self) -> tuple[float, float]:
@@ -121,6 +126,67 @@ class Spectrum:
         power, weight = np.interp(grid, self.wavelength_nm, self.power), np.interp(grid, weighting_nm, weighting)
         crossed = power[:-1] * (2.0 * weight[:-1] + weight[1:]) + power[1:] * (weight[:-1] + 2.0 * weight[1:])
         return float(np.sum(np.diff(grid) * crossed) / 6.0)
+
+    def unknown(self, weighting_nm: NDArray[np.float64], weighting: NDArray[np.float64]) -> float:
+        """Return what ∫ S(λ)·w(λ) dλ may lack at most where one table ends before the other."""
+        if self.wavelength_nm.size == 1:
+            nearest = np.clip(self.wavelength_nm[0], weighting_nm[0], weighting_nm[-1])
+            height = float(np.interp(nearest, weighting_nm, weighting))
+            return 0.0 if nearest == self.wavelength_nm[0] else float(self.power[0]) * height
+        lacking = _beyond(weighting_nm, weighting, self.wavelength_nm, self.power)
+        return lacking + (_beyond(self.wavelength_nm, self.power, weighting_nm, weighting) if self.is_sampled else 0.0)
+
+    def in_gaps(self, weighting_nm: NDArray[np.float64], weighting: NDArray[np.float64]) -> float:
+        """Return by how much ∫ S(λ)·w(λ) dλ depends on where light is in the gaps between entries far apart."""
+        total = 0.0
+        for n in np.flatnonzero(np.diff(self.wavelength_nm) > COARSEST_NM):
+            ends = self.wavelength_nm[n : n + 2]
+            inside = weighting_nm[(weighting_nm > ends[0]) & (weighting_nm < ends[1])]
+            heights = np.interp(np.concatenate([ends, inside]), weighting_nm, weighting, left=0.0, right=0.0)
+            total += Spectrum(self.name, ends, self.power[n : n + 2]).integral() * float(np.ptp(heights))
+        return total
+
+
+def _beyond(table_nm: Array, values: Array, other_nm: Array, other: Array) -> float:
+    """Return the integral of another table beyond the ends of one, times its values there."""
+    grid = np.union1d(other_nm, table_nm[[0, -1]])
+    height = np.interp(grid, other_nm, other, left=0.0, right=0.0)
+    below, above = grid <= table_nm[0], grid >= table_nm[-1]
+    return float(
+        values[0] * np.trapezoid(height[below], grid[below]) + values[-1] * np.trapezoid(height[above], grid[above])
+    )
+
+
+Weighting = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def mean_weight(light: Spectrum, above: Weighting, below: Weighting | None = None) -> Quantity:
+    """Return ∫ S·a dλ / ∫ S·b dλ with the standard uncertainty that comes from what tables do not state.
+
+    Beyond its ends a weighting, or a light that was sampled, may be as high as at the end, or 0. Between its samples a
+    light may be off by as much as every other of them is, and in a gap wider than 20 nm it may all be in one place.
+    These are bounds, taken as rectangles.
+
+    Args:
+        light: The light.
+        above: Wavelengths and values of a.
+        below: Those of b; None is 1 over the band of the light.
+    """
+    whole, own = light.integral(*(below or (None, None))), light.integral(*above)
+    value = own / whole if whole > 0.0 else 0.0
+    if not whole > 0.0:
+        return Quantity(value, 0.0, "1")
+    off = [light.unknown(*above) / whole, value * (light.unknown(*below) / whole if below else 0.0)]
+    if light.is_sampled:
+        every = np.arange(light.wavelength_nm.size)
+        off.append(light.in_gaps(*above) / whole)
+        off.append(value * light.in_gaps(*below) / whole if below else 0.0)
+        for offset in (0, 1):
+            kept = (every % 2 == offset) | (every == 0) | (every == every[-1])
+            thin = Spectrum(light.name, light.wavelength_nm[kept], light.power[kept])
+            part = thin.integral(*(below or (None, None)))
+            off.append((thin.integral(*above) / part - value) / math.sqrt(2.0) if part > 0.0 else value)
+    return Quantity(value, math.hypot(*off) / math.sqrt(3.0), "1")
 
 
 def spectrum(name: str) -> Spectrum:
@@ -293,7 +359,7 @@ def spectrum_from_csv(path: Path) -> Spectrum:
     power = columns["relative_power"]
     if np.any(power < 0) or not power.any():
         raise InputError(f"{path}: powers must be 0 or more, not all 0")
-    return Spectrum(str(path), wavelength, power)
+    return Spectrum(str(path), wavelength, power, is_sampled=True)
 
 
 def primary_spectrum(kind: str, primary: str) -> tuple[np.ndarray, np.ndarray]:
@@ -331,6 +397,12 @@ def luminous_efficiency(observer: Observer = "photopic") -> tuple[NDArray[np.flo
     return wavelength, columns[_COLUMNS[observer]]
 
 
+def matching_functions() -> tuple[Array, Array]:
+    """Return wavelengths in nm, and the colour matching functions x̄, ȳ, z̄ over them, shape (3, wavelengths)."""
+    wavelength_nm, columns = table("colour_matching.csv")
+    return wavelength_nm, np.stack([columns[name] for name in ("x_bar", "y_bar", "z_bar")])
+
+
 def luminous_efficacy_lm_per_w(spectrum: Spectrum, observer: Observer = "photopic") -> float:
     """Return the luminous efficacy of radiation in lm/W: K·∫S·V dλ / ∫S dλ over the spectrum's band.
 
@@ -339,19 +411,34 @@ def luminous_efficacy_lm_per_w(spectrum: Spectrum, observer: Observer = "photopi
         observer: Whose efficiency; K is 683 lm/W photopic, 1700.05 lm/W scotopic.
 
     Raises:
-        InputError: If the spectrum is outside the visible range.
+        InputError: If the spectrum is outside the visible range, or its table states too little of it.
     """
-    constant = KM_SCOTOPIC_LM_PER_W if observer == "scotopic" else KM_LM_PER_W
-    efficacy = constant * spectrum.integral(*luminous_efficiency(observer)) / spectrum.integral()
-    if efficacy <= 0.0:
-        low, high = spectrum.band_nm
+    return luminous_efficacy(spectrum, observer).value
+
+
+def luminous_efficacy(spectrum: Spectrum, observer: Observer = "photopic") -> Quantity:
+    """Return what `luminous_efficacy_lm_per_w` does, with the uncertainty from what its table does not state.
+
+    Raises:
+        InputError: As there.
+    """
+    constant, (low, high) = KM_SCOTOPIC_LM_PER_W if observer == "scotopic" else KM_LM_PER_W, spectrum.band_nm
+    efficacy = mean_weight(spectrum, luminous_efficiency(observer)).scaled(constant, "lm W-1")
+    if efficacy.value <= 0.0:
         raise InputError(f"spectrum {spectrum.name!r} ({low:g} to {high:g} nm) holds no visible light")
+    if efficacy.u > MOST_UNKNOWN_REL * efficacy.value:
+        raise InputError(
+            f"spectrum {spectrum.name!r} ({low:g} to {high:g} nm, {spectrum.wavelength_nm.size} entries) leaves its "
+            f"luminance unknown to {100 * efficacy.u_rel:.2g} %: state it in finer steps, or further, with 0 where "
+            "there is no light"
+        )
     return efficacy
 
 
 def holds_visible_light(spectrum: Spectrum) -> bool:
-    """Return whether a spectrum has a luminance: near-infrared and ultraviolet have a radiance only."""
-    return spectrum.integral(*luminous_efficiency()) > 0.0
+    """Return whether a spectrum has a luminance that its table states: near-infrared has a radiance only."""
+    found = mean_weight(spectrum, luminous_efficiency())
+    return found.value > 0.0 and found.u <= MOST_UNKNOWN_REL * found.value
 
 
 def luminance_cd_m2(radiance_w_sr_m2: float, spectrum: Spectrum, observer: Observer = "photopic") -> float:

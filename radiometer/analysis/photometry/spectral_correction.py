@@ -9,7 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.photometry.photometry import Spectrum, spectral_columns, spectrum
+from radiometer.analysis.photometry.photometry import (
+    MOST_UNKNOWN_REL,
+    Spectrum,
+    mean_weight,
+    spectral_columns,
+    spectrum,
+)
 from radiometer.errors import InputError
 
 # Quantum efficiencies of silicon sensors vary by about a fifth between 450 and 650 nm (EMVA 1288 data sheets).
@@ -41,7 +47,11 @@ def spectral_factor(calibrated: str, peak_nm: float | None, fwhm_nm: float, resp
 
 
 def _mean(light: Spectrum, grid_nm: NDArray[np.float64], sensitivity: NDArray[np.float64]) -> float:
-    return light.integral(grid_nm, sensitivity) / light.integral()
+    found = mean_weight(light, (grid_nm, sensitivity))
+    if found.u > MOST_UNKNOWN_REL * found.value:
+        raise InputError(f"spectrum {light.name!r} leaves the correction unknown to {100 * found.u_rel:.2g} %; "
+                         "state it in finer steps")  # fmt: skip
+    return found.value
 
 
 def _gaussian(peak_nm: float, fwhm_nm: float) -> Spectrum:

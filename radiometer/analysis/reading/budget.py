@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -26,8 +26,9 @@ from radiometer.analysis.photometry.photometry import (
     unstated_light_u_rel,
 )
 from radiometer.analysis.reading.estimate import PatchEstimate
+from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr
 from radiometer.analysis.signal.model import DarkLevel, PatchFrame, SignalModel
-from radiometer.analysis.signal.situation import Situation
+from radiometer.analysis.signal.situation import Situation, situation_of
 from radiometer.analysis.signal.taps import ReadOut
 from radiometer.data import (
     Calibration,
@@ -40,8 +41,12 @@ from radiometer.data import (
     ScaleConditions,
     StatedUncertainties,
 )
+from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.reading import CLIPPING
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
 from radiometer.moments import moment_of
+from radiometer.units import gain_factor
 
 # Contributions by repeated observation alone, of type A wherever they stand.
 OBSERVED: Final = frozenset({"repeatability", "source fluctuation"})
@@ -293,6 +298,12 @@ def outside_terms(
     return terms
 
 
+def frame_conditions(settings: Sequence[FrameSettings]) -> ScaleConditions:
+    """Return the conditions of frames that count alike, as far as no place in the picture matters."""
+    even = np.full(len(settings), 1.0 / max(len(settings), 1))
+    return conditions_of(even, settings, 0.5, 1.0, 0.0, 1.0, None)
+
+
 def frame_u_rel(
     calibration: Calibration,
     lens: LensDescription,
@@ -308,8 +319,7 @@ def frame_u_rel(
         settings: Of the frames.
         now: Time that the calibration's age is counted to, with time zone; None for the present.
     """
-    even = np.full(len(settings), 1.0 / max(len(settings), 1))
-    here = conditions_of(even, settings, 0.5, 1.0, 0.0, 1.0, None)
+    here = frame_conditions(settings)
     stated, there = calibration.uncertainties, calibration.scale.conditions
     terms = [
         _gain(1.0, here, there, stated),
@@ -323,6 +333,32 @@ def frame_u_rel(
         magnification_u_rel(calibration, lens)[0],
     ]
     return math.hypot(*(term.u for term in terms), *parts)
+
+
+def carried(setup: Setup, settings: Sequence[FrameSettings]) -> tuple[float, float]:
+    """Return the factor from relative values of frames to those as at calibration, and its standard uncertainty.
+
+    It holds what differs of lens, f-number, focus and ISO speed. u is relative, and holds gain, temperature and age.
+
+    Args:
+        setup: Camera, lens and calibration.
+        settings: Of the light frames, the first that of the merge.
+
+    Raises:
+        CalibrationError: If the calibration is of another camera or lens, or what counts is not stated.
+    """
+    calibration, lens = setup.calibration, situation_of(setup).lens
+    assert calibration is not None
+    numbers = [known_f_number(calibration, one, lens) for one in settings]
+    scale = calibration.scale
+    factor = lens_factor_sr(calibration.lens, scale.f_number) / lens_factor_sr(lens, numbers[0])
+    iso = min((one.iso for one in settings if one.iso is not None), default=None)
+    if settle("ISO speed", scale.iso, iso) is Handling.CORRECTED:
+        speeds = IsoSpeeds(reference=scale.iso, reference_stated=scale.iso_stated)
+        gains_db = [one.gain_db if one.iso is None else speeds.gain_db(one.iso, ()) for one in settings]
+        factor /= gain_factor(min(gains_db))
+        settings = [replace(one, gain_db=gain_db) for one, gain_db in zip(settings, gains_db, strict=True)]
+    return factor, frame_u_rel(calibration, lens, set(numbers), settings, setup.taken)
 
 
 def stray_light(value: float, surround: float, calibration: Calibration) -> Term:
@@ -422,6 +458,7 @@ class Shown:
     good: NDArray[np.bool_]  # pixels used
     light_frames: int  # number of light frames seen
     unsteady: bool  # whether a frame clips that was exposed no longer than one that does not: the light changes
+    notes: tuple[str, ...] = ()  # what to say of copies among the frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -659,7 +696,7 @@ def _magnification(situation: PatchSituation, value: float) -> Term:
 def _clipped(situation: PatchSituation) -> list[Term]:
     if situation.shown.frames[0].unclipped:
         return []
-    return [Term("clipping", abs(situation.value), note="clips in the shortest exposure: the value is a lower bound")]
+    return [Term(CLIPPING, abs(situation.value), note="clips in the shortest exposure: the value is a lower bound")]
 
 
 def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Flag, ...]:

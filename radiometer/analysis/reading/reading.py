@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.photometry.photometry import holds_visible_light, luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.photometry import holds_visible_light, luminous_efficacy
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.reading.budget import (
     Falloff,
@@ -33,6 +33,7 @@ from radiometer.analysis.signal.model import (
     corrected_frames,
     crop_frames,
     dark_levels,
+    refuse_brighter_darks,
     straightened,
     temperature_factor,
     without_glare,
@@ -53,6 +54,7 @@ from radiometer.data import (
     Reading,
     ScaleConditions,
 )
+from radiometer.data.frame import Copies
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
@@ -106,6 +108,8 @@ def patch_situation(
         MeasurementError: If the patch is outside the frame, or there is no light frame.
     """
     settled, calibration, camera = situation_of(setup), setup.calibration, setup.camera
+    copies = Copies()
+    frames = copies.left_out(frames.every_frame if isinstance(frames, Bracket) else frames)
     if calibration is not None:
         frames = corrected_frames(frames, calibration.found, settled.black.dn)
     levelled, taps = levelled_frames(frames, setup)
@@ -124,6 +128,11 @@ def patch_situation(
         [one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked,
         darkest=[one.darkest for one in chosen],
     )  # fmt: skip
+    for one, level in zip(chosen, dark, strict=True):
+        if dark_frames:
+            refuse_brighter_darks(
+                one.settings, float(np.median(one.signal)), level.signal, level.u_common, settled.model
+            )
     dark = [replace(d, u_independent=math.hypot(d.u_independent, f.u_black)) for d, f in zip(dark, chosen, strict=True)]
     gain = 1.0 if taps is None else taps.gain_of(patch)
     place = _sensitivity(calibration, camera, settled.lens, shape, patch)
@@ -136,7 +145,7 @@ def patch_situation(
     field = _field(camera, settled.lens, shape, patch)
     conditions = _conditions(estimate, chosen, settled, surround, place, field).model_copy(update={"tap": tap})
     scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
-    shown = Shown(estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light))
+    shown = Shown(estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light), copies.notes)
     falloff = _falloff(calibration, camera, settled.lens, chosen, place)
     now = now or setup.taken or dt.datetime.now(dt.UTC)
     return PatchSituation(settled, shown, scale, conditions, surround, falloff, now, stray, taps)
@@ -290,6 +299,7 @@ def _reading(situation: PatchSituation, patch: Patch, sequence: int) -> Reading:
             assumptions=(
                 *settled.assumptions,
                 *white_level_notes(one.settings.white_level for one in situation.shown.frames),
+                *situation.shown.notes,
                 *situation.notes_on_taps,
             ),
             parameters={
@@ -310,10 +320,13 @@ def _with_luminance(reading: Reading, setup: Setup) -> Reading:
     spectrum = spectrum_of(calibration.spectrum)
     if not holds_visible_light(spectrum):
         return reading
-    efficacy = luminous_efficacy_lm_per_w(spectrum)
-    radiance = reading.radiance
-    u = efficacy * _luminance_u(reading, calibration, spectrum_stated=setup.spectrum_stated)
-    return replace(reading, luminance=Quantity(efficacy * radiance.value, u, LUMINANCE_UNIT))
+    efficacy, radiance = luminous_efficacy(spectrum), reading.radiance
+    own = _luminance_u(reading, calibration, spectrum_stated=setup.spectrum_stated)
+    of_scale = calibration.scale.spectrum or calibration.spectrum
+    if calibration.scale.quantity == "radiance" or of_scale != calibration.spectrum:
+        own = math.hypot(own, efficacy.u_rel * radiance.value)
+    u = efficacy.value * own
+    return replace(reading, luminance=Quantity(efficacy.value * radiance.value, u, LUMINANCE_UNIT))
 
 
 def _luminance_u(reading: Reading, calibration: Calibration, *, spectrum_stated: bool) -> float:

@@ -48,22 +48,13 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     Pixels below the noise count by their values. The value of one that is black in every frame is the most that its
     light can be, and its light is anywhere from 0 to there.
 
-    Args:
-        found: The map.
-        name: Name of the region.
-        patch: Where it is.
-        box_px: Side of the box in pixels.
-
-    Raises:
-        InputError: If the region leaves the map.
-        MeasurementError: If less than half of its pixels have a value.
+    Raises InputError if the region leaves the map, MeasurementError if less than half of its pixels have a value.
     """
     if not patch.fits(found.shape):
         raise InputError(f"region {name}: leaves the map of {found.shape[1]} × {found.shape[0]} pixels")
-    values = found.radiance[patch.slices].astype(np.float64)
+    values, mask = found.radiance[patch.slices].astype(np.float64), found.mask[patch.slices]
     own, shared = found.parts_of_u(patch.slices)
-    mask = found.mask[patch.slices]
-    good = (mask & LOST) == 0
+    good = ((mask & LOST) == 0) & np.isfinite(values)
     share = float(good.mean())
     if share < 0.5:
         raise MeasurementError(
@@ -79,7 +70,8 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     ends = [int(boxes.argmin()), int(boxes.argmax())]
     low, high = (float(boxes[at]) for at in ends)
     u_low, u_high = (math.hypot(noise[at], _extreme_u(noise[at], values.size)) for at in ends)
-    spread = spread_beyond_noise(float(values[good].var(ddof=1)), float(np.mean(own[good] ** 2)), count)
+    variance = float(values[good].var(ddof=1)) if count > 1 else math.nan  # of one pixel it is not known
+    spread = spread_beyond_noise(variance, float(np.mean(own[good] ** 2)), count)
     uniformity = low / high if high > 0 else math.nan
     u_uniformity = u_low / max(high, 1e-30)
     if low > 0:
@@ -118,10 +110,8 @@ def image_circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Ar
     The radius is half of the shorter side by default. Raises MeasurementError where pixels within it are saturated, or
     more than 1 % have no value.
     """
-    height, width = found.shape
-    radius = radius_px if radius_px is not None else min(height, width) / 2.0
-    y, x = np.indices(found.shape)
-    r = np.hypot(x - (width - 1) / 2.0, y - (height - 1) / 2.0)
+    radius = radius_px if radius_px is not None else min(found.shape) / 2.0
+    r = np.hypot(*(at - (size - 1) / 2.0 for at, size in zip(np.indices(found.shape), found.shape, strict=True)))
     mask = found.mask[r <= radius]
     if (mask & PixelMask.SATURATED).any():
         raise MeasurementError(
@@ -155,23 +145,19 @@ def _black(values: Array, own: Array, mask: NDArray[np.uint8]) -> NDArray[np.boo
 
 
 def _flags(mask: NDArray[np.uint8], black: NDArray[np.bool_]) -> tuple[str, ...]:
-    found = []
-    if (mask & PixelMask.SATURATED).any():
-        found.append("saturated: highest, mean and uniformity are bounds")
-    if black.any():
-        found.append("below noise: some pixels are black in every frame; lowest and mean are upper bounds")
-    if (mask & PixelMask.EXTRAPOLATED).any():
-        found.append("extrapolated: some pixels are outside the response's data")
-    return tuple(found)
+    said = {
+        "saturated: highest, mean and uniformity are bounds": mask & PixelMask.SATURATED,
+        "below noise: some pixels are black in every frame; lowest and mean are upper bounds": black,
+        "extrapolated: some pixels are outside the response's data": mask & PixelMask.EXTRAPOLATED,
+    }
+    return tuple(text for text, pixels in said.items() if pixels.any())
 
 
 def ratio_of(first: RegionFigures, second: RegionFigures, common_u_rel: float) -> Quantity:
     """Return the ratio of two regions' means; what all pixels share drops out.
 
-    Light that the lens scatters from the bright region into the dark one is in no uncertainty here.
-
-    Raises:
-        MeasurementError: If the second mean is not above 0.
+    Light that the lens scatters from the bright region into the dark one is in no uncertainty here. Raises
+    MeasurementError if the second mean is not above 0.
     """
     if second.mean.value <= 0.0:
         raise MeasurementError(f"region {second.name}: its mean is not above 0, so the contrast has no bound")
@@ -189,12 +175,7 @@ class Profile(NamedTuple):
     u: Array  # their standard uncertainty, with what all pixels share
 
     def points(self, unit: str, common_u_rel: float) -> dict[str, tuple[float, Quantity]]:
-        """Return distance and value at the start, the lowest, the highest and the end; without those of no value.
-
-        Args:
-            unit: The map's unit.
-            common_u_rel: Relative standard uncertainty that all pixels share.
-        """
+        """Return distance and value at the start, the lowest, the highest and the end; without those of no value."""
         known = np.flatnonzero(np.isfinite(self.value))
         if not known.size:
             return {}
@@ -213,16 +194,9 @@ class Profile(NamedTuple):
 
 
 def profile(found: RadianceMap, start: tuple[float, float], end: tuple[float, float], width_px: int = 1) -> Profile:
-    """Return distance in pixels, values and standard uncertainty along a line, averaged over its width.
+    """Return the values along a line from (x, y) to (x, y) in pixels, averaged over its width.
 
-    Args:
-        found: The map.
-        start: (x, y) of its first point in pixels.
-        end: (x, y) of its last point.
-        width_px: Width to average over.
-
-    Raises:
-        InputError: If an end or the width leaves the map, or both ends are the same.
+    Raises InputError if an end or the width leaves the map, or both ends are the same.
     """
     height, width = found.shape
     length = math.dist(start, end)
@@ -238,8 +212,7 @@ def profile(found: RadianceMap, start: tuple[float, float], end: tuple[float, fl
                 )
     steps = np.linspace(0.0, 1.0, math.ceil(length) + 1)
     across = (np.arange(width_px) - (width_px - 1) / 2.0)[:, None]
-    x = start[0] + (end[0] - start[0]) * steps + normal[0] * across
-    y = start[1] + (end[1] - start[1]) * steps + normal[1] * across
+    x, y = (start[k] + (end[k] - start[k]) * steps + normal[k] * across for k in (0, 1))
     lost = np.where((found.mask & LOST) != 0, np.nan, found.radiance).astype(np.float64)
     values = map_coordinates(lost, [y, x], order=1, mode="nearest").mean(axis=0)
     own, shared = (map_coordinates(part, [y, x], order=1, mode="nearest") for part in found.parts_of_u(np.s_[:, :]))
@@ -253,9 +226,7 @@ def vertical_illuminance(
     """Return the illuminance in lx (or irradiance in W·m⁻²) on a plane across the axis of a fisheye picture.
 
     E = Σ L·cos θ·dω over the image circle up to 90°, with the solid angle dω of each pixel under the projection.
-
-    Raises:
-        InputError: If the field of view is not above 0 and at most 360°, or the map is a relative one.
+    Raises InputError if the field of view is not above 0 and at most 360°, or the map is a relative one.
     """
     if found.unit == "relative":
         raise InputError("a relative map has no illuminance; merge with a calibration")
@@ -263,16 +234,15 @@ def vertical_illuminance(
         raise InputError(f"field of view {field_of_view_deg:g}°: must be above 0 and at most 360°")
     r, inside, radius = image_circle(found, radius_px)
 
-    def total(field_deg: float) -> tuple[float, float]:
+    def weight(field_deg: float) -> Array:
         cosine, solid = _angles(r[inside] / radius, math.radians(field_deg) / 2.0, projection)
-        weight = np.where(cosine > 0.0, cosine * solid, 0.0) / radius**2
-        own = math.sqrt(float(np.sum((weight * noise) ** 2)))
-        return float(np.sum(weight * found.radiance[inside])), math.hypot(own, float(np.sum(weight * shared)))
+        return np.where(cosine > 0.0, cosine * solid, 0.0) / radius**2
 
-    noise, shared = found.parts_of_u(inside)
-    value, u_own = total(field_of_view_deg)
-    moved = [total(field_of_view_deg + way * u_field_deg)[0] for way in (-1.0, 1.0)] if u_field_deg else [value, value]
-    u = math.hypot(u_own, value * found.u_rel_common, abs(moved[1] - moved[0]) / 2.0)
+    (noise, shared), light, here = found.parts_of_u(inside), found.radiance[inside], weight(field_of_view_deg)
+    value = float(np.sum(here * light))
+    more, less = (float(np.sum(weight(field_of_view_deg + moved) * light)) for moved in (u_field_deg, -u_field_deg))
+    u_own = float(np.linalg.norm(here * noise)), float(np.sum(here * shared))
+    u = math.hypot(*u_own, value * found.u_rel_common, (more - less) / 2.0)
     return Quantity(value, u, "lx" if found.unit.startswith("cd") else "W m-2")
 
 

@@ -21,10 +21,7 @@ _VIEWS: Final = {"equidistant": "a", "orthographic": "h", "stereographic": "s"}
 _EFFICACY_LM_W: Final = 179.0  # of Radiance's white, by which a luminance in its pictures is divided
 _LARGEST_PX: Final = 1200  # evalglare advises 800 to 1500; its time grows with the square
 _DRAWS: Final = 4  # pictures with other noise: its share of u is a few per cent, and known to 40 %
-_HEMISPHERE_DEG: Final = 180.0
-INSTALL: Final = (
-    "UGR and DGP need pyradiance, which carries evalglare; install it with: pip install 'radiometer[glare]'"
-)
+INSTALL: Final = "UGR and DGP need pyradiance, which has evalglare; install it with: pip install 'radiometer[glare]'"
 
 
 def glare_of(
@@ -42,17 +39,15 @@ def glare_of(
     evalglare finds the glare sources by its own defaults. Scale and field of view are moved by their standard
     uncertainties, and noise is drawn anew; what the indices change by adds up in squares.
 
-    Raises:
-        MissingLibrary: If pyradiance is not installed.
-        InputError: If the map is not in cd·m⁻², or the circle holds less than a hemisphere.
-        MeasurementError: As `image_circle`, or if evalglare fails.
+    Raises MissingLibrary without pyradiance, InputError for another unit or less than a hemisphere, and
+    MeasurementError as `image_circle`, or if evalglare fails.
 
     Source: UGR: CIE 117-1995. DGP: Wienold and Christoffersen 2006, Energy and Buildings 38, 743.
     """
     evaluate = _evalglare()
     if not found.unit.startswith("cd"):
         raise InputError("glare needs a map in cd·m⁻²: name the light's spectrum with --spectrum")
-    if not _HEMISPHERE_DEG <= field_of_view_deg <= 360.0:
+    if not 180.0 <= field_of_view_deg <= 360.0:
         raise InputError(f"field of view {field_of_view_deg:g}°: UGR and DGP need the hemisphere, 180° or more")
     luminance, own, shared, radius = _circle(found, radius_px)
     rng = np.random.default_rng(seed)
@@ -67,13 +62,10 @@ def glare_of(
     if u_field_deg > 0.0:
         # Less than a hemisphere is refused, so the field is moved upwards alone.
         variance = variance + (indices(luminance, field_of_view_deg + u_field_deg) - value) ** 2
-    draws = [
-        indices(np.maximum(luminance + own * rng.standard_normal(own.shape), 0.0), field_of_view_deg)
-        for _ in range(_DRAWS)
-    ]
-    variance = variance + np.mean(np.square(np.array(draws) - value), axis=0)
-    u = np.sqrt(variance)
-    return Quantity(float(value[0]), float(u[0]), "1"), Quantity(float(value[1]), float(u[1]), "1")
+    drawn = [np.maximum(luminance + own * rng.standard_normal(own.shape), 0.0) for _ in range(_DRAWS)]
+    variance = variance + np.mean([(indices(one, field_of_view_deg) - value) ** 2 for one in drawn], axis=0)
+    ugr, dgp = (Quantity(float(one), math.sqrt(two), "1") for one, two in zip(value, variance, strict=True))
+    return ugr, dgp
 
 
 def _evalglare() -> Callable[[bytes], Array]:
@@ -105,29 +97,24 @@ def _circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Array, 
     side = 2 * math.ceil(radius - 0.5 * odd) + odd
     luminance = np.where(inside & ((found.mask & LOST) == 0), np.maximum(found.radiance, 0.0), 0.0)
     parts = (luminance, *(np.where(inside, part, 0.0) for part in found.parts_of_u(np.s_[:, :])))
-    luminance, own, shared = (_square(one, (side, side)) for one in parts)
+    luminance, own, shared = (_square(one, side) for one in parts)
     factor = math.ceil(side / _LARGEST_PX)
-    if factor == 1:
-        return luminance, own, shared, radius
     own = np.sqrt(_binned(own**2, factor)) / factor
     return _binned(luminance, factor), own, _binned(shared, factor), radius / factor
 
 
-def _square(values: Array, shape: tuple[int, int]) -> Array:
+def _square(values: Array, side: int) -> Array:
     """Return the middle of an array, with zeros where it is smaller."""
-    out = np.zeros(shape)
-    for axis in (0, 1):
-        spare = values.shape[axis] - shape[axis]
-        if spare > 0:
-            values = np.take(values, range(spare // 2, spare // 2 + shape[axis]), axis=axis)
-    top, left = ((shape[axis] - values.shape[axis]) // 2 for axis in (0, 1))
-    out[top : top + values.shape[0], left : left + values.shape[1]] = values
-    return out
+    short = [max(0, side - size) for size in values.shape]
+    wide = np.pad(values, [(one // 2, one - one // 2) for one in short])
+    top, left = ((size - side) // 2 for size in wide.shape)
+    return wide[top : top + side, left : left + side]
 
 
 def _binned(values: Array, factor: int) -> Array:
-    rows, columns = (size // factor * factor for size in values.shape)
-    return np.asarray(values[:rows, :columns].reshape(rows // factor, factor, columns // factor, factor).mean((1, 3)))
+    size = len(values) // factor
+    whole = values[: size * factor, : size * factor]
+    return np.asarray(whole.reshape(size, factor, size, factor).mean((1, 3)))
 
 
 def _picture(luminance: Array, radius: float, projection: Projection, field_deg: float) -> bytes:
@@ -141,11 +128,9 @@ def _picture(luminance: Array, radius: float, projection: Projection, field_deg:
         view, values = "a", _equidistant(luminance, radius, math.radians(field_deg) / 2.0)
     # The picture's edge is at side/2, which may be a part of a pixel beyond the circle.
     whole = _field_at_edge(side / 2.0 / radius, field_deg, view)
-    header = (
-        f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nVIEW= -vt{view} -vv {whole:.6f} -vh {whole:.6f}\n\n-Y {side} +X {side}\n"
-    )
+    form = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nVIEW= -vt{view} -vv {whole:.6f} -vh {whole:.6f}\n\n"
     planes = np.repeat(values[:, :, None] / _EFFICACY_LM_W, 3, axis=2).astype(np.float32)
-    return header.encode("ascii") + rgbe(planes).tobytes()
+    return f"{form}-Y {side} +X {side}\n".encode("ascii") + rgbe(planes).tobytes()
 
 
 def _field_at_edge(part: float, field_deg: float, view: str) -> float:
@@ -162,8 +147,7 @@ def _equidistant(luminance: Array, radius: float, half: float) -> Array:
     side = luminance.shape[0]
     y, x = np.indices(luminance.shape) - (side - 1) / 2.0
     r = np.hypot(x, y)
-    theta = np.minimum(r / radius, 1.0) * half
-    from_r = radius * np.sin(theta / 2.0) / math.sin(half / 2.0)
+    from_r = radius * np.sin(np.minimum(r / radius, 1.0) * half / 2.0) / math.sin(half / 2.0)
     scale = np.where(r > 0.0, from_r / np.maximum(r, 1e-9), 1.0)
-    taken = map_coordinates(luminance, [y * scale + (side - 1) / 2.0, x * scale + (side - 1) / 2.0], order=1)
+    taken = map_coordinates(luminance, np.array([y, x]) * scale + (side - 1) / 2.0, order=1)
     return np.asarray(np.where(r <= radius, taken, 0.0))

@@ -31,6 +31,7 @@ from radiometer.units import gain_factor
 USABLE_FULL_WELL = 0.97
 _SAME_EXPOSURE_REL = 0.01
 _OTHER_EXPOSURE_REL = 0.05  # dark frames that differ by less say nothing of the dark current
+_DARKER_SIGMAS = 5.0  # of one pixel: no middle of a picture is so far below its dark level
 _AS_WARM_K = 3.0  # a third more dark current, or a third less
 _U_DOUBLING_K = 1.0  # dark currents in silicon double within 6 to 8 K
 _OTHER = "dark frames of other exposures"
@@ -268,6 +269,27 @@ def _level(
     if same_gain := [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]:
         return _from_other_exposures(settings, same_gain, model, black, darkest)
     return _from_model(settings, model, black, darkest)
+
+
+def refuse_brighter_darks(
+    settings: FrameSettings, middle: float, dark: float, u_dark: float, model: SignalModel
+) -> None:
+    """Refuse dark frames that are brighter than a light frame: their dark signal is not that of its exposure.
+
+    Args:
+        settings: Of the light frame.
+        middle: Its signal in the middle of its pixels.
+        dark: Dark signal that the dark frames show for it.
+        u_dark: Standard uncertainty of that.
+
+    Raises:
+        MeasurementError: If they are.
+    """
+    if middle < dark - _DARKER_SIGMAS * math.hypot(math.sqrt(float(model.variance(0.0, settings))), u_dark):
+        raise MeasurementError(
+            f"the light frame of {settings.exposure_s:g} s is darker than the dark frames show for it; take dark "
+            "frames of its exposure and temperature, or of two exposures"
+        )
 
 
 def matching_darks(settings: FrameSettings, dark_frames: Sequence[Frame]) -> list[Frame]:

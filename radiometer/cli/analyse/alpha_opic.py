@@ -31,9 +31,9 @@ def _show(found: AlphaOpicQuantities) -> None:
 
 
 command = command_of(
-    "alpha_opic", _show, results=("plot",), value=typer.Argument(min=0.0), u=typer.Option("--u", min=0.0),
-    level=typer.Option(min=0.0), size_m=typer.Option("--size", parser=parse_size, metavar="M"),
+    "alpha_opic", _show, results=("plot",), value=typer.Argument(), u=typer.Option("--u"),
+    size_m=typer.Option("--size", parser=parse_size, metavar="M"),
     spectrum_u_rel=relative_option("--spectrum-u-rel", "Relative u (k = 1) of each entry of the spectrum"),
-    wavelength_u_nm=typer.Option("--wavelength-u", min=0.0), distance_m=typer.Option("--distance", min=0.0),
-    u_distance_m=typer.Option("--distance-u", min=0.0),
+    wavelength_u_nm=typer.Option("--wavelength-u"), distance_m=typer.Option("--distance"),
+    u_distance_m=typer.Option("--distance-u"),
 )  # fmt: skip

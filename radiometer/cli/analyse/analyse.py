@@ -66,7 +66,7 @@ command = command_of(
     "analyse", _show, results=("csv", "report"), source=typer.Argument(metavar="MAP"),
     converters={"regions": _regions},
     regions=typer.Option("--region", metavar="NAME:X,Y,W,H", help="A region in pixels; may be repeated."),
-    contrast=typer.Option(parser=_contrast, metavar="BRIGHT,DARK"), line_width=typer.Option(min=1),
-    line=typer.Option(parser=_line, metavar="X1,Y1,X2,Y2"), box=typer.Option(min=1), radius=typer.Option(min=1.0),
-    field_of_view_u=typer.Option(min=0.0), fisheye=Annotated[_Projection | None, typer.Option()],
+    contrast=typer.Option(parser=_contrast, metavar="BRIGHT,DARK"),
+    line=typer.Option(parser=_line, metavar="X1,Y1,X2,Y2"),
+    fisheye=Annotated[_Projection | None, typer.Option()],
 )  # fmt: skip

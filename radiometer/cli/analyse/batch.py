@@ -11,6 +11,7 @@ import radiometer as rm
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress
 from radiometer.cli.outputs import writes
+from radiometer.plausible import AnyCount
 
 
 @writes()
@@ -21,7 +22,7 @@ def command(
         "results.csv"
     ),
     scheduler: Annotated[str | None, typer.Option(help="Dask scheduler that stands already: tcp://HOST:PORT.")] = None,
-    workers: Annotated[int, typer.Option(min=0, help="Local worker processes; 0 works in this process.")] = 0,
+    workers: Annotated[AnyCount, typer.Option(help="Local worker processes; 0 works in this process.")] = 0,
     calibration: Annotated[Path | None, typer.Option(help="Calibration file; relative values without one.")] = None,
     patch: Annotated[
         str | None, typer.Option(help="Region X,Y,W,H; each capture set's own patches by default.")

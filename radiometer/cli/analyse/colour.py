@@ -11,7 +11,7 @@ import typer
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import show_remarks, show_table
 from radiometer.cli.function import command_of
-from radiometer.cli.options import command_group, relative_option
+from radiometer.cli.options import FNumberOption, command_group, relative_option
 from radiometer.errors import UsageError
 from radiometer.numbers import unit_text
 
@@ -54,6 +54,7 @@ _FRAMES: Final[dict[str, Any]] = {
     "converters": {"filters": _filters},
     "source": typer.Argument(),
     "filters": typer.Option("--filter", metavar="NAME=FOLDER"),
+    "f_number": FNumberOption,
     "response": Annotated[
         list[Path] | None, typer.Option(help="Response of photographs; one file, or one per colour.")
     ],

@@ -36,8 +36,8 @@ def _show(found: FlickerReport) -> None:
 
 command = command_of(
     "flicker", _show, results=("plot",), source=typer.Argument(), camera=CameraOption, bench=BenchOption,
-    u_dark=typer.Option(min=0.0), mapped=typer.Option("--map"), known_frequency=typer.Option(min=0.0),
+    mapped=typer.Option("--map"),
     row_time=typer.Option(parser=lambda text: parse_seconds(text, "--row-time"), metavar="S"),
     exposure=typer.Option(parser=lambda text: parse_exposure(text, "--exposure"), metavar="S"),
-    black_level=typer.Option(min=0.0), patch=typer.Option(parser=parse_patch, metavar="X,Y,W,H"),
+    patch=typer.Option(parser=parse_patch, metavar="X,Y,W,H"),
 )  # fmt: skip

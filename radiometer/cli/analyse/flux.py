@@ -11,6 +11,7 @@ import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch
 from radiometer.cli.console import console, note, show_remarks, show_table
 from radiometer.cli.options import JsonOption, relative_option
+from radiometer.plausible import HalfAngle, Millimetres, NotNegative, Positive, Uncertainty
 
 if TYPE_CHECKING:
     from radiometer.api.led_flux import FluxReport, Quantity
@@ -26,23 +27,26 @@ def command(
     ] = None,
     patch: Annotated[str | None, typer.Option(help="Region X,Y,W,H that holds the diode and its glow.")] = None,
     half_angle: Annotated[
-        float | None, typer.Option(help="Angle in degrees at which its intensity is one half (half the viewing angle).")
+        HalfAngle | None,
+        typer.Option(help="Angle in degrees at which its intensity is one half (half the viewing angle)."),
     ] = None,
-    half_angle_u: Annotated[float, typer.Option(min=0.0, help="Its standard uncertainty in degrees.")] = 1.0,
-    diameter: Annotated[float | None, typer.Option(help="Diameter of its emitting area in mm.")] = None,
-    diameter_u: Annotated[float, typer.Option(min=0.0, help="Its standard uncertainty in mm.")] = 0.05,
-    distance: Annotated[float | None, typer.Option(help="From emitter to the lens's entrance pupil in mm.")] = None,
-    distance_u: Annotated[float, typer.Option(min=0.0, help="Its standard uncertainty in mm.")] = 0.5,
+    half_angle_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in degrees.")] = 1.0,
+    diameter: Annotated[Millimetres | None, typer.Option(help="Diameter of its emitting area in mm.")] = None,
+    diameter_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in mm.")] = 0.05,
+    distance: Annotated[
+        Millimetres | None, typer.Option(help="From emitter to the lens's entrance pupil in mm.")
+    ] = None,
+    distance_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in mm.")] = 0.5,
     f_number_u_rel: Annotated[float, relative_option("--f-number-u-rel", "Relative u (k = 1) of the f-number")] = 0.02,
-    datasheet_mw: Annotated[float | None, typer.Option(help="Flux that the datasheet states, in mW.")] = None,
+    datasheet_mw: Annotated[Positive | None, typer.Option(help="Flux that the datasheet states, in mW.")] = None,
     channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
     drive_table: Annotated[
         Path | None, typer.Option(help="CSV of the diode's light over drive, for the flux at another drive.")
     ] = None,
     led: Annotated[str | None, typer.Option(help="Its channel in that table; the only one by default.")] = None,
-    drive: Annotated[float | None, typer.Option(help="Its drive in the capture, in the table's unit.")] = None,
-    at_drive: Annotated[float | None, typer.Option(help="Drive whose flux is asked for.")] = None,
+    drive: Annotated[NotNegative | None, typer.Option(help="Its drive in the capture, in the table's unit.")] = None,
+    at_drive: Annotated[NotNegative | None, typer.Option(help="Drive whose flux is asked for.")] = None,
     json: JsonOption = False,
 ) -> None:
     """Find the radiant flux of a light-emitting diode.

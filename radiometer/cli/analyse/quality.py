@@ -12,6 +12,7 @@ from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, CameraOption, JsonOption, PatchOption, command_group, relative_option
 from radiometer.cli.outputs import writes
+from radiometer.plausible import AnyCount, Count
 
 app = command_group(
     "Measure the instrument's quality indices (ISO/CIE 19476, CIE 244, ISO 9358) and write its datasheet."
@@ -45,8 +46,8 @@ def take(
     camera: CameraOption = None,
     bench: BenchOption = None,
     patch: PatchOption = None,
-    repeat: Annotated[int, typer.Option(min=1, help="Frames of every exposure.")] = 4,
-    darks: Annotated[int, typer.Option(min=0, help="Dark frames per exposure time, where there is a shutter.")] = 2,
+    repeat: Annotated[Count, typer.Option(help="Frames of every exposure.")] = 4,
+    darks: Annotated[AnyCount, typer.Option(help="Dark frames per exposure time, where there is a shutter.")] = 2,
 ) -> None:
     """Take the captures of one index, asking for what each step needs.
 

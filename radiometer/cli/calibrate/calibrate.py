@@ -22,6 +22,7 @@ from radiometer.cli.options import TapsOption, relative_option
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 from radiometer.numbers import with_u
+from radiometer.plausible import FNumber, Iso, MeterConstant, Positive
 
 if TYPE_CHECKING:
     from radiometer import Patch
@@ -38,17 +39,20 @@ def command(
     radiance: Annotated[
         str | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻², or its calibration certificate (DCC, .xml).")
     ] = None,
-    luminance: Annotated[float | None, typer.Option(help="Its luminance in cd·m⁻², instead of the radiance.")] = None,
+    luminance: Annotated[
+        Positive | None, typer.Option(help="Its luminance in cd·m⁻², instead of the radiance.")
+    ] = None,
     u_rel: Annotated[float | None, relative_option("--u-rel", "Its relative u (k = 1)")] = None,
     meter_k: Annotated[
-        float | None, typer.Option("--luminance-meter-k", help="Constant K of the camera's light meter (ISO 2720).")
+        MeterConstant | None,
+        typer.Option("--luminance-meter-k", help="Constant K of the camera's light meter (ISO 2720)."),
     ] = None,
     k_u_rel: Annotated[
         float | None,
         relative_option("--k-u-rel", "Relative u (k = 1) of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720)"),
     ] = None,
     f_number: Annotated[
-        float | None,
+        FNumber | None,
         typer.Option(
             parser=lambda text: parse_f_number(text, "--f-number"),
             metavar="N",
@@ -57,7 +61,7 @@ def command(
     ] = None,
     exposure: Annotated[str | None, typer.Option(help="Its exposure time, such as 1/125.")] = None,
     iso: Annotated[
-        float | None, typer.Option(help="Its ISO speed: as really measured, or stated (--measured-iso).")
+        Iso | None, typer.Option(help="Its ISO speed: as really measured, or stated (--measured-iso).")
     ] = None,
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
     channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
@@ -65,7 +69,9 @@ def command(
     align: Annotated[
         str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
     ] = "auto",
-    reference_dn: Annotated[float | None, typer.Option(help="Pixel value it came out at; half of full scale.")] = None,
+    reference_dn: Annotated[
+        Positive | None, typer.Option(help="Pixel value it came out at; half of full scale.")
+    ] = None,
     dynamic_range: Annotated[
         list[str] | None,
         typer.Option(
@@ -80,7 +86,7 @@ def command(
         str | None, typer.Option(help="Spectrum of the source, or a CSV; equal energy to 43 % where not stated.")
     ] = None,
     black_level: Annotated[float | None, typer.Option(help="Black level in DN; the capture's by default.")] = None,
-    validity_days: Annotated[float, typer.Option(min=0.001, help="Days the calibration is valid for.")] = 365.0,
+    validity_days: Annotated[Positive, typer.Option(help="Days the calibration is valid for.")] = 365.0,
     spectral_response: Annotated[
         Path | None, typer.Option(help="CSV of wavelength in nm and relative response per watt of the camera.")
     ] = None,

@@ -13,6 +13,7 @@ from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, ReportOption, TapsOption, relative_option
 from radiometer.cli.outputs import writes
 from radiometer.numbers import with_u
+from radiometer.plausible import ExposureSteps, KnownRadiance
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -30,11 +31,11 @@ def command(
     bench: BenchOption = None,
     patch: Annotated[str | None, typer.Option(help="Look at this region X,Y,W,H only.")] = None,
     radiance: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Known radiance of the region in W/(sr m2), for the quantum efficiency."),
+        KnownRadiance | None,
+        typer.Option(help="Known radiance of the region in W/(sr m2), for the quantum efficiency."),
     ] = None,
     radiance_u_rel: Annotated[float, relative_option("--radiance-u-rel", "Its relative u (k = 1)")] = 0.0,
-    steps: Annotated[int, typer.Option(min=6, help="With --camera: exposures from darkness to saturation.")] = 30,
+    steps: Annotated[ExposureSteps, typer.Option(help="With --camera: exposures from darkness to saturation.")] = 30,
     keep: Annotated[Path | None, typer.Option(help="With --camera: keep the frames as a capture set here.")] = None,
     report: ReportOption = None,
     emva_descriptor: Annotated[

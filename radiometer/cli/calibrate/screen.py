@@ -27,6 +27,7 @@ from radiometer.cli.options import (
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 from radiometer.numbers import rounded, with_u
+from radiometer.plausible import Count, Duration, Gamma, PatchSize, PixelPitch, Port, Positive
 
 if TYPE_CHECKING:
     from radiometer import DisplayReport
@@ -45,11 +46,9 @@ def calibrate(
     levels: Annotated[str, typer.Option(help="all, quick, a count such as 33, or a list such as 0,16,255.")] = "33",
     quick: Annotated[bool, typer.Option("--quick", help="Darkest, brightest and five levels between.")] = False,
     channels: Annotated[str, typer.Option(help="Channels: grey,red,green,blue or some of them.")] = "grey",
-    repeats: Annotated[int, typer.Option(min=1, help="Readings of every patch.")] = 1,
-    size: Annotated[float, typer.Option(min=0.01, max=1.0, help="Patch size as a share of the screen's.")] = 1.0,
-    pixel_mm: Annotated[
-        float | None, typer.Option(min=0.01, max=5.0, help="Distance of two pixels in mm, for `adapt run`.")
-    ] = None,
+    repeats: Annotated[Count, typer.Option(help="Readings of every patch.")] = 1,
+    size: Annotated[PatchSize, typer.Option(help="Patch size as a share of the screen's.")] = 1.0,
+    pixel_mm: Annotated[PixelPitch | None, typer.Option(help="Distance of two pixels in mm, for `adapt run`.")] = None,
     chromaticities: Annotated[
         Path | None,
         typer.Option(
@@ -57,14 +56,14 @@ def calibrate(
             "the calibration that is replaced."
         ),
     ] = None,
-    warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
+    warm_up: Annotated[Duration, typer.Option(help="Longest wait for the screen to settle in s.")] = 900.0,
     white: WhiteOption = "white_led",
     primaries: PrimariesOption = None,
     camera: CameraOption = None,
     bench: BenchOption = None,
     calibration: CalibrationOption = None,
     patch: Annotated[str | None, typer.Option(help="Where the camera sees the patch: X,Y,W,H in pixels.")] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
+    port: Annotated[Port, typer.Option(help="Port of the page; 0 for any free one.")] = 0,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal,icc,page.")] = "",
     plot: Annotated[Path | None, typer.Option(help="Picture of the curves: .png, .pdf or .svg.")] = None,
@@ -123,9 +122,9 @@ _report = command_of(
     "screen_report", _show_report, files=("out",), out=typer.Option("--out", "-o"), white=WhiteOption,
     methods=typer.Option(parser=words, metavar="NAME,NAME,…"), angles=typer.Option(parser=_angles, metavar="DEG,DEG,…"),
     checkers=typer.Option(parser=_fields, metavar="COLUMNSxROWS"), defaults={"checkers": "4x4", "display": "browser"},
-    area=typer.Option(parser=parse_patch, metavar="X,Y,W,H"), warm_up_s=typer.Option("--warm-up", min=0.0),
+    area=typer.Option(parser=parse_patch, metavar="X,Y,W,H"), warm_up_s=typer.Option("--warm-up"),
     primaries=PrimariesOption, camera=CameraOption, bench=BenchOption, calibration=CalibrationOption, seed=SeedOption,
-    port=typer.Option(min=0, max=65535),
+
 )  # fmt: skip
 app.command("report")(_report)
 
@@ -135,15 +134,15 @@ def verify(
     calibration: ScreenFile,
     display: Annotated[str, typer.Option(help="browser, or a simulated one: lcd, pwm_lcd, oled.")] = "browser",
     levels: Annotated[str, typer.Option(help="all, quick, a count such as 33, or a list.")] = "0,64,128,192,255",
-    size: Annotated[float, typer.Option(min=0.01, max=1.0, help="Patch size as a share of the screen's.")] = 1.0,
-    warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
+    size: Annotated[PatchSize, typer.Option(help="Patch size as a share of the screen's.")] = 1.0,
+    warm_up: Annotated[Duration, typer.Option(help="Longest wait for the screen to settle in s.")] = 900.0,
     camera: CameraOption = None,
     bench: BenchOption = None,
     camera_calibration: Annotated[
         Path | None, typer.Option(help="Calibration of the camera; the bench's by default.")
     ] = None,
     patch: Annotated[str | None, typer.Option(help="Where the camera sees the patch: X,Y,W,H in pixels.")] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
+    port: Annotated[Port, typer.Option(help="Port of the page; 0 for any free one.")] = 0,
     json: JsonOption = False,
 ) -> None:
     """Measure some levels of a calibrated screen again: does its calibration still hold?
@@ -205,9 +204,9 @@ def import_command(
     primaries: PrimariesOption = None,
     meter_u_rel: Annotated[float, relative_option("--meter-u-rel", "Relative u (k = 1) of the meter's scale")] = 0.04,
     white_luminance: Annotated[
-        float | None, typer.Option(min=1e-6, help="Luminance of white in cd·m⁻², which a .cal does not hold.")
+        Positive | None, typer.Option(help="Luminance of white in cd·m⁻², which a .cal does not hold.")
     ] = None,
-    gamma: Annotated[float, typer.Option(min=0.1, max=10.0, help="Exponent that a .cal was made for.")] = 2.2,
+    gamma: Annotated[Gamma, typer.Option(help="Exponent that a .cal was made for.")] = 2.2,
     mapped: Annotated[
         list[str] | None,
         typer.Option(

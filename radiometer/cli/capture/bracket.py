@@ -12,6 +12,7 @@ from radiometer.cli.arguments import parse_exposure, parse_patch
 from radiometer.cli.console import asker, note, progress
 from radiometer.cli.options import BenchOption, CameraOption, JsonOption, URelOption
 from radiometer.cli.outputs import writes
+from radiometer.plausible import AnyCount, Count, NotNegative, Positive
 
 
 @writes(folder="out")
@@ -20,16 +21,16 @@ def command(
     camera: CameraOption = None,
     bench: BenchOption = None,
     patch: Annotated[str | None, typer.Option(help="Choose the exposures for this region X,Y,W,H only.")] = None,
-    stops: Annotated[float | None, typer.Option(help="Fixed ladder: distance of the exposures in stops.")] = None,
+    stops: Annotated[Positive | None, typer.Option(help="Fixed ladder: distance of the exposures in stops.")] = None,
     shortest: Annotated[
         str | None, typer.Option("--from", help="Fixed ladder: shortest exposure (1/125, 8ms).")
     ] = None,
     longest: Annotated[str | None, typer.Option("--to", help="Fixed ladder: longest exposure.")] = None,
-    repeat: Annotated[int, typer.Option(min=1, help="Take every exposure this often.")] = 1,
+    repeat: Annotated[Count, typer.Option(help="Take every exposure this often.")] = 1,
     u_rel: URelOption = None,
-    darks: Annotated[int, typer.Option(min=0, help="Dark frames per exposure time.")] = 0,
+    darks: Annotated[AnyCount, typer.Option(help="Dark frames per exposure time.")] = 0,
     plan: Annotated[Path | None, typer.Option(help="Take the frames of this plan (from `reconcile --plan`).")] = None,
-    time_limit: Annotated[float, typer.Option(min=0.0, help="Bound on the sum of exposure times in s.")] = 60.0,
+    time_limit: Annotated[NotNegative, typer.Option(help="Bound on the sum of exposure times in s.")] = 60.0,
     json: JsonOption = False,
 ) -> None:
     """Capture a set of exposures of an unmoving scene.

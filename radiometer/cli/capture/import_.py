@@ -12,6 +12,7 @@ from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress
 from radiometer.cli.options import JsonOption
 from radiometer.cli.outputs import writes
+from radiometer.plausible import Count, Positive
 
 
 @writes(folder="output")
@@ -24,9 +25,9 @@ def command(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Capture set to write; a new or empty folder.")],
     crop: Annotated[str | None, typer.Option(help="Keep this region X,Y,W,H only.")] = None,
-    sample: Annotated[int, typer.Option(min=1, help="Keep every n-th row and column.")] = 1,
+    sample: Annotated[Count, typer.Option(help="Keep every n-th row and column.")] = 1,
     full_scale: Annotated[
-        float | None, typer.Option(help="Full scale of files with 32-bit or floating-point numbers.")
+        Positive | None, typer.Option(help="Full scale of files with 32-bit or floating-point numbers.")
     ] = None,
     pedestal: Annotated[
         float, typer.Option(help="Value added to every pixel, where numbers go below zero (processed frames).")

@@ -14,6 +14,7 @@ from radiometer.cli.options import BenchOption, CameraOption, FNumberOption, Pat
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 from radiometer.numbers import below, rounded, upper_limit, with_u
+from radiometer.plausible import Limit, Period
 from radiometer.reporting.reading_page import FLAG_MEANINGS
 
 if TYPE_CHECKING:
@@ -41,11 +42,11 @@ def command(
     f_number: FNumberOption = None,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
     u_rel: URelOption = None,
-    repeat: Annotated[int, typer.Option(min=1, help="Number of readings.")] = 1,
+    repeat: Annotated[Limit, typer.Option(help="Number of readings.")] = 1,
     watch: Annotated[
         bool, typer.Option("--watch", help="Read until stopped by Ctrl-C; a camera that is lost is waited for.")
     ] = False,
-    every: Annotated[float, typer.Option(min=0.0, help="Seconds from one reading's start to the next's.")] = 0.0,
+    every: Annotated[Period, typer.Option(help="Seconds from one reading's start to the next's.")] = 0.0,
     darks: Annotated[
         bool, typer.Option("--darks", help="Ask for the lens to be covered, and take dark frames with every reading.")
     ] = False,

@@ -11,14 +11,15 @@ import radiometer as rm
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note
 from radiometer.cli.options import BenchOption, CameraOption, PatchOption
+from radiometer.plausible import Period, Port
 
 
 def command(
     camera: CameraOption = None,
     patch: PatchOption = None,
     bench: BenchOption = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
-    every: Annotated[float, typer.Option(min=0.0, help="Seconds between two pictures.")] = 0.3,
+    port: Annotated[Port, typer.Option(help="Port of the page; 0 for any free one.")] = 0,
+    every: Annotated[Period, typer.Option(help="Seconds between two pictures.")] = 0.3,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
 ) -> None:
     """Show what the camera sees on a page: picture, histogram, clipping.

@@ -17,6 +17,19 @@ import radiometer as rm
 from radiometer.cli.console import console, note, progress
 from radiometer.cli.options import BenchOption, BoxPresetOption, JsonOption, SeedOption, WhiteOption, command_group
 from radiometer.cli.outputs import writes
+from radiometer.plausible import (
+    Age,
+    AnyCount,
+    Duration,
+    FieldArea,
+    Luminance,
+    NotNegative,
+    Port,
+    Pupil,
+    PupilAge,
+    ScotopicRatio,
+    Uncertainty,
+)
 
 if TYPE_CHECKING:
     from radiometer.api.adapt import Session, Watcher
@@ -51,20 +64,20 @@ def run(
     bench: BenchOption = None,
     white: WhiteOption = "white_led",
     fixation: Annotated[
-        float | None, typer.Option(min=0.0, help="Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance.")
+        NotNegative | None, typer.Option(help="Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance.")
     ] = None,
     simulate: Annotated[
         str | None,
         typer.Option(help="Simulated subject: steady, never, always, leaves, wanders, healthy or amd."),
     ] = None,
-    room: Annotated[float, typer.Option(min=0.0, help="Luminance of the simulated box's room in cd·m⁻².")] = 0.0,
-    slow: Annotated[float, typer.Option(min=0.0, help="Real seconds per simulated trial, to watch it.")] = 0.0,
+    room: Annotated[NotNegative, typer.Option(help="Luminance of the simulated box's room in cd·m⁻².")] = 0.0,
+    slow: Annotated[Duration, typer.Option(help="Real seconds per simulated trial, to watch it.")] = 0.0,
     seed: SeedOption = 0,
     eye: Annotated[
         str, typer.Option(help="Eye that looks, right or left: the blind spot is on its temporal side.")
     ] = "right",
-    age: Annotated[float | None, typer.Option(min=0.0, max=120.0, help="Age of the subject in years.")] = None,
-    pupil: Annotated[float | None, typer.Option(min=1.0, max=9.0, help="Measured diameter of the pupil in mm.")] = None,
+    age: Annotated[Age | None, typer.Option(help="Age of the subject in years.")] = None,
+    pupil: Annotated[Pupil | None, typer.Option(help="Measured diameter of the pupil in mm.")] = None,
     visit: Annotated[
         str | None, typer.Option(help="Date and time of the visit (ISO 8601, UTC without a zone).")
     ] = None,
@@ -78,9 +91,9 @@ def run(
     display: Annotated[
         str | None, typer.Option(help="That screen: browser, or a simulated one: lcd, pwm_lcd, oled.")
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the subject's page; 0 for any free one.")] = 0,
+    port: Annotated[Port, typer.Option(help="Port of the subject's page; 0 for any free one.")] = 0,
     page: Annotated[bool, typer.Option("--page", help="Serve the live curve as a page, dim and red.")] = False,
-    page_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of that page; 0 for any free one.")] = 0,
+    page_port: Annotated[Port, typer.Option(help="Port of that page; 0 for any free one.")] = 0,
     audio: Annotated[bool, typer.Option("--audio", help="Sound prompts: on the page, else by the bell.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Each event and the outcome as JSON lines.")] = False,
     force: Annotated[
@@ -168,15 +181,13 @@ def protocols(json: JsonOption = False) -> None:
 
 @app.command()
 def bleach(
-    luminance: Annotated[float, typer.Argument(min=0.0, help="Luminance of the bleaching field in cd·m⁻².")],
-    duration: Annotated[float, typer.Argument(min=0.0, help="Its duration in s.")],
-    pupil: Annotated[
-        float | None, typer.Option(min=1.0, max=9.0, help="Pupil in mm; the natural one if left out.")
-    ] = None,
-    field: Annotated[float, typer.Option(min=0.01, help="Area of the field in square degrees.")] = 100.0,
-    age: Annotated[float, typer.Option(min=20.0, max=83.0, help="Age in years, for the natural pupil.")] = 28.58,
+    luminance: Annotated[Luminance, typer.Argument(help="Luminance of the bleaching field in cd·m⁻².")],
+    duration: Annotated[Duration, typer.Argument(help="Its duration in s.")],
+    pupil: Annotated[Pupil | None, typer.Option(help="Pupil in mm; the natural one if left out.")] = None,
+    field: Annotated[FieldArea, typer.Option(help="Area of the field in square degrees.")] = 100.0,
+    age: Annotated[PupilAge, typer.Option(help="Age in years, for the natural pupil.")] = 28.58,
     scotopic_ratio: Annotated[
-        float, typer.Option(min=0.0, help="Scotopic over photopic luminance of the light, for the rods.")
+        ScotopicRatio, typer.Option(help="Scotopic over photopic luminance of the light, for the rods.")
     ] = 2.0,
     json: JsonOption = False,
 ) -> None:
@@ -213,9 +224,9 @@ def fit(
         typer.Option(help="log₁₀ threshold whose time is reported, in place of the protocol's rod intercept."),
     ] = None,
     stimulus_u_log10: Annotated[
-        float | None, typer.Option(min=0.0, help="Standard uncertainty of the stimulus calibration, log₁₀ units.")
+        Uncertainty | None, typer.Option(help="Standard uncertainty of the stimulus calibration, log₁₀ units.")
     ] = None,
-    bootstrap: Annotated[int, typer.Option(min=0, help="Bootstrap redraws; 0 for none.")] = 200,
+    bootstrap: Annotated[AnyCount, typer.Option(help="Bootstrap redraws; 0 for none.")] = 200,
     seed: SeedOption = 1,
     mapped: MapOption = None,
     report: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,

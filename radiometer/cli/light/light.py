@@ -21,6 +21,7 @@ from radiometer.cli.options import (
 )
 from radiometer.cli.outputs import writes
 from radiometer.numbers import with_u
+from radiometer.plausible import BlinkCount, BoxLevel, Count, PointsPerDecade, Seed
 
 _JUMP_SHOWN = 0.005  # a start further off than half a per cent matters next to a calibration's 1 %
 
@@ -30,7 +31,7 @@ app = command_group(
 )
 Channel = Annotated[str, typer.Argument(help="bleach, field, spot, spot_green, spot_red or fixation.")]
 RadianceOption = Annotated[float | None, typer.Option(help="Radiance in W·sr⁻¹·m⁻²; needs a calibrated channel.")]
-LevelOption = Annotated[int | None, typer.Option(min=0, max=65535, help="Raw level instead of a radiance.")]
+LevelOption = Annotated[BoxLevel | None, typer.Option(help="Raw level instead of a radiance.")]
 LowOption = Annotated[bool, typer.Option("--low", help="Raw level on the low current range.")]
 LightOption = Annotated[Path | None, typer.Option("--calibration", help="Light calibration; the box's own by default.")]
 SubjectOption = Annotated[str | None, typer.Option(help="Who looks: counts in this eye's account, too; with --eye.")]
@@ -90,7 +91,7 @@ def blink(
     channel: Channel,
     on: Annotated[str, typer.Option(help="Bright time, such as 0.1 or 100ms.")] = "200ms",
     off_time: Annotated[str, typer.Option("--off", help="Dark time.")] = "800ms",
-    count: Annotated[int, typer.Option(min=0, max=65535, help="Number of blinks; 0: until Ctrl-C.")] = 0,
+    count: Annotated[BlinkCount, typer.Option(help="Number of blinks; 0: until Ctrl-C.")] = 0,
     radiance: RadianceOption = None,
     level: LevelOption = None,
     low: LowOption = False,
@@ -137,7 +138,7 @@ def status(box: BoxOption = None, json: JsonOption = False) -> None:
 @app.command("watch-buttons")
 def watch_buttons(
     hold: HoldOption = None,
-    count: Annotated[int | None, typer.Option(min=1, help="Stop after so many presses.")] = None,
+    count: Annotated[Count | None, typer.Option(help="Stop after so many presses.")] = None,
     box: BoxOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -158,14 +159,14 @@ def calibrate(
     bench: BenchOption = None,
     patch: Annotated[str | None, typer.Option(help="Lit area in the frame, X,Y,W,H in pixels.")] = None,
     camera_calibration: Annotated[Path | None, typer.Option(help="Camera calibration; the bench's by default.")] = None,
-    points_per_decade: Annotated[float, typer.Option(min=1.0, max=50.0, help="Density of the levels.")] = 4.0,
+    points_per_decade: Annotated[PointsPerDecade, typer.Option(help="Density of the levels.")] = 4.0,
     responsivity: Annotated[
         Path | None, typer.Option(help="CSV wavelength_nm,responsivity (per W) of the camera; flat QE without.")
     ] = None,
     spectral_u_rel: Annotated[
         float | None, relative_option("--spectral-u-rel", "Relative u (k = 1) of the spectral correction")
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Makes the random order of the levels.")] = None,
+    seed: Annotated[Seed | None, typer.Option(help="Makes the random order of the levels.")] = None,
     preset: BoxPresetOption = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; the box's own by default.")] = None,
     json: JsonOption = False,

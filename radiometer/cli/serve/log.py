@@ -13,6 +13,7 @@ from radiometer.cli.console import console, note
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 from radiometer.numbers import rounded, unit_text, upper_limit
+from radiometer.plausible import Limit
 
 if TYPE_CHECKING:
     from radiometer.daemon.log import LoggedReadings
@@ -33,7 +34,7 @@ def command(
     after: Annotated[int | None, typer.Option(help="Only readings with a number above this.")] = None,
     flag: Annotated[str | None, typer.Option(help="Only readings with this flag.")] = None,
     clean: Annotated[bool, typer.Option("--clean", help="Only readings without any flag.")] = False,
-    limit: Annotated[int | None, typer.Option(min=1, help="At most this many, the newest.")] = None,
+    limit: Annotated[Limit | None, typer.Option(help="At most this many, the newest.")] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON object per reading on standard output.")] = False,
     csv: Annotated[bool, typer.Option("--csv", help="CSV on standard output.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Draw the readings into this PNG, PDF or SVG file.")] = None,

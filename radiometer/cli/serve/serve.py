@@ -11,6 +11,7 @@ import radiometer as rm
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note
 from radiometer.cli.options import BenchOption, CalibrationOption, CameraOption, PatchOption, UncalibratedOption
+from radiometer.plausible import Days, Megabytes, Period, Port, RequestRate
 
 
 def command(
@@ -21,29 +22,28 @@ def command(
     box: Annotated[str | None, typer.Option(help="Light box: sim, a serial number or a port; none by default.")] = None,
     box_preset: Annotated[Path | None, typer.Option(help="Light-box preset; the reference box's by default.")] = None,
     patch: PatchOption = None,
-    every: Annotated[
-        float, typer.Option(min=0.0, max=86400.0, help="Seconds from one reading's start to the next's.")
-    ] = 1.0,
+    every: Annotated[Period, typer.Option(help="Seconds from one reading's start to the next's.")] = 1.0,
     on_demand: Annotated[bool, typer.Option("--on-demand", help="Measure only when a client asks.")] = False,
     journal: Annotated[Path | None, typer.Option(help="Journal file; by default in the user's state folder.")] = None,
     keep_days: Annotated[
-        float | None, typer.Option(min=0.01, help="Delete readings older than this; by default none is deleted.")
+        Days | None, typer.Option(help="Delete readings older than this, once an hour; by default none is deleted.")
     ] = None,
     journal_max_mb: Annotated[
-        float | None, typer.Option(min=0.1, help="Let the journal grow no larger; measuring pauses at the limit.")
+        Megabytes | None,
+        typer.Option(help="Let the journal, with SQLite's log, grow no larger; measuring pauses then."),
     ] = None,
     scpi_address: Annotated[str, typer.Option(help="Address for SCPI.")] = "127.0.0.1",
-    scpi_port: Annotated[int, typer.Option(min=0, max=65535, help="Port for SCPI; 0 chooses one.")] = 5025,
+    scpi_port: Annotated[Port, typer.Option(help="Port for SCPI; 0 chooses one.")] = 5025,
     scpi_socket: Annotated[Path | None, typer.Option(help="Unix socket for SCPI, in addition to the port.")] = None,
     scpi_allow: Annotated[
         list[str] | None, typer.Option(help="Address or network that may use SCPI; may be repeated.")
     ] = None,
     http_address: Annotated[str, typer.Option(help="Address for HTTP.")] = "127.0.0.1",
-    http_port: Annotated[int, typer.Option(min=0, max=65535, help="Port for HTTP; 0 chooses one.")] = 8080,
+    http_port: Annotated[Port, typer.Option(help="Port for HTTP; 0 chooses one.")] = 8080,
     token_file: Annotated[
         Path | None, typer.Option(help="File with the token for HTTP (else $RADIOMETER_TOKEN).")
     ] = None,
-    http_rate: Annotated[float, typer.Option(min=1.0, help="Requests per second that one address may make.")] = 100.0,
+    http_rate: Annotated[RequestRate, typer.Option(help="Requests per second that one address may make.")] = 100.0,
     no_scpi: Annotated[bool, typer.Option("--no-scpi", help="No SCPI port.")] = False,
     no_http: Annotated[bool, typer.Option("--no-http", help="No HTTP.")] = False,
     mqtt: Annotated[str | None, typer.Option(help="MQTT broker HOST[:PORT] to publish to.")] = None,

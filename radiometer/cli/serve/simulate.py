@@ -17,6 +17,7 @@ import typer
 import radiometer as rm
 from radiometer.cli.arguments import parse_seconds
 from radiometer.cli.options import BenchOption, command_group
+from radiometer.plausible import AnyCount, Duration, FilterDensity, PerMille, Seed, Share
 
 app = command_group("Serve a simulated device.")
 
@@ -29,16 +30,16 @@ def simulate_camera(
     serial: Annotated[str | None, typer.Option(help="Serial number; the bench's by default.")] = None,
     bench: BenchOption = None,
     address: Annotated[str, typer.Option(help="Address of a network interface of this computer.")] = "127.0.0.1",
-    seed: Annotated[int | None, typer.Option(min=0, help="Makes the noise; the bench's by default.")] = None,
+    seed: Annotated[Seed | None, typer.Option(help="Makes the noise; the bench's by default.")] = None,
     real_time: Annotated[
         bool, typer.Option("--real-time/--fast", help="Frames take their exposure time, or come as they are made.")
     ] = True,
-    lose_per_mille: Annotated[int, typer.Option(min=0, max=1000, help="Packets lost of a thousand.")] = 0,
-    answer_delay: Annotated[float, typer.Option(min=0.0, help="Seconds by which frames and answers are late.")] = 0.0,
-    stall_after: Annotated[int | None, typer.Option(min=0, help="Stop sending after so many frames.")] = None,
-    drop_after: Annotated[int | None, typer.Option(min=0, help="Fall silent after so many frames.")] = None,
+    lose_per_mille: Annotated[PerMille, typer.Option(help="Packets lost of a thousand.")] = 0,
+    answer_delay: Annotated[Duration, typer.Option(help="Seconds by which frames and answers are late.")] = 0.0,
+    stall_after: Annotated[AnyCount | None, typer.Option(help="Stop sending after so many frames.")] = None,
+    drop_after: Annotated[AnyCount | None, typer.Option(help="Fall silent after so many frames.")] = None,
     frame_pool: Annotated[
-        int, typer.Option(min=0, help="Serve so many frames again and again; 0 makes every frame anew.")
+        AnyCount, typer.Option(help="Serve so many frames again and again; 0 makes every frame anew.")
     ] = 0,
     awkward: Annotated[
         bool,
@@ -66,16 +67,16 @@ def simulate_box(
         Path | None, typer.Option(help="Run this firmware (light_box.hex) in simavr instead of the twin.")
     ] = None,
     clock_ppm: Annotated[float, typer.Option(help="Rate of its clock above true time, ppm.")] = 0.0,
-    corrupt: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of bytes that the line damages.")] = 0.0,
-    drop: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of bytes that the line loses.")] = 0.0,
+    corrupt: Annotated[Share, typer.Option(help="Share of bytes that the line damages.")] = 0.0,
+    drop: Annotated[Share, typer.Option(help="Share of bytes that the line loses.")] = 0.0,
     reset_every: Annotated[str | None, typer.Option(help="Restart the box this often, such as 30s.")] = None,
     press_every: Annotated[str | None, typer.Option(help="Press the button this often for 0.2 s.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Makes the line's faults and the subject's answers.")] = 0,
+    seed: Annotated[Seed, typer.Option(help="Makes the line's faults and the subject's answers.")] = 0,
     subject: Annotated[
         str | None, typer.Option(help="Simulated subject before it, for `adapt run`: steady, never, always, leaves.")
     ] = None,
     filter_density: Annotated[
-        float, typer.Option(min=0.0, max=6.0, help="Density of the neutral filter between spot and subject.")
+        FilterDensity, typer.Option(help="Density of the neutral filter between spot and subject.")
     ] = 3.0,
 ) -> None:
     """Serve a simulated light box that any serial program can open, until stopped by Ctrl-C.

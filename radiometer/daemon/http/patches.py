@@ -99,7 +99,9 @@ async def show_trend(request: web.Request) -> web.Response:
 
 
 def trend_columns(points: list[TrendPoint], every_s: float | None) -> dict[str, Any]:
-    """Return points in columns, in s since 1970, of the newest unit; where readings are missing stands a row of nulls.
+    """Return points in columns, in s since 1970, of the newest unit.
+
+    Where readings are missing, and between those of two places, stands a row of nulls.
 
     Args:
         every_s: Period of continuous measurement in s; None where there is none.
@@ -110,12 +112,13 @@ def trend_columns(points: list[TrendPoint], every_s: float | None) -> dict[str, 
     }
     shown = [point for point in points if point.unit == unit]
     longest_us = _longest_pause_us(shown, every_s)
-    before: int | None = None
+    before: TrendPoint | None = None
     for point in shown:
-        if before is not None and point.time_us - before > longest_us:
+        pause_us = point.time_us - before.time_us if before else 0
+        if before is not None and (pause_us > longest_us or point.place != before.place):
             for name, column in columns.items():
-                column.append((before + point.time_us) / 2e6 if name == "time" else None)
-        before = point.time_us
+                column.append((before.time_us + point.time_us) / 2e6 if name == "time" else None)
+        before = point
         row = (point.time_us / 1e6, point.value, _COVERAGE_FACTOR * point.u, point.low, point.high, point.count,
                point.flagged)  # fmt: skip
         for column, value in zip(columns.values(), row, strict=True):

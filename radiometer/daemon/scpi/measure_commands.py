@@ -146,10 +146,10 @@ def _measuring(quantity: str, unit: str) -> tuple[Command, ...]:
                 " session.", do=_configure(function), parameters=PATCH_PARAMETERS, required=0,
                 example=f"CONF:{quantity[:3].upper()}", group=GROUP),
         Command(f"FETCh:{quantity}", f"Replies {quantity.lower()} and standard uncertainty of the newest reading of"
-                " this session's patch. If MEASure? or CONFigure gave the patch, only readings of this session count."
-                " Otherwise it is the patch of SENSe:PATCh. While nothing measures continuously, only readings of this"
-                " session count there, too. −230 means that there is none yet, as after the patch was moved. All"
-                " queries of one message refer to one reading.",
+                " this session's patch: the one that its MEASure? or CONFigure gave, else that of SENSe:PATCh. In the"
+                " first case only readings of this session count. In the second, while nothing measures continuously,"
+                " they have precedence over newer ones of other sessions. −230 means that there is none yet, as after"
+                " the patch was moved. All queries of one message refer to one reading.",
                 ask=_fetch(function), reply="value,u", example=f"READ?;:FETC:{quantity[:3].upper()}?", group=GROUP),
         Command(f"FETCh:{quantity}:UNCertainty",
                 f"Replies the standard uncertainty (k=1) of that {quantity.lower()} alone.",

@@ -206,7 +206,7 @@ COMMANDS: Final = (
             parameters=(Text("name"), Number("low", "", _BOUND, also=("NONE",)),
                         Number("high", "", _BOUND, also=("NONE",)), Number("hysteresis", "PCT", _HYSTERESIS)),
             required=3, ask_parameters=(Text("name"),), ask_required=1, reply="low,high,hysteresis",
-            example='SENS:PATC:LIM "main",NONE,1e6;LIM? "main"', group=SENSE),
+            example='TRIG:TIM 1;:SENS:PATC:LIM "main",NONE,1e6;LIM? "main"', group=SENSE),
     Command("FETCh:PATCh", "Replies the newest reading of a patch with a name; −230 where there is none yet.",
             ask=_fetch_patch, ask_parameters=(Text("name"),), ask_required=1, reply="value,u",
             example='READ?;:FETC:PATC? "main"', group=MEASURING),
@@ -236,8 +236,9 @@ COMMANDS: Final = (
     Command("SOURce:LED:CATalog", "Names the channels of the light box in the order of <n>, from 1 on.",
             ask=_catalogue, reply='"name",…',
             example="SOUR:LED:CAT?", group=SOURCE),
-    Command("OUTPut:ALL", "OFF switches every channel off at once, even as the first message of a connection. ON is"
-            " refused (−221). The query replies 1 while the box reports any channel lit.",
+    Command("OUTPut:ALL", "OFF switches every channel off before all that other clients wait for. What its own"
+            " connection sent before it comes first. ON is refused (−221). The query replies 1 while the box reports"
+            " any channel lit.",
             do=_set_output, ask=_ask_output, parameters=(Boolean(),), reply="0 or 1", example="OUTP:ALL OFF;ALL?",
             group=SOURCE),
     Command("SOURce:LED:OFF", "Switches every channel off.", do=_lights_off, example="SOUR:LED:OFF", group=SOURCE),

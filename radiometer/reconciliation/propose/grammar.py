@@ -321,7 +321,8 @@ class Term:
         """
         form = FORMS[self.form]
         constants = {name: float(f"{value:.6g}") for name, value in self.constants.items()}  # as written
-        return form.formula({"u": known[COVARIATES[self.covariate].tag], **known, **constants, **values})
+        with np.errstate(over="ignore"):  # a term that grows beyond all numbers explains nothing
+            return form.formula({"u": known[COVARIATES[self.covariate].tag], **known, **constants, **values})
 
 
 def terms_of(name: str, known: Mapping[str, Array]) -> Iterator[Term]:

@@ -24,8 +24,7 @@ def chosen_methods(names: Sequence[str], *, turned: bool) -> tuple[str, ...]:
         names: Names; none for all.
         turned: Whether the geometry has angles to turn the screen to.
 
-    Raises:
-        UsageError: If a name is unknown, or the viewing angle is asked for without angles.
+    Raises UsageError if a name is unknown, or the viewing angle is asked for without angles.
     """
     known = (WARM_UP, *METHODS)
     for name in names:
@@ -56,9 +55,8 @@ def examine(
         waiting: Called while the screen warms up with the time so far and the longest time, both in s.
         progress: Called after every method with (done, total).
 
-    Raises:
-        DeviceError: If display or camera fail.
-        MeasurementError: If a reading clips, or white is hardly brighter than black.
+    Raises DeviceError if display or camera fail, MeasurementError if a reading clips or white is hardly brighter than
+    black.
     """
     bench = examined.bench
     measure_steps(bench.display, bench, [ScreenStep("grey", 255, "white"), ScreenStep("grey", 0, "black")])

@@ -15,7 +15,7 @@ from radiometer.devices import DisplayPatch
 from radiometer.errors import MeasurementError
 from radiometer.numbers import unit_text, upper_limit
 from radiometer.screen.calibration_run import Instrumented
-from radiometer.screen.report.geometry import CENTRE, Geometry, field_at
+from radiometer.screen.report.geometry import CENTRE, field_at
 from radiometer.screen.run import Light
 from radiometer.typing import Array
 
@@ -75,22 +75,16 @@ class Examined:
 
     bench: ReportBench
     area: Patch  # where the camera sees the whole screen
-    geometry: Geometry
     lights: Mapping[str, Light]  # light of every channel whose spectrum is known
     turn: Callable[[float], None]  # turns the screen to an angle in degrees from its normal
-    points: int = 13
-    checkers: tuple[int, int] = (4, 4)
-    levels: tuple[int, ...] = ()
-    angles_deg: tuple[float, ...] = ()
+    points: int
+    checkers: tuple[int, int]
+    levels: tuple[int, ...]
+    angles_deg: tuple[float, ...]
     unsettled_rel: float = 0.0  # standard uncertainty of the display's output between two readings
 
     def shown(self, patch: DisplayPatch, places: Sequence[tuple[float, float]] = (CENTRE,)) -> list[Reading]:
-        """Show a patch and return the readings of places.
-
-        Raises:
-            DeviceError: If display or camera fail.
-            MeasurementError: If a reading clips.
-        """
+        """Show a patch and return the readings of places. Raises DeviceError, and MeasurementError if one clips."""
         self.bench.display.show(patch)
         found = self.bench.readings([field_at(self.area, place) for place in places])
         if any(Flag.SATURATED in one.flags for one in found):
@@ -102,31 +96,21 @@ class Examined:
     def luminance(self, radiance: Quantity, channel: str = "grey") -> Quantity:
         """Return the luminance in cd·m⁻² of a radiance in a channel's light."""
         light = self.lights[channel]
-        factor = light.photopic_lm_per_w
         u = math.hypot(radiance.u, radiance.value * light.u_photopic_rel)
-        return Quantity(radiance.value * factor, u * factor, "cd m-2")
+        return Quantity(radiance.value, u, radiance.unit).scaled(light.photopic_lm_per_w, "cd m-2")
 
 
 def derived(
     readings: Sequence[Reading], of: Callable[[Array], float], unit: str = "1", drift_rel: float = 0.0
 ) -> Quantity:
-    """Return a quantity that follows from readings of one calibration, with its standard uncertainty.
+    """Return a function of the radiances of readings of one calibration, with its standard uncertainty.
 
-    Args:
-        readings: The readings.
-        of: The quantity as a function of their radiances.
-        unit: Its unit.
-        drift_rel: Relative standard uncertainty of the display's output from one reading to the next.
+    The display's output has the relative standard uncertainty `drift_rel` from one reading to the next.
     """
-    values = np.array([one.radiance.value for one in readings])
-    own_u = np.array([one.radiance.u for one in readings])
+    values, own_u = np.array([(one.radiance.value, one.radiance.u) for one in readings]).T
     # A thousandth of u: small against any bend within u, large against rounding.
     steps = np.maximum(1e-3 * own_u, 1e-9 * np.abs(values).max())
-    gradient = np.zeros_like(values)
-    for i, step in enumerate(steps):
-        moved = np.zeros_like(values)
-        moved[i] = step
-        gradient[i] = (of(values + moved) - of(values - moved)) / (2 * step)
+    gradient = np.array([of(values + moved) - of(values - moved) for moved in np.diag(steps)]) / (2 * steps)
     u = np.hypot(propagated_u(readings, gradient), float(np.linalg.norm(gradient * values)) * drift_rel)
     return Quantity(float(of(values)), float(u), unit)
 
@@ -134,16 +118,10 @@ def derived(
 def contrast_of(bright: Sequence[Reading], dark: Sequence[Reading], name: str, drift_rel: float = 0.0) -> Figure:
     """Return the ratio of two means; a lower bound where the dark one does not rise above its uncertainty."""
     count = len(bright)
-
-    def mean(values: Array) -> float:
-        return float(values.mean())
-
-    black = derived(dark, mean, dark[0].radiance.unit)
+    white, black = (derived(one, lambda v: float(v.mean())) for one in (bright, dark))
     if black.value < 3.0 * black.u:  # three standard deviations of the blank: IUPAC's limit of detection
-        white = derived(bright, mean, bright[0].radiance.unit)
-        limit = upper_limit(black.value, black.u)
-        lowest = max(white.value - 2.0 * white.u, 0.0) / limit
+        lowest = max(white.value - 2.0 * white.u, 0.0) / upper_limit(black.value, black.u)
         return Figure(name, Quantity(lowest, float("nan"), "1"), "above")
-    ratio = derived([*bright, *dark], lambda v: mean(v[:count]) / mean(v[count:]))
+    ratio = derived([*bright, *dark], lambda v: float(v[:count].mean() / v[count:].mean()))
     # All readings of white are of one moment, all of black of another.
     return Figure(name, Quantity(ratio.value, math.hypot(ratio.u, ratio.value * drift_rel), "1"))

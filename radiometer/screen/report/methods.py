@@ -21,11 +21,10 @@ from radiometer.devices import DisplayPatch
 from radiometer.numbers import upper_limit
 from radiometer.screen.checks import WarmUp
 from radiometer.screen.report.figures import BLACK, WHITE, Examined, Figure, Section, contrast_of, derived
-from radiometer.screen.report.geometry import CENTRE, FIELD_SHARE, POINTS, TITLES
+from radiometer.screen.report.geometry import CENTRE, POINTS
 from radiometer.screen.report.mura import COARSE_SHARE, FINE_SHARE, mura_of
 from radiometer.typing import Array
 
-_FIELD: Final = f"measuring field {100 * FIELD_SHARE:g} % of the screen's height"
 _TOP: Final = 255  # highest of the 8-bit levels that patches are made of
 _STEEP: Final = 0.9  # of the drive: above it the logarithm that a local gamma is divided by is nearly 0
 _CONTRADICTION_REL: Final = 0.01  # of white: below it, assumed spectra agree as well as cameras measure
@@ -46,14 +45,11 @@ def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
     times = np.array([one.time_s - watched[0].time_s for one in watched])
     values = np.array([one.radiance for one in watched])
     own_u = np.array([one.u_independent for one in watched])
-    excess, figures, notes = values[0] / values[-1] - 1.0, [], list[str]()
     u_excess = math.hypot(own_u[0] / values[0], own_u[-1] / values[-1])
-    fitted = _relaxation(times, values, own_u) if abs(excess) > 3.0 * u_excess else None
-    if fitted is not None:
-        figures.append(Figure("excess_at_start", fitted[0]))
-        figures += _times(*fitted)
-    else:
-        figures.append(Figure("excess_at_start", Quantity(float(excess), u_excess, "1")))
+    excess, notes = Quantity(float(values[0] / values[-1] - 1.0), u_excess, "1"), list[str]()
+    fitted = _relaxation(times, values, own_u) if abs(excess.value) > 3.0 * u_excess else None
+    figures = [Figure("excess_at_start", fitted[0] if fitted else excess), *(_times(*fitted) if fitted else ())]
+    if fitted is None:
         notes.append("the change is too small, or was watched for too short, for the time constant")
     figures.append(Figure("drift_at_end", Quantity(outcome.drift_rel, u_excess, "1")))
     if not outcome.steady:
@@ -62,8 +58,10 @@ def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
         (f"{t:.0f} s", examined.luminance(Quantity(v, u, "")))
         for t, v, u in zip(times.tolist(), values.tolist(), own_u.tolist(), strict=True)
     )
-    conditions = ("full-screen white from the moment the display was taken", _FIELD)
-    return Section("warm_up", "Warm-up", conditions, tuple(figures), ("time", "luminance (cd·m⁻²)"), rows, tuple(notes))
+    return Section(
+        "warm_up", "Warm-up", ("full-screen white from the moment the display was taken",), tuple(figures),
+        ("time", "luminance (cd·m⁻²)"), rows, tuple(notes),
+    )  # fmt: skip
 
 
 def _relaxation(times: Array, values: Array, own_u: Array) -> tuple[Quantity, Quantity, float] | None:
@@ -104,7 +102,7 @@ def _times(size: Quantity, tau: Quantity, shared: float) -> list[Figure]:
 def _white(examined: Examined) -> Section:
     (reading,) = examined.shown(WHITE)
     figures = (Figure("luminance", examined.luminance(reading.radiance)), Figure("radiance", reading.radiance))
-    return Section("white", "Full-screen white (IDMS 5.3)", ("full-screen white, centre", _FIELD), figures)
+    return Section("white", "Full-screen white (IDMS 5.3)", ("full-screen white, centre",), figures)
 
 
 def _black_figure(examined: Examined, reading: Reading) -> Figure:
@@ -116,42 +114,33 @@ def _black_figure(examined: Examined, reading: Reading) -> Figure:
 
 
 def _black(examined: Examined) -> Section:
-    (reading,) = examined.shown(BLACK)
-    conditions = ("full-screen black, centre", _FIELD)
-    return Section("black", "Full-screen black (IDMS 5.6)", conditions, (_black_figure(examined, reading),))
+    figure = _black_figure(examined, *examined.shown(BLACK))
+    return Section("black", "Full-screen black (IDMS 5.6)", ("full-screen black, centre",), (figure,))
 
 
 def _sequential(examined: Examined) -> Section:
-    white, black = examined.shown(WHITE), examined.shown(BLACK)
-    figure = contrast_of(white, black, "contrast", examined.unsettled_rel)
-    conditions = ("full-screen white, then full-screen black, centre", _FIELD)
+    figure = contrast_of(examined.shown(WHITE), examined.shown(BLACK), "contrast", examined.unsettled_rel)
+    conditions = ("full-screen white, then full-screen black, centre",)
     return Section("sequential_contrast", "Sequential contrast", conditions, (figure,))
 
 
 def _checkerboard(examined: Examined) -> Section:
     columns, rows = examined.checkers
     fields = [(i, j) for j in range(rows) for i in range(columns)]
-    middles = {one: ((one[0] + 0.5) / columns, (one[1] + 0.5) / rows) for one in fields}
-    lit = [one for one in fields if sum(one) % 2 == 0]
-    dark = [one for one in fields if sum(one) % 2 == 1]
     board = DisplayPatch((1.0, 1.0, 1.0), checkers=examined.checkers)
-    bright = examined.shown(board, [middles[one] for one in lit])
-    faint = examined.shown(board, [middles[one] for one in dark])
-    figure = contrast_of(bright, faint, "contrast", examined.unsettled_rel)
-    cells = tuple(
-        (f"column {i + 1}, row {j + 1}", kind, examined.luminance(reading.radiance))
-        for kind, places, readings in (("white", lit, bright), ("black", dark, faint))
-        for (i, j), reading in zip(places, readings, strict=True)
-    )
-    conditions = (
-        f"checkerboard of {columns} × {rows} fields; mean of all white over mean of all black fields' middles (C_Cave)",
-        _FIELD,
-    )
-    notes = ("light that the lens scatters from white into black fields counts as far as the calibration states it",)
+    read, cells = [], []
+    for odd, kind in enumerate(("white", "black")):
+        own = [one for one in fields if sum(one) % 2 == odd]
+        read.append(examined.shown(board, [((i + 0.5) / columns, (j + 0.5) / rows) for i, j in own]))
+        for (i, j), reading in zip(own, read[-1], strict=True):
+            cells.append((f"column {i + 1}, row {j + 1}", kind, examined.luminance(reading.radiance)))
     return Section(
         "checkerboard_contrast",
-        f"Checkerboard luminance and contrast ({columns} × {rows}, IDMS 5.26; ANSI contrast for 4 × 4)", conditions,
-        (figure,), ("field", "shown", "luminance (cd·m⁻²)"), cells, notes,
+        f"Checkerboard luminance and contrast ({columns} × {rows}, IDMS 5.26; ANSI contrast for 4 × 4)",
+        (f"checkerboard of {columns} × {rows} fields; mean of white over mean of black fields' middles (C_Cave)",),
+        (contrast_of(read[0], read[1], "contrast", examined.unsettled_rel),),
+        ("field", "shown", "luminance (cd·m⁻²)"), tuple(cells),
+        ("light that the lens scatters from white into black fields counts as far as the calibration states it",),
     )  # fmt: skip
 
 
@@ -159,22 +148,16 @@ def _gamma(examined: Examined) -> Section:
     (black,), (white,) = examined.shown(BLACK), examined.shown(WHITE)
     drives = np.array([level / _TOP for level in examined.levels if 0 < level < _TOP])
     greys = [examined.shown(DisplayPatch((drive, drive, drive)))[0] for drive in drives.tolist()]
-    clear = [
-        one.radiance.value - black.radiance.value > 3.0 * math.hypot(one.radiance.u, black.radiance.u) for one in greys
-    ]
-    used = [one for one, kept in zip(greys, clear, strict=True) if kept]
+    dark, drift = black.radiance, examined.unsettled_rel
+    clear = [one.radiance.value - dark.value > 3.0 * math.hypot(one.radiance.u, dark.u) for one in greys]
+    readings = [black, *(one for one, kept in zip(greys, clear, strict=True) if kept), white]
     logs = np.log(np.append(drives[clear], 1.0))
-    drift = examined.unsettled_rel
 
-    def above_black(values: Array) -> Array:
-        return np.asarray(np.log(np.maximum(values[1:] - values[0], 1e-300)))
-
-    readings = [black, *used, white]
-    exponent = derived(readings, lambda v: float(np.polyfit(logs, above_black(v), 1)[0]), drift_rel=drift)
-
-    def misfit(values: Array) -> float:
-        line = np.polyfit(logs, above_black(values), 1)
-        return float(np.sqrt(np.mean((above_black(values) - np.polyval(line, logs)) ** 2)))
+    def line(values: Array) -> tuple[float, float]:
+        """Return slope and misfit of the line through ln of the light above black."""
+        light = np.log(np.maximum(values[1:] - values[0], 1e-300))
+        found = np.polyfit(logs, light, 1)
+        return float(found[0]), float(np.sqrt(np.mean((light - np.polyval(found, logs)) ** 2)))
 
     rows = []
     for drive, one, kept in zip(drives.tolist(), greys, clear, strict=True):
@@ -185,8 +168,11 @@ def _gamma(examined: Examined) -> Section:
     notes = () if all(clear) else ("levels that do not rise above black by three standard uncertainties are left out",)
     return Section(
         "gamma", "Gamma of the greys",
-        (f"{len(drives)} greys, full screen, centre; slope of ln(L − L_black) over ln(level)", _FIELD),
-        (Figure("gamma", exponent), Figure("misfit_rms", derived(readings, misfit, drift_rel=drift))),
+        (f"{len(drives)} greys, full screen, centre; slope of ln(L − L_black) over ln(level)",),
+        (
+            Figure("gamma", derived(readings, lambda v: line(v)[0], drift_rel=drift)),
+            Figure("misfit_rms", derived(readings, lambda v: line(v)[1], drift_rel=drift)),
+        ),
         ("level", "luminance (cd·m⁻²)", "local gamma"), tuple(rows), notes,
     )  # fmt: skip
 
@@ -220,7 +206,7 @@ def _primaries(examined: Examined) -> Section:
     notes.append("a grey camera does not see chromaticity: measure it with radiometer colour")
     return Section(
         "primaries", "Full-screen primary colors (IDMS 5.14) and white",
-        ("full-screen red, green, blue and white, centre", _FIELD), tuple(figures),
+        ("full-screen red, green, blue and white, centre",), tuple(figures),
         ("shown", "radiance (W·sr⁻¹·m⁻²)", "luminance (cd·m⁻²)", "spectrum assumed"), tuple(rows), tuple(notes),
     )  # fmt: skip
 
@@ -237,21 +223,19 @@ def _doubt_of_spectra(examined: Examined, read: Mapping[str, Quantity]) -> float
 def _additivity(examined: Examined) -> Section:
     readings = [examined.shown(one)[0] for one in (*_PRIMARIES.values(), WHITE, BLACK)]
     # The black counts once in each of the three and once in white.
-    figure = derived(
+    error = derived(
         readings, lambda v: float((v[:3].sum() - 3.0 * v[4]) / (v[3] - v[4]) - 1.0), drift_rel=examined.unsettled_rel
     )
-    conditions = (
-        "full-screen red, green, blue, white and black, centre; radiance of the sum over white, less 1",
-        _FIELD,
-    )
-    notes = ("colours are compared in radiance, so no spectrum is assumed beyond the calibration's",)
     return Section(
-        "additivity", "Additivity of the primaries", conditions, (Figure("additivity_error", figure),), notes=notes
-    )
+        "additivity", "Additivity of the primaries",
+        ("full-screen red, green, blue, white and black, centre; radiance of the sum over white, less 1",),
+        (Figure("additivity_error", error),),
+        notes=("colours are compared in radiance, so no spectrum is assumed beyond the calibration's",),
+    )  # fmt: skip
 
 
 def _uniformity(examined: Examined) -> Section:
-    places = POINTS[examined.points]
+    title, places = POINTS[examined.points]
     readings = examined.shown(WHITE, places)
     values = np.array([one.radiance.value for one in readings])
     own = np.array([math.sqrt(sum(c.u_rel**2 for c in one.budget if not c.correlated)) for one in readings]) * values
@@ -278,8 +262,8 @@ def _uniformity(examined: Examined) -> Section:
         Figure("mean_luminance", examined.luminance(derived(readings, lambda v: float(v.mean()), "W sr-1 m-2"))),
     )
     return Section(
-        "uniformity", TITLES[examined.points],
-        (f"full-screen white at {examined.points} points, all from the same frames; lowest over highest", _FIELD),
+        "uniformity", title,
+        (f"full-screen white at {examined.points} points, all from the same frames; lowest over highest",),
         figures, ("place (from left, from top)", "luminance (cd·m⁻²)", "over the centre"), rows,
     )  # fmt: skip
 
@@ -298,16 +282,16 @@ def _mura(examined: Examined) -> Section:
         Figure("largest_spot_y", found.y),
         Figure("rms", found.rms),
     )
-    conditions = (
-        "full-screen white, every pixel of the camera's picture",
-        f"band-pass: Gaussians of {100 * FINE_SHARE:g} % and {100 * COARSE_SHARE:g} % of the height, shading taken off",
-    )
     notes = ["the pattern of the camera's own pixels is in the map unless its calibration holds a flat field"]
     if abs(found.spot.value) < found.detection_limit:
         notes.insert(0, f"the largest spot is no larger than noise can be ({100 * found.detection_limit:.2g} %)")
     return Section(
-        "mura", "Mura analysis (IDMS 8.2.3; band-pass filter as below)", conditions, figures, notes=tuple(notes),
-        picture=100.0 * found.relative,
+        "mura", "Mura analysis (IDMS 8.2.3; band-pass filter as below)",
+        (
+            "full-screen white, every pixel of the camera's picture",
+            f"band-pass: Gaussians of {100 * FINE_SHARE:g} % and {100 * COARSE_SHARE:g} % of the height, no shading",
+        ),
+        figures, notes=tuple(notes), picture=100.0 * found.relative,
     )  # fmt: skip
 
 
@@ -320,9 +304,8 @@ def _viewing_angle(examined: Examined) -> Section:
     finally:
         examined.turn(0.0)
     rows, figures, drift = [], [], examined.unsettled_rel
-    normal = at[0.0]
     for angle, (white, black) in sorted(at.items()):
-        share = derived([white[0], normal[0][0]], lambda v: float(v[0] / v[1]), drift_rel=drift)
+        share = derived([white[0], at[0.0][0][0]], lambda v: float(v[0] / v[1]), drift_rel=drift)
         contrast = contrast_of(white, black, f"contrast_at_{angle:g}_deg", drift)
         if angle != 0.0:
             figures += [Figure(f"white_at_{angle:g}_deg", share), contrast]
@@ -330,17 +313,13 @@ def _viewing_angle(examined: Examined) -> Section:
         cell: str | Quantity = f"< {dark.quantity.value:.2g}" if dark.bound else dark.quantity
         rows.append((f"{angle:g}°", examined.luminance(white[0].radiance), cell, share if angle else "1"))
     return Section(
-        "viewing_angle",
-        "Viewing-angle luminance (IDMS 9.4) and contrast",
+        "viewing_angle", "Viewing-angle luminance (IDMS 9.4) and contrast",
         (
             "full-screen white and black at each angle, centre; white over that at the normal",
             "the luminance change ratio of IDMS 9.4 is 1 less that",
-            _FIELD,
         ),
-        tuple(figures),
-        ("angle", "white (cd·m⁻²)", "black (cd·m⁻²)", "white over the normal's"),
-        tuple(rows),
-    )
+        tuple(figures), ("angle", "white (cd·m⁻²)", "black (cd·m⁻²)", "white over the normal's"), tuple(rows),
+    )  # fmt: skip
 
 
 METHODS: Final[Mapping[str, Callable[[Examined], Section]]] = {

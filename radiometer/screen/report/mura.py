@@ -37,10 +37,8 @@ def mura_of(found: RadianceMap) -> Mura:
     """Return the mura of a white screen that fills a map.
 
     B = (G_fine ∗ L − G_coarse ∗ L)/S with normalised Gaussians G and the shading S, a polynomial of degree four. The
-    polynomial is divided out first. The filters weigh by the pixels that have a value, so they reach the edges.
-
-    Raises:
-        MeasurementError: If more than a tenth of its pixels have no value.
+    polynomial is divided out first. The filters weigh by the pixels that have a value, so they reach the edges. Raises
+    MeasurementError if more than a tenth of its pixels have no value.
     """
     good = (found.mask & LOST) == 0
     if float(good.mean()) < _FEWEST_GOOD:

@@ -95,7 +95,12 @@ def test_own_calibration_of_a_box_is_checked_for_its_age(tmp_path: Path, quick: 
 
 
 @pytest.mark.parametrize(
-    ("factor", "steps", "reason"), [(1e-6, 1024, "cap or filter"), (1.0, 8192, "8192 duty steps, the box states 1024")]
+    ("factor", "steps", "reason"),
+    [
+        (1e-6, 1024, "cap or filter"),
+        (1e-3, 1024, "a filter before the"),
+        (1.0, 8192, "8192 duty steps, the box states 1024"),
+    ],
 )
 def test_a_calibration_that_belies_box_or_preset_gives_no_light(
     tmp_path: Path, factor: float, steps: int, reason: str

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import math
 import pickle
+import re
 import typing
 from collections.abc import Callable, Iterator
 
@@ -12,6 +14,10 @@ import numpy as np
 import pytest
 
 import radiometer as rm
+from radiometer.argument_types import range_of
+from radiometer.cli.commands import COMMANDS
+from radiometer.cli.main import run
+from radiometer.cli.tree import application
 
 FUNCTIONS = [name for name in rm.__all__ if inspect.isfunction(getattr(rm, name))]
 WRONG = (["text", {}], [], {"text": []}, math.nan)
@@ -78,6 +84,85 @@ def test_a_wrong_type_to_a_method_is_a_radiometer_error(kind, desk, monkeypatch)
     assert methods
 
 
+def numbers() -> list[tuple[str, str, object]]:
+    """Return (function, argument, type) of every number that a public function takes, alone or in a list."""
+    of_all = {name: typing.get_type_hints(getattr(rm, name), include_extras=True) for name in FUNCTIONS}
+    found = [(name, argument, hint) for name, hints in of_all.items() for argument, hint in hints.items()]
+    return [one for one in found if one[1] != "return" and {float, int} & set(parts(one[2]))]
+
+
+def parts(hint: object) -> list[object]:
+    """Return the plain types of which one is put together; of functions that are handed in none."""
+    inside = typing.get_args(hint)
+    if typing.get_origin(hint) is typing.Annotated:
+        return parts(inside[0])
+    if typing.get_origin(hint) is Callable:
+        return []
+    return [hint, *(one for part in inside for one in parts(part))]
+
+
+@pytest.mark.parametrize(("name", "argument", "hint"), numbers())
+def test_a_number_outside_its_range_is_refused_with_its_bound(name, argument, hint):
+    """NaN, infinity, 10³⁰⁰, and what is below or above the stated range: one line names argument and range."""
+    allowed = range_of(hint)
+    outside = [math.nan, math.inf, -math.inf, 1e300, -1e300]
+    if allowed is not None:
+        outside += [allowed.low - 1, allowed.high * 2, *([allowed.low] if allowed.above else [])]
+    given_else = {one: "sim" if one == "camera" else value for one, value in others(name, argument).items()}
+    call = functools.partial(getattr(rm, name), **given_else)
+    for value in outside:
+        for given in (value, [value], [value, value, 1.0, 1.0], {1.0: value}):
+            with pytest.raises(rm.UsageError, match=rf"^{name}: {argument} is .*; give .*(number|Patch)"):
+                call(**{argument: given})
+    if allowed is not None:
+        with pytest.raises(rm.UsageError, match=f"(of|from|above) {re.escape(format(allowed.low, 'g'))}"):
+            call(**{argument: math.nan})
+
+
+@pytest.mark.parametrize(("name", "argument", "hint"), numbers())
+def test_no_uncertainty_is_negative_and_no_relative_one_above_one(name, argument, hint):
+    """By its name: an argument with `u` as a word is an uncertainty; `u_rel` a relative one."""
+    words, allowed = argument.split("_"), range_of(hint)
+    bounds = (None, None) if allowed is None else (allowed.low, allowed.high)
+    assert "u" not in words or bounds[0] == 0.0
+    assert "u_rel" not in argument or bounds == (0.0, 1.0)
+
+
+def bounded_options() -> list[tuple[tuple[str, ...], str, object]]:
+    """Return (words of the command, option, its limits) of every option with a range."""
+    found = []
+
+    def walk(command: typing.Any, path: tuple[str, ...]) -> None:
+        for one in command.params:
+            limits = one.type_descriptor.parameter_info
+            if one.param_type_name == "option" and (limits.min, limits.max) != (None, None):
+                found.append((path, max(one.opts, key=len), limits))
+        for name, inner in getattr(command, "commands", {}).items():
+            walk(inner, (*path, name))
+
+    for name in COMMANDS:
+        walk(application(name), (name,))
+    return found
+
+
+@pytest.mark.parametrize(("words", "option", "limits"), bounded_options())
+def test_a_command_refuses_the_same_numbers(words, option, limits, capsys):
+    """What is outside the range, NaN and infinity: exit code 2, and the option is named."""
+    outside = ["nan", "inf", *([] if limits.min is None else [f"{limits.min - 1}"])]
+    outside += [] if limits.max is None else [f"{limits.max * 2}"]
+    for value in outside:
+        assert run([*words, f"{option}={value}"]) == 2
+        assert option in capsys.readouterr().err
+
+
+def test_the_options_of_a_command_have_the_ranges_of_its_function():
+    """Those of the bleach and of a photograph's reference, as examples of each way in which commands are made."""
+    ranges = {(words, option): (limits.min, limits.max) for words, option, limits in bounded_options()}
+    assert ranges[("adapt", "bleach"), "--pupil"] == (1.0, 9.0)
+    assert ranges[("alpha-opic",), "--wavelength-u"] == (0.0, 50.0)
+    assert ranges[("calibrate",), "--luminance-meter-k"] == (5.0, 30.0)
+
+
 def assert_works_or_says(call: Callable[[], object]) -> None:
     """Assert that a call returns, or raises a RadiometerError of some words."""
     said = "works"
@@ -94,14 +179,20 @@ def assert_works_or_says(call: Callable[[], object]) -> None:
     ("call", "says"),
     [
         (lambda: rm.merge("x", channel=[]), r"^merge: channel is \[\] \(list\); give text or None$"),
-        (lambda: rm.adapt_bleach(math.nan, 1.0), r"luminance is nan \(float\); give number$"),
-        (lambda: rm.adapt_bleach(True, 1.0), r"luminance is True \(bool\); give number$"),
+        (lambda: rm.adapt_bleach(math.nan, 1.0), r"luminance is nan \(float\); give number from 0 to 1e\+15 cd·m⁻²$"),
+        (lambda: rm.adapt_bleach(True, 1.0), r"luminance is True \(bool\); give number from 0 .*$"),
         (
             lambda: rm.measure(patch=(0, 0, 8)),
             r"patch is \(0, 0, 8\) \(tuple\); give Patch or \(whole number, .* or None$",
         ),
-        (lambda: rm.merge("x", measured_iso={100.0: math.nan}), r"give a mapping of number to number or None$"),
+        (
+            lambda: rm.merge("x", measured_iso={100.0: math.nan}),
+            r"a mapping of number from 1 to 1e\+09 to number .*None$",
+        ),
         (lambda: rm.screen_export("x", "csv"), r"kinds is 'csv' \(str\); give a list of text$"),
+        (lambda: rm.log("a" * 300), r"^log: journal is 'a+… \(str\); give text or path or None$"),
+        (lambda: rm.merge("a\0b"), r"^merge: source is .*; give Stack or text or path$"),
+        (lambda: rm.Patch(40, 30, 20, 1.5), "a patch is of whole pixels; 1.5 is no whole number"),
         (lambda: rm.colour_calibrate("x", train_on="lights"), r"'lights' \(str\); give 'chart' or 'responsivities'$"),
         (lambda: rm.log_fit(["x" * 500]), r"table is \['x{40,60}… \(list\); give text or path$"),
     ],

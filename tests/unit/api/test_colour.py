@@ -121,8 +121,11 @@ def test_photographs_need_to_be_proportional_to_light(bench: Path, tmp_path: Pat
     (tmp_path / "exposures.txt").write_text("0.png 0.02\n1.png 0.04\n2.png 0.08\n", encoding="utf-8")
     with pytest.raises(UsageError, match="--linear"):
         rm.colour_calibrate(tmp_path, bench / "chart.csv")
-    known = rm.colour_calibrate(tmp_path, bench / "chart.csv", linear=True).calibration
-    found = rm.colour_measure(tmp_path, calibration=known, patch=place("white"), kind="leds", linear=True)
+    known = rm.colour_calibrate(tmp_path, bench / "chart.csv", linear=True, f_number=4.0).calibration
+    args = {"patch": place("white"), "kind": "leds", "linear": True}
+    with pytest.raises(CalibrationError, match="--f-number"):
+        rm.colour_measure(tmp_path, calibration=known, **args)
+    found = rm.colour_measure(tmp_path, calibration=known, f_number=4.0, **args)
     for quantity, value in zip("XYZ", true_xyz("white"), strict=True):
         assert abs(found[quantity].value - value) < 2.5 * found[quantity].u
 
@@ -174,18 +177,17 @@ def test_a_radiance_of_a_mosaic_is_refused(bench: Path) -> None:
 
 
 def test_a_colour_calibration_past_its_time_or_for_other_conditions(bench: Path) -> None:
-    """A flag after a year; another f-number, and a variance below 0, are refused."""
+    """A flag after a year; an f-number that it does not state, and a variance below 0, are refused."""
     text = (bench / "colour.yaml").read_text()
     stated = yaml.safe_load(text)
     args = {"patch": place("white"), "kind": "leds"}
     old = {**stated, "created": "1990-01-01T00:00:00+00:00"}
     (bench / "old.yaml").write_text(yaml.safe_dump(old))
     assert "stale_calibration" in rm.colour_measure(bench / "set", calibration=bench / "old.yaml", **args).flags
-    number = stated["lens"]["f_number"]
-    wide = {**stated, "lens": {**stated["lens"], "f_number": number / 2}}
+    silent = {**stated, "lens": {**stated["lens"], "f_number": None}}
     errors = {kind: [[-one for one in row] for row in error] for kind, error in stated["errors"].items()}
     negative = {**stated, "errors": errors}
-    for wrong, why in ((wide, "f-number"), (negative, "below 0")):
+    for wrong, why in ((silent, "f-number"), (negative, "below 0")):
         (bench / "wrong.yaml").write_text(yaml.safe_dump(wrong))
         with pytest.raises(CalibrationError, match=why):
             rm.colour_measure(bench / "set", calibration=bench / "wrong.yaml", **args)

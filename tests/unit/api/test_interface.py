@@ -244,7 +244,7 @@ def test_importing_loads_neither_numpy_nor_any_room():
         (lambda capture: rm.light_set("spot", level=100, hold_s=float("nan"), no_eye=True, box="sim"), "hold_s"),
         (lambda capture: rm.light_blink("spot", 0.1, 0.1, level=100, hold_s=-5.0, no_eye=True, box="sim"), "hold_s"),
         (lambda capture: rm.calibrate(capture, patch=(10, 10, 8, 8), radiance=1.0, u_rel=-0.2), "u_rel"),
-        (lambda capture: rm.bracket("never", camera="sim", darks=-1), "dark frames"),
+        (lambda capture: rm.bracket("never", camera="sim", darks=-1), "darks is -1"),
     ],
 )
 def test_numbers_that_the_commands_refuse_are_refused_in_python_too(capture, call, named):

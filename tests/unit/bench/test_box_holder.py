@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from drivers.light_box.frames import request_line
 from drivers.light_box.serial_line import SerialPort
 from radiometer.bench import boxes
 from radiometer.bench.box_holder import ask_for_darkness, darken_held, held_boxes, holding, is_ours, own_folder
@@ -23,7 +24,8 @@ from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box, 
 from radiometer.bench.served_box import served_box
 from radiometer.cli.main import run
 from radiometer.devices.light_box import DriveLevel
-from radiometer.errors import DeviceInUse, DeviceNotFound, OutputError
+from radiometer.errors import DeviceError, DeviceInUse, DeviceNotFound, OutputError
+from simulators.light_box.virtual_line import LineFaults
 from testing.patience import within
 
 
@@ -61,6 +63,43 @@ def test_light_off_works_from_another_session(
                 monkeypatch.setenv(name, str(tmp_path / session))
         assert run(["light", "off", *(["--box", str(tmp_path / "link")] if named else [])]) == 0
         assert opened.box.read_channel("spot").drive.level == 0
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_light_off_finds_the_holder_of_a_port_by_the_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], link: bool
+) -> None:
+    """The holder keeps its state elsewhere; the port is named by another of its names, too."""
+    with served_box("HELD0001", tmp_path / "link").server as server, open_light_box(server.port) as opened:
+        opened.box.set_level("spot", DriveLevel(1000))
+        monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path / "other"))
+        done: list[int] = []
+        port = server.port if link else os.path.realpath(server.port)
+        asking = threading.Thread(target=lambda: done.append(run(["light", "off", "--box", port])))
+        asking.start()
+        asking.join(within(20.0))
+        assert done == [0]
+        assert opened.box.read_channel("spot").drive.level == 0
+    assert f"light box HELD0001: dark, by process {os.getpid()}" in capsys.readouterr().out
+
+
+def test_a_box_that_stays_lit_is_an_error_of_every_program(tmp_path: Path) -> None:
+    """Whoever had it open learns at the end that it did not go dark."""
+    with served_box("LIES0001", tmp_path / "link").server as server:
+        opening = open_light_box(server.port)
+        opened = opening.__enter__()
+        opened.box.set_level("spot", DriveLevel(1000))
+        server.faults_in = StaysLit()
+        with pytest.raises(DeviceError, match="stays lit"):
+            opening.__exit__(None, None, None)
+
+
+class StaysLit(LineFaults):
+    """Makes another request of every one for darkness."""
+
+    def apply(self, raw: bytes) -> bytes:
+        """Return what arrives."""
+        return request_line(int(raw[1:3], 16), "ST") if b" OF " in raw else raw
 
 
 def test_light_off_darkens_all_that_answer_whatever_else_is_there(

@@ -56,7 +56,7 @@ def test_a_simulated_bench_measures(tmp_path, capsys):
     [
         ([], "needs a camera"),
         (["--camera", "1", "--focal-length", "16"], "needs its f-number"),
-        (["--camera", "1", "--focal-length", "-3"], "expected a number above 0"),
+        (["--camera", "1", "--focal-length", "-3"], "give finite number above 0"),
         (["--camera", "1", "--patch", "1,2,3"], "expected X,Y,W,H"),
     ],
 )

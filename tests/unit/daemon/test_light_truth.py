@@ -14,12 +14,15 @@ import pytest
 
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.instrument import DeviceReport
+from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader
 from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.limits import Limits
+from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from radiometer.errors import DeviceError, LightEnded
 from testing.box_station import box_station, seconds_until
+from testing.fake_station import QUICK, LineClient
 
 Eventually = Callable[..., Awaitable[None]]
 
@@ -266,3 +269,28 @@ async def test_light_that_waits_for_its_rate_is_ended_too(station: Station, box:
     assert statuses.count(409) > 20
     assert await light() == 200
     await server.close()
+
+
+@pytest.mark.parametrize("reached", [False, True])
+async def test_darkness_of_a_box_that_does_not_answer_is_an_error(
+    tmp_path: Path, instrument: Any, box: Any, eventually: Eventually, reached: bool
+) -> None:
+    """Whether it was ever reached or not: nobody knows that it is dark, on either interface."""
+    channels, box.channels = box.channels, (box.channels if reached else ())
+    box.unplugged = not reached
+    station = Station(instrument, Journal(tmp_path / "other.sqlite"), box=box, times=QUICK)
+    await station.start()
+    box.unplugged = True
+    await eventually(lambda: station.light.keeper and station.light.keeper.state is not DeviceState.READY)
+    server, scpi = HttpServer(station), ScpiServer(station)
+    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    async with aiohttp.ClientSession() as session, session.post(f"{base}/light/off") as reply:
+        assert (reply.status, "unplugged" in await reply.text()) == (503, True)
+    line = LineClient(*await asyncio.open_connection("127.0.0.1", await scpi.listen_tcp("127.0.0.1", 0)))
+    await line.send("*CLS;:OUTP:ALL OFF")
+    assert (await line.ask("SYST:ERR?")).startswith("-24")
+    box.channels, box.unplugged = channels, False
+    line.writer.close()
+    await server.close()
+    await scpi.close()
+    await station.stop()

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from radiometer.daemon.http.patches import trend_columns
 from radiometer.daemon.http.server import HttpServer
+from radiometer.daemon.instrument import Measurement
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.mqtt import topic_level
@@ -61,7 +62,10 @@ async def test_a_client_that_stops_measuring_silences_no_limit(station: Station)
     assert [alarm.name for alarm in station.alarms.active] == ["stopped"]
     station.set_every(1.0)
     assert [alarm.name for alarm in station.alarms.active] == []
-    for every_s, alarmed in ((24.9, False), (25.1, True), (86_400.0, True), (5.0, False)):  # five times the first one
+    station.set_every(5.0)
+    station.patches.set_limits("main", PatchLimits())
+    station.patches.set_limits("main", PatchLimits(high=99.0))
+    for every_s, alarmed in ((24.9, False), (25.1, True), (86_400.0, True), (5.0, False)):  # set at a period of 5 s
         station.set_every(every_s)
         assert [alarm.name for alarm in station.alarms.active] == ["stopped"] * alarmed
     station.set_every(None)
@@ -87,11 +91,113 @@ async def test_patches_and_limits_outlive_a_restart(instrument: Any, tmp_path: P
         await station.stop()
 
 
+@pytest.mark.parametrize(
+    ("before_s", "after_s", "alarmed"),
+    [(0.5, None, True), (0.5, 86_400.0, True), (0.5, 9.0, False), (60.0, 299.0, False), (60.0, 301.0, True),
+     (None, None, True), (None, 86_400.0, False)],
+)  # fmt: skip
+@pytest.mark.parametrize("name", ["main", "lamp"])
+async def test_limits_that_no_measurement_watches_are_an_alarm_of_any_daemon(
+    name: str, before_s: float | None, after_s: float | None, alarmed: bool, instrument: Any, tmp_path: Path
+) -> None:
+    """They belong to the period at which they were set, or the first one after it, in whatever daemon; health says so.
+
+    To set them again changes nothing; to take them off and set them anew takes the period in force.
+    """
+    for every_s in (before_s, after_s):
+        station = Station(instrument, Journal(tmp_path / "j.sqlite"))
+        await station.start()
+        station.set_every(every_s)
+        if every_s is before_s and "lamp" not in station.patches.watches:
+            station.patches.define("lamp", LAMP)
+            station.patches.set_limits(name, PatchLimits(high=99.0))
+        await station.stop()
+        station = Station(instrument, Journal(tmp_path / "j.sqlite"))
+    await station.start()
+    station.set_every(after_s)
+    assert ("stopped" in station.troubles()) is alarmed
+    station.patches.set_limits(name, PatchLimits(high=98.0))
+    assert ("stopped" in station.troubles()) is alarmed
+    station.patches.set_limits(name, PatchLimits())
+    assert "stopped" not in station.troubles()
+    station.patches.set_limits(name, PatchLimits(high=99.0))
+    assert ("stopped" in station.troubles()) is (after_s is None)
+    await station.stop()
+
+
+@pytest.mark.parametrize("name", ["main", "lamp"])
+async def test_new_limits_are_compared_at_once(station: Station, eventually: Eventually, name: str) -> None:
+    """With the longest period too the patch is measured next, not in a day."""
+    station.set_every(86_400.0)
+    await eventually(lambda: station.shown.latest)
+    station.patches.define("lamp", LAMP)
+    await eventually(lambda: station.patches.latest_of("lamp"))
+    before = station.patches.latest_of(name)
+    station.patches.set_limits(name, PatchLimits(high=99.0))
+    await eventually(lambda: station.patches.latest_of(name) is not before)
+    assert station.troubles() == []
+
+
+async def test_a_limit_is_compared_with_its_own_unit_only(
+    instrument: Any, tmp_path: Path, eventually: Eventually, make_reading: Callable[..., Reading]
+) -> None:
+    """A daemon that measures relative numbers alarms that limits in W·sr⁻¹·m⁻² are not compared, as does `breach`."""
+    station = Station(instrument, Journal(tmp_path / "j.sqlite"))
+    await station.start()
+    station.set_every(0.02)
+    station.patches.set_limits("main", PatchLimits(low=0.5))
+    await eventually(lambda: station.status()["patches"]["main"]["limits"]["unit"])
+    assert station.troubles() == []
+    await station.stop()
+    whole = instrument.measure
+    instrument.measure = lambda settings: _in_unit(whole(settings), "relative")
+    other = Station(instrument, Journal(tmp_path / "j.sqlite"))
+    await other.start()
+    other.set_every(0.02)
+    await eventually(lambda: other.troubles() == ["limit main"])
+    assert "its limits are in W·sr⁻¹·m⁻²: they are not compared" in other.alarms.message_of("limit main")
+    other.patches.set_limits("main", PatchLimits(low=0.5))
+    await eventually(lambda: other.status()["patches"]["main"]["limits"]["unit"] == "relative")
+    assert other.troubles() == []
+    await other.stop()
+    for value in (0.1, 1.0, 1e9, math.nan):
+        reading = make_reading(radiance=Quantity(value, 0.01, "relative"))
+        for limits in (PatchLimits(low=0.5, unit="W sr-1 m-2"), PatchLimits(high=0.5, unit="W sr-1 m-2")):
+            assert limits.breach(reading, standing=False) == limits.breach(reading, standing=True) == "unseen"
+
+
+def _in_unit(measurement: Measurement, unit: str) -> Measurement:
+    reading = measurement.reading
+    return replace(measurement, reading=replace(reading, radiance=replace(reading.radiance, unit=unit)))
+
+
+@pytest.mark.parametrize("patch", [None, LAMP])
+async def test_a_patch_that_is_saturated_everywhere_is_an_alarm(
+    station: Station, instrument: Any, eventually: Eventually, patch: Patch | None
+) -> None:
+    """What every frame clips is a lower bound, not measured; the alarm ends with the first reading that is none."""
+    whole, clipped = instrument.measure, [True]
+
+    def measure(settings: Any) -> Measurement:
+        found = whole(settings)
+        flags = (Flag.SATURATED,) if clipped[0] and settings.patch == patch else ()
+        return replace(found, reading=replace(found.reading, flags=flags))
+
+    instrument.measure = measure
+    station.patches.define("lamp", LAMP)
+    station.set_every(0.02)
+    name = "measurement lamp" if patch else "measurement"
+    await eventually(lambda: station.troubles() == [name])
+    assert "saturated even in the shortest exposure (above" in station.alarms.message_of(name)
+    clipped[0] = False
+    await eventually(lambda: station.troubles() == [])
+
+
 async def test_a_limit_alarms_on_every_interface(
     station: Station, client: Any, instrument: Any, eventually: Eventually
 ) -> None:
     """Two readings beyond it: alarm, error queue, Prometheus and state; back inside: all clear."""
-    await client.send('SENS:PATC:LIM "main",NONE,16.5;:TRIG:TIM 0.01')
+    await client.send('TRIG:TIM 0.01;:SENS:PATC:LIM "main",NONE,16.5')
     await eventually(lambda: [alarm.name for alarm in station.alarms.active] == ["limit main"])
     assert "above its high limit 16.5" in station.alarms.active[0].message
     assert (await client.ask("SYST:ERR?")).startswith("-200")
@@ -262,6 +368,30 @@ def test_an_hour_is_drawn_from_the_readings(tmp_path: Path, make_reading: Callab
     assert len(points) == 2 * (40 + 22)
     assert all(point.count == 1 for point in points)
     assert trend_columns(points, None)["value"].count(None) == 1
+
+
+@pytest.mark.parametrize(
+    "other", [{"patch": Patch(0, 0, 11, 10)}, {"instrument": "4712"}, {"patch": Patch(1, 0, 10, 10)}]
+)
+@pytest.mark.parametrize("minutes", [90, 24 * 60])
+def test_a_trend_does_not_mix_places(
+    tmp_path: Path, make_reading: Callable[..., Reading], other: dict[str, Any], minutes: int
+) -> None:
+    """A patch that was moved, or read by another camera: no mean holds both, and no line joins them."""
+    readings = []
+    for k in range(60):
+        changes = {} if k < 31 else other
+        level = 1.0 if k < 31 else 2.0
+        radiance = Quantity(level, 0.1, "W sr-1 m-2")
+        readings.append(make_reading(time=iso_time(START_US + k * 20_000_000), radiance=radiance, **changes))
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append(readings)
+    found = JournalReader(tmp_path / "j.sqlite").trend("", START_US, START_US + minutes * 60_000_000, 10)
+    assert {point.value for point in found} == {1.0, 2.0}
+    assert sum(point.count for point in found) == 60
+    values = trend_columns(found, 20.0)["value"]
+    assert values[values.index(2.0) - 1] is None
+    assert values.count(None) == 1
 
 
 def test_a_slow_period_is_no_gap() -> None:

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
+import functools
 import importlib
 import math
+import operator
 import pkgutil
+import random
 import re
-from typing import Annotated
+import resource
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
 
 import pytest
+import yaml
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 import radiometer
-from radiometer.adaptation.protocol import Fixation, FixationCheck, SteadyBleach
-from radiometer.data import CameraDescription, FoundEffects, LensDescription, Scale, SourceDescription
+import radiometer as rm
+from radiometer.adaptation.protocol import Fixation, FixationCheck, SteadyBleach, read_protocol
+from radiometer.bench.boxes import read_preset
+from radiometer.data import Calibration, CameraDescription, FoundEffects, LensDescription, Scale, SourceDescription
 from radiometer.data.capture_set import FrameEntry
+from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.validation import ConfigSection, FileSection, validate
+from radiometer.devices import CameraPreset
 from radiometer.errors import InputError
 from simulators.effects.lens import Lens
 
@@ -104,7 +118,7 @@ SCALE = {"value": 1e-6, "u_rel": 0.01, "method": "known_radiance"}
         (FrameEntry, GOOD | {"exposure_s": 1e30}, "exposure_s.*1e\\+30 s is outside 0 to 1e\\+09 s"),
         (FrameEntry, GOOD | {"gain_db": 1e9}, "gain_db.*-200 to 200 dB"),
         (FrameEntry, GOOD | {"temperature_C": 1e6}, "temperature_C.*to 150 °C"),
-        (FrameEntry, GOOD | {"black_level_dn": 1e300}, "black_level_dn = 1e\\+300: no quantity has this size"),
+        (FrameEntry, GOOD | {"black_level_dn": 1e300}, "black_level_dn.*-65536 to 65536 DN"),
         (Scale, SCALE | {"value": 1e300}, "value.*1e-15 to 1e\\+06"),
         (Scale, SCALE | {"value": 1e-300}, "value.*1e-15 to 1e\\+06"),
         (Scale, SCALE | {"unit": "mJ m-2"}, "unit = 'mJ m-2': input should be 'J m-2 per unit of signal'"),
@@ -129,6 +143,94 @@ def test_true_is_no_number(model: type[BaseModel]) -> None:
         if field.annotation in (int, float, int | None, float | None):
             with pytest.raises(ValidationError, match=rf"{name} = True: true and false are no numbers"):
                 model.model_validate({name: True})
+
+
+@pytest.mark.parametrize("number", [10**11, 10**20, "1" + "0" * 20, [10**11]], ids=["1e11", "1e20", "text", "list"])
+@pytest.mark.parametrize(
+    "model", sorted({*models(FileSection), *models(ConfigSection)}, key=lambda one: one.__qualname__)
+)
+def test_no_count_of_a_file_sizes_an_array_without_bound(model: type[BaseModel], number: object) -> None:
+    """Bits, pixels, counts, seeds: each field that takes a whole number refuses what memory could not hold."""
+    for name, field in model.model_fields.items():
+        if re.search(r"\bint\b", str(field.annotation)):
+            with pytest.raises(ValidationError, match=rf"{name} = .*: no count has this size; at most"):
+                model.model_validate({name: number})
+
+
+FILES = {
+    "radiometer-bench/1": lambda path: rm.open(path, uncalibrated=True).close(),
+    "radiometer-calibration/1": Calibration.read,
+    "radiometer-camera/1": CameraPreset.read,
+    "radiometer-light-box/1": read_preset,
+    "radiometer-light-calibration/1": LightCalibration.read,
+    "radiometer-protocol/1": read_protocol,
+    "radiometer-screen/1": lambda path: rm.screen_level(path, 50.0),
+}
+SCREEN = """\
+format: radiometer-screen/1
+channels:
+  grey: {levels: [0, 128, 255], bits: 8, radiance_W_per_sr_m2: [0, 0.1, 0.4], u_independent: [0.001, 0.001, 0.004],
+    u_common_rel: 0.02, photopic_lm_per_W: 320, scotopic_lm_per_W: 700, spectrum: white_led}
+"""
+
+
+SELF: list[object] = []
+SELF.append(SELF)
+ODD = (None, [], {}, "text", "", math.nan, math.inf, -1, 0, 1e-300, 1e300, True, [1, [2]], {"a": {"b": []}}, SELF)
+
+
+def places(content: object, path: tuple[object, ...] = ()) -> Iterator[tuple[tuple[object, ...], object]]:
+    """Yield the path to each key and entry of a file, and what stands there."""
+    items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, inside in items:
+        yield (*path, key), inside
+        yield from places(inside, (*path, key))
+
+
+def changed(content: object, place: tuple[object, ...], value: object) -> str:
+    """Return a file with another value at a place."""
+    new = copy.deepcopy(content)
+    functools.reduce(operator.getitem, place[:-1], new)[place[-1]] = value
+    return yaml.safe_dump(new)
+
+
+def shipped(root: Path) -> list[dict[str, Any]]:
+    """Return the content of a file of each form: those of the package, and a screen's calibration."""
+    texts = [path.read_text() for path in sorted((root / "configs").rglob("*.yaml"))]
+    return [content for content in map(yaml.safe_load, (*texts, SCREEN)) if content.get("format") in FILES]
+
+
+def test_no_odd_value_of_a_file_is_a_defect_of_the_program(project_root: Path, tmp_path: Path) -> None:
+    """Null, lists, mappings, text, NaN, nothing, a list that holds itself: at places by chance, refused in a line."""
+    rng, file, said = random.Random(20261127), tmp_path / "changed.yaml", list[str]()
+    every = [(one, place) for one in shipped(project_root) for place, _ in places(one) if len(place) < 5]
+    tried = [(*one, SELF) for one in every[::20]] + [(*rng.choice(every), rng.choice(ODD)) for _ in range(300)]
+    for content, place, value in tried:
+        file.write_text(changed(content, place, value))
+        try:
+            FILES[content["format"]](file)
+        except rm.RadiometerError as error:
+            said.append(str(error))
+    assert len(said) > 100
+    assert all(line.strip() and "\n" not in line for line in said)
+
+
+def test_no_whole_number_of_a_file_takes_memory_or_time(project_root: Path, tmp_path: Path) -> None:
+    """Every number of every shipped form, as 10¹¹ and 10²⁰: refused in a line, or at least read at once."""
+    at_first, seen = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, set()
+    file = tmp_path / "changed.yaml"
+    every = shipped(project_root)
+    for content in (*every[::2], every[-1]):
+        for place in (place for place, value in places(content) if type(value) is int):
+            seen.add(content["format"])
+            for number in (10**11, 10**20):
+                file.write_text(changed(content, place, number))
+                began = time.monotonic()
+                with contextlib.suppress(rm.RadiometerError):
+                    FILES[content["format"]](file)
+                assert time.monotonic() - began < 5.0, place
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - at_first < 1_000_000  # kB
+    assert {"radiometer-bench/1", "radiometer-screen/1", "radiometer-protocol/1"} <= seen
 
 
 def test_a_simulated_lens_may_be_nearly_opaque() -> None:

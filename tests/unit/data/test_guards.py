@@ -40,7 +40,7 @@ from radiometer.errors import CaptureError, ConfigurationError, InputError, Miss
 from radiometer.reporting.plain_text import one_line, printable, spreadsheet_cell
 from simulators.scenes.image_file import ImageScene
 from testing import faulty_readers
-from testing.reader_fuzz import bombs, fuzz, hostile, seeds
+from testing.reader_fuzz import Fuzzed, bombs, fuzz, hostile, seeds
 
 
 def _png(width: int, height: int, bits: int = 16, colour: int = 0, data: bytes = b"") -> bytes:
@@ -329,7 +329,7 @@ def test_every_reader_refuses_what_has_no_end(readers: dict[str, Callable[[Path]
         (place / name).unlink()
         with (place / name).open("wb") as sparse:
             sparse.truncate(3 * 10**12)
-        with pytest.raises(RadiometerError, match="MB"):
+        with pytest.raises(RadiometerError, match=r"MB|not FITS or TIFF"):
             read(place / name)
 
 
@@ -431,6 +431,21 @@ def test_every_reader_refuses_files_made_to_harm(tmp_path_factory: pytest.TempPa
         assert found.faults == []
         assert found.refused > len(hostile()) // 2 or name in _BYTES_ONLY
         assert found.longest_s < 10.0
+
+
+@pytest.mark.parametrize("name", ["plain.tiff", "tiled.tiff", "map.tiff"])
+def test_a_wrong_byte_of_a_directory_is_refused_or_read(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Each byte of a TIFF's first directory as 0, 255 and one more: a picture of another shape is damage, too."""
+    folder = tmp_path_factory.mktemp("bytes")
+    content, read = seeds(folder)[name]
+    begin = int.from_bytes(content[4:8], "little")
+    end = begin + 2 + 12 * int.from_bytes(content[begin : begin + 2], "little")
+    found = Fuzzed()
+    for at in range(4, end, 2):
+        for byte in {0, 255, (content[at] + 1) % 256}:
+            found.read(folder / f"one-{name}", content[:at] + bytes([byte]) + content[at + 1 :], read, f"{at}: {byte}")
+    assert found.faults == []
+    assert found.refused > found.count // 10
 
 
 def test_readers_in_several_threads_each_have_their_memory(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.data import Bracket, Flag, Frame, FrameSettings, Patch, Quantity, Reading
+from radiometer.data import Bracket, Contribution, Flag, Frame, FrameSettings, Patch, Quantity, Reading
 from radiometer.data.provenance import Provenance, source_hash
 from radiometer.data.serials import other_notation, same_serial, serial_shown
 from radiometer.errors import InputError
@@ -179,3 +179,16 @@ def test_a_hash_over_no_source_is_refused() -> None:
     """A folder that was renamed has no source: its hash would never change, and stored results would never age."""
     with pytest.raises(ValueError, match="no source"):
         source_hash("analysis", "no_such_room")
+
+
+def test_what_clips_in_every_frame_has_a_lower_limit() -> None:
+    """JSON gives it with its probability, without the part of the uncertainty that says "a bound"; others have none."""
+    budget = (Contribution("scale", 0.1), Contribution("clipping", 1.0))
+    reading = Reading(
+        Quantity(2.0, 2.01, "W sr-1 m-2"), Patch(0, 0, 9, 9), "4711", flags=(Flag.SATURATED,), budget=budget
+    )
+    limit = reading.to_mapping()["lower_limit"]
+    assert (limit["probability"], limit["unit"]) == (0.95, "W sr-1 m-2")
+    assert limit["value"] == pytest.approx(2.0 * (1 - 1.645 * 0.1))
+    assert "upper_limit" not in reading.to_mapping()
+    assert not {"lower_limit", "upper_limit"} & replace(reading, flags=()).to_mapping().keys()

@@ -65,7 +65,7 @@ def test_a_csv_that_is_no_curve_is_refused(tmp_path, text):
 @pytest.mark.parametrize(("size", "bits"), [(2, 1), (4, 2), (256, 8), (65536, 16)])
 def test_a_curve_has_a_value_for_every_number_of_its_bits(size, bits):
     """Powers of two from 2 to 65536; the middle one is that above half of them."""
-    one = ResponseCurve(np.arange(float(size)), np.zeros(size))
+    one = ResponseCurve(np.linspace(-4.0, 4.0, size), np.zeros(size))
     assert (one.bit_depth, one.mid_dn) == (bits, size // 2)
 
 

@@ -25,7 +25,9 @@ from radiometer.devices.exposure_account import (
     machine_moment,
     name_of_eye,
     parse_account,
+    process_name,
     render_account,
+    simulates,
 )
 from radiometer.devices.exposure_ledger import ExposureLedger, Stimulus
 from radiometer.devices.retinal_safety import ChannelOptics
@@ -67,11 +69,20 @@ class Desk:
         return self.folder / "exposure-account.json"
 
     def store(self, program: str) -> FileStore:
-        return FileStore(self.folder, self.clock, self.clock.wait, program, lambda name: name in self.living)
+        return FileStore(
+            self.folder,
+            self.clock,
+            self.clock.wait,
+            program,
+            lambda name: name in self.living,
+            lambda name, port: name in self.living and port == f"port of {name}",
+        )
 
-    def open(self, serial: str = "LB000001", eye: str | None = None, program: str = "one") -> ExposureLedger:
+    def open(
+        self, serial: str = "LB000001", eye: str | None = None, program: str = "one", port: str = ""
+    ) -> ExposureLedger:
         ledger = ExposureLedger({"a": BLUE, "b": BLUE}, self.store(program), eye=eye)
-        ledger.open(serial)
+        ledger.open(serial, port)
         return ledger
 
     def pulse(self, ledger: ExposureLedger, seconds: float, radiance: float = 1000.0, channel: str = "a") -> None:
@@ -251,19 +262,39 @@ def test_a_faked_clock_does_not_free_the_account(monkeypatch):
 
 
 def test_a_simulated_box_vouches_for_no_real_one_of_its_number(desk):
-    """While it runs, no eye was before it; once it has ended, a box that answers by that number is unknown."""
+    """While it runs, no eye was before it; once it has ended, or on another port, that number is of an unknown box."""
     desk.living = {"twin"}
-    with desk.store("twin").change() as account:
-        account.begin("LB000002", "twin")
-    desk.pulse(desk.open("LB000002"), 50.0)
-    desk.living = set()
-    with pytest.raises(UnsafeStimulus, match="no account of its light"):
-        desk.pulse(desk.open("LB000002"), 0.001, 0.001)
+    for ended in (True, False):
+        serial = f"LB00000{2 + ended}"
+        with desk.store("twin").change() as account:
+            account.begin(serial, "twin")
+        desk.pulse(desk.open(serial, port="port of twin"), 20.0)
+        desk.living = set() if ended else {"twin"}
+        with pytest.raises(UnsafeStimulus, match="no account of its light"):
+            desk.pulse(desk.open(serial, port="port of twin" if ended else "/dev/ttyACM0"), 0.001, 0.001)
+        desk.living = {"twin"}
     with desk.store("twin").change() as account:
         account.begin("LB000002", "twin")  # it was met as a real one meanwhile
     desk.living = {"twin"}
     with pytest.raises(UnsafeStimulus, match="no account of its light"):
-        desk.pulse(desk.open("LB000002"), 0.001, 0.001)
+        desk.pulse(desk.open("LB000002", port="port of twin"), 0.001, 0.001)
+
+
+def test_a_process_simulates_what_it_holds_the_far_end_of(tmp_path):
+    """A pseudo-terminal of its own by any name; no other device, and no other process."""
+    far, near = os.openpty()
+    link = tmp_path / "link"
+    link.symlink_to(f"/proc/{os.getpid()}/fd/{near}")
+    own = process_name(os.getpid())
+    with Path(os.ttyname(near)).open("rb", buffering=0):
+        assert simulates(own, os.ttyname(near))
+        assert simulates(own, str(link))
+        assert not simulates(own, "/dev/null")
+        assert not simulates(process_name(os.getppid()), str(link))
+        assert not simulates(f"{os.getpid()} 1", str(link))
+    os.close(far)
+    assert not simulates(own, f"/dev/pts/{10**6}")
+    os.close(near)
 
 
 def test_an_eye_carries_its_exposure_from_box_to_box(desk):

@@ -37,6 +37,8 @@ VALUES = {
     "model": ("A", "B"),
     "serial": ("1", "2"),
     "bit depth": (12, 10),
+    "pixel pitch": (4.5, 9.0),
+    "mosaic": ("RGGB", "BGGR"),
     "focal length": (16.0, 25.0),
     "f-number": (4.0, 5.6),
     "ISO speed": (100.0, 200.0),
@@ -54,10 +56,14 @@ def test_every_quantity_of_the_table_is_tried():
     assert set(VALUES) == set(TABLE)
 
 
+# What a camera's description states, by its name in the table.
+MARKS = {"model": "model", "serial": "serial", "pixel pitch": "pixel_pitch_um", "mosaic": "mosaic"}
+
+
 def calibration(quantity: str, there: object) -> Calibration:
     """Return a calibration by which 2000 DN above black, at f/4, 1 ms, 0 dB, ISO 100, are 1 W·sr⁻¹·m⁻²."""
     stated = {quantity: there}
-    camera = CAMERA.model_copy(update={k: stated[k] for k in ("model", "serial") if k in stated})
+    camera = CAMERA.model_copy(update={MARKS[k]: stated[k] for k in MARKS if k in stated})
     conditions = ScaleConditions(
         inverse_exposure_per_s=1000.0,
         level=0.5,
@@ -86,7 +92,7 @@ def reading(quantity: str, there: object, here: object) -> tuple[float, dict[str
     """Return a reading of 1 W·sr⁻¹·m⁻², and the relative uncertainties of its budget."""
     stated = {quantity: here}
     known = calibration(quantity, there)
-    camera = CAMERA.model_copy(update={k: stated[k] for k in ("model", "serial") if k in stated})
+    camera = CAMERA.model_copy(update={MARKS[k]: stated[k] for k in MARKS if k in stated})
     depth = int(stated.get("bit depth", 12))
     camera = camera.model_copy(update={"bit_depth": depth})
     f_number, gain_db = stated.get("f-number", 4.0), stated.get("gain", 0.0)

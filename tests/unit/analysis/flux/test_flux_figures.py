@@ -13,7 +13,8 @@ from radiometer.analysis.flux.report import Emitter
 from radiometer.analysis.flux.sensor import SensorFlux, flux_scale, sensor_flux
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription, Patch, Quantity, SourceDescription
 from radiometer.data.calibration import StatedUncertainties
-from radiometer.errors import CalibrationError
+from radiometer.data.setup import Setup
+from radiometer.errors import CalibrationError, UsageError
 
 # 2 electrons per DN, of 0.5 electrons per photon of 500 nm on (10 µm)²: 4 photons stand behind a DN above black.
 CAMERA = CameraDescription(
@@ -31,7 +32,7 @@ def frame(dn: np.ndarray | float, exposure_s: float, *, level: float = 1.0) -> F
 
 
 def flux_of(*frames: Frame, region: Patch | None = None) -> SensorFlux:
-    return sensor_flux(frames, flux_scale(CAMERA, SOURCE, None), region)
+    return sensor_flux(frames, flux_scale(Setup(CAMERA, source=SOURCE)), region)
 
 
 def test_the_flux_is_that_of_all_light_by_all_time() -> None:
@@ -111,7 +112,7 @@ def test_one_photograph_stands_for_all_by_the_thesis() -> None:
     exposures = {2e-3: 500, 1e-3: 300, 4e-3: 1300, 8e-3: 3300}  # 200, 200, 300 and 400 DN per ms
     frames = [frame(np.where(np.indices(SHAPE)[0] < 10, 4095, dn), t) for t, dn in exposures.items()]
     frames[1] = frame(np.where(np.indices(SHAPE)[0] < 25, 0, 290), 1e-3)
-    report = led_flux(frames, flux_scale(CAMERA, SOURCE, None), LensDescription())
+    report = led_flux(frames, flux_scale(Setup(CAMERA, source=SOURCE)))
     assert report.thesis_exposure_s == 2e-3
     assert report.thesis.value == pytest.approx(3600 * 200 * JOULE / 1e-3, rel=1e-9)
     assert report.thesis_left_out == pytest.approx(0.1)
@@ -125,8 +126,8 @@ def test_noise_and_background_stay_in_the_light_before_the_lens() -> None:
     frames = [frame(rimmed(110, 130, 112, 114), 1e-3)]
     lens = LensDescription(focal_length_mm=20.0, f_number=4.0, transmittance=0.9, transmittance_u_rel=0.02)
     emitter = Emitter(Quantity(20.0, 0.0, "°"), None, Quantity(80.0, 0.0, "mm"))
-    scale = flux_scale(CAMERA, SOURCE, None)
-    report = led_flux(frames, scale, lens, emitter)
+    scale = flux_scale(Setup(CAMERA, lens, None, SOURCE))
+    report = led_flux(frames, scale, emitter)
     steps = {step.name: step.flux for step in report.corrections}
     measured = flux_of(*frames)
     on_sensor = measured.merged_w - measured.background_w
@@ -150,7 +151,7 @@ def test_a_diode_with_a_plateau_has_a_radiance(bright_rows: int, sharp: bool) ->
     lens = LensDescription(focal_length_mm=20.0, f_number=4.0, magnification=0.3)
     emitter = Emitter(Quantity(20.0, 0.0, "°"), Quantity(3.0, 0.0, "mm"), Quantity(80.0, 0.0, "mm"))
     frames = [frame(dn, 1e-3), frame(100, 1e-3, level=0.0)]
-    emitted = led_flux(frames, flux_scale(CAMERA, SOURCE, None), lens, emitter).emitted
+    emitted = led_flux(frames, flux_scale(Setup(CAMERA, lens, None, SOURCE)), emitter).emitted
     assert ("radiance_times_area" in emitted) is sharp
 
 
@@ -160,7 +161,9 @@ def test_a_lens_that_states_nothing_takes_nothing() -> None:
     emitter = Emitter(Quantity(20.0, 0.0, "°"), None, Quantity(80.0, 0.0, "mm"))
     open_lens = LensDescription(focal_length_mm=20.0, f_number=4.0)
     half = open_lens.model_copy(update={"transmittance": 0.5})
-    plain, darkened = (led_flux(frames, flux_scale(CAMERA, SOURCE, None), one, emitter) for one in (open_lens, half))
+    plain, darkened = (
+        led_flux(frames, flux_scale(Setup(CAMERA, one, None, SOURCE)), emitter) for one in (open_lens, half)
+    )
     steps = {step.name: step.flux for step in plain.corrections}
     assert steps["light lost in the lens"].value == pytest.approx(plain.on_sensor.value, rel=1e-12)
     assert darkened.emitted["fraction_through_pupil"].value == pytest.approx(
@@ -169,29 +172,34 @@ def test_a_lens_that_states_nothing_takes_nothing() -> None:
 
 
 def test_the_scale_of_a_calibration_is_its_own(rig) -> None:
-    """J·m⁻² per DN and its uncertainty, the spectrum's next to it, are the calibration's; nothing is assumed."""
-    calibration = rig.calibration(u_rel=0.003, uncertainties=StatedUncertainties(spectral_u_rel=0.004))
+    """J·m⁻² per DN and its uncertainty, the spectrum's next to it, are the calibration's, and its spectrum is named."""
+    calibration = rig.calibration(
+        u_rel=0.003, uncertainties=StatedUncertainties(spectral_u_rel=0.004, temperature_u_rel_per_k=0.0)
+    )
     camera = calibration.camera.model_copy(update={"pixel_pitch_um": 4.5})
     calibration = replace(calibration, camera=camera)
-    scale = flux_scale(camera, SOURCE, calibration)
+    settings = [FrameSettings(0.01, f_number=calibration.scale.f_number)]
+    scale = flux_scale(Setup(camera, calibration.lens, calibration), settings)
     assert scale.joule_per_m2 == pytest.approx(rig.true_scale, rel=1e-12)
     assert scale.u_rel == pytest.approx(0.005, rel=1e-12)
     assert scale.pixel_area_m2 == pytest.approx(4.5e-6**2)
-    assert scale.assumptions == ()
+    assert scale.assumptions == ("spectrum equal_energy",)
     with pytest.raises(CalibrationError, match="serial"):
-        flux_scale(camera.model_copy(update={"serial": "2"}), SOURCE, calibration)
+        flux_scale(Setup(camera.model_copy(update={"serial": "2"}), calibration.lens, calibration))
     relative = calibration.scale.model_copy(update={"method": "relative"})
     for lacking in (relative, calibration.scale.model_copy(update={"f_number": None})):
         with pytest.raises(CalibrationError, match="no exposure on the sensor"):
-            flux_scale(camera, SOURCE, replace(calibration, scale=lacking))
+            flux_scale(Setup(camera, calibration.lens, replace(calibration, scale=lacking)))
 
 
 def test_the_scale_of_a_description_is_four_photons_a_pixel() -> None:
     """c·h·ν/(η·A) with A by the pitch; the flux sums over the spacing of the pixels that are read."""
-    scale = flux_scale(CAMERA, SOURCE, None)
+    scale = flux_scale(Setup(CAMERA, source=SOURCE))
     assert scale.joule_per_m2 == pytest.approx(JOULE / 1e-10, rel=1e-12)
     assert scale.u_rel == 0.03
-    binned = flux_scale(CAMERA.model_copy(update={"pixel_spacing_um": 20.0}), SOURCE, None, responsivity_u_rel=0.01)
+    binned = flux_scale(
+        Setup(CAMERA.model_copy(update={"pixel_spacing_um": 20.0}), source=SOURCE), responsivity_u_rel=0.01
+    )
     assert binned.joule_per_m2 == scale.joule_per_m2
     assert binned.pixel_area_m2 == pytest.approx(4e-10)
     assert (binned.u_rel, binned.assumptions) == (0.01, ())
@@ -203,7 +211,7 @@ def test_what_misses_a_small_pupil_is_as_doubtful_as_twice_its_f_number():
     lens = LensDescription(focal_length_mm=20.0, f_number=4.0)
     emitter = Emitter(Quantity(60.0, 0.0, "°"), None, Quantity(80.0, 0.0, "mm"))
     found = [
-        led_flux(frames, flux_scale(CAMERA, SOURCE, None), lens, emitter, **stated).emitted
+        led_flux(frames, flux_scale(Setup(CAMERA, lens, None, SOURCE)), emitter, **stated).emitted
         for stated in ({"f_number_u_rel": 0.0}, {"f_number_u_rel": 0.01}, {})
     ]
     sharp, doubtful, untold = (one["fraction_through_pupil"] for one in found)
@@ -221,7 +229,7 @@ def test_a_diode_of_which_no_pixel_is_lit_all_around_has_no_radiance(side: int, 
     lens = LensDescription(focal_length_mm=20.0, f_number=4.0, magnification=0.3)
     emitter = Emitter(Quantity(20.0, 0.0, "°"), Quantity(3.0, 0.0, "mm"), Quantity(80.0, 0.0, "mm"))
     frames = [frame(dn, 1e-3), frame(100, 1e-3, level=0.0)]
-    emitted = led_flux(frames, flux_scale(CAMERA, SOURCE, None), lens, emitter).emitted
+    emitted = led_flux(frames, flux_scale(Setup(CAMERA, lens, None, SOURCE)), emitter).emitted
     assert ("radiance_times_area" in emitted) is seen
 
 
@@ -235,7 +243,7 @@ def test_a_radiance_is_as_doubtful_as_the_lens(stated: float | None, added: floa
 
     def found(u_rel: float | None) -> Quantity:
         one = lens.model_copy(update={"transmittance_u_rel": u_rel})
-        return led_flux(frames, flux_scale(CAMERA, SOURCE, None), one, emitter).emitted["radiance_times_area"]
+        return led_flux(frames, flux_scale(Setup(CAMERA, one, None, SOURCE)), emitter).emitted["radiance_times_area"]
 
     assert found(stated).u_rel == pytest.approx(math.hypot(found(0.0).u_rel, added), rel=1e-3)
 
@@ -251,3 +259,18 @@ def test_the_rim_is_a_twentieth_of_the_shorter_side(side: int, rim: int) -> None
         measured = flux_of(picture)
         assert measured.background_w == pytest.approx(dn.size * 10 * JOULE / 1e-3, rel=1e-9)
         assert measured.u_background_w == pytest.approx(0.0, abs=1e-20)
+
+
+@pytest.mark.parametrize("magnification", [0.01, 0.05, 0.2, 1.0])
+@pytest.mark.parametrize(("factor", "taken"), [(1.0, True), (1.2, True), (0.1, False), (0.001, False), (10.0, False)])
+def test_a_distance_that_the_lens_excludes_is_refused(magnification: float, factor: float, taken: bool) -> None:
+    """One in cm or m, or of another set-up; a thick lens is not at exactly f·(1 + 1/m)."""
+    lens = LensDescription(focal_length_mm=16.0, f_number=4.0, magnification=magnification)
+    away = Quantity(factor * 16.0 * (1.0 + 1.0 / magnification), 0.01 * factor, "mm")
+    emitter = Emitter(Quantity(60.0, 0.0, "°"), None, away)
+    frames, scale = [frame(500, 1e-3), frame(100, 1e-3, level=0.0)], flux_scale(Setup(CAMERA, lens, None, SOURCE))
+    if taken:
+        assert led_flux(frames, scale, emitter).emitted
+        return
+    with pytest.raises(UsageError, match=r"lens\.magnification"):
+        led_flux(frames, scale, emitter)

@@ -125,7 +125,7 @@ def test_a_source_of_known_size_and_distance_gives_the_illuminance_at_the_eye() 
         ({"value": 1.0, "spectrum": "cie_a", "wavelength_u_nm": 500.0}, UsageError),
         ({"value": 1.0, "spectrum": "cie_a", "size_m": (1.0,), "distance_m": 1e-300}, UsageError),
         ({"value": 1.0, "spectrum": "line:1064"}, InputError),
-        ({"value": -1.0, "spectrum": "cie_a"}, InputError),
+        ({"value": -1.0, "spectrum": "cie_a"}, UsageError),
         ({"value": float("nan"), "spectrum": "cie_a"}, UsageError),
         ({"reading": "missing.json", "spectrum": "cie_a"}, InputError),
         ({"value": 1.0, "spectrum": "cie_a", "size_m": (0.1,)}, UsageError),

@@ -212,7 +212,7 @@ def test_a_luminance_is_compared_with_the_light_that_the_map_states(
         ({"regions": {"a": (35, 0, 10, 10)}}, InputError),
         ({"regions": {"a": (0, 0, 5, 5)}, "contrast": ("a", "b")}, UsageError),
         ({"fisheye": "equidistant"}, UsageError),
-        ({"fisheye": "equidistant", "field_of_view": 400.0}, InputError),
+        ({"fisheye": "equidistant", "field_of_view": 400.0}, UsageError),
         ({"line": (0, 0, 99, 0)}, InputError),
         ({"line": (3, 3, 3, 3)}, InputError),
         ({"line": (3, 3, 9, 3), "line_width": 1_000_000}, InputError),

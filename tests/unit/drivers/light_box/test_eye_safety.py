@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import zlib
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +18,7 @@ from radiometer.devices.exposure_account import FileStore, Moment
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
-from radiometer.errors import DeviceLost, DeviceTimeout, UnsafeStimulus
+from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout, UnsafeStimulus
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import LineFaults, VirtualLine
 from testing.eye_world import PROMISED, Eye, live_through
@@ -234,3 +236,55 @@ def test_darkness_is_reported_where_the_box_is_dark(tmp_path: Path):
             box.tend()
         bench.wait(1.1)
         assert bench.twin.duty("field") == 0
+
+
+class Lies(LineFaults):
+    """Makes another answer, undamaged, of every one to a request."""
+
+    def __init__(self, verb: str, change: Callable[[list[str]], list[str]]) -> None:
+        super().__init__()
+        self._verb, self._change, self._asked = verb, change, ""
+
+    def apply(self, raw: bytes) -> bytes:
+        """Note a request; change the answer to it."""
+        if raw.startswith(b"#"):
+            self._asked = raw.decode("ascii").split()[1][:2]
+        elif raw.startswith(b"=") and self._asked == self._verb:
+            body = " ".join(self._change(raw.decode("ascii").partition("*")[0].split(" ")))
+            return f"{body}*{zlib.crc32(body.encode('ascii')):08X}\n".encode("ascii")
+        return raw
+
+
+@pytest.mark.parametrize(("verb", "light"), [
+    ("SL", lambda box: box.set_level("field", DriveLevel(100))),
+    ("RA", lambda box: box.ramp("field", DriveLevel(100), 1.0)),
+    ("PU", lambda box: box.pulse("field", DriveLevel(100), 1.0)),
+    ("BL", lambda box: box.blink("field", DriveLevel(100), 1.0, 1.0, 1)),
+])  # fmt: skip
+@pytest.mark.parametrize("lie", [
+    lambda words: [*words[:4], str(int(words[4]) + 5)], lambda words: [*words[:3], "60000", words[4]],
+    lambda words: [*words[:2], "L", *words[3:]], lambda words: words[:2],
+])  # fmt: skip
+def test_a_box_that_answers_with_other_light_than_was_asked_for_is_darkened(tmp_path: Path, verb, light, lie):
+    """Range, level and steps of the answer are those of the request, whatever kind of light it is."""
+    bench = Bench(tmp_path)
+    box = bench.open()
+    light(box)
+    box.darken()
+    bench.line.faults = Lies(verb, lie)
+    with pytest.raises(DeviceError, match="every channel was darkened"):
+        light(box)
+    assert bench.twin.duty("field") == 0
+
+
+@pytest.mark.parametrize("kind", ["pulse", "blink"])
+def test_a_box_that_states_other_timed_light_than_was_asked_for_is_darkened(tmp_path: Path, kind: str):
+    """Read back at 65535 while lit; a pulse of 1 ms that is over by then is none."""
+    bench = Bench(tmp_path)
+    box = bench.open()
+    assert box.pulse("field", DriveLevel(100), 0.001).drive.level in (0, 100)
+    bench.line.faults = Lies("RB", lambda words: [*words[:2], "S", "H", "65535", *words[5:]])
+    with pytest.raises(DeviceError, match="asked for"):
+        box.pulse("field", DriveLevel(100), 1.0) if kind == "pulse" else box.blink(
+            "field", DriveLevel(100), 1.0, 1.0, 1
+        )
