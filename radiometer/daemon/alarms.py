@@ -47,8 +47,9 @@ KINDS: Final = (
               "two in a row are back inside by the hysteresis, or the limits or the patch changed"),
     AlarmKind("calibration", "the calibration could not be read again, and the old one stays in use",
               "it was read again"),
-    AlarmKind("mqtt", "the broker is away, refuses, or does not acknowledge what is published",
-              "it is connected and has acknowledged everything"),
+    AlarmKind("mqtt", "the broker is away, refuses, or does not acknowledge what is published; or another daemon "
+              "publishes as the same instrument",
+              "it is connected and has acknowledged everything; no other one did for 15 s"),
     AlarmKind("descriptors", "the system gives no more file descriptors, so that new clients are not served",
               "a tenth of them is free again"),
 )  # fmt: skip

@@ -35,6 +35,8 @@ _WAITING: Final = "-waiting-"  # after the journal's name: readings that could n
 _NEEDED: Final = {"time", "instrument", "patch", "radiance", "flags", "budget"}  # of a reading that waits
 _NO_STOP: Final = "the run before ended without a stop: killed, a power cut, or a journal that could not be written"
 _CHECKPOINT_CHANGES: Final = 500  # rows written between two checkpoints: some 4 MB of SQLite's log
+_LOG_PART: Final = 0.25  # of the size that the journal may have: SQLite's log next to the file
+_ROW_BYTES: Final = 32_768  # that a row takes in the log at most: a page of each table and index
 _LOG_BEGINNINGS: Final = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")  # sqlite.org/fileformat2.html, 4.1
 _RETENTION_CHUNK: Final = 5000  # rows of one transaction: writing is never held up for long
 MINUTE_US: Final = 60_000_000  # a minute in µs
@@ -123,7 +125,8 @@ class Journal:
 
     Args:
         path: The SQLite file; it and its folder are made where missing.
-        max_bytes: Size that the file may not outgrow; None for no limit. Appending then raises JournalError.
+        max_bytes: Size that the file and SQLite's log next to it may not outgrow; None for no limit. Appending then
+            raises JournalError.
     """
 
     def __init__(self, path: Path, *, max_bytes: int | None = None) -> None:
@@ -372,7 +375,8 @@ class Journal:
             connection.executescript(f"BEGIN EXCLUSIVE; {_UPGRADES[version]} COMMIT;")
         if self._max_bytes is not None:
             (page_size,) = connection.execute("PRAGMA page_size").fetchone()
-            connection.execute(f"PRAGMA max_page_count = {max(1, self._max_bytes // page_size)}")
+            pages = int((1 - _LOG_PART) * self._max_bytes) // page_size
+            connection.execute(f"PRAGMA max_page_count = {max(1, pages)}")
         self._verify(connection)
         if tables:
             self._require_all_given(connection)
@@ -474,7 +478,7 @@ class Journal:
         if self._is_log_cut():
             return
         self._wal = self._wal_now()
-        if self._wal is not None and changes - self._checkpointed < _CHECKPOINT_CHANGES:
+        if self._wal is not None and changes - self._checkpointed < self._checkpoint_changes:
             return
         if self._wal is None or self._database == self._database_now():
             with suppress(sqlite3.Error):  # what was committed is in the log
@@ -482,6 +486,13 @@ class Journal:
                 if pages == written:
                     self._checkpointed = changes
             self._wal, self._database = self._wal_now(), self._database_now()
+
+    @property
+    def _checkpoint_changes(self) -> int:
+        """Return how many rows may stand in SQLite's log, which counts as part of the journal's size."""
+        if self._max_bytes is None:
+            return _CHECKPOINT_CHANGES
+        return max(1, min(_CHECKPOINT_CHANGES, int(_LOG_PART * self._max_bytes) // _ROW_BYTES))
 
     def _is_log_cut(self) -> bool:
         """Return whether SQLite's log lacks its beginning: it was cut during a transaction, and written on behind."""
@@ -614,10 +625,15 @@ class Journal:
         if self._connection is None and code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY):
             return OutputError(f"cannot write the journal {self.path}: {error}; name a place that can with --journal")
         ways_out = {
-            sqlite3.SQLITE_FULL: "free space on the disk, or shorten --keep-days",
+            sqlite3.SQLITE_FULL: self._way_out_of_fullness(),
             sqlite3.SQLITE_BUSY: "another program holds it locked; close that program",
         }
         return JournalError(f"cannot write the journal {self.path}: {error}; {ways_out.get(code, 'trying again')}")
+
+    def _way_out_of_fullness(self) -> str:
+        if self._max_bytes is None or free_bytes(self._file.parent) < self._max_bytes:
+            return "free space on the disk, or shorten --keep-days"
+        return f"it has the {self._max_bytes / 1e6:g} MB of --journal-max-mb: raise that, or shorten --keep-days"
 
     def _take_locks(self) -> None:
         """Lock the name of the file, which those of its WAL depend on, and the file itself, whatever it is called.
@@ -707,6 +723,15 @@ class _Transaction:
     def _roll_back(self) -> None:
         if self._connection.in_transaction:
             self._connection.execute("ROLLBACK")
+
+
+def free_bytes(folder: Path) -> int:
+    """Return how much this user may still write into a folder; 0 where that is not known."""
+    try:
+        space = os.statvfs(folder)
+    except OSError:
+        return 0
+    return space.f_bavail * space.f_frsize
 
 
 def default_journal_path() -> Path:

@@ -101,7 +101,8 @@ class LoggedReadings(Result):
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the readings with a band of their expanded uncertainty, a line for each place, flagged ones marked.
 
-        A line ends where the readings pause. The limits in force are dashed.
+        A line ends where the readings pause. The limits in force are dashed where they are near, or where the newest
+        reading is beyond them.
 
         Args:
             axes: Where to draw; a new figure by default.
@@ -136,7 +137,8 @@ class LoggedReadings(Result):
         if not name:
             shared = [one.readings[-1] for one in self.places if not {"name", "session"} & one.readings[-1].keys()]
             name = MAIN if newest is max(shared, key=lambda one: one["sequence"]) else ""
-        return self.limits.get(name, PatchLimits())
+        limits = self.limits.get(name, PatchLimits())
+        return limits if limits.unit in ("", newest["radiance"]["unit"]) else PatchLimits()
 
     def write_plot(self, path: PathLike) -> None:
         """Draw the readings into a PNG, PDF or SVG file. Raises UsageError for another ending."""
@@ -170,8 +172,10 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
     axes.fill_between(moments, low, high, alpha=0.22, color=line.get_color(), linewidth=0)
     least, most = (chosen(v for v in edge if not math.isnan(v)) for chosen, edge in ((min, low), (max, high)))
     room = _LIMIT_ROOM * (most - least)
+    sides = ((limits.low, 1), (limits.high, -1))
+    outside = [bound for bound, sign in sides if bound is not None and sign * (bound - values[-1]) > 0]
     for bound in bounds:
-        if least - room < bound < most + room:
+        if bound in outside or least - room < bound < most + room:
             axes.axhline(bound, color=line.get_color(), linestyle="--", linewidth=1.0)
     flagged: Any = [(moment_of(one["time"]), one["radiance"]["value"]) for one in readings if one["flags"]]
     if flagged:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
+import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -25,6 +27,9 @@ _QUEUED_MESSAGES: Final = 1000  # a quarter of an hour of readings, once a secon
 _ACKNOWLEDGED_WITHIN_S: Final = 10.0  # a healthy broker takes milliseconds; as long as the connection is kept alive
 _LOOK_S: Final = 1.0  # a tenth of the time in which messages must be acknowledged
 _READING: Final = "reading"
+_DAEMON: Final = "daemon"
+_NAMED_EVERY_S: Final = 5.0  # so often a daemon says who it is; two that publish as one instrument hear each other
+_NAMED_WITHIN_S: Final = 3 * _NAMED_EVERY_S  # the other one has ended, or publishes elsewhere now
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +60,10 @@ def parse_target(text: str, prefix: str, user: str | None, password: str | None,
 class MqttPublisher:
     """Publishes each reading and state of one instrument.
 
-    Topics under PREFIX/SERIAL, all retained: `reading` and `patch/NAME/reading` (JSON lines), `status` (alarms and
-    device states as JSON), `state` ("online"; "offline" is the last will). A retained reading is cleared where it is no
-    longer one: the patch was moved or deleted, the daemon ended, or an earlier one was killed.
+    Topics under PREFIX/SERIAL, retained: `reading` and `patch/NAME/reading` (JSON lines), `status` (alarms and device
+    states as JSON), `state` ("online"; "offline" is the last will). A retained reading is cleared where it is no longer
+    one: the patch was moved or deleted, the daemon ended, or an earlier one was killed. Not retained is `daemon`, by
+    which a daemon says who it is: where another one does, both publish as one instrument, which is an alarm.
 
     Attributes:
         acknowledged_within_s: A message that the broker has not acknowledged after this time in s is an alarm.
@@ -79,6 +85,8 @@ class MqttPublisher:
         self._dropped = 0
         self._retained: set[str] = set()
         self._ended = False
+        self._own_name = uuid.uuid4().hex
+        self._named_s = self._other_s = -math.inf  # when it said who it is, and when another daemon did
 
     @property
     def topic(self) -> str:
@@ -150,6 +158,9 @@ class MqttPublisher:
     async def _look_often(self) -> None:
         while True:
             self._look()
+            if time.monotonic() - self._named_s >= _NAMED_EVERY_S and self._client.is_connected():
+                self._named_s = time.monotonic()
+                self._client.publish(f"{self.topic}/{_DAEMON}", self._own_name, qos=_AT_LEAST_ONCE)
             await asyncio.sleep(_LOOK_S)
 
     def _look(self) -> None:
@@ -160,6 +171,13 @@ class MqttPublisher:
         trouble = self._trouble
         if not trouble and (oldest_s > self.acknowledged_within_s or self._dropped):
             trouble = f"MQTT broker {self.target} is connected but has not acknowledged a message for {oldest_s:.0f} s"
+        if not trouble and time.monotonic() - self._other_s < _NAMED_WITHIN_S:
+            self._station.alarms.put_up(
+                ALARM,
+                f"another daemon publishes under {self.topic} at MQTT broker {self.target}, so that its readings and"
+                " these are mixed; end one of them, or give it another --mqtt-prefix",
+            )
+            return
         if not trouble:
             self._station.alarms.clear(ALARM, "the MQTT broker takes messages again")
             return
@@ -194,6 +212,7 @@ class MqttPublisher:
             return
         client.subscribe(f"{self.topic}/{_patch_topic('+', quoted=True)}", qos=_AT_LEAST_ONCE)
         client.subscribe(f"{self.topic}/state", qos=_AT_LEAST_ONCE)
+        client.subscribe(f"{self.topic}/{_DAEMON}", qos=_AT_LEAST_ONCE)
         self._report("")
 
     def _disconnected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
@@ -214,7 +233,10 @@ class MqttPublisher:
 
         The last will of an earlier daemon may come late: its connection ended by a power cut, say.
         """
-        if message.topic == f"{self.topic}/state":
+        if message.topic == f"{self.topic}/{_DAEMON}":
+            if message.payload != self._own_name.encode():
+                self._in_loop(self._met_another)
+        elif message.topic == f"{self.topic}/state":
             if message.payload == b"offline":
                 self._in_loop(self._online)
         elif message.retain and message.payload:
@@ -223,6 +245,10 @@ class MqttPublisher:
     def _online(self) -> None:
         if not self._ended:
             self._publish("state", "online")
+
+    def _met_another(self) -> None:
+        self._other_s = time.monotonic()
+        self._look()
 
     def _left_behind(self, name: str) -> None:
         self._retained.add(name)

@@ -24,7 +24,7 @@ _LIGHT_NAMES: Final = (
     "light", "value", "signal", "illuminance", "luminance", "radiance", "irradiance", "voltage", "volt", "v", "ch1",
     "channel_1", "y", "intensity", "amplitude",
 )  # fmt: skip
-_STEP_ROUNDING: Final = 0.02  # of a step: what decimals of a table may move a time by
+_STEP_ROUNDING: Final = 0.02  # of a step: by so much a time may be off beyond what its decimals move it by
 _MOST_HARMONICS: Final = 12  # that take part in finding the period; further ones hold little of a lamp's power
 # A period is accepted where its harmonics hold so much of the modulation that noise or chance cannot.
 _PERIODIC_SHARE: Final = 0.5
@@ -96,21 +96,29 @@ def read_waveform(
         doubts.append("the table has no heading: column 1 is the time in s, column 2 the light")
     time_s = np.array(finite(table.values(at_time, "timestamp", doubts, mapped, defined=unit), table, at_time))
     light = np.array(table.numbers(at_light))  # in any unit: every measure is a ratio
-    rate_hz = _rate_hz(path, time_s)
+    rate_hz = _rate_hz(path, time_s, table.written_step(at_time))
     assumptions = () if dark is not None else ("the value 0 is darkness; --dark VALUE states another",)
     return Waveform(light - (dark or 0.0), rate_hz, str(path), u_dark, averaged_s, assumptions), tuple(doubts)
 
 
-def _rate_hz(path: Path, time_s: Array) -> float:
+def _rate_hz(path: Path, time_s: Array, written: tuple[float, float]) -> float:
+    """Return the rate of times that rise in equal steps.
+
+    Args:
+        path: The table, for messages.
+        time_s: Times in s, shape (n,).
+        written: Step of the decimals in which the times are written, and their span, in one unit.
+    """
     if time_s.size < FEWEST_SAMPLES:
         raise InputError(f"{path}: {time_s.size} samples; a waveform needs {FEWEST_SAMPLES}")
     step_s = (time_s[-1] - time_s[0]) / (time_s.size - 1)
     if not step_s > 0.0 or np.any(np.diff(time_s) <= 0.0):
         raise InputError(f"{path}: the times do not rise from line to line")
-    # Times are written with some decimals, which may be coarser than a step.
-    written_s = float(np.min(np.abs(np.diff(time_s))))
+    # Decimals of the table, and those of a double, may move a time; jitter of the clock is none of both.
+    decimals, span = written
+    rounding_s = decimals * (time_s[-1] - time_s[0]) / span + 4.0 * float(np.spacing(np.abs(time_s).max()))
     off_s = float(np.max(np.abs(time_s - time_s[0] - step_s * np.arange(time_s.size))))
-    if off_s > _STEP_ROUNDING * step_s + max(0.0, step_s - written_s):
+    if off_s > _STEP_ROUNDING * step_s + rounding_s:
         at = int(np.argmax(np.abs(np.diff(time_s) - step_s)))
         raise InputError(
             f"{path}: the times do not rise in equal steps: {1e6 * (time_s[at + 1] - time_s[at]):.4g} us behind row "

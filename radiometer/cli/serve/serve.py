@@ -26,10 +26,11 @@ def command(
     on_demand: Annotated[bool, typer.Option("--on-demand", help="Measure only when a client asks.")] = False,
     journal: Annotated[Path | None, typer.Option(help="Journal file; by default in the user's state folder.")] = None,
     keep_days: Annotated[
-        Days | None, typer.Option(help="Delete readings older than this; by default none is deleted.")
+        Days | None, typer.Option(help="Delete readings older than this, once an hour; by default none is deleted.")
     ] = None,
     journal_max_mb: Annotated[
-        Megabytes | None, typer.Option(help="Let the journal grow no larger; measuring pauses at the limit.")
+        Megabytes | None,
+        typer.Option(help="Let the journal, with SQLite's log, grow no larger; measuring pauses then."),
     ] = None,
     scpi_address: Annotated[str, typer.Option(help="Address for SCPI.")] = "127.0.0.1",
     scpi_port: Annotated[Port, typer.Option(help="Port for SCPI; 0 chooses one.")] = 5025,

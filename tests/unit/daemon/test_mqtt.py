@@ -170,3 +170,18 @@ async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(
     await eventually(lambda: "were dropped" in message())
     broker.hear()
     await eventually(lambda: not message())
+
+
+async def test_another_daemon_of_the_same_instrument_is_an_alarm(
+    station: Station, published: tuple[Broker, MqttPublisher], eventually: Eventually
+) -> None:
+    """Each says who it is; the readings of two would be mixed under one topic. What it says itself is no other one."""
+    broker, publisher = published
+    await eventually(lambda: [payload for topic, payload in broker.published if topic.endswith("/daemon")])
+    own = next(payload for topic, payload in broker.published if topic.endswith("/daemon"))
+    broker.announce(f"{publisher.topic}/daemon", own)
+    broker.announce("radiometer/4712/daemon", b"another")
+    assert station.alarms.active == ()
+    broker.announce(f"{publisher.topic}/daemon", b"another")
+    await eventually(lambda: "another daemon publishes under radiometer/4711" in station.alarms.message_of("mqtt"))
+    assert "mqtt" in station.troubles()

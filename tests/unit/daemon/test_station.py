@@ -340,9 +340,9 @@ CHANGES: dict[str, tuple[Callable[[Station], Any], Callable[[dict[str, Any]], An
     ),
     "no patch": (lambda s: s.patches.delete("old"), lambda status: "old" in status["patches"], False),
     "limits": (
-        lambda s: s.patches.set_limits("old", PatchLimits(high=2.0)),
-        lambda status: status["patches"]["old"]["limits"]["high"],
-        2.0,
+        lambda s: s.patches.set_limits("old", PatchLimits(hysteresis_rel=0.25)),
+        lambda status: status["patches"]["old"]["limits"]["hysteresis_rel"],
+        0.25,
     ),
     "a remark": (lambda s: s.annotate("a cloud"), lambda status: status["alarms"], []),
     "the period": (lambda s: s.set_every(3600.0), lambda status: status["every_s"], 3600.0),

@@ -62,6 +62,7 @@ async function follow() {
       const reply = await ask(`/readings/stream${state.last ? `?after=${state.last}` : ""}`);
       setOnline(true);
       showStatus(await (await ask("/status")).json());
+      recall();
       const reader = reply.body.pipeThrough(new TextDecoderStream()).getReader();
       let rest = "";
       for (;;) {
@@ -94,6 +95,18 @@ function setOnline(online) {
 function note(reading) {
   state.latest.set(reading.name || "main", reading);
   state.last = Math.max(state.last, reading.sequence);
+}
+/** Show what was last read of the patches with names, where it is of the place that each has now. */
+async function recall() {
+  for (const [name, { patch }] of Object.entries(state.status?.patches || {})) {
+    if (name === "main" || state.latest.has(name)) continue;
+    try {
+      const [reading] = await (await ask(`/readings?limit=1&stream=${encodeURIComponent(`patch ${name}`)}`)).json();
+      const there = reading && ["x", "y", "width", "height"].every((side) => reading.patch[side] === patch?.[side]);
+      if (there && !state.latest.has(name)) state.latest.set(name, reading);
+    } catch { /* its next reading, then */ }
+  }
+  part("the patches", showPatches);
 }
 function showReading(reading) {
   part("the reading", () => showValue(reading));
@@ -217,6 +230,7 @@ function showPatches() {
     return row;
   });
   if (rows.length !== $("patch-list").children.length || rows.some((row) => !row.isConnected)) $("patch-list").replaceChildren(...rows);
+  foldPatches(rows);
   if (state.frame) $("outlines").replaceChildren(...Object.entries(patches).filter(([name, e]) => name !== "main" && e.patch).map(([name, { patch, breached }]) => {
     const box = document.createElement("div"), { w, h } = state.frame;
     box.className = `outline${breached ? " bad" : ""}`; box.dataset.name = name;
@@ -224,6 +238,21 @@ function showPatches() {
     return box;
   }));
 }
+/** Show as many rows as there is room for, and a button for the rest, which lets the page grow. */
+function foldPatches(rows) {
+  const list = $("patch-list"), button = $("patches-all"), open = root.classList.contains("all-patches");
+  rows.forEach((row) => { row.hidden = false; });
+  button.hidden = !open;
+  const beyond = () => rows.filter((row, place) => place && row.offsetTop + row.offsetHeight > list.clientHeight + 1);
+  if (!open && beyond().length) {
+    button.hidden = false;  // first, for it takes room from the list
+    beyond().forEach((row) => { row.hidden = true; });
+  }
+  button.textContent = open ? "fewer" : `all ${rows.length}`;
+  button.setAttribute("aria-expanded", open);
+}
+$("patches-all").addEventListener("click", () => { root.classList.toggle("all-patches"); part("the patches", showPatches); });
+new ResizeObserver(() => part("the patches", showPatches)).observe(document.querySelector(".card.patches"));
 function askLimits(name, limits) {
   limited = name;
   $("limits-title").textContent = `Limits of ${name === "main" ? "the patch" : name}`;
@@ -290,8 +319,10 @@ $("remark-form").addEventListener("submit", async (event) => {
 
 setInterval(() => {
   const age = (Date.now() - state.heard) / 1000, every = state.status?.every_s;
-  $("freshness").textContent = state.heard ? `#${state.last} · ${ago(age)}` : "";
-  document.querySelector(".live").classList.toggle("stale", !state.online || (every !== null && every !== undefined && state.heard > 0 && age > 3 * every + 3));
+  const overdue = every !== null && every !== undefined && state.heard > 0 && age > 3 * every + 3;
+  const why = !state.online ? "no connection to the daemon" : overdue ? "the next one is overdue" : "";
+  $("freshness").textContent = [...(state.heard ? [`#${state.last}`, ago(age)] : []), ...(why ? [why] : [])].join(" · ");
+  document.querySelector(".live").classList.toggle("stale", Boolean(why));
 }, 500);
 
 // ---- state ---------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ const label = (value, step) => {
 /** One patch: its panel, its plot, and the columns it shows. */
 export class TrendPanel {
   constructor(place, name, hover) {
-    this.name = name; this.hover = hover; this.columns = null; this.limits = {}; this.events = []; this.window = [0, 1];
+    this.name = name; this.hover = hover; this.columns = null; this.limits = {}; this.breached = ""; this.events = []; this.window = [0, 1];
     this.root = document.createElement("figure");
     this.root.className = "panel";
     this.root.dataset.patch = name;
@@ -73,8 +73,9 @@ export class TrendPanel {
     const shown = [low, high].filter((v) => v !== null && Number.isFinite(v));
     if (!shown.length) return [0, 1];
     let [bottom, top] = [Math.min(...shown), Math.max(...shown)];
-    for (const limit of [this.limits.low, this.limits.high]) {  // a limit that is near belongs into the picture
-      const room = Math.max(top - bottom, Math.abs(top) * 0.02);
+    for (const side of ["low", "high"]) {  // a limit that is near, or broken, belongs into the picture
+      const limit = this.limits[side], room = Math.max(top - bottom, Math.abs(top) * 0.02);
+      if (limit != null && this.breached === side) { bottom = Math.min(bottom, limit); top = Math.max(top, limit); }
       if (limit != null && limit > bottom - 1.5 * room && limit < top + 1.5 * room) { bottom = Math.min(bottom, limit); top = Math.max(top, limit); }
     }
     const pad = Math.max((top - bottom) * 0.1, Math.abs(top) * 1e-4, 1e-12);
@@ -114,10 +115,11 @@ export class TrendPanel {
   /** Say the newest reading, where the list of patches may not have room for all. */
   now(text, breached) {
     this.newest.textContent = text;
+    if (this.breached !== breached) { this.breached = breached; this.plot.setData(this.data()); }
     this.root.classList.toggle("bad", Boolean(breached));
   }
   show(columns, window, limits, events) {
-    Object.assign(this, { columns, window, limits: limits || {}, events: events || [] });
+    Object.assign(this, { columns, window, limits: limits && ["", columns?.unit].includes(limits.unit ?? "") ? limits : {}, events: events || [] });
     this.unit.textContent = columns?.unit ? unitText(columns.unit) : "";
     this.empty.textContent = columns?.value.some((v) => v !== null) ? "" : "no readings in this time";
     this.plot.setData(this.data());
