@@ -65,19 +65,14 @@ class Waveform:
 
 
 def read_waveform(
-    path: Path,
-    dark: float | None = None,
-    u_dark: float = 0.0,
-    mapped: StatementMap | None = None,
+    path: Path, dark: float | None = None, u_dark: float = 0.0, mapped: StatementMap | None = None,
     averaged_s: float = 0.0,
-) -> tuple[Waveform, tuple[str, ...]]:
+) -> tuple[Waveform, tuple[str, ...]]:  # fmt: skip
     """Return the waveform in a table of time and light, and what is reported about the reading.
 
-    Arguments are as for `radiometer.flicker`. Without a heading column 1 is the time in s, column 2 the light.
-
-    Raises:
-        InputError: If the table cannot be read, or its times do not rise in equal steps.
-        UnsettledError: If a heading gives the time without a unit.
+    Arguments are as for `radiometer.flicker`. Without a heading column 1 is the time in s, column 2 the light. Raises
+    InputError if the table cannot be read, or its times do not rise in equal steps, and UnsettledError if a heading
+    gives the time without a unit.
     """
     form = "time, light (with a heading: time_s)"
     table = read_table(path, form)
@@ -133,27 +128,20 @@ def _rate_hz(path: Path, time_s: Array, written: tuple[float, float]) -> float:
 
 
 def waveform_of_rows(
-    pixels: Array,
-    row_time_s: float,
-    exposure_s: float,
-    origin: str,
-    black_dn: float,
-    flat: Array | None = None,
+    pixels: Array, row_time_s: float, exposure_s: float, origin: str, black_dn: float, flat: Array | None = None,
     u_black_dn: float = 0.0,
-) -> Waveform:
+) -> Waveform:  # fmt: skip
     """Return the waveform that the rows of a rolling-shutter frame sample one after the other.
 
     Arguments are as for `radiometer.flicker`; `pixels` are digital numbers, shape (rows, columns), `flat` likewise.
-
-    Raises:
-        InputError: If times or shapes do not fit.
+    Raises InputError if times or shapes do not fit.
     """
     if not (row_time_s > 0.0 and exposure_s > 0.0):
         raise InputError("row time and exposure must be above 0 s")
     rows = pixels.mean(axis=1) - black_dn
     if rows.size < FEWEST_SAMPLES:
         raise InputError(f"{origin}: {rows.size} rows; a waveform needs {FEWEST_SAMPLES}")
-    assumptions, shading = list[str](), rows
+    shading = rows
     if flat is not None:
         if flat.shape != pixels.shape:
             raise InputError(f"{origin}: {pixels.shape} pixels, the flat has {flat.shape}")
@@ -161,14 +149,14 @@ def waveform_of_rows(
     if np.any(rows.mean() <= 0.0) or (flat is not None and np.any(shading <= 0.0)):
         raise InputError(f"{origin}: rows at or below the black level {black_dn:g} DN; state the right --black-level")
     u_dark = u_black_dn / float(np.mean(shading))
-    if flat is None:
-        assumptions.append(
-            "the fall-off over the rows is a polynomial, fitted together with the light; --flat FILE of steady light "
-            "measures it"
-        )
-    plain = Waveform(rows / shading, 1.0 / row_time_s, origin, u_dark, exposure_s, tuple(assumptions))
+    plain = Waveform(rows / shading, 1.0 / row_time_s, origin, u_dark, exposure_s)
     if flat is not None:
         return plain
+    assumed = (
+        "the fall-off over the rows is a polynomial, fitted together with the light; --flat FILE of steady light "
+        "measures it"
+    )
+    plain = replace(plain, assumptions=(assumed,))
     found, *others = (replace(plain, light=one.light, period=one.period) for one in _without_fall_off(rows))
     return replace(found, others=tuple(others))
 
