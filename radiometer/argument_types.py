@@ -20,6 +20,8 @@ from radiometer.plausible import LARGEST, Range
 
 _T = TypeVar("_T")
 _LONGEST: Final = 60  # characters of a value in a message
+_LONGEST_PATH: Final = 4096  # bytes: PATH_MAX of Linux
+_LONGEST_NAME: Final = 255  # bytes: NAME_MAX
 _KINDS: Final = {float: numbers.Real, int: numbers.Integral}  # numbers of NumPy are registered there
 _FINITE: Final = Range()
 _ALTERNATIVES: Final = (typing.Union, types.UnionType)
@@ -112,6 +114,8 @@ def _fits(value: object, hint: Any, limits: Range = _FINITE) -> bool:
         return _fits(value, hint.__origin__, range_of(hint) or limits)
     kind, parts = typing.get_origin(hint) or hint, typing.get_args(hint)
     if kind in _ALTERNATIVES:
+        if isinstance(value, str | os.PathLike) and os.PathLike in [typing.get_origin(part) for part in parts]:
+            return _may_be_path(value)
         return any(_fits(value, part) for part in parts)
     if kind is typing.Literal:
         return isinstance(value, str) and value in parts
@@ -146,6 +150,12 @@ def _words(hint: Any, limits: Range = _FINITE) -> str:
     if kind in _KINDS:
         return limits.words("finite number" if kind is float and limits.high == LARGEST else _WORDS[kind])
     return _WORDS.get(kind, getattr(kind, "__name__", str(kind)))
+
+
+def _may_be_path(value: str | os.PathLike[str]) -> bool:
+    """Return whether the system takes a path: not one with a zero, or with a name that no folder can hold."""
+    path = os.fsencode(value)
+    return b"\0" not in path and len(path) < _LONGEST_PATH and max(map(len, path.split(b"/"))) <= _LONGEST_NAME
 
 
 def _is_sequence(value: object) -> bool:

@@ -31,9 +31,8 @@ def take_series(camera: Camera, patch: Patch, duration_s: float, exposure_s: flo
     exposure, were lost, or the black level is unknown, and DeviceError if the camera fails.
     """
     before = camera.settings
-    roi = Roi(patch.x, patch.y, patch.width, patch.height)
     low, high = camera.capabilities.exposure_s
-    camera.configure(replace(before, roi=roi, exposure_s=low))
+    camera.configure(replace(before, roi=Roi(patch.x, patch.y, patch.width, patch.height), exposure_s=low))
     try:
         # An exposure as long as the readout of the patch costs no frames.
         readout_s = 1.0 / _rate_hz(list(itertools.islice(camera.stream(), _PILOTS)))
@@ -49,11 +48,8 @@ def take_series(camera: Camera, patch: Patch, duration_s: float, exposure_s: flo
         raise MeasurementError("the light clips in some frames; take a shorter --exposure or a smaller aperture")
     light = np.array([float(frame.dn.mean()) for frame in frames]) - dark
     rate = _rate_hz(frames)
-    notes = (
-        note,
-        f"the camera took {rate:.4g} frames per s: modulation above {rate / 2:.4g} Hz shows at a wrong frequency",
-    )
-    return Waveform(light, rate, f"camera {camera.identity.serial}", u_dark, taken_s, notes)
+    of_rate = f"the camera took {rate:.4g} frames per s: modulation above {rate / 2:.4g} Hz shows at a wrong frequency"
+    return Waveform(light, rate, f"camera {camera.identity.serial}", u_dark, taken_s, (note, of_rate))
 
 
 def _unclipped(camera: Camera, shortest_s: float, *, fixed: bool) -> float:
@@ -75,8 +71,7 @@ def _brightest(frame: Frame) -> float:
 
 def _rate_hz(frames: list[Frame]) -> float:
     """Return the frames per s. Raises MeasurementError where steps are unequal: frames were lost."""
-    stamps = [frame.settings.timestamp_s for frame in frames]
-    known = np.array([stamp for stamp in stamps if stamp is not None])
+    known = np.array([frame.settings.timestamp_s for frame in frames if frame.settings.timestamp_s is not None])
     if known.size < len(frames):
         raise MeasurementError("the camera states no times of its frames, so they are no waveform")
     steps = np.diff(known)

@@ -27,6 +27,10 @@ _SPELT: Final = {
     "cd": "cd m-2", "cd/m2": "cd m-2", "cd·m⁻²": "cd m-2", "lux": "lx",
     "W": "W sr-1 m-2", "W/sr/m2": "W sr-1 m-2", "W·sr⁻¹·m⁻²": "W sr-1 m-2", "W/m2": "W m-2", "W·m⁻²": "W m-2",
 }  # fmt: skip
+_IN_JSON: Final = {
+    "quantity": "quantity", "equivalent_daylight": "equivalent_daylight", "efficacy": "efficacy_mw_lm",
+    "daylight_efficacy_ratio": "daylight_ratio",
+}  # fmt: skip
 _FOR_SPECTRUM: Final = "spectrum "  # an assumption of a reading: which light its luminance is of
 
 
@@ -56,12 +60,7 @@ class AlphaOpicQuantities(Drawn):
             "source": self.source.to_mapping(),
             "spectrum": self.spectrum,
             "quantities": {
-                one.receptor: {
-                    "quantity": one.quantity.to_mapping(),
-                    "equivalent_daylight": one.equivalent_daylight.to_mapping(),
-                    "efficacy": one.efficacy_mw_lm.to_mapping(),
-                    "daylight_efficacy_ratio": one.daylight_ratio.to_mapping(),
-                }
+                one.receptor: {name: getattr(one, field).to_mapping() for name, field in _IN_JSON.items()}
                 for one in self.quantities
             },
             "assumptions": list(self.assumptions),
@@ -171,8 +170,7 @@ def alpha_opic(
 def _quantity_of(content: Mapping[str, Any], spectrum: str | None, assumptions: list[str]) -> Quantity:
     """Return the luminance of a reading, or its radiance where it has none; its flags join the assumptions.
 
-    Raises:
-        UsageError: If the reading is a relative one, or was made for another spectrum.
+    Raises UsageError if the reading is a relative one, or was made for another spectrum.
     """
     flags = [str(flag) for flag in content.get("flags", [])]
     if Flag.UNCALIBRATED.value in flags or (content["radiance"] or {}).get("unit") == "relative":
@@ -194,6 +192,5 @@ def _quantity_of_file(path: Path, spectrum: str | None, assumptions: list[str]) 
     try:
         return _quantity_of(parsed_json(read_text(path)), spectrum, assumptions)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(
-            f"{path}: is not the JSON of a reading, as `radiometer measure --json` prints it ({error})"
-        ) from error
+        form = "the JSON of a reading, as `radiometer measure --json` prints it"
+        raise InputError(f"{path}: is not {form} ({error})") from error

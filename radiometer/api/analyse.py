@@ -80,7 +80,8 @@ class MapAnalysis(Drawn):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        mapping: dict[str, Any] = {
+        line = {} if self.profile is None else {"profile": {k: v.tolist() for k, v in self.profile._asdict().items()}}
+        return {
             "map": self.origin,
             "unit": self.map.unit,
             "regions": {
@@ -94,10 +95,8 @@ class MapAnalysis(Drawn):
             },
             **{name: or_null(getattr(self, name)) for name in ("contrast", "illuminance", "ugr", "dgp")},
             "assumptions": list(self.assumptions),
+            **line,
         }
-        if self.profile is not None:
-            mapping["profile"] = {name: one.tolist() for name, one in self.profile._asdict().items()}
-        return mapping
 
     @property
     def of_picture(self) -> dict[str, Quantity]:
@@ -121,9 +120,7 @@ class MapAnalysis(Drawn):
 
     def profile_rows(self) -> list[tuple[str, str, str]]:
         """Return name, distance in pixels and value of the profile's start, extremes and end, as they are printed."""
-        if self.profile is None:
-            return []
-        points = self.profile.points(self.map.unit, self.map.u_rel_common)
+        points = {} if self.profile is None else self.profile.points(self.map.unit, self.map.u_rel_common)
         if not points:
             return []
         texts = self._texts({name: one for name, (_, one) in points.items()}, side_by_side=True)
@@ -150,11 +147,7 @@ class MapAnalysis(Drawn):
         return [f"{one.name}: {flag}" for one in self.regions for flag in one.flags]
 
     def write_csv(self, path: PathLike) -> None:
-        """Write a row for each figure and each point of the profile; one of no region has no name.
-
-        Raises:
-            OutputError: If it cannot be written.
-        """
+        """Write a row for each figure and point of the profile; one of no region has no name. Raises OutputError."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["region", "figure", "value", "u", "unit", "distance_px"])
@@ -169,35 +162,27 @@ class MapAnalysis(Drawn):
     def write_report(self, path: PathLike) -> None:
         """Write a self-contained page. Raises OutputError if it cannot be written."""
         quantity = quantity_in_words(self.map.unit)
-        height, width = self.map.shape
-        tall = min(2.0, max(0.5, height / width))
+        tall = min(2.0, max(0.5, self.map.shape[0] / self.map.shape[1]))
         further = [f"{name}: {one.text()}" for name, one in self.of_picture.items()]
+        regions = table(("region", *_FIGURES), self.region_rows(), words=(0,))
         parts = [
             picture(self._draw_map, f"{self.origin}: {quantity}", (8.0, 6.5 * tall), (4.0, 3.4 * tall)),
-            section(
-                f"Regions: {quantity}, {self.coverage}", table(("region", *_FIGURES), self.region_rows(), words=(0,))
-            ),
+            section(f"Regions: {quantity}, {self.coverage}", regions),
             self._profile_section(quantity),
             section("Further figures, k = 2", listed(further)),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
         more = ", …" if len(self.regions) > _MOST_IN_HEADLINE else ""
-        outcome = f"Mean {quantity}: {', '.join(self._means[:_MOST_IN_HEADLINE])}{more} (k = 2)"
+        means = [" ".join(row) for row in self.region_rows(("mean",))[:_MOST_IN_HEADLINE]]
+        outcome = f"Mean {quantity}: {', '.join(means)}{more} (k = 2)"
         known = self.map.provenance.parameters.get("origin", {})
-        exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
-        light = str(known.get("light") or known.get("spectrum", ""))
-        facts = (
-            ("map", self.origin),
-            ("merged", str(known.get("merged", ""))),
-            ("exposure times", exposures),
-            ("light", light),
-        )
-        origin = Origin.of_map(known, further=facts)
+        facts = {
+            "map": self.origin, "merged": known.get("merged", ""),
+            "exposure times": ", ".join(f"{one:.4g} s" for one in self.map.exposures_s),
+            "light": known.get("light") or known.get("spectrum", ""),
+        }  # fmt: skip
+        origin = Origin.of_map(known, further=tuple((name, str(one)) for name, one in facts.items()))
         write_text_atomic(Path(path), page("Figures of a radiance map", outcome, parts, kind="analyse", origin=origin))
-
-    @property
-    def _means(self) -> list[str]:
-        return [" ".join(row) for row in self.region_rows(("mean",))]
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the map in false colours with its regions and the line of its profile."""
@@ -220,28 +205,24 @@ class MapAnalysis(Drawn):
         self.plot(figure.subplots())
 
     def _profile_section(self, quantity: str) -> str:
-        rows = self.profile_rows()
-        if not rows:
+        if self.profile is None or not (rows := self.profile_rows()):
             return ""
-        caption = f"{quantity} along the line; the band is U, k = 2, of each point"
-        return section(
-            f"{self.profile_title}, {self.coverage}",
-            picture(self._draw_profile, caption, (8.0, 3.6), (4.0, 3.2)),
-            table(("point", "distance in px", quantity), rows),
-        )
+        distance, value, u = self.profile
 
-    def _draw_profile(self, figure: Figure, _narrow: bool) -> None:
-        if self.profile is None:
-            return
-        axes, (distance, value, u) = figure.subplots(), self.profile
-        axes.fill_between(distance, value - _COVERAGE * u, value + _COVERAGE * u, color=MODEL, alpha=0.25, lw=0)
-        axes.plot(distance, value, color=MODEL, lw=1.2)
-        dress(axes, "distance in pixels", quantity_in_words(self.map.unit))
+        def draw(figure: Figure, _narrow: bool) -> None:
+            axes = figure.subplots()
+            axes.fill_between(distance, value - _COVERAGE * u, value + _COVERAGE * u, color=MODEL, alpha=0.25, lw=0)
+            axes.plot(distance, value, color=MODEL, lw=1.2)
+            dress(axes, "distance in pixels", quantity)
+
+        shown = picture(draw, f"{quantity} along the line; the band is U, k = 2, of each point", (8.0, 3.6), (4.0, 3.2))
+        figures = table(("point", "distance in px", quantity), rows)
+        return section(f"{self.profile_title}, {self.coverage}", shown, figures)
 
     def __str__(self) -> str:
         """Return the regions' means in one line."""
-        lux = [] if self.illuminance is None else [self.illuminance.text()]
-        return f"{', '.join([*self._means, *lux])} (k = 2)"
+        means = [" ".join(row) for row in self.region_rows(("mean",))]
+        return f"{', '.join([*means, *([self.illuminance.text()] if self.illuminance else [])])} (k = 2)"
 
 
 def analyse(
@@ -298,7 +279,7 @@ def analyse(
     named = {name: as_patch(one) for name, one in (regions or {}).items()}
     patches = named or {"all": Patch(0, 0, found.shape[1], found.shape[0])}
     figures = {name: region_figures(found, name, one, box) for name, one in patches.items() if one is not None}
-    ratio = None
+    ratio = lux = ugr = dgp = None
     assumptions = []
     if contrast is not None:
         missing = [name for name in contrast if name not in figures]
@@ -306,14 +287,13 @@ def analyse(
             raise UsageError(f"--contrast: there is no region {missing[0]!r}; known are {', '.join(figures)}")
         ratio = ratio_of(figures[contrast[0]], figures[contrast[1]], found.u_rel_common)
         assumptions.append("contrast: light scattered in the lens is in no uncertainty")
-    lux = None
     if fisheye is not None and field_of_view is not None:
-        lux = vertical_illuminance(found, fisheye, field_of_view, field_of_view_u, radius)
+        seen = (found, fisheye, field_of_view, field_of_view_u, radius)
+        lux = vertical_illuminance(*seen)
         assumptions.append("illuminance: the axis is at the centre of the map, and the lens follows its projection")
-    ugr = dgp = None
-    if glare and fisheye is not None and field_of_view is not None:
-        ugr, dgp = glare_of(found, fisheye, field_of_view, field_of_view_u, radius)
-        assumptions.append("glare: sources as evalglare finds them by its defaults; nothing beyond the circle shines")
+        if glare:
+            ugr, dgp = glare_of(*seen)
+            assumptions.append("glare: sources are evalglare's by its defaults; nothing beyond the circle shines")
     along = None if line is None else profile(found, line[:2], line[2:], line_width)
     if spectrum is not None:
         assumptions += _of_light(spectrum, found.provenance.parameters.get("origin", {}))
@@ -322,13 +302,11 @@ def analyse(
 
 def _of_light(spectrum: str, origin: Mapping[str, str]) -> tuple[str, ...]:
     """Return what a luminance assumes of the light, by what the map states of it."""
-    assumed = (f"luminance: the light has the spectrum {spectrum} everywhere",)
-    doubt = contradicted(spectrum, origin.get("light") or None)
+    assumed = f"luminance: the light has the spectrum {spectrum} everywhere"
     merged = origin.get("spectrum") or spectrum
-    if same_light(merged, spectrum):
-        return (*assumed, *doubt)
     again = f"the map's radiance is for light of {merged}: merge again with --spectrum {spectrum}"
-    return (*assumed, *doubt, again)
+    doubt = contradicted(spectrum, origin.get("light") or None)
+    return (assumed, *doubt, *(() if same_light(merged, spectrum) else (again,)))
 
 
 def _or_limit(one: Quantity, noise_u: float, apart: float = math.inf) -> str:
@@ -344,9 +322,7 @@ def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[Radiance
     else:
         path = Path(source)
         if path.suffix.lower() not in (".tif", ".tiff"):
-            raise UsageError(
-                f"{path}: give the map as TIFF, which holds its uncertainty: radiometer merge -o FILE.tiff"
-            )
+            raise UsageError(f"{path}: give the map as TIFF, which holds its u: radiometer merge -o FILE.tiff")
         picture_of, origin = read_tiff(path), str(path)
     found = MapPicture(picture_of.maps).first
     if spectrum is not None:

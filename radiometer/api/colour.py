@@ -158,11 +158,7 @@ class ColourReading(Drawn):
         x, y = self.coordinates.xy
         where.plot(x, y, "+", color="tab:red")
         where.add_patch(Ellipse((x, y), width, height, angle=angle, fill=False, color="tab:red", label="95 %"))
-        where.set_aspect("equal")
-        where.set_xlim(-0.02, 0.78)
-        where.set_ylim(-0.02, 0.88)
-        where.set_xlabel("x")
-        where.set_ylabel("y")
+        where.set(aspect="equal", xlim=(-0.02, 0.78), ylim=(-0.02, 0.88), xlabel="x", ylabel="y")
         where.legend(loc="upper right", fontsize="small")
         return where
 
@@ -400,13 +396,9 @@ class _Channels:
         return np.array([one.u_rel_common for one in self.maps.values()])
 
     def covariance(self, signal: Array, own: Array) -> Array:
-        """Return the covariance of readings, shape (…, channels, channels).
+        """Return the covariance of readings, shape (…, channels, channels), whose own u all pixels do not share.
 
         Channels of the same frames share the errors of time and linearity.
-
-        Args:
-            signal: Shape (…, channels).
-            own: Standard uncertainty without what all pixels share, same shape.
         """
         shared, each = self.common * signal, np.eye(signal.shape[-1])
         pairs = shared[..., :, None] * shared[..., None, :]
@@ -425,11 +417,7 @@ class _Frames:
     progress: Progress
 
     def channels(self, source: PathLike | None) -> _Channels:
-        """Return the maps of a source, or of the filters' capture sets.
-
-        Raises:
-            UsageError: If both or none are given, or the frames have no colours.
-        """
+        """Return the maps of a source, or of the filters' sets. Raises UsageError for both, none, or no colours."""
         if (source is None) == (self.filters is None):
             raise UsageError("give a capture set or photographs, or --filter NAME=FOLDER for each filter")
         if self.filters is not None:

@@ -18,7 +18,7 @@ from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Drawn, Notice, or_null, unheard
 from radiometer.bench.assembly import open_bench_camera
 from radiometer.bench.instrument import central_patch, refuse_outside
-from radiometer.data import Quantity
+from radiometer.data import Patch, Quantity
 from radiometer.data.drawing import new_axes
 from radiometer.data.statements import StatementMap
 from radiometer.errors import InputError, UsageError
@@ -73,17 +73,15 @@ class FlickerReport(Drawn):
         step = max(1, count // _MOST_DRAWN)
         relative = self.waveform.light[:count:step] / self.waveform.light.mean()
         where.plot(1e3 * np.arange(count)[::step] / self.waveform.rate_hz, relative, linewidth=1.0)
-        where.set_xlabel("time in ms")
-        where.set_ylabel("light over its mean")
+        where.set(xlabel="time in ms", ylabel="light over its mean")
         where.set_ylim(bottom=min(0.0, float(relative.min())))
         return where
 
     def __str__(self) -> str:
         """Return frequency, depth and SVM in one line."""
         found, k = self.measures, self.measures.coverage_factor
-        depth = (
-            f"modulation depth {100 * found.modulation_depth.value:.3g} ± {100 * k * found.modulation_depth.u:.2g} %"
-        )
+        share = found.modulation_depth.scaled(100.0, "%")
+        depth = f"modulation depth {share.value:.3g} ± {k * share.u:.2g} %"
         at = "no repetition" if found.frequency is None else f"{found.frequency.value:.5g} Hz"
         svm = "" if found.svm is None else f", SVM {found.svm.value:.3g} ± {k * found.svm.u:.2g}"
         return f"{at}, {depth}{svm} (k = {k:.3g})"
@@ -164,12 +162,10 @@ def flicker(
     if dark is not None or mapped:
         raise UsageError(f"--dark and --map: of a table only; {path} is a frame: state --black-level")
     if exposure is None or black_level is None or (row_time is None) == (known_frequency is None):
-        raise UsageError(
-            f"{path}: a frame needs --exposure, --black-level, and one of --row-time and --known-frequency"
-        )
-    pixels = _plane(path, patch)
+        needs = "--exposure, --black-level, and one of --row-time and --known-frequency"
+        raise UsageError(f"{path}: a frame needs {needs}")
     reference = None if flat is None else _plane(Path(flat), patch)
-    rows = waveform_of_rows(pixels, row_time or 1.0, exposure, str(path), black_level, reference, u_dark)
+    rows = waveform_of_rows(_plane(path, patch), row_time or 1.0, exposure, str(path), black_level, reference, u_dark)
     found_time = None if row_time is None else Quantity(row_time, 0.0, "s")
     if known_frequency is not None:
         found_time = _row_time(rows, known_frequency)
@@ -195,9 +191,7 @@ def _plane(path: Path, patch: PatchLike | None) -> Any:
         raise InputError(f"{path}: values of a JPEG are not proportional to light; give the raw file or a linear TIFF")
     values = read_photograph(path).values
     plane = values if values.ndim == 2 else values[..., 1]
-    region = None if patch is None else as_patch(patch)
-    if region is None:
-        return plane.astype(np.float64)
+    region = as_patch(patch) or Patch(0, 0, *plane.shape[::-1])
     if not region.fits(plane.shape):
         raise UsageError(f"--patch: leaves the frame of {plane.shape[1]} × {plane.shape[0]} pixels")
     return plane[region.slices].astype(np.float64)
@@ -207,7 +201,5 @@ def _row_time(rows: Waveform, known_hz: float) -> Quantity:
     """Return the time from row to row in s of light whose frequency is known; `rows` counts in rows."""
     period = find_period(rows)
     if period is None:
-        raise InputError(
-            f"{rows.origin}: the rows show no repetition, so the row time cannot be found; state --row-time"
-        )
+        raise InputError(f"{rows.origin}: no repetition in the rows, so no row time can be found; state --row-time")
     return Quantity(period.frequency_hz / known_hz, period.u_hz / known_hz, "s")

@@ -19,6 +19,7 @@ from radiometer.analysis.photometry.photometry import (
     DISPLAY_TYPES,
     Observer,
     Spectrum,
+    luminous_efficacy,
     luminous_efficacy_lm_per_w,
     spectral_columns,
     spectrum,
@@ -168,7 +169,8 @@ def primaries_of(display: str, channels: Sequence[str], primaries: str | None) -
 def _measured_primaries(path: Path) -> dict[str, Light]:
     wavelength, columns = spectral_columns(path, {one: (one, one[0], f"rgb_{one[0]}") for one in PRIMARIES})
     return {
-        one: _light_of(Spectrum(f"{path.name}:{one}", wavelength, np.maximum(columns[one], 0.0))) for one in PRIMARIES
+        one: _light_of(Spectrum(f"{path.name}:{one}", wavelength, np.maximum(columns[one], 0.0), is_sampled=True))
+        for one in PRIMARIES
     }
 
 
@@ -204,8 +206,9 @@ def _light(name: str, displays: Sequence[Array] = ()) -> Light:
 
 
 def _light_of(source: Spectrum) -> Light:
-    photopic, scotopic = (luminous_efficacy_lm_per_w(source, observer) for observer in _OBSERVERS)
-    return Light(photopic, scotopic, source.name)
+    photopic, scotopic = (luminous_efficacy(source, observer) for observer in _OBSERVERS)
+    of_table = photopic.u_rel, scotopic.u_rel, math.hypot(photopic.u_rel, scotopic.u_rel)
+    return Light(photopic.value, scotopic.value, source.name, *of_table)
 
 
 @contextmanager

@@ -489,7 +489,7 @@ class Journal:
 
     @property
     def _checkpoint_changes(self) -> int:
-        """Return how many rows may stand in SQLite's log, which counts as part of the journal's size."""
+        """Return how many rows SQLite's log may hold, which counts as part of the journal's size."""
         if self._max_bytes is None:
             return _CHECKPOINT_CHANGES
         return max(1, min(_CHECKPOINT_CHANGES, int(_LOG_PART * self._max_bytes) // _ROW_BYTES))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -14,6 +16,8 @@ from radiometer.units import gain_factor
 
 DigitalNumbers = NDArray[np.uint8] | NDArray[np.uint16]
 Shutter = Literal["open", "closed"]
+_LOOKED_AT: Final = 65_536  # pixels of whole rows: noise in so many never repeats
+_PICTURED: Final = 0.5  # below this share of pixels that are neither lowest nor highest, noise may not show
 MASKED_PIXELS: Final = "masked_rows_dn"  # key in a frame's `extra`, and in the entries of capture sets
 
 
@@ -101,3 +105,38 @@ class Frame:
     def shape(self) -> tuple[int, int]:
         """Return (height, width) in pixels."""
         return (int(self.dn.shape[0]), int(self.dn.shape[1]))
+
+
+class Copies:
+    """Finds frames that are copies of earlier ones: noise differs from one exposure to the next.
+
+    Attributes:
+        count: Copies so far.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._seen = set[object]()
+
+    def again(self, frame: Frame) -> bool:
+        """Return whether a frame is a copy of one before, of the same exposure and gain."""
+        rows = np.asarray(frame.dn[:: max(1, frame.dn.size // _LOOKED_AT)], np.uint16)
+        key = zlib.crc32(rows.tobytes()), frame.shape, frame.settings.effective_exposure_s, frame.settings.shutter
+        if key not in self._seen:
+            self._seen.add(key)
+            return False
+        copied = float(np.mean((rows > rows.min()) & (rows < frame.full_scale_dn))) > _PICTURED
+        self.count += copied
+        return copied
+
+    def left_out(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """Yield the frames that are no copies."""
+        return (frame for frame in frames if not self.again(frame))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return what to say of them, a sentence; nothing where there are none."""
+        if not self.count:
+            return ()
+        copies = "1 frame is a copy" if self.count == 1 else f"{self.count} frames are copies"
+        return (f"{copies} of another to the last pixel: no exposure counts twice",)

@@ -14,13 +14,7 @@ _SIDE: Final = 2  # pixels of a cell in each direction
 
 
 def plane_of(numbers: NDArray[np.uint8] | NDArray[np.uint16], mosaic: str, colour: str) -> NDArray[np.uint16]:
-    """Return the plane of a colour, half the size of the frame in each direction.
-
-    Args:
-        numbers: Digital numbers, shape (height, width).
-        mosaic: Colours of a cell row by row, such as "RGGB".
-        colour: One of `COLOURS`.
-    """
+    """Return the plane of one of `COLOURS`, half as wide and high; the mosaic is a cell by rows, such as "RGGB"."""
     row, column = divmod(mosaic.index(colour[0].upper()), _SIDE)
     height, width = (size // _SIDE * _SIDE for size in numbers.shape)
     return np.ascontiguousarray(numbers[row:height:_SIDE, column:width:_SIDE])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from radiometer.argument_types import with_checked_methods
 from radiometer.data.json_text import finite_or_null, json_text
 from radiometer.data.provenance import Provenance, utc_now
+from radiometer.errors import UsageError
 from radiometer.numbers import below, lower_limit, upper_limit, with_u
 
 if TYPE_CHECKING:
@@ -68,6 +70,11 @@ class Patch:
     y: int
     width: int
     height: int
+
+    def __post_init__(self) -> None:
+        for number in (self.x, self.y, self.width, self.height):
+            if not isinstance(number, numbers.Integral):
+                raise UsageError(f"a patch is of whole pixels; {number!r} is no whole number")
 
     @property
     def slices(self) -> tuple[slice, slice]:

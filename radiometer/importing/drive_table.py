@@ -58,12 +58,8 @@ def read_drive_table(path: Path) -> DriveTable:
     """Return the channels of a table.
 
     Light at drive 0, where the table has it, is taken off. The reading that a meter's range follows is the light, or
-    the largest value of a spectrum.
-
-    Args:
-        path: CSV with a heading.
-
-    Raises InputError if a column is missing, a value is no number, or a channel has fewer than six lit drives.
+    the largest value of a spectrum. Raises InputError if a column is missing, a value is no number, or a channel has
+    fewer than six lit drives.
     """
     table = _table(path)
     columns = _columns(table)

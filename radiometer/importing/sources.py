@@ -71,7 +71,8 @@ def read_found(frame: FoundFrame, options: ImportOptions) -> DigitalNumbers:
     """Return the digital numbers of a found frame, as the options have it.
 
     Raises:
-        CaptureError: If the file is damaged, or its numbers need a full scale or a pedestal that is not stated.
+        DamagedFileError: If the file holds another number of values than its header states.
+        CaptureError: If it cannot be read, or its numbers need a full scale or a pedestal that is not stated.
     """
     pixels, where = _pixels(frame), str(frame.file.with_name(frame.label))
     if pixels.shape != frame.shape:

@@ -616,8 +616,7 @@ class TileModel:
         if not self.design.uniform:  # a scene's noise is that of the later frames, without the first one's own light
             n = self.design.frame_count[:, None]
             variance = variance - np.where(n > 2, gain[..., None] * tiles(final.first_excess) / n, 0.0)
-        lines = tiles(final.row_variance)
-        columns, rows = tiles(final.fixed_column_variance), tiles(final.fixed_row_variance)
+        lines, columns, rows = map(tiles, (final.row_variance, final.fixed_column_variance, final.fixed_row_variance))
         # A frame's mean is taken out of each tile, and with it what its rows have in common.
         shared = np.broadcast_to(np.asarray(self.context.tile_height, dtype=np.float64)[..., 0], shape)
         within = lines * (1.0 - 1.0 / shared)

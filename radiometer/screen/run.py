@@ -73,12 +73,12 @@ class Light:
     u_ratio_rel: float = 0.0
 
     def in_words(self) -> str:
-        """Return the assumed spectrum, and how far other displays are from it."""
+        """Return the assumed spectrum, and how uncertain its efficacies are."""
         if not self.u_photopic_rel:
             return f"spectrum {self.spectrum}"
         photopic, scotopic = (f"{100 * u:.2g} %" for u in (self.u_photopic_rel, self.u_scotopic_rel))
         return (
-            f"spectrum {self.spectrum}; other displays differ by {photopic} in lm/W, {scotopic} scotopic (k = 1), "
+            f"spectrum {self.spectrum}; its lm/W are known to {photopic}, the scotopic ones to {scotopic} (k = 1), "
             "which u holds"
         )
 

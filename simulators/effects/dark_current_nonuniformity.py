@@ -9,11 +9,11 @@ from typing import Any, Final, Self, cast
 import numpy as np
 from scipy.special import ndtr
 
+from simulators.chain.unsteady_pixels import share_unsteady
 from simulators.effects.base import ELECTRONS, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect, dark_exposures_vary, dark_temperatures_c, warmer_k
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
-from simulators.effects.unsteady_pixels import share_unsteady
 
 _USUAL_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
 _VARYING_K: Final = 2.0  # by which darks must differ to tell a law

@@ -7,11 +7,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from simulators.chain.unsteady_pixels import EXPONENTIAL, EXPONENTIAL_SHARES, share_unsteady
 from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, gain_of, warmer_k, well_e
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
-from simulators.effects.unsteady_pixels import EXPONENTIAL, EXPONENTIAL_SHARES, share_unsteady
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from typing import Any, Final, cast
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from simulators.chain.unsteady_pixels import EXPONENTIAL, EXPONENTIAL_SHARES, share_unsteady
 from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, gain_of
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
-from simulators.effects.unsteady_pixels import EXPONENTIAL, EXPONENTIAL_SHARES, share_unsteady
 
 _OUTLYING: Final = 6.0  # sigmas of a time mean
 _FROM_HALF: Final = ndtri(0.5 + 0.5 * (np.arange(8) + 0.5) / 8)  # sigmas by which a count is off one half

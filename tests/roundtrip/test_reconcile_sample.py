@@ -37,7 +37,7 @@ def test_hidden_effect_is_named_first(name: str) -> None:
     assert answer.gap_after < answer.gap_before
 
 
-@pytest.mark.parametrize("name", ["mains_ripple", "brighter_fatter"])
+@pytest.mark.parametrize("name", ["mains_ripple", "brighter_fatter", "random_telegraph_noise"])
 def test_hidden_effect_is_named_alone(name: str) -> None:
     """What several statistics show (flicker in first frames, charge at edges) is one name, and nothing stays."""
     answer = _ask(make_session(name, camera_seed=1000))

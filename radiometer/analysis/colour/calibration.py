@@ -111,11 +111,7 @@ class ColourCalibration(FileSection):
     def error(self, kind: str | None, xyz: Array) -> Array:
         """Return the covariance of the matrix' error for light of a kind, shape (…, 3, 3).
 
-        Light of unstated kind has the mean over the kinds, each as likely.
-
-        Args:
-            kind: Kind of light.
-            xyz: Its X, Y, Z, shape (…, 3).
+        Light of unstated kind has the mean over the kinds, each as likely. X, Y, Z have the shape (…, 3).
         """
         square, found = np.sum(xyz, axis=-1)[..., None, None] ** 2, []
         for name in self.errors if kind is None else (kind,):
@@ -129,14 +125,12 @@ class ColourCalibration(FileSection):
         """Return X, Y, Z, shape (…, 3), and their covariance, shape (…, 3, 3).
 
         The covariance holds that of the readings, the error of the matrix for this kind of light, which grows with the
-        distance from the training set, and the scale of the known X, Y, Z.
+        distance from the training set, and the scale of the known X, Y, Z. Raises UsageError as `fit`.
 
         Args:
             signal: Channel readings, shape (…, channels).
             covariance: Their covariance, shape (…, channels, channels).
             kind: Kind of light; None where it is not known.
-
-        Raises UsageError as `fit`.
         """
         fit = self.fit(kind)
         xyz = signal @ fit.matrix.T

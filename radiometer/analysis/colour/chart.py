@@ -34,10 +34,7 @@ class KnownLight:
 
 
 def read_chart(path: Path) -> list[KnownLight]:
-    """Return the lights of a table.
-
-    Args:
-        path: The table. Captures are relative to its folder, places are pixels of a colour's plane.
+    """Return the lights of a table. Captures are relative to its folder, places are pixels of a colour's plane.
 
     Raises InputError if it cannot be read, a column of a group is missing, or a number is no number, and UnsettledError
     if a column's unit is not known.

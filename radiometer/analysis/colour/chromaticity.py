@@ -41,27 +41,16 @@ class Coordinates:
     u_duv: Array  # its standard uncertainty
 
     def figures(self, xyz: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return the values of `QUANTITIES` and their standard uncertainties, shape (…, 9) each.
-
-        Args:
-            xyz: X, Y, Z that the coordinates are of, shape (…, 3).
-            covariance: Their covariance, shape (…, 3, 3).
-        """
-        u_xyz, u_xy, u_uv = (
-            np.sqrt(np.diagonal(one, axis1=-2, axis2=-1))
-            for one in (covariance, self.xy_covariance, self.uv_covariance)
-        )
-        temperature = np.stack([self.cct_k, self.duv], axis=-1), np.stack([self.u_cct_k, self.u_duv], axis=-1)
-        values = np.concatenate([xyz, self.xy, self.uv_prime, temperature[0]], axis=-1)
-        return values, np.concatenate([u_xyz, u_xy, u_uv, temperature[1]], axis=-1)
+        """Return the values of `QUANTITIES` for X, Y, Z, shape (…, 3), and their u, shape (…, 9) each."""
+        squares = (covariance, self.xy_covariance, self.uv_covariance)
+        u = [np.sqrt(np.diagonal(one, axis1=-2, axis2=-1)) for one in squares]
+        own = self.cct_k[..., None], self.duv[..., None]
+        values = np.concatenate([xyz, self.xy, self.uv_prime, *own], axis=-1)
+        return values, np.concatenate([*u, self.u_cct_k[..., None], self.u_duv[..., None]], axis=-1)
 
 
 def tristimulus(light: Spectrum) -> Array:
-    """Return X, Y, Z, shape (3,): 683 lm/W · ∫S·x̄ dλ and so on.
-
-    Args:
-        light: Its spectrum; in W·sr⁻¹·m⁻²·nm⁻¹ the result is in cd·m⁻².
-    """
+    """Return X, Y, Z, shape (3,): 683 lm/W · ∫S·x̄ dλ and so on; of W·sr⁻¹·m⁻²·nm⁻¹ in cd·m⁻²."""
     wavelength_nm, functions = matching_functions()
     return KM_LM_PER_W * np.array([light.integral(wavelength_nm, one) for one in functions])
 

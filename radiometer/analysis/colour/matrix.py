@@ -48,12 +48,9 @@ class Training:
 
     def of_kind(self, kind: str | None) -> Training:
         """Return the lights of a kind; all for None."""
-        chosen = np.array([kind is None or one == kind for one in self.kinds])
-        names, kinds = (
-            tuple(one for one, is_in in zip(given, chosen, strict=True) if is_in) for given in (self.names, self.kinds)
-        )
-        parts = (one[chosen] for one in (self.signal, self.u_signal, self.xyz, self.u_rel))
-        return Training(names, kinds, *parts)
+        at = [n for n, one in enumerate(self.kinds) if kind in (None, one)]
+        names, kinds = (tuple(given[n] for n in at) for given in (self.names, self.kinds))
+        return Training(names, kinds, self.signal[at], self.u_signal[at], self.xyz[at], self.u_rel[at])
 
 
 def of_rows(rows: Any) -> Any:
@@ -72,9 +69,8 @@ class Fit(FileSection):
     """
 
     matrix: FileArray  # X, Y, Z per unit of each channel, shape (3, channels)
-    spread: (
-        FileArray  # inverse of the normal matrix, shape (channels, channels): aᵀ·spread·a is the leverage of a light
-    )
+    # Inverse of the normal matrix, shape (channels, channels): aᵀ·spread·a is the leverage of a light
+    spread: FileArray
     error: FileArray  # error for a light that was left out
     hull: FileArray  # corners (x, y) of the hull of the lights that it was fitted to, shape (corners, 2)
 
@@ -90,28 +86,21 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
 
     u² of a light is the noise of its readings, the uncertainty of its X, Y, Z, and the error of the matrix, which is
     found from the residuals. The error is that of the residual of each light without that light, r/(1 − h).
-    It is widened so that k = 2 covers 95.45 %, by Student's t and by the residuals that are far off.
-
-    Args:
-        training: Lights; more than there are channels.
-        white: Name of a light whose X, Y, Z the matrix gives exactly, so that greys keep its colour; those of its like
-            gain, the others lose little. None where there is none.
-
-    Raises CalibrationError if they do not determine the matrix and its error.
+    It is widened so that k = 2 covers 95.45 %, by Student's t and by the residuals that are far off. The matrix gives
+    X, Y, Z of the light named `white` exactly, so that greys keep its colour; those of its like gain, the others lose
+    little. Raises CalibrationError if the lights do not determine the matrix and its error.
 
     Source: Finlayson & Drew 1997, Proc. 5th Color Imaging Conf., 258 (white-preserving least squares).
     """
     count, channels = training.signal.shape
     total = training.xyz.sum(axis=1, keepdims=True)
     if count <= channels:
-        raise CalibrationError(
-            f"{count} lights do not determine a matrix of {channels} channels and its error: "
-            f"give {channels + 1} lights or more"
-        )
+        raise CalibrationError(f"{count} lights do not determine a matrix of {channels} channels and its error: "
+                               f"give {channels + 1} lights or more")  # fmt: skip
     if np.any(total <= 0.0):
         raise CalibrationError(f"light {training.names[int(np.argmin(total))]!r}: X + Y + Z must be above 0")
     share, target = training.signal / total, training.xyz / total
-    if not _spans(share):
+    if np.linalg.cond(share / np.linalg.norm(share, axis=0)) >= 1.0 / _LEAST_SPAN:
         raise CalibrationError(
             f"the {count} lights do not determine the matrix: their channels have a fixed ratio; "
             "add lights of other colours"
@@ -138,15 +127,11 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
     if exact is not None:  # what is wrong with the white is wrong with all that is like it
         spread = spread + noise[exact] / error_2 * np.outer(along, along)
     error = _covering((left_out * np.sqrt(weight)[:, None])[np.arange(count) != exact], count - channels)
-    return Fit(matrix=matrix, spread=spread, error=error, hull=_hull(target))
+    return Fit(matrix=matrix, spread=spread, error=error, hull=target[ConvexHull(target[:, :2]).vertices, :2])
 
 
 def plausible_training(responsivities: Array) -> Training:
-    """Return plausible lights as a camera reads them, without noise.
-
-    Args:
-        responsivities: Per watt, over the grid of plausible lights, shape (channels, wavelengths).
-    """
+    """Return plausible lights as a camera of these responsivities, shape (channels, wavelengths), reads them."""
     lights = plausible_lights()
     kinds = tuple(kind for kind, powers in lights.items() for _ in powers)
     powers = np.vstack(list(lights.values()))
@@ -154,30 +139,16 @@ def plausible_training(responsivities: Array) -> Training:
     return Training(kinds, kinds, signal, np.zeros(signal.shape), _normal(tristimulus_of(powers)), none)
 
 
-def _off(matrix: Array, responsivities: Array, powers: Array) -> Array:
-    """Return the error of a matrix for each light over its X + Y + Z, shape (lights, 3)."""
-    return np.asarray(_signal(powers, responsivities) @ matrix.T - _normal(tristimulus_of(powers)))
-
-
 def _covering(off: Array, freedom: int) -> Array:
     """Return the covariance of errors, shape (3, 3), of which k = 2 covers 95.45 % of them.
 
     It is the mean of e·eᵀ and of what no camera is better than. It is wider where a few lights are far off, such as
-    those of a lamp with lines.
-
-    Args:
-        off: Errors, shape (lights, 3).
-        freedom: Lights less fitted coefficients: few of them need a wider u, by Student's t.
+    those of a lamp with lines, and where few degrees of freedom are left (Student's t).
     """
     mean = off.T @ off / len(off)
     far = np.quantile(np.abs(off) / np.sqrt(np.maximum(np.diag(mean), 1e-30)), _COVERED)
     few = float(student_t.ppf(0.5 + _COVERED / 2.0, freedom)) / 2.0
     return np.asarray(max(few, float(far) / 2.0) ** 2 * mean + _LEAST_ERROR**2 * np.eye(3))
-
-
-def _hull(share: Array) -> Array:
-    """Return the corners (x, y) of the hull of lights, from X, Y, Z over their sum."""
-    return np.asarray(share[ConvexHull(share[:, :2]).vertices, :2])
 
 
 def _normal(xyz: Array) -> Array:
@@ -198,7 +169,7 @@ def errors_of_other_lights(
     linear in X, Y, Z: e = D·(X, Y, Z). The second are covariances of D over the displays of a type, shape (3, 3, 3, 3).
 
     Args:
-        matrix: The matrix, shape (3, channels).
+        matrix: Shape (3, channels).
         training: Lights that it was fitted to.
         powers: Their powers over the grid of plausible lights. None takes the plausible lights that are nearest in
             chromaticity and readings, of the kinds of the training where these are plausible ones.
@@ -228,7 +199,7 @@ def errors_of_other_lights(
     found = {}
     for kind, one in lights.items():
         shares = _normal(tristimulus_of(one))
-        off = np.vstack([_off(fitted, camera, one) for fitted, camera in pairs])
+        off = np.vstack([_signal(one, camera) @ fitted.T - shares for fitted, camera in pairs])
         found[kind] = _covering(off, len(one)) + u_scale**2 * shares.T @ shares / len(shares)
     return found, {kind: _of_displays(kind, pairs, u_scale) for kind in DISPLAY_TYPES}
 
@@ -247,9 +218,3 @@ def _of_displays(kind: str, pairs: list[tuple[Array, Array]], u_scale: float) ->
     return np.asarray(
         mean + u_scale**2 * alike + _LEAST_ERROR**2 * np.einsum("ij,ab->iajb", np.eye(3), np.ones((3, 3)))
     )
-
-
-def _spans(share: Array) -> bool:
-    """Return whether the channels of lights are no mixtures of each other."""
-    values = np.linalg.svd(share / np.linalg.norm(share, axis=0), compute_uv=False)
-    return bool(values[-1] > _LEAST_SPAN * values[0])

@@ -32,14 +32,9 @@ class ColourCamera:
 
 
 def train_on_lights(
-    known: ColourCamera,
-    training: Training,
-    *,
-    powers: Array | None,
-    per_kind: bool,
-    u_rel: float,
+    known: ColourCamera, training: Training, *, powers: Array | None, per_kind: bool, u_rel: float,
     white: str | None = None,
-) -> ColourCalibration:
+) -> ColourCalibration:  # fmt: skip
     """Return the calibration fitted to readings of known lights.
 
     The error for a kind of light is that of lights left out of the training, and that of plausible lights of the kind;
@@ -60,12 +55,12 @@ def train_on_lights(
         trained = [name] if part else list(kinds)
         others, linear = dict[str, Array](), dict[str, Array]()
         if known.responsivities is not None or known.channels == COLOURS:
-            chosen = np.array([part is None or one == part for one in training.kinds])
-            own_powers = None if powers is None else powers[chosen]
+            chosen = [part in (None, one) for one in training.kinds]
             others, linear = errors_of_other_lights(
-                fits[name].matrix, training.of_kind(part), own_powers, known.responsivities
-            )
-        own = {kind: _larger(fits[name].error, others.get(kind)) for kind in trained}
+                fits[name].matrix, training.of_kind(part), None if powers is None else powers[chosen],
+                known.responsivities,
+            )  # fmt: skip
+        own = {kind: max(fits[name].error, others.get(kind, fits[name].error), key=np.trace) for kind in trained}
         errors |= own if part else {**others, **own}
         left_out = np.einsum("ij,ab->iajb", fits[name].error, np.ones((3, 3)))
         for kind, one in linear.items():
@@ -84,10 +79,6 @@ def train_on_lights(
         unit=LUMINANCE_UNIT, fits=fits, errors=errors, trained=kinds,
         training=training, u_rel=u_rel, provenance=origin, display_errors=of_displays,
     )  # fmt: skip
-
-
-def _larger(left_out: Array, plausible: Array | None) -> Array:
-    return left_out if plausible is None or np.trace(plausible) < np.trace(left_out) else plausible
 
 
 def train_on_responsivities(

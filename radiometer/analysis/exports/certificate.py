@@ -206,11 +206,7 @@ _UNCERTAINTIES: Final = (("uncertainty", "coverageFactor"), ("valueExpandedMU", 
 
 @bounded_reader(error=InputError)
 def read_certificate(path: Path, unit: str) -> Quantity:
-    """Return the value in a unit that a certificate states, with its standard uncertainty U/k.
-
-    Args:
-        path: DCC file of schema 2 or 3.
-        unit: "W sr-1 m-2" or "cd m-2".
+    """Return the value in W sr-1 m-2 or cd m-2 that a DCC of schema 2 or 3 states, with its standard uncertainty U/k.
 
     Raises InputError if it is no certificate, or does not state just one value in this unit with its uncertainty.
     """

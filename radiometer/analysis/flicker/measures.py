@@ -77,11 +77,7 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     the light is rounded to steps, each value may be any light within half a step (rectangular, GUM 4.3.7). The
     value of darkness adds u_dark over the mean light, for it scales every modulation.
 
-    Args:
-        waveform: At least two periods, or any record of light without a period.
-
-    Raises:
-        MeasurementError: If the mean light is not above 0.
+    Raises MeasurementError if the mean light is not above 0.
     """
     mean = float(waveform.light.mean())
     if not mean > 0.0:

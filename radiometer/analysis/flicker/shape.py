@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from scipy.fft import rfft, rfftfreq
+from scipy.ndimage import uniform_filter1d
 
 from radiometer.analysis.flicker.waveform import Period, Waveform, harmonic_columns
 from radiometer.data import Quantity
@@ -54,10 +55,6 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
 
     The uncertainty of a series is that of its least squares, or the scatter between blocks of periods where that is
     larger. Between neighbouring phases it also covers what noise adds to extremes, and an extreme between two samples.
-
-    Args:
-        waveform: Light at equal steps of time.
-        period: Its repetition.
     """
     whole, parts = _folds(waveform, period)
     order = _supported_order(whole)
@@ -80,10 +77,8 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
 def measure_record(waveform: Waveform, fastest_hz: float) -> ShapeMeasures:
     """Return modulation depth and flicker index of a whole record that no period describes.
 
-    Args:
-        waveform: Light at equal steps of time.
-        fastest_hz: Highest frequency at which it is modulated; 0 where there is none beyond noise. It limits what an
-            extreme between two samples can be.
+    The highest frequency at which it is modulated (0 where there is none beyond noise) limits what an extreme between
+    two samples can be.
     """
     size = waveform.light.size
     fold = _Fold(np.arange(size) / size, waveform.light, np.ones(size))
@@ -102,16 +97,7 @@ def _measures(values: Array, u: Array, blocks: int, is_series: bool, phase: Arra
 def other_line(
     waveform: Waveform, period: Period | None = None, shape: ShapeMeasures | None = None
 ) -> tuple[float, float] | None:
-    """Return frequency in Hz and amplitude of the strongest line below 2 kHz that a period does not explain.
-
-    Args:
-        waveform: Light at equal steps of time.
-        period: The repetition that was found, if any.
-        shape: The shape of that period.
-
-    Returns:
-        None where no line is beyond noise.
-    """
+    """Return frequency in Hz and amplitude of the strongest line below 2 kHz that no period explains; None in noise."""
     left = waveform.light
     if period is not None and shape is not None:
         phase = np.arange(left.size) * period.frequency_hz / waveform.rate_hz % 1.0
@@ -253,19 +239,14 @@ def _supported_order(fold: _Fold) -> int | None:
         last = max(one for one in range(order, order + _TAIL + 1) if equations.determine(one))
         series = equations.series(last)
         least = _NEGLIGIBLE * max(series.amplitude(n) for n in range(1, last + 1))
-        ends = all(
-            series.amplitude(n) < max(least, math.sqrt(_SIGNIFICANT * series.variance(n)))
-            for n in range(order + 1, last + 1)
-        )
+        above = range(order + 1, last + 1)
+        ends = all(series.amplitude(n) < max(least, math.sqrt(_SIGNIFICANT * series.variance(n))) for n in above)
         residual, negligible = series.residual * np.sqrt(fold.count), least * math.sqrt(fold.count.mean())
-        if ends and _is_noise(residual, max(noise, negligible)) and _is_unstructured(residual, negligible):
+        # A series rings at steps: there the residuals are larger than the noise between neighbours.
+        small = math.sqrt(float(np.mean(residual**2))) < _MOST_OF_NOISE * max(noise, negligible)
+        if ends and small and _is_unstructured(residual, negligible):
             return last
     return None
-
-
-def _is_noise(residual: Array, noise: float) -> bool:
-    """Return whether residuals are about as large as the noise between neighbours: a series rings at steps."""
-    return math.sqrt(float(np.mean(residual**2))) < _MOST_OF_NOISE * noise
 
 
 def _is_unstructured(residual: Array, negligible: float) -> bool:
@@ -316,25 +297,13 @@ def _of_phases(fold: _Fold) -> tuple[Array, Array]:
 def _of_neighbours(fold: _Fold, sigma: float, wide: int, gap: float) -> tuple[Array, Array]:
     """Return modulation depth and flicker index from means of neighbouring points, and their standard uncertainties.
 
-    Args:
-        fold: The points.
-        sigma: Standard deviation of a sample.
-        wide: Points in a mean.
-        gap: Distance of samples in periods, between which an extreme may be.
+    A sample has the standard deviation `sigma`, a mean `wide` points; an extreme may be between samples `gap` periods
+    apart.
     """
-    size = fold.phase.size
-    light, samples = _running_mean(fold, wide)
-    sigma_mean = sigma / math.sqrt(samples)
-    added = sigma_mean * math.sqrt(2.0 * math.log(max(size / wide, 2.0)))
-    depth, middle, slopes = _depth(light, added)
+    depth, middle, slopes, added, sigma_mean = _depth(fold, sigma, wide)
     # A sinusoid's extreme between two samples; k = 2 covers all of it.
     missed = abs(depth) * (1.0 - math.cos(math.pi * min(gap, 1.0))) / 2.0
-    flattened = 0.0
-    if wide > 1:
-        wider, more = _running_mean(fold, 2 * wide)
-        flattened = abs(
-            depth - _depth(wider, sigma / math.sqrt(more) * math.sqrt(2.0 * math.log(max(size / wide / 2.0, 2.0))))[0]
-        )
+    flattened = abs(depth - _depth(fold, sigma, 2 * wide)[0]) if wide > 1 else 0.0
     gaps = np.diff(fold.phase, append=fold.phase[0] + 1.0)
     share = (gaps + np.roll(gaps, 1)) / 2.0
     mean = float(share @ fold.light)
@@ -349,15 +318,18 @@ def _of_neighbours(fold: _Fold, sigma: float, wide: int, gap: float) -> tuple[Ar
     return np.array([depth, index]), np.array([math.hypot(*u_depth), math.hypot(*u_index) / mean])
 
 
-def _depth(light: Array, added: float) -> tuple[float, float, float]:
-    """Return the modulation depth, the middle between the extremes, and the depth's slope over their noise.
+def _depth(fold: _Fold, sigma: float, wide: int) -> tuple[float, float, float, float, float]:
+    """Return the modulation depth of running means, the middle between the extremes, and the depth's slope over noise.
 
-    Noise adds between nothing (sharp extremes) and `added` (flat ones, √(2·ln n) standard deviations): half is taken
-    off.
+    Noise adds between nothing (sharp extremes) and √(2·ln n) standard deviations (flat ones): half is taken off. That
+    most and the standard deviation of a mean come last. The means go around the period's end.
     """
+    above, count = (uniform_filter1d(one, wide, mode="wrap") for one in (fold.light * fold.count, fold.count))
+    light, sigma_mean = above / count, sigma / math.sqrt(wide * float(np.median(count)))
+    added = sigma_mean * math.sqrt(2.0 * math.log(max(light.size / wide, 2.0)))
     high, low = float(light.max()) - added / 2.0, float(light.min()) + added / 2.0
     slopes = 2.0 * math.hypot(high, low) / (high + low) ** 2
-    return (high - low) / (high + low), (high + low) / 2.0, slopes
+    return (high - low) / (high + low), (high + low) / 2.0, slopes, added, sigma_mean
 
 
 def _noise(fold: _Fold) -> float:
@@ -366,16 +338,3 @@ def _noise(fold: _Fold) -> float:
     differences = (np.roll(fold.light, -1) - fold.light) * np.sqrt(fold.count * after / (fold.count + after))
     squares = np.sort(differences**2)[: max(1, int(_TRIMMED_SHARE * differences.size))]
     return math.sqrt(float(squares.mean()) / _TRIMMED_VARIANCE)
-
-
-def _running_mean(fold: _Fold, wide: int) -> tuple[Array, float]:
-    """Return the means over some neighbouring phases, around the period's end, and the fewest samples in one."""
-    if wide < 2:
-        return fold.light, float(np.median(fold.count))
-    kernel = np.ones(wide)
-
-    def ring(values: Array) -> Array:
-        return np.convolve(np.concatenate([values, values[: wide - 1]]), kernel, "valid")
-
-    samples = ring(fold.count)
-    return ring(fold.light * fold.count) / samples, float(np.median(samples))

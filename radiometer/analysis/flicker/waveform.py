@@ -24,7 +24,7 @@ _LIGHT_NAMES: Final = (
     "light", "value", "signal", "illuminance", "luminance", "radiance", "irradiance", "voltage", "volt", "v", "ch1",
     "channel_1", "y", "intensity", "amplitude",
 )  # fmt: skip
-_STEP_ROUNDING: Final = 0.02  # of a step: what decimals of a table may move a time by
+_STEP_ROUNDING: Final = 0.02  # of a step: by so much a time may be off beyond what its decimals move it by
 _MOST_HARMONICS: Final = 12  # that take part in finding the period; further ones hold little of a lamp's power
 # A period is accepted where its harmonics hold so much of the modulation that noise or chance cannot.
 _PERIODIC_SHARE: Final = 0.5
@@ -65,19 +65,14 @@ class Waveform:
 
 
 def read_waveform(
-    path: Path,
-    dark: float | None = None,
-    u_dark: float = 0.0,
-    mapped: StatementMap | None = None,
+    path: Path, dark: float | None = None, u_dark: float = 0.0, mapped: StatementMap | None = None,
     averaged_s: float = 0.0,
-) -> tuple[Waveform, tuple[str, ...]]:
+) -> tuple[Waveform, tuple[str, ...]]:  # fmt: skip
     """Return the waveform in a table of time and light, and what is reported about the reading.
 
-    Arguments are as for `radiometer.flicker`. Without a heading column 1 is the time in s, column 2 the light.
-
-    Raises:
-        InputError: If the table cannot be read, or its times do not rise in equal steps.
-        UnsettledError: If a heading gives the time without a unit.
+    Arguments are as for `radiometer.flicker`. Without a heading column 1 is the time in s, column 2 the light. Raises
+    InputError if the table cannot be read, or its times do not rise in equal steps, and UnsettledError if a heading
+    gives the time without a unit.
     """
     form = "time, light (with a heading: time_s)"
     table = read_table(path, form)
@@ -101,21 +96,29 @@ def read_waveform(
         doubts.append("the table has no heading: column 1 is the time in s, column 2 the light")
     time_s = np.array(finite(table.values(at_time, "timestamp", doubts, mapped, defined=unit), table, at_time))
     light = np.array(table.numbers(at_light))  # in any unit: every measure is a ratio
-    rate_hz = _rate_hz(path, time_s)
+    rate_hz = _rate_hz(path, time_s, table.written_step(at_time))
     assumptions = () if dark is not None else ("the value 0 is darkness; --dark VALUE states another",)
     return Waveform(light - (dark or 0.0), rate_hz, str(path), u_dark, averaged_s, assumptions), tuple(doubts)
 
 
-def _rate_hz(path: Path, time_s: Array) -> float:
+def _rate_hz(path: Path, time_s: Array, written: tuple[float, float]) -> float:
+    """Return the rate of times that rise in equal steps.
+
+    Args:
+        path: The table, for messages.
+        time_s: Times in s, shape (n,).
+        written: Step of the decimals in which the times are written, and their span, in one unit.
+    """
     if time_s.size < FEWEST_SAMPLES:
         raise InputError(f"{path}: {time_s.size} samples; a waveform needs {FEWEST_SAMPLES}")
     step_s = (time_s[-1] - time_s[0]) / (time_s.size - 1)
     if not step_s > 0.0 or np.any(np.diff(time_s) <= 0.0):
         raise InputError(f"{path}: the times do not rise from line to line")
-    # Times are written with some decimals, which may be coarser than a step.
-    written_s = float(np.min(np.abs(np.diff(time_s))))
+    # Decimals of the table, and those of a double, may move a time; jitter of the clock is none of both.
+    decimals, span = written
+    rounding_s = decimals * (time_s[-1] - time_s[0]) / span + 4.0 * float(np.spacing(np.abs(time_s).max()))
     off_s = float(np.max(np.abs(time_s - time_s[0] - step_s * np.arange(time_s.size))))
-    if off_s > _STEP_ROUNDING * step_s + max(0.0, step_s - written_s):
+    if off_s > _STEP_ROUNDING * step_s + rounding_s:
         at = int(np.argmax(np.abs(np.diff(time_s) - step_s)))
         raise InputError(
             f"{path}: the times do not rise in equal steps: {1e6 * (time_s[at + 1] - time_s[at]):.4g} us behind row "
@@ -125,27 +128,20 @@ def _rate_hz(path: Path, time_s: Array) -> float:
 
 
 def waveform_of_rows(
-    pixels: Array,
-    row_time_s: float,
-    exposure_s: float,
-    origin: str,
-    black_dn: float,
-    flat: Array | None = None,
+    pixels: Array, row_time_s: float, exposure_s: float, origin: str, black_dn: float, flat: Array | None = None,
     u_black_dn: float = 0.0,
-) -> Waveform:
+) -> Waveform:  # fmt: skip
     """Return the waveform that the rows of a rolling-shutter frame sample one after the other.
 
     Arguments are as for `radiometer.flicker`; `pixels` are digital numbers, shape (rows, columns), `flat` likewise.
-
-    Raises:
-        InputError: If times or shapes do not fit.
+    Raises InputError if times or shapes do not fit.
     """
     if not (row_time_s > 0.0 and exposure_s > 0.0):
         raise InputError("row time and exposure must be above 0 s")
     rows = pixels.mean(axis=1) - black_dn
     if rows.size < FEWEST_SAMPLES:
         raise InputError(f"{origin}: {rows.size} rows; a waveform needs {FEWEST_SAMPLES}")
-    assumptions, shading = list[str](), rows
+    shading = rows
     if flat is not None:
         if flat.shape != pixels.shape:
             raise InputError(f"{origin}: {pixels.shape} pixels, the flat has {flat.shape}")
@@ -153,14 +149,14 @@ def waveform_of_rows(
     if np.any(rows.mean() <= 0.0) or (flat is not None and np.any(shading <= 0.0)):
         raise InputError(f"{origin}: rows at or below the black level {black_dn:g} DN; state the right --black-level")
     u_dark = u_black_dn / float(np.mean(shading))
-    if flat is None:
-        assumptions.append(
-            "the fall-off over the rows is a polynomial, fitted together with the light; --flat FILE of steady light "
-            "measures it"
-        )
-    plain = Waveform(rows / shading, 1.0 / row_time_s, origin, u_dark, exposure_s, tuple(assumptions))
+    plain = Waveform(rows / shading, 1.0 / row_time_s, origin, u_dark, exposure_s)
     if flat is not None:
         return plain
+    assumed = (
+        "the fall-off over the rows is a polynomial, fitted together with the light; --flat FILE of steady light "
+        "measures it"
+    )
+    plain = replace(plain, assumptions=(assumed,))
     found, *others = (replace(plain, light=one.light, period=one.period) for one in _without_fall_off(rows))
     return replace(found, others=tuple(others))
 

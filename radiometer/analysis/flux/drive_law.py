@@ -43,14 +43,11 @@ class DriveLaw:
     @property
     def parameters(self) -> dict[str, Quantity]:
         """Return exponent, droop, onset, and light at half drive over half of the light at full drive, less 1."""
-        g, k, d0 = np.sqrt(np.diag(self.covariance)).tolist()
-        half = self.light_over(0.5, 1.0).scaled(2.0, "1")
-        return {
-            "exponent": Quantity(self.exponent, g, "1"),
-            "droop": Quantity(self.droop, k, "1"),
-            "onset": Quantity(self.onset, d0, "1"),
-            "deviation_at_half_drive": Quantity(half.value - 1.0, half.u, "1"),
+        half, u = self.light_over(0.5, 1.0).scaled(2.0, "1"), np.sqrt(np.diag(self.covariance)).tolist()
+        named = {
+            name: Quantity(getattr(self, name), u[n], "1") for n, name in enumerate(("exponent", "droop", "onset"))
         }
+        return {**named, "deviation_at_half_drive": Quantity(half.value - 1.0, half.u, "1")}
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
@@ -79,14 +76,8 @@ def columns_of(drive: Array) -> Array:
 def fit_drive_law(drive: Array, light: Array) -> DriveLaw | None:
     """Fit the law to light over drive by least squares on ln(light/drive); relative noise is taken as constant.
 
-    An onset counts where it pays for its parameter by the criterion of Schwarz (1978).
-
-    Args:
-        drive: Drives over full drive, shape (n,); those below 5 % are left out.
-        light: Light at each in any unit.
-
-    Returns:
-        The law; None where fewer than five drives are left.
+    Drives, shape (n,), are over full drive; those below 5 % are left out. None where fewer than five are left. An onset
+    counts where it pays for its parameter by the criterion of Schwarz (1978).
     """
     kept = (drive >= LEAST_DRIVE) & (light > 0.0)
     if int(kept.sum()) < _FEWEST:

@@ -50,6 +50,7 @@ from radiometer.data import (
     Provenance,
     RadianceMap,
 )
+from radiometer.data.frame import Copies
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
@@ -201,6 +202,7 @@ class StreamingMerge:
         self._sums: MergeSums | None = None
         self._pending: list[MergeSample] = []
         self._finished = False
+        self._copies = Copies()
 
     def add(self, frame: Frame) -> None:
         """Take a frame in; its pixels are read now or with one of the next frames, and must stay as they are.
@@ -210,6 +212,8 @@ class StreamingMerge:
         """
         frame = self._corrected(frame)
         self._refuse_misfit(frame)
+        if self._copies.again(frame):
+            return
         if frame.settings.is_dark:
             if self._terms:
                 raise MeasurementError("a dark frame came after light ones; give dark frames first")
@@ -281,8 +285,10 @@ class StreamingMerge:
         """
         for dark in bracket.dark:
             self.add(dark)
-        for taken in bracket.light:
-            frame = self._corrected(taken)
+        kept = [n for n, one in enumerate(bracket.light) if not self._copies.again(one)]
+        absent = [absent[n] for n in kept] if absent else absent
+        for n in kept:
+            frame = self._corrected(bracket.light[n])
             self._refuse_misfit(frame)
             self._pending.append(self._sample(frame))
         batch, self._pending = self._pending, []
@@ -687,7 +693,7 @@ class StreamingMerge:
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
-                assumptions=(*self._situation.assumptions, *white, *used, *in_u, *not_in_u),
+                assumptions=(*self._situation.assumptions, *white, *self._copies.notes, *used, *in_u, *not_in_u),
                 parameters={
                     "frames": len(self._terms),
                     "dark_frames": len(self._dark),

@@ -57,16 +57,9 @@ def alpha_opic_quantities(
     """Return the five α-opic quantities of a radiance, luminance, irradiance or illuminance.
 
     A photometric quantity X_v gives X_α = X_v·∫S·s_α dλ / (K_m·∫S·V dλ), a radiometric one X_e·∫S·s_α dλ / ∫S dλ.
-    The uncertainty holds the quantity's own, and the ratio's from independent entries and from the wavelength scale.
-
-    Args:
-        quantity: Value and standard uncertainty in one of `UNITS`.
-        light: Its spectrum.
-        u_rel: Relative standard uncertainty of each entry of the spectrum, independent of the others.
-        wavelength_u_nm: Standard uncertainty of its wavelength scale in nm, the same for all entries.
-
-    Raises InputError if the unit is none of those, or the spectrum holds or states too little light where the functions
-    are tabulated.
+    The uncertainty holds the quantity's own, and the ratio's from independent relative errors `u_rel` of the spectrum's
+    entries and from its wavelength scale. Raises InputError if the unit is none of `UNITS`, or the spectrum holds or
+    states too little light where the functions are tabulated.
     """
     if quantity.unit not in _FORMS:
         raise InputError(f"unit {quantity.unit!r}: an α-opic quantity is made of one in {', '.join(UNITS)}")
@@ -74,28 +67,21 @@ def alpha_opic_quantities(
     luminous_efficacy(light)  # without one the α-opic efficacies are not defined
     low, high = _TABULATED_NM
     if not np.any(light.power[(light.wavelength_nm >= low) & (light.wavelength_nm <= high)] > 0.0):
-        raise InputError(
-            f"spectrum {light.name!r} holds no light from {low:g} to {high:g} nm, where the functions of the cones "
-            "are tabulated"
-        )
-    if not (math.isfinite(quantity.value) and quantity.value >= 0.0):
-        raise InputError(
-            f"{quantity.value:g} {unit_text(quantity.unit)}: an α-opic quantity is made of a value of 0 or more"
-        )
-    found = list[AlphaOpic]()
-    for receptor in RECEPTORS:
+        raise InputError(f"spectrum {light.name!r} holds no light from {low:g} to {high:g} nm, where the functions of "
+                         "the cones are tabulated")  # fmt: skip
+    value = quantity.value
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InputError(f"{value:g} {unit_text(quantity.unit)}: an α-opic quantity is made of a value of 0 or more")
+
+    def of(receptor: str) -> AlphaOpic:
         efficacy = _ratio(light, receptor, u_rel, wavelength_u_nm, photometric=True)
-        d65 = _ratio(spectrum(DAYLIGHT), receptor, photometric=True).value
+        of_d65 = 1.0 / _ratio(spectrum(DAYLIGHT), receptor, photometric=True).value
         factor = efficacy if photometric else _ratio(light, receptor, u_rel, wavelength_u_nm, photometric=False)
-        u = math.hypot(quantity.u * factor.value, quantity.value * factor.u)
-        of_receptor = Quantity(quantity.value * factor.value, u, unit)
-        found.append(
-            AlphaOpic(
-                receptor, of_receptor, of_receptor.scaled(1.0 / d65, daylight_unit), efficacy.scaled(1e3, "mW lm-1"),
-                efficacy.scaled(1.0 / d65, "1"),
-            )
-        )  # fmt: skip
-    return tuple(found)
+        found = Quantity(value * factor.value, math.hypot(quantity.u * factor.value, value * factor.u), unit)
+        daylight, ratio = found.scaled(of_d65, daylight_unit), efficacy.scaled(of_d65, "1")
+        return AlphaOpic(receptor, found, daylight, efficacy.scaled(1e3, "mW lm-1"), ratio)
+
+    return tuple(map(of, RECEPTORS))
 
 
 def _ratio(

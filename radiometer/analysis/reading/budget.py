@@ -458,6 +458,7 @@ class Shown:
     good: NDArray[np.bool_]  # pixels used
     light_frames: int  # number of light frames seen
     unsteady: bool  # whether a frame clips that was exposed no longer than one that does not: the light changes
+    notes: tuple[str, ...] = ()  # what to say of copies among the frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -54,6 +54,7 @@ from radiometer.data import (
     Reading,
     ScaleConditions,
 )
+from radiometer.data.frame import Copies
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
@@ -107,6 +108,8 @@ def patch_situation(
         MeasurementError: If the patch is outside the frame, or there is no light frame.
     """
     settled, calibration, camera = situation_of(setup), setup.calibration, setup.camera
+    copies = Copies()
+    frames = copies.left_out(frames.every_frame if isinstance(frames, Bracket) else frames)
     if calibration is not None:
         frames = corrected_frames(frames, calibration.found, settled.black.dn)
     levelled, taps = levelled_frames(frames, setup)
@@ -142,7 +145,7 @@ def patch_situation(
     field = _field(camera, settled.lens, shape, patch)
     conditions = _conditions(estimate, chosen, settled, surround, place, field).model_copy(update={"tap": tap})
     scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
-    shown = Shown(estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light))
+    shown = Shown(estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light), copies.notes)
     falloff = _falloff(calibration, camera, settled.lens, chosen, place)
     now = now or setup.taken or dt.datetime.now(dt.UTC)
     return PatchSituation(settled, shown, scale, conditions, surround, falloff, now, stray, taps)
@@ -296,6 +299,7 @@ def _reading(situation: PatchSituation, patch: Patch, sequence: int) -> Reading:
             assumptions=(
                 *settled.assumptions,
                 *white_level_notes(one.settings.white_level for one in situation.shown.frames),
+                *situation.shown.notes,
                 *situation.notes_on_taps,
             ),
             parameters={

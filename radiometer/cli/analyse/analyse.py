@@ -49,10 +49,6 @@ def _regions(texts: Sequence[str]) -> dict[str, Patch]:
     return found
 
 
-def _contrast(text: str) -> tuple[str, ...]:
-    return _numbered(text, 2, "--contrast BRIGHT,DARK")
-
-
 def _line(text: str) -> tuple[float, float, float, float]:
     option = "--line X1,Y1,X2,Y2 in pixels"
     try:
@@ -66,7 +62,7 @@ command = command_of(
     "analyse", _show, results=("csv", "report"), source=typer.Argument(metavar="MAP"),
     converters={"regions": _regions},
     regions=typer.Option("--region", metavar="NAME:X,Y,W,H", help="A region in pixels; may be repeated."),
-    contrast=typer.Option(parser=_contrast, metavar="BRIGHT,DARK"),
+    contrast=typer.Option(parser=lambda text: _numbered(text, 2, "--contrast BRIGHT,DARK"), metavar="BRIGHT,DARK"),
     line=typer.Option(parser=_line, metavar="X1,Y1,X2,Y2"),
     fisheye=Annotated[_Projection | None, typer.Option()],
 )  # fmt: skip

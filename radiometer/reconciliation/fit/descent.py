@@ -43,6 +43,7 @@ _PATIENCE: Final = 3  # steps that creep one after the other
 _REWEIGHTINGS: Final = 3
 _SETTLED: Final = 0.02  # share of a parameter's size
 _PAST_WELL: Final = 1.02  # times the declared full well, which is rounded
+_NOTHING_U: Final = 2.0  # standard uncertainties about nothing
 _ALIVE: Final = 0.5  # share of its shot noise that a tile keeps where charge does not end
 
 
@@ -65,7 +66,19 @@ def first_state(
     values[0] = rough_log_responsivity(design, seen.mean, rough, unclipped)
     state = weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
     state = refit(state)
-    return refit(reweighted(state)).recorded()
+    state = refit(reweighted(state)).recorded()
+    return state if layout.is_linear(state.values) else _from_stated(state)
+
+
+def _from_stated(state: FitState) -> FitState:
+    """Return the state at the stated radiances, all else fitted to them; its linearised fit frees them again.
+
+    Radiances that took up an effect by far more than they may be off can stand where means are not linear in them. At
+    the stated ones they are, and in what adds light.
+    """
+    layout = state.layout
+    held = replace(state, layout=layout.held(), values=np.where(layout.stated, 0.0, state.values))
+    return replace(refit(held), layout=layout)
 
 
 def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
@@ -313,9 +326,22 @@ def included(
         fitted = converged_fit(near, early_stop=early_stop)
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
-    if any(own.is_nothing() for own in fitted.effects if own.name == effect.name):
+    if _is_nothing(fitted, effect.name):
         raise UnfitError(effect.name)
     return fitted
+
+
+def _is_nothing(state: FitState, name: str) -> bool:
+    """Return whether an essential parameter of an effect is no further from doing nothing than chance may take it."""
+    own, sigma = state.parameters, np.sqrt(np.maximum(np.diag(_of_a_model_that_is_right(state)), 0.0))
+    free = [i for i in range(own.size) if i not in state.frozen]
+    u = {(own.owner[i], own.names[i]): size * own.scale[i] for i, size in zip(free, sigma, strict=True)}
+    return any(
+        abs(getattr(effect, essential) - effect.neutral(essential)) <= _NOTHING_U * u.get((at, essential), 0.0)
+        for at, effect in enumerate(state.effects)
+        for essential in effect.essential
+        if effect.name == name and essential in effect.free()
+    )
 
 
 def _profiled_anew(state: FitState) -> FitState:

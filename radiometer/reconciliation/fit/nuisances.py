@@ -28,8 +28,9 @@ _SCALAR_STEP: Final = {"black_dn": 1e-2, "dark_e_per_s": 1e-2}
 _FREE_BLACK: Final = 2.5  # of the full scale: anywhere in the converter's range
 _SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "dark_e_per_s": 1e3}
 _STATED: Final = 1.0  # prior standard deviation below which a radiance counts as stated
+_HELD: Final = 1e-3  # of the uncertainty of stated radiances, for a fit to which they are exact
 _DIMMEST: Final = 600.0  # logarithm of a factor that a step of a fit may ask for: it stays a number above zero
-_LINEAR: Final = (-0.5, 1.0)  # relative errors of a radiance between which its factor is linear
+_LINEAR_FROM: Final = -0.5  # relative error of a radiance from which on its factor is linear
 _TOLD_K: Final = 2.0  # span of temperatures of darks from which they tell how dark current grows
 _FREE_SLOPE: Final = 3.0
 _FREE_TEXTURE: Final = 10.0
@@ -96,6 +97,17 @@ class NuisanceLayout:
     def _common(self) -> slice:
         count = int(self.shared.max(initial=-1)) + 1
         return slice(self._radiances.stop, self._radiances.stop + count)
+
+    @property
+    def stated(self) -> NDArray[np.bool_]:
+        """Return which parameters are errors of stated radiances, (parameters,)."""
+        errors = np.zeros(self.size, np.bool_)
+        errors[self._radiances.start : self._common.stop] = True
+        return errors & (self.prior < _STATED)
+
+    def held(self) -> NuisanceLayout:
+        """Return the layout in which stated radiances are hardly free."""
+        return replace(self, prior=np.where(self.stated, _HELD * self.prior, self.prior))
 
     def _summed(self, own: Array) -> Array:
         """Return the columns of the shared errors from those of each radiance, (rows, patterns · patches)."""
@@ -178,18 +190,27 @@ class NuisanceLayout:
             yield replace(at, slope=at.slope + _SLOPE_STEP), _SLOPE_STEP
             yield at.with_off(texture=at.off.texture + _TEXTURE_STEP), _TEXTURE_STEP
 
+    def is_linear(self, values: Array) -> bool:
+        """Return whether means are linear in the errors of all stated radiances: none is off its linear factor."""
+        relative, stated = self._relative(values)
+        return bool(np.all(relative[stated] >= _LINEAR_FROM))
+
+    def _relative(self, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return by how much each patch is off, and whether its radiance is stated, (patterns, patches)."""
+        shape = self.shared.shape
+        relative = values[self._radiances].reshape(shape) + values[self._common][self.shared]
+        own = self.prior[self._radiances].reshape(shape) < _STATED
+        return relative, own & (self.prior[self._common] < _STATED)[self.shared]
+
     def _light(self, values: Array) -> tuple[Array, Array]:
         """Return ln of the factor on each patch's radiance, and its derivative, (patterns, patches).
 
-        A patch is off by its own part and by that which it shares. Where its radiance is stated the factor is 1 + x:
-        means are then linear in x, and what an effect had been mistaken for is given back at once when the effect
-        enters. Where it is free it is exp x, so that brighter patches and a lower responsivity are the same thing.
+        A patch is off by its own part and by that which it shares. Where its radiance is stated the factor is 1 + x.
+        Means are then linear in x, down to half of what is stated. What an effect had been mistaken for is given back
+        at once when the effect enters. Where it is free it is exp x, so that brighter patches and a lower responsivity
+        are the same thing.
         """
-        shape = self.shared.shape
-        relative = values[self._radiances].reshape(shape) + values[self._common][self.shared]
-        stated = (self.prior[self._radiances].reshape(shape) < _STATED) & (self.prior[self._common] < _STATED)[
-            self.shared
-        ]
+        relative, stated = self._relative(values)
         factor, slope = _light_factor(np.where(stated, relative, 0.0))
         return np.where(stated, np.log(factor), relative), np.where(stated, slope / factor, 1.0)
 
@@ -266,14 +287,11 @@ _FOLLOWING: Final = tuple(name for name, row in STATISTICS.items() if row.follow
 def _light_factor(relative: Array) -> tuple[Array, Array]:
     """Return the factor on a radiance that is off by so much, and its derivative.
 
-    It is 1 + x in the middle, and goes on as an exponential beyond, so that it stays above zero.
+    It is 1 + x, however much brighter the patch is, and ends below as an exponential, so that it stays above zero.
     """
-    low, high = _LINEAR
-    below, above = relative < low, relative > high
-    middle = 1.0 + np.clip(relative, low, high)
-    slope = np.where(below, np.exp(np.clip((relative - low) / (1.0 + low), -_DIMMEST, 0.0)), 1.0)
-    slope = np.where(above, np.exp(np.maximum(relative - high, 0.0) / (1.0 + high)), slope)
-    return np.asarray(middle * slope), np.asarray(slope)
+    below = np.minimum(relative - _LINEAR_FROM, 0.0) / (1.0 + _LINEAR_FROM)
+    slope = np.exp(np.maximum(below, -_DIMMEST))
+    return np.asarray((1.0 + np.maximum(relative, _LINEAR_FROM)) * slope), np.asarray(slope)
 
 
 def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:

@@ -29,7 +29,7 @@ from radiometer.reconciliation.measure.lines import RowBins, edge_shares, row_li
 from radiometer.statistics.scale import MAD_TO_SIGMA, TWENTIETH_TO_SIGMA
 from radiometer.typing import Array, Mask
 from radiometer.units import gain_factor
-from simulators.effects.unsteady_pixels import unsteady_from
+from simulators.chain.unsteady_pixels import unsteady_from
 
 Corners = NDArray[np.intp]
 

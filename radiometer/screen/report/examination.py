@@ -20,11 +20,8 @@ WARM_UP: Final = "warm_up"
 def chosen_methods(names: Sequence[str], *, turned: bool) -> tuple[str, ...]:
     """Return the methods to run in order: the named ones; by default all that the geometry has.
 
-    Args:
-        names: Names; none for all.
-        turned: Whether the geometry has angles to turn the screen to.
-
-    Raises UsageError if a name is unknown, or the viewing angle is asked for without angles.
+    The viewing angle needs a geometry with angles to turn the screen to. Raises UsageError if it is asked for without,
+    or a name is unknown.
     """
     known = (WARM_UP, *METHODS)
     for name in names:

@@ -243,8 +243,11 @@ def _uniformity(examined: Examined) -> Section:
     ratio = derived([readings[low], readings[high]], lambda v: float(v[0] / v[1]))
     # Of n places that noise cannot part, the extreme is off by nothing where they differ, by the extreme of n draws of
     # noise where they are equal. The middle of both is taken, as of a rectangle.
-    ties = [np.sum(np.abs(values - values[i]) < 2.0 * np.hypot(own, own[i])) for i in (low, high)]
-    off = sum(own[i] / values[i] * _extreme(int(n)) for i, n in zip((low, high), ties, strict=True)) / 2.0
+    off = 0.0
+    for i in (low, high):
+        ties = int(np.sum(np.abs(values - values[i]) < 2.0 * np.hypot(own, own[i])))
+        expected = max(0.0, float(ndtri((ties - 0.375) / (ties + 0.25))))  # largest of n draws over σ: Blom 1958
+        off += own[i] / values[i] * expected / 2.0
     value = ratio.value * (1.0 + off)
     u = math.hypot(ratio.u, value * off / math.sqrt(3.0))
     centre = places.index(CENTRE)
@@ -268,20 +271,13 @@ def _uniformity(examined: Examined) -> Section:
     )  # fmt: skip
 
 
-def _extreme(count: int) -> float:
-    """Return the expected largest of normal draws in standard deviations. Source: Blom 1958."""
-    return max(0.0, float(ndtri((count - 0.375) / (count + 0.25))))
-
-
 def _mura(examined: Examined) -> Section:
     examined.bench.display.show(WHITE)
     found = mura_of(examined.bench.map_of(examined.area))
     figures = (
-        Figure("largest_spot", found.spot),
-        Figure("largest_spot_x", found.x),
-        Figure("largest_spot_y", found.y),
+        Figure("largest_spot", found.spot), Figure("largest_spot_x", found.x), Figure("largest_spot_y", found.y),
         Figure("rms", found.rms),
-    )
+    )  # fmt: skip
     notes = ["the pattern of the camera's own pixels is in the map unless its calibration holds a flat field"]
     if abs(found.spot.value) < found.detection_limit:
         notes.insert(0, f"the largest spot is no larger than noise can be ({100 * found.detection_limit:.2g} %)")

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+import yaml
 
 from radiometer.archive.jobs import COLUMNS, JOBS, JobSettings
 from radiometer.archive.run import ResultJournal, run_batch
@@ -88,6 +89,21 @@ def test_a_failing_capture_does_not_stop_the_rest(make_archive, tmp_path):
     assert [row["capture"].endswith("day-0002") for row in summary.failures] == [True]
     assert table["status"].tolist() == ["ok", "ok", "failed", "ok"]
     assert "truncated" in table["error"][2]
+
+
+@pytest.mark.parametrize("job", ["measure", "merge"])
+def test_frames_without_the_source_are_no_reading(make_archive, tmp_path, job):
+    """A capture whose source was off in every frame fails; off in one of two, that one is left out."""
+    root = make_archive(2)
+    for name, count in (("day-0000", 2), ("day-0001", 1)):
+        header = root / name / "capture.yaml"
+        content = yaml.safe_load(header.read_text())
+        for entry in content["frames"][:count]:
+            entry["source_level"] = 0.0
+        header.write_text(yaml.safe_dump(content))
+    summary = run_batch(find_captures(str(root))[0], JobSettings(job), tmp_path / "results.csv")
+    assert [row["capture"].endswith("day-0000") for row in summary.failures] == [True]
+    assert "source on" in summary.failures[0]["error"]
 
 
 def test_what_is_done_is_not_done_again(make_archive, tmp_path):

@@ -156,7 +156,7 @@ def test_without_a_half_angle_the_way_to_the_emitted_flux_is_named(
     [
         (["--distance", "80"], 2, "needs --half-angle"),
         (["--half-angle", "95"], 2, "half angle 95° is out of range"),
-        (["--half-angle", "60", "--distance", "0"], 2, "distance is 0.0 (float); give finite number above 0"),
+        (["--half-angle", "60", "--datasheet-mw", "0"], 2, "datasheet_mw is 0.0 (float); give finite number above 0"),
         (["--patch", "90,0,40,40"], 1, "is not on the frame of 96 × 96"),
     ],
 )

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 import yaml
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
@@ -79,6 +80,8 @@ def test_keys_of_other_programs_are_kept(capture):
         (lambda m: m["frames"][1].update(shutter="ajar"), r"frames\.1\.shutter"),
         (lambda m: m["frames"][1].update(source_level=-0.1), r"source_level = -0\.1"),
         (lambda m: m["frames"][1].update(f_number=0), "f_number = 0"),
+        (lambda m: m["frames"][1].update(black_level_dn=4095), "4095 DN is not below full scale"),
+        (lambda m: m.update(created="01/02/2026"), r"created = '01/02/2026'"),
         (lambda m: m["frames"][1].update(photons=-1), "photons = -1"),
         (lambda m: m.update(patches=[PORT, PORT]), "patch name 'port' occurs twice"),
         (lambda m: m.update(patches=[PORT | {"width": 0}]), r"patches\.0\.width = 0"),
@@ -92,6 +95,22 @@ def test_a_wrong_header_is_refused_with_key_and_reason(capture, change, message)
     edit(capture, change)
     with pytest.raises(CaptureError, match=message):
         CaptureSet.read(capture)
+
+
+@pytest.mark.parametrize(("kind", "taken"), [(0, False), (1, True)], ids=["another page", "a preview"])
+def test_a_frame_is_one_picture(capture, kind, taken):
+    """Of a TIFF of two pages none is guessed; a smaller copy of the first (NewSubfileType 1) is no page."""
+    picture = np.full((6, 8), 50, np.uint16)
+    edit(capture, lambda m: m["frames"][1].update(file="frames/two.tif"))
+    with tifffile.TiffWriter(capture / "frames" / "two.tif") as tiff:
+        tiff.write(picture, metadata=None)
+        tiff.write(picture[::2, ::2] if kind else picture, subfiletype=kind, metadata=None)
+    read = CaptureSet.read(capture)
+    if taken:
+        assert np.array_equal(read.read_frame(1).dn, picture)
+    else:
+        with pytest.raises(CaptureError, match="a TIFF of 2 pages"):
+            read.read_frame(1)
 
 
 def test_text_that_is_no_yaml_is_refused_with_its_line(capture):

@@ -102,6 +102,18 @@ def test_spectra_are_summed_and_twins_compared(tmp_path: Path) -> None:
     assert more.value == pytest.approx(0.08, abs=0.002 + 3 * more.u)
 
 
+@pytest.mark.parametrize(("light", "says"), [(-0.7, "no light is below 0"), (0.0, None)])
+def test_a_row_that_no_law_can_hold_is_refused_or_named(tmp_path: Path, light: float, says: str | None) -> None:
+    """A negative light is a mistake; a drive without light is left out, and stands in what was taken."""
+    rows = "".join(f"blue,{10 * n},{light if n == 7 else 0.1 * n:.4f}\n" for n in range(1, 12))
+    (tmp_path / "e.csv").write_text(f"channel,drive,light\n{rows}")
+    if says is None:
+        assert "blue: no light at drive 70: left out" in rm.light_law(tmp_path / "e.csv").table.taken
+    else:
+        with pytest.raises(rm.InputError, match=says):
+            rm.light_law(tmp_path / "e.csv")
+
+
 def test_commands_speak_json_and_write_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`light law --json` holds the law with u; `reconcile` writes its report."""
     file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(81), 0.1))

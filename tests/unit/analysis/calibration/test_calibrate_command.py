@@ -166,6 +166,11 @@ def test_a_known_luminance_goes_through_the_spectrum(capture, tmp_path):
         (["-o", "{out}", "--response", "{curve}", *meter(exposure="fast")], 2, "1/125"),
         (["-o", "{out}", "--response", "{curve}", *meter(exposure="9999999999s")], 2, "exposure_s is 9999999999"),
         (["{capture}", "-o", "{out}", "--flat", "{curve}"], 1, "curve.csv"),
+        (
+            ["-o", "{out}", "--response", "{curve}", *METER, "--measured-iso", "100=136"],
+            2,
+            "no photograph states ISO 100",
+        ),
     ],
 )
 def test_misuse_is_one_line_and_an_exit_code(words, code, message, capture, curve, tmp_path, capsys):

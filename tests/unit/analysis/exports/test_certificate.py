@@ -169,6 +169,7 @@ def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -
         ("radiance", {"value": 1e999, "u": 0.003, "unit": "W sr-1 m-2"}, "outside"),
         ("radiance", {"value": 0.3, "u": 0.003, "unit": "1"}, "unit"),
         ("coverage_factor", -2.0, "coverage_factor"), ("coverage_factor", 0.0, "coverage_factor"),
+        ("coverage_factor", 1.0, "95.45 %"), ("flags", ["saturated"], "lower bound"),
         ("time", "yesterday", "ISO 8601"), ("time", "2099-01-01T00:00:00+00:00", "future"),
         ("flags", ["uncalibrated"], "relative"), ("instrument", "a\u0001b", "U\\+0001"),
         ("instrument", "\ud800", "D800"),

@@ -233,6 +233,12 @@ def test_a_source_of_known_frequency_gives_the_row_time(tmp_path: Path) -> None:
         ("time_s,a,b\n" + "".join(f"{n},1,2\n" for n in range(40)), InputError, "--map"),
         ("time_s,light\n" + "".join(f"{n**2},1\n" for n in range(40)), InputError, "equal steps"),
         ("time_s,light\n" + "".join(f"{-n},1\n" for n in range(40)), InputError, "rise"),
+        ("time_us,light\n" + "".join(f"{50 * n + 20 * (-1) ** n},1\n" for n in range(400)), InputError, "equal steps"),
+        (
+            "time_s,light\n" + "".join(f"{5e-5 * n + 2e-5 * (n % 3):.6e},1\n" for n in range(400)),
+            InputError,
+            "equal steps",
+        ),
         ("time_s,light\n0,1\n1,1\n", InputError, "samples"),
         ("time_s,light\n" + "0,1\n1,one\n" * 40, InputError, "no number"),
     ],
@@ -252,6 +258,14 @@ def test_the_unit_of_time_comes_from_the_heading(tmp_path: Path, heading: str, s
     mapped = ("timestamp=Zeit_s:s",) if heading.startswith("Zeit") else ()
     found = rm.flicker(tmp_path / "lamp.csv", mapped=mapped)
     assert found.waveform.rate_hz == pytest.approx(20_000.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("form", ["{:.6f}", "{:.5e}", "{!r}"])
+def test_decimals_of_a_table_move_its_times_and_are_no_jitter(tmp_path: Path, form: str) -> None:
+    """Steps of 62.5 us in whole us, in six digits and in all of a double: 16 kHz each time."""
+    rows = "".join(f"{form.format(0.3 + 62.5e-6 * n)},{1.0 + 0.1 * math.sin(0.2 * n):.5f}\n" for n in range(400))
+    (tmp_path / "lamp.csv").write_text(f"time_s,light\n{rows}")
+    assert read_waveform(tmp_path / "lamp.csv")[0].rate_hz == pytest.approx(16_000.0, rel=1e-3)
 
 
 LAMPS = ("CFL", "GE_Align_PM", "Feit_60W", "Sylvania_60W", "Bedtime_Bulb", "IKEA_Lunnom", "Hue_Color_Evening")

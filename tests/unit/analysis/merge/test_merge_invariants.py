@@ -97,11 +97,21 @@ def test_values_scale_with_the_inverse_of_all_times(seed, factor, brightest_e):
 @settings(max_examples=10, deadline=None)
 @given(seeds, st.integers(min_value=2, max_value=9))
 def test_u_falls_by_the_root_of_the_frames(seed, count):
-    """n equal frames know a pixel √n times better than one."""
+    """n equal frames know a pixel √n times better than one; copies of one do not."""
     frame = frames(seed, (1.0,))[0]
-    one, several = merged([frame]), merged([frame] * count)
-    assert np.allclose(several.u_radiance * np.sqrt(count), one.u_radiance, rtol=0.01, atol=0.0)
-    assert np.allclose(several.radiance, one.radiance, rtol=1e-4, atol=0.0)
+
+    def marked(number: int) -> Frame:
+        """Return the frame with another number in its first pixel: another exposure."""
+        dn = frame.dn.copy()
+        dn[0, 0] = 500 + number
+        return replace(frame, dn=dn)
+
+    one, several = merged([frame]), merged([marked(n) for n in range(count)])
+    assert np.allclose(several.u_radiance[1:] * np.sqrt(count), one.u_radiance[1:], rtol=0.01, atol=0.0)
+    assert np.allclose(several.radiance[1:], one.radiance[1:], rtol=1e-4, atol=0.0)
+    copies = merged([frame] * count)
+    assert np.array_equal(copies.u_radiance, one.u_radiance)
+    assert any("no exposure counts twice" in line for line in copies.provenance.assumptions) == (count > 1)
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 12.0])

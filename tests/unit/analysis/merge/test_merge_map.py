@@ -384,7 +384,7 @@ def misfits(rig):
         "sizes": ([light, rig.frame(scene(rig, size=12), 1e-3, rng)], "12 × 12"),
         "levels": ([light, rig.frame(scene(rig), 1e-3, rng, source_level=0.5)], "source level"),
         "bits": ([Frame(light.dn, 14, light.settings)], "14 bits"),
-        "many": ([light] * 65, "64"),
+        "many": ([rig.frame(scene(rig), 1e-3, rng) for _ in range(65)], "64"),
     }
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription, TapDescription
+from simulators.chain.unsteady_pixels import unsteady_from
 from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
 from simulators.effects.base import Parameter
@@ -47,7 +48,6 @@ from simulators.effects.spectral_mismatch import SpectralMismatch
 from simulators.effects.tap_gain import TapGain
 from simulators.effects.tap_noise import TapNoise
 from simulators.effects.tile_moments import TileMoments
-from simulators.effects.unsteady_pixels import unsteady_from
 from testing.effect_context import effect_context
 
 CAMERA = CameraDescription(bit_depth=12, full_well_e=10_000.0, read_noise_e=3.0)
