@@ -20,6 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
+from radiometer.daemon.clock_watch import LONGEST_PAUSE_US
 from radiometer.daemon.timestamps import microseconds, now_us
 from radiometer.data import Reading
 from radiometer.data.guards import MOST_FILE_BYTES
@@ -38,6 +39,7 @@ _CHECKPOINT_CHANGES: Final = 500  # rows written between two checkpoints: some 4
 _LOG_PART: Final = 0.25  # of the size that the journal may have: SQLite's log next to the file
 _ROW_BYTES: Final = 32_768  # that a row takes in the log at most: a page of each table and index
 _LOG_BEGINNINGS: Final = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")  # sqlite.org/fileformat2.html, 4.1
+_COUNTER: Final = "INSERT INTO counters VALUES (?, ?) ON CONFLICT DO UPDATE SET value = excluded.value"
 _RETENTION_CHUNK: Final = 5000  # rows of one transaction: writing is never held up for long
 MINUTE_US: Final = 60_000_000  # a minute in µs
 _TREND_COLUMNS: Final = (
@@ -141,7 +143,6 @@ class Journal:
         self._checkpointed = 0  # rows that the connection had written then
         self._given_up: tuple[_Mark | None, ...] = ()  # of the files that could not be written anew
         self._last_sequence = 0
-        self.newest_at_opening_us: int | None = None
         self.clock_doubt_us = 0
         self._was_open = False
 
@@ -342,8 +343,13 @@ class Journal:
                     " ORDER BY sequence LIMIT ?)",
                     (kept, _RETENTION_CHUNK),
                 ).rowcount
-                connection.execute("DELETE FROM events WHERE time_us < ?", (before_us,))
-                connection.execute("DELETE FROM trend WHERE minute < ?", (before_us // MINUTE_US,))
+                connection.execute(
+                    "DELETE FROM events WHERE rowid < coalesce((SELECT rowid FROM events WHERE time_us >= ?"
+                    " ORDER BY rowid LIMIT 1), (SELECT max(rowid) + 1 FROM events))",
+                    (before_us,),
+                )
+                (oldest_us,) = connection.execute("SELECT coalesce(min(time_us), 0) FROM readings").fetchone()
+                connection.execute("DELETE FROM trend WHERE minute < ?", (min(before_us, oldest_us) // MINUTE_US,))
             dropped += count
             if count < _RETENTION_CHUNK:
                 break
@@ -405,11 +411,22 @@ class Journal:
             self._lock_file.flush()
 
     def _learn_times(self, connection: sqlite3.Connection) -> None:
-        """Note the time of the newest reading, and how far the clock that stamped it is in doubt."""
-        newest = connection.execute("SELECT time_us FROM readings ORDER BY sequence DESC LIMIT 1").fetchone()
-        doubt = connection.execute("SELECT value FROM counters WHERE name = 'clock_doubt_us'").fetchone()
-        self.newest_at_opening_us = newest[0] if newest else None
-        self.clock_doubt_us = doubt[0] if doubt else 0
+        """Note how far the clock is in doubt, also by the time since the newest reading.
+
+        A pause of more than a day, or one that is negative, may be a clock that was set while no daemon ran.
+        """
+        newest = connection.execute("SELECT sequence, time_us FROM readings ORDER BY sequence DESC LIMIT 1").fetchone()
+        counters = dict(connection.execute("SELECT name, value FROM counters").fetchall())
+        sequence, time_us = newest or (0, now_us())
+        pause_us = now_us() - time_us
+        counted_us = 0 if 0 <= pause_us <= LONGEST_PAUSE_US else pause_us
+        # Without a reading since, an opening before this one has counted its part of the pause.
+        before_us = counters["pause_us"] if counters.get("paused_after") == sequence else 0
+        self.clock_doubt_us = counters.get("clock_doubt_us", 0) + counted_us - before_us
+        if counted_us != before_us:
+            noted = {"clock_doubt_us": self.clock_doubt_us, "paused_after": sequence, "pause_us": counted_us}
+            with suppress(JournalError), self._transaction() as transaction:  # a full disk: this run knows it
+                transaction.executemany(_COUNTER, noted.items())
 
     def _verify(self, connection: sqlite3.Connection) -> None:
         low, high, count = connection.execute(

@@ -233,7 +233,7 @@ class JournalWriter:
             if self._retention is None:
                 journal = self._journal
                 await self._in_thread(journal.open)
-                self._retention = RetentionClock(journal.newest_at_opening_us, journal.clock_doubt_us)
+                self._retention = RetentionClock(journal.clock_doubt_us)
             before_us = self._retention.now_us() - int(keep_days * 86400e6)
             dropped = await self._in_thread(self._journal.drop_older, before_us)
             if dropped:

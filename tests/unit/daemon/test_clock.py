@@ -111,16 +111,20 @@ async def test_the_clock_is_looked_at_every_second() -> None:
     assert (set(pauses), [jump.by_us for jump in reported]) == ({1.0}, [HOUR_US])
 
 
-@pytest.mark.parametrize(
-    ("off_us", "from_us"),
-    [(0, START_US), (DAY_US, START_US), (DAY_US + 1, START_US - DAY_US - 1), (-1, START_US + 1)],
-)
-def test_a_day_without_a_daemon_is_believed_and_no_more(off_us: int, from_us: int) -> None:
-    """Off for longer, or with a newest reading in the future, ages are counted from that reading."""
-    clocks = Clocks()
-    retention = RetentionClock(START_US - off_us, 0, *clocks.both)
-    clocks.go(HOUR_US)
-    assert retention.now_us() == min(from_us + HOUR_US, clocks.wall)
+@pytest.mark.parametrize(("off_us", "doubt_us"), [(0, 0), (DAY_US - HOUR_US, 0), (2 * DAY_US, 2 * DAY_US), (-1, -1)])
+def test_a_day_without_a_daemon_is_believed_and_no_more(
+    tmp_path: Path, make_reading: Callable[..., Reading], off_us: int, doubt_us: int
+) -> None:
+    """Off for longer, or with a newest reading in the future, the clock is in doubt by that: now, and at later starts."""
+    path = tmp_path / "j.sqlite"
+    stamped_us = time.time_ns() // 1000 - off_us
+    with Journal(path) as journal:
+        journal.append([make_reading(time=iso_time(stamped_us))])
+    with Journal(path) as journal:
+        assert journal.clock_doubt_us == pytest.approx(doubt_us, abs=HOUR_US / 2)
+        journal.append([make_reading(time=iso_time(time.time_ns() // 1000))])
+    with Journal(path) as journal:
+        assert journal.clock_doubt_us == pytest.approx(doubt_us, abs=HOUR_US / 2)
 
 
 async def test_a_jump_is_in_journal_and_state(
@@ -140,18 +144,15 @@ async def test_a_jump_is_in_journal_and_state(
 def test_the_age_is_counted_by_a_clock_that_cannot_be_set() -> None:
     """Forward jumps while it runs, and one before the start, do not move it; a clock set back holds it back."""
     clocks = Clocks()
-    retention = RetentionClock(START_US - HOUR_US, 0, *clocks.both)
+    retention = RetentionClock(0, *clocks.both)
     clocks.go(HOUR_US)
     assert retention.now_us() == START_US + HOUR_US
     clocks.wall += 10 * DAY_US
     assert retention.now_us() == START_US + HOUR_US
     clocks.wall = START_US - DAY_US
     assert retention.now_us() == START_US - DAY_US
-    jumped_while_off = RetentionClock(START_US - 10 * DAY_US, 0, *Clocks().both)
-    assert jumped_while_off.now_us() == START_US - 10 * DAY_US
-    stamped_ahead = RetentionClock(START_US, 10 * DAY_US, *Clocks().both)
+    stamped_ahead = RetentionClock(10 * DAY_US, *Clocks().both)
     assert stamped_ahead.now_us() == START_US - 10 * DAY_US
-    assert RetentionClock(None, 0, *Clocks().both).now_us() == START_US
 
 
 async def kept_after_start(path: Path, keep_days: float, young: Reading) -> list[int]:
@@ -173,8 +174,8 @@ async def test_keep_days_deletes_what_is_older_and_nothing_else(
     path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
         journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (9, 8, 6, 1, 0)])
-    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (0, lambda: START_US + 10 * DAY_US, lambda: 0))
-    young = make_reading(time=iso_time(START_US))
+    monkeypatch.setattr(time, "time_ns", lambda: 1000 * (START_US + 10 * DAY_US))
+    young = make_reading(time=iso_time(START_US + 10 * DAY_US))
     assert await kept_after_start(path, 7.0, young) == [3, 4, 5]
     assert await kept_after_start(path, 0.5, young) == [5, 6, 7]
 
@@ -218,11 +219,12 @@ async def test_a_jump_before_a_restart_is_remembered(
 ) -> None:
     """The clock jumped, readings were stamped with it, the daemon was started anew: still nothing young goes."""
     path, wall = tmp_path / "j.sqlite", START_US + 10 * DAY_US
+    monkeypatch.setattr(time, "time_ns", lambda: 1000 * START_US)
     with Journal(path) as journal:
         journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (9, 6, 1)])
         journal.note_jump(10 * DAY_US)
         journal.append([make_reading(time=iso_time(wall))])
-    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (0, lambda: wall, lambda: 0))
+    monkeypatch.setattr(time, "time_ns", lambda: 1000 * wall)
     assert await kept_after_start(path, 7.0, make_reading(time=iso_time(wall))) == [2, 3, 4]
     with Journal(path) as journal:
         journal.note_jump(-10 * DAY_US)
@@ -266,3 +268,18 @@ async def test_a_journal_error_is_told_not_swallowed(
     with contextlib.suppress(asyncio.CancelledError):
         await running
     await writer.close()
+
+
+async def test_a_clock_that_stays_wrong_over_several_starts_deletes_nothing(
+    tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock jumps by 400 days between two runs and stays: readings of a minute ago are kept at every later start."""
+    path, ahead = tmp_path / "j.sqlite", START_US + 400 * DAY_US
+    with Journal(path) as journal:
+        journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (31, 0)])
+    monkeypatch.setattr(time, "time_ns", lambda: 1000 * ahead)
+    for first in ([2], [2, 3, 4], [2, 3, 4, 5, 6]):
+        assert await kept_after_start(path, 30.0, make_reading(time=iso_time(ahead))) == first
+    monkeypatch.setattr(time, "time_ns", lambda: 1000 * START_US)
+    with Journal(path) as journal:
+        assert journal.clock_doubt_us == 0
