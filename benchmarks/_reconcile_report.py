@@ -135,7 +135,10 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
         ("two hidden, both by the catalogue's equation: exactly named", "≥ 85 %", own["pair"], _named_exactly),
         ("– and sure of it: effects_found, nothing unnamed", "", own["pair"], _is("exact")),
         ("two hidden: confidently wrong", "≤ 1 %", fine["pair"] + fine["own_pair"], _is("confident_wrong")),
-        ("another equation: right name first, or a curve without a name along the right covariate", "≥ 95 %", fine["variant"], _is("family_or_place")),
+        (
+            "another equation: right name first, or a curve without a name along the right covariate",
+            "≥ 95 %", fine["variant"], _is("family_or_place"),
+        ),
         ("another equation, 0.3 of the size: the same", "", other["weak"], _is("family_or_place")),
         ("another equation in a pair: both named", "", other["pair"], _is("named")),
         ("another equation: confidently wrong", "", fine["variant"], _is("confident_wrong")),
@@ -164,8 +167,8 @@ def _share(hits: int, total: int) -> str:
 def _fresh(fine: dict[str, list[Result]]) -> str:
     """Return how well the found effects meet a fresh session: those of the model's equation, then of another."""
     lines = [
-        "Where the right name was first, the found effects were tried in a new session of the same simulated camera and "
-        "scene. They were fixed there, and only nuisance parameters were fitted. The excess is the reduced χ² less 1. "
+        "Where the right name was first, the found effects were tried in a new session of the same simulated camera "
+        "and scene. They were fixed there, and only nuisance parameters were fitted. The excess is the reduced χ² less 1. "
         "Wrong exposure labels, which no second session repeats, are left out.",
         "",
         "| measure | required | reached | 95 % interval |",

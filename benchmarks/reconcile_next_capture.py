@@ -119,8 +119,8 @@ def main() -> None:
                 rows.append(row)
                 print(row, flush=True)
     body = (
-        "The number of captures beyond a plain bracket until the hidden effect is named alone and without alternatives, "
-        f"for {options.seeds} seeds; – means not within {options.most}.\n\n{page(rows)}"
+        "The number of captures beyond a plain bracket until the hidden effect is named alone and without "
+        f"alternatives, for {options.seeds} seeds; – means not within {options.most}.\n\n{page(rows)}"
     )
     print(body)
     command = (

@@ -60,8 +60,8 @@ def is_right(effect: Mapping[str, Any], secret: Secret) -> bool:
 def tally(results: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of what was run, one line for each kind, in Markdown."""
     lines = [
-        "| hidden | sessions | something found | right name first | right name alone | a wrong name | confidently wrong | "
-        "true covariate among three | crashes |",
+        "| hidden | sessions | something found | right name first | right name alone | a wrong name | "
+        "confidently wrong | true covariate among three | crashes |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for kind in dict.fromkeys(str(result["kind"]) for result in results):
