@@ -168,8 +168,8 @@ def _fresh(fine: dict[str, list[Result]]) -> str:
     """Return how well the found effects meet a fresh session: those of the model's equation, then of another."""
     lines = [
         "Where the right name was first, the found effects were tried in a new session of the same simulated camera "
-        "and scene. They were fixed there, and only nuisance parameters were fitted. The excess is the reduced χ² less 1. "
-        "Wrong exposure labels, which no second session repeats, are left out.",
+        "and scene. They were fixed there, and only nuisance parameters were fitted. The excess is the reduced χ² less "
+        "1. Wrong exposure labels, which no second session repeats, are left out.",
         "",
         "| measure | required | reached | 95 % interval |",
         "|---|---|---|---|",
