@@ -84,7 +84,7 @@ def page(rows: list[dict[str, Any]]) -> str:
     lines = ["| hidden | radiances of patches | proposed | at random |", "|---|---|---|---|"]
     for (name, known), group in _grouped(rows).items():
         asked_for, random = (", ".join("–" if r[k] is None else str(r[k]) for r in group) for k in ("asked", "random"))
-        lines.append(f"| {name} | {'stated' if known else 'unknown'} | {asked_for} | {random} |")
+        lines.append(f"| {name} | {'stated' if known else 'not stated'} | {asked_for} | {random} |")
     counts = {k: [r[k] for r in rows] for k in ("asked", "random")}
     lines.append("")
     for key, words in (("asked", "What is asked for"), ("random", "A random choice")):
