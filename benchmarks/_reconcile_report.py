@@ -54,8 +54,8 @@ HONESTY = {
 def plain_report(results: list[Result]) -> str:
     """Return the table of what plain brackets can tell, in Markdown."""
     parts = [
-        "Twelve exposures of one chart, twice each, and four darks; each entry hidden once in each kind, at once to "
-        "twice its smallest realistic size.",
+        "Twelve exposures of one chart, twice each, and four darks. Each session hides one entry, at one to two times "
+        "its smallest realistic size.",
         "| answer | radiances of patches stated | not stated |\n|---|---|---|",
     ]
     kinds = ("plain", "plain_unknown")
