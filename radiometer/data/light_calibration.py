@@ -54,8 +54,9 @@ class ChannelCalibration(FileSection):
         Raises:
             CalibrationError: If a higher level, or the high current, does not give more light.
         """
-        names = {point.current_range for point in self.points}
-        found = {name: [point for point in self.points if point.current_range == name] for name in names}
+        found = dict[str, list[LightPoint]]()
+        for point in self.points:
+            found.setdefault(point.current_range, []).append(point)
         # Radiance over duty, which an LED under PWM nearly keeps: so ranges compare that share no duty.
         efficacy = {
             name: [one.radiance_W_per_sr_m2 / one.duty_step for one in points] for name, points in found.items()

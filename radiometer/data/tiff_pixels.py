@@ -139,10 +139,10 @@ def page_values(path: Path, page: Any) -> NDArray[Any]:
     several = len(shape) > 2
     with_opencv = several and (page.dtype.itemsize > 1 or _ASSOCIATED in page.extrasamples)
     mixed_up = with_opencv and page.planarconfig == _PLANES_APART
-    values = None if mixed_up else _of_libtiff(path, page.offset, with_opencv=with_opencv)
-    if values is None or values.shape != shape or (several and values.dtype != page.dtype):
+    found = None if mixed_up else _of_libtiff(path, page.offset, with_opencv=with_opencv)
+    if found is None or found.shape != shape or (several and found.dtype != page.dtype):
         raise CaptureError(f"{path}: its samples are not read with this compression; save it without compression")
-    return values.astype(page.dtype, copy=False)
+    return found.astype(page.dtype, copy=False)
 
 
 @bounded_reader(apart="PIL")
