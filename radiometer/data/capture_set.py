@@ -26,12 +26,13 @@ from radiometer.data.capture_header import (
 )
 from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
-from radiometer.data.guards import refuse_endless_tiff, refuse_large_picture
+from radiometer.data.guards import refuse_large_picture
 from radiometer.data.mosaic import in_planes, plane_of
 from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import check_new_folder, dump_yaml, read_yaml, state_folder, write_bytes_atomic
+from radiometer.data.tiff_pixels import TIFF_MAGICS, read_one_picture
 from radiometer.data.validation import FileSection, validate, within
 from radiometer.errors import CaptureError, OutputError, OutputRefused, UsageError
 from radiometer.moments import UNIX_S, moment_of
@@ -374,10 +375,10 @@ def read_digital_numbers(path: Path) -> DigitalNumbers:
         raise CaptureError(f"cannot read frame {path}: {error.strerror or error}") from error
     _refuse_truncated(path, head=content[:8].tobytes(), tail=content[-16:].tobytes())
     refuse_large_picture(path, content.tobytes())
-    is_tiff = content[:4].tobytes() in (b"II*\x00", b"MM\x00*")
-    if is_tiff and (pages := refuse_endless_tiff(path, content.tobytes())) > 1:
-        raise CaptureError(f"{path}: a TIFF of {pages} pages; a frame is one picture: save each page as a file")
-    image = decoded(content)
+    if content[:4].tobytes() in TIFF_MAGICS:
+        image = read_one_picture(path, content.tobytes(), may_be_mosaic=True)
+    else:
+        image = decoded(content)
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); capture it again")
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):

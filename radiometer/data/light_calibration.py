@@ -49,9 +49,23 @@ class ChannelCalibration(FileSection):
 
     @cached_property
     def ranges(self) -> dict[str, _Range]:
-        """Return the interpolation of each current range that was measured at two levels or more."""
-        names = {point.current_range for point in self.points}
-        found = {name: [point for point in self.points if point.current_range == name] for name in names}
+        """Return the interpolation of each current range that was measured at two levels or more.
+
+        Raises:
+            CalibrationError: If a higher level, or the high current, does not give more light.
+        """
+        found = dict[str, list[LightPoint]]()
+        for point in self.points:
+            found.setdefault(point.current_range, []).append(point)
+        # Radiance over duty, which an LED under PWM nearly keeps: so ranges compare that share no duty.
+        efficacy = {
+            name: [one.radiance_W_per_sr_m2 / one.duty_step for one in points] for name, points in found.items()
+        }
+        if len(efficacy) > 1 and max(efficacy[LOW_RANGE]) >= min(efficacy[HIGH_RANGE]):
+            raise CalibrationError(
+                "a light calibration whose low current gives as much light as the high one at the same duty: look"
+                " whether current_range is swapped, or measure again"
+            )
         return {name: _Range.of(points, self.duty_steps) for name, points in found.items() if len(points) > 1}
 
 
@@ -158,6 +172,11 @@ class LightCalibration:
     def read(cls, path: Path) -> LightCalibration:
         """Return the calibration in a file. Raises InputError or CalibrationError."""
         file = validate(_File, read_yaml(path), str(path), CalibrationError)
+        for name, channel in file.channels.items():
+            try:
+                _ = channel.ranges
+            except CalibrationError as error:
+                raise CalibrationError(f"{path}: channel {name}: {error}") from error
         provenance = Provenance.from_mapping(file.provenance, str(path))
         created = TypeAdapter(AwareDatetime).dump_python(file.created, mode="json")
         return cls(file.box_serial, file.channels, created, file.validity_days, provenance)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Iterator, Mapping
+from difflib import SequenceMatcher
 from typing import Annotated, Any, Final, Self, TypeVar, get_args
 
 import numpy as np
@@ -25,6 +27,11 @@ from radiometer.typing import Array
 ModelT = TypeVar("ModelT", bound=BaseModel)
 _SMALLEST: Final = 1 / LARGEST  # what must be above 0 is not so small
 _LARGEST_WHOLE: Final = 2**32  # counts, places, and seeds of 32 bits
+_ALIKE: Final = 0.85  # share of letters in common: one wrong, missing or swapped letter of seven or more
+_LONGEST_KEY: Final = 64  # characters; those of this program have up to 30
+_UNITS: Final = frozenset(
+    ("s", "ms", "us", "ns", "min", "db", "x", "dn", "adu", "e", "c", "k", "degc", "um", "mm", "nm", "m", "hz", "px")
+)  # last words of keys
 _MOST_SIDE: Final = 100_000  # pixels; the longest line sensors have 32,768
 _MOST_PIXELS: Final = 200_000_000  # the largest sensors sold have 151 million
 
@@ -98,9 +105,22 @@ class _Section(BaseModel):
 
 
 class FileSection(_Section):
-    """A section of an exchange file: frozen; keys that other programs added are kept."""
+    """A section of an exchange file: frozen; keys that other programs added are kept.
+
+    A key that is a known one in another spelling or unit is no such key, but one that would be ignored in silence.
+    """
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _further_keys_are_others(cls, mapping: Any) -> Any:
+        further = [str(key) for key in mapping if key not in cls.model_fields] if isinstance(mapping, Mapping) else []
+        absent = frozenset(cls.model_fields.keys() - mapping.keys()) if further else frozenset()
+        for key in further:
+            if (meant := _meant(key, cls, absent)) is not None:
+                raise ValueError(f"key {key[:80]!r} is not read; write {meant!r}, or give it a name less like that")
+        return mapping
 
 
 class ConfigSection(_Section):
@@ -136,6 +156,34 @@ def _line(entry: Mapping[str, Any], model: type[BaseModel]) -> str:
     shown = repr(entry.get("input"))
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     return f"{key} = {shown}: {message[0].lower()}{message[1:]}"
+
+
+@functools.lru_cache(1024)  # the frames of a capture set all have the same further keys
+def _meant(key: str, model: type[BaseModel], absent: frozenset[str]) -> str | None:
+    """Return the known key that an unknown one is in another spelling; None where it is like none.
+
+    One that differs in its unit or in a letter is so only where the known key is absent: beside it, it is a further
+    statement of another program.
+    """
+    plain = _plain(key)
+    for known in model.model_fields:
+        if _plain(known) == plain:
+            return known
+    for known in sorted(absent):
+        same_quantity = _plain(known, without_unit=True) == _plain(key, without_unit=True)
+        if same_quantity or (len(plain) <= _LONGEST_KEY and _likeness(plain, _plain(known)) >= _ALIKE):
+            return known
+    return None
+
+
+def _plain(key: str, *, without_unit: bool = False) -> str:
+    """Return a key in small letters and digits alone."""
+    words = re.findall("[a-z0-9]+", key.lower())
+    return "".join(words[:-1] if without_unit and len(words) > 1 and words[-1] in _UNITS else words)
+
+
+def _likeness(one: str, other: str) -> float:
+    return SequenceMatcher(None, one, other, autojunk=False).ratio()
 
 
 def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +12,7 @@ from PIL import Image, UnidentifiedImageError
 
 from radiometer.data.raw_files import RAW_SUFFIXES
 from radiometer.data.statements import Statement, StatementMap, first_stated, places
+from radiometer.data.tiff_pixels import DAMAGE, directories
 
 Header = Mapping[str, Statement]
 
@@ -35,11 +35,6 @@ _ISO: Final = places(
 _F_NUMBER: Final = places("FNumber:1")
 _LARGEST_APEX: Final = 32.0  # 2³² s and 2⁻³² s: no shutter has them
 _APEX_SAME_STOPS: Final = 0.5  # ShutterSpeedValue and ExposureTime may be of the dial's and of the real time
-DAMAGE: Final = (
-    tifffile.TiffFileError, OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, struct.error,
-    RuntimeError, ZeroDivisionError, OverflowError,
-)  # fmt: skip
-"""What tifffile raises on damaged tags or data: nearly any built-in error."""
 
 
 def statements_of_page(page: Any, *parents: Any) -> dict[str, Statement]:
@@ -132,33 +127,6 @@ def read_exif_header(path: Path) -> dict[str, Statement]:
     if "ExposureTime" not in found and path.suffix.lower() in RAW_SUFFIXES:
         found = _of_libraw(path) | found
     return found
-
-
-def directories(tiff: Any) -> Iterator[tuple[Any, tuple[Any, ...]]]:
-    """Yield every directory of a TIFF with those above it: pages, and the directories within them."""
-    for page in tiff.pages:
-        whole = page.aspage()
-        yield whole, ()
-        for inner in whole.pages or ():
-            yield inner.aspage(), (whole,)
-
-
-def count_pictures(path: Path) -> int:
-    """Return how many full-size pictures a TIFF holds; 1 of any other file."""
-    try:
-        with tifffile.TiffFile(path) as tiff:
-            return max(1, sum(not page.is_reduced for page, _ in directories(tiff)))
-    except DAMAGE:
-        return 1  # reported when its pixels are read
-
-
-def is_zero_white(path: Path) -> bool:
-    """Return whether a TIFF states that 0 is white: decoders turn such numbers in some depths and not in others."""
-    try:
-        with tifffile.TiffFile(path) as tiff:
-            return any(page.photometric == 0 for page, _ in directories(tiff))
-    except DAMAGE:
-        return False  # reported when its pixels are read
 
 
 def _of_tiff(path: Path) -> dict[str, Statement]:

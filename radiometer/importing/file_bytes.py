@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Final
 
 from radiometer.data.guards import MOST_FILE_BYTES
+from radiometer.data.tiff_pixels import TIFF_MAGICS
 from radiometer.errors import CaptureError
 
 _GZIP_MAGIC: Final = b"\x1f\x8b"
 _FITS_MAGIC: Final = b"SIMPLE  ="  # FITS standard 4.0, section 4.4.1.1
-_TIFF_MAGICS: Final = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 _PNG_MAGIC: Final = b"\x89PNG"
 
 
@@ -51,6 +51,6 @@ def kind_of(path: Path) -> str:
     head = read_bytes(path, 16)
     if head.startswith(_FITS_MAGIC):
         return "fits"
-    if head.startswith(_TIFF_MAGICS):
+    if head.startswith(TIFF_MAGICS):
         return "tiff"
     return "png" if head.startswith(_PNG_MAGIC) else ""

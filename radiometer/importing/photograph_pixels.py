@@ -17,14 +17,13 @@ from radiometer.data.frame import DigitalNumbers
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import RAW_READER_BYTES, bounded_reader
+from radiometer.data.tiff_pixels import TIFF_MAGICS, read_one_picture
 from radiometer.errors import CaptureError
-from radiometer.importing.exif import count_pictures, is_zero_white
 
 CHANNELS: Final = ("red", "green", "blue")
 IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 LUMA: Final = (0.299, 0.587, 0.114)  # ITU-R BT.601
 _PNG_START: Final = b"\x89PNG"
-_TIFF_STARTS: Final = (b"II", b"MM")
 _JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 
 
@@ -156,12 +155,8 @@ def _decode_lossless(path: Path) -> Any:
     if content[:4].tobytes() == _PNG_START and b"IEND" not in content[-16:].tobytes():
         raise CaptureError(f"{path}: the PNG is truncated (no closing chunk); copy it again")
     refuse_large_picture(path, content.tobytes())
-    if content[:2].tobytes() in _TIFF_STARTS and (pictures := count_pictures(path)) > 1:
-        raise CaptureError(
-            f"{path}: holds {pictures} pictures, a photograph is one; `radiometer import` reads them all"
-        )
-    if content[:2].tobytes() in _TIFF_STARTS and is_zero_white(path):
-        raise CaptureError(f"{path}: its tags state that 0 is white; save it anew with 0 as black")
+    if content[:4].tobytes() in TIFF_MAGICS:
+        return read_one_picture(path, content.tobytes())
     image = decoded(content)
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); copy it again")

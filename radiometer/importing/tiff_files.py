@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,18 +12,24 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
-from PIL import Image
 
 from radiometer.data.frame import FrameSettings
-from radiometer.data.guards import refuse_endless_tiff, refuse_size
+from radiometer.data.guards import refuse_size
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import Statement, StatementMap, first_stated, places
-from radiometer.errors import CaptureError, DamagedFileError, UnsettledError
+from radiometer.data.tiff_pixels import (
+    MOSAIC,
+    PALETTE,
+    WHITE_IS_ZERO,
+    full_size,
+    opened_tiff,
+    page_values,
+    pictures_without_directory,
+    refuse_cut_short,
+)
+from radiometer.errors import CaptureError
 from radiometer.importing.exif import (
-    DAMAGE,
-    directories,
     exposure_of,
     f_number_of,
     iso_of,
@@ -62,11 +67,11 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
         UnsettledError: If a number has no unit that is known.
     """
     with _opened(path) as tiff:
-        pages, reduced = _full_size(tiff)
+        pages, reduced = full_size(tiff)
         if not pages:
             raise CaptureError(f"{path}: the TIFF holds no page")
         top = [page for page, _ in pages]
-        pages += [pages[0]] * _pictures_without_directory(tiff, top)
+        pages += [pages[0]] * pictures_without_directory(tiff, top)
         planes = planes_of(path, [page for page, _ in pages], tiff.ome_metadata if tiff.is_ome else None)
         stated = _image_j(tiff)
         frames = []
@@ -81,73 +86,22 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the stored values of one page. Raises CaptureError if the file is damaged or truncated."""
     with _opened(path) as tiff:
-        pages = [page for page, _ in _full_size(tiff)[0]]
-        stacked = _pictures_without_directory(tiff, pages)
+        pages = [page for page, _ in full_size(tiff)[0]]
+        stacked = pictures_without_directory(tiff, pages)
         page = pages[0 if stacked else part]
-        _refuse_cut_short(path, page, tiff.filehandle.size)
+        refuse_cut_short(path, page, tiff.filehandle.size)
         refuse_size(path, (1 + stacked, *page.shape), page.dtype.itemsize)
-        values = tiff.series[0].asarray().reshape(-1, *page.shape)[part] if stacked else _unpacked(path, page)
+        values = tiff.series[0].asarray().reshape(-1, *page.shape)[part] if stacked else page_values(path, page)
         table = page.tags.get(_LINEARIZATION)
         if table is not None:  # DNG 1.7, chapter 4: what is stored is the number of an entry
             entries = np.asarray(table.value, dtype=np.uint16)
             values = entries[np.minimum(values, entries.size - 1)]
-        if page.photometric == _WHITE_IS_ZERO:
+        if page.photometric == WHITE_IS_ZERO:
             values = np.iinfo(values.dtype).max - values
     return np.asarray(values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values)
 
 
-def _unpacked(path: Path, page: Any) -> NDArray[Any]:
-    if page.compression in _OF_PILLOW:
-        return _with_pillow(path, page.dataoffsets[0]).astype(page.dtype, copy=False)
-    return np.asarray(page.asarray())
-
-
 _LINEARIZATION: Final = 50712
-_MASK_TYPE, _MASK_PHOTOMETRIC = 4, 4
-_WHITE_IS_ZERO, _PALETTE = 0, 3  # PhotometricInterpretation, TIFF 6.0, section 4
-_MOSAIC: Final = 32803
-# LZW (OpenCV's default) and the JPEG and CCITT kinds: tifffile needs a further library for them, Pillow has them.
-_OF_PILLOW: Final = (2, 3, 4, 5, 7)
-_STRIPS, _TILES = 273, 324  # where the data of a directory begin
-
-
-@bounded_reader(apart="PIL")
-def _with_pillow(path: Path, data_begin: int) -> NDArray[Any]:
-    """Return the values of a directory that Pillow decodes; it is found by where its data begin."""
-    image: Any
-    with Image.open(io.BytesIO(read_bytes(path))) as image:
-        for number in range(getattr(image, "n_frames", 1)):
-            image.seek(number)
-            if image.tag_v2.get(_STRIPS, image.tag_v2.get(_TILES, (None,)))[0] == data_begin:
-                return np.asarray(image)
-    raise CaptureError(f"{path}: a directory of this compression is within another; save it without compression")
-
-
-def _full_size(tiff: Any) -> tuple[list[tuple[Any, tuple[Any, ...]]], tuple[str, ...]]:
-    """Return the directories of full-size pictures with those above them, and the others in words."""
-    found = list(directories(tiff))
-    whole = [(page, parents) for page, parents in found if not (page.is_reduced or _is_mask(page))]
-    if not whole:  # writers that mark everything as reduced: the first is the picture
-        whole = found[:1]
-    kept = {id(page) for page, _ in whole}
-    return whole, tuple(
-        f"directory {n} (a {'mask' if _is_mask(page) else 'reduced picture'} of {page.shape[1]} × {page.shape[0]}"
-        " pixels)"
-        for n, (page, _) in enumerate(found)
-        if id(page) not in kept
-    )
-
-
-def _is_mask(page: Any) -> bool:
-    """Return whether a directory is the transparency mask of another (TIFF 6.0: NewSubfileType 4, photometric 4)."""
-    return bool(page.subfiletype & _MASK_TYPE) or page.photometric == _MASK_PHOTOMETRIC
-
-
-def _pictures_without_directory(tiff: Any, pages: Sequence[Any]) -> int:
-    """Return how many pictures follow the first one's in a file with one directory: large stacks of ImageJ, and STK."""
-    if len(pages) != 1 or not (tiff.is_imagej or tiff.is_stk) or len(pages[0].shape) != 2:
-        return 0
-    return int(math.prod(tiff.series[0].shape) // math.prod(pages[0].shape)) - 1
 
 
 def _image_j(tiff: Any) -> dict[str, Statement]:
@@ -159,25 +113,8 @@ def _image_j(tiff: Any) -> dict[str, Statement]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    content = read_bytes(path)
-    refuse_endless_tiff(path, content)
-    try:
-        with tifffile.TiffFile(io.BytesIO(content)) as tiff:
-            yield tiff
-    except (CaptureError, UnsettledError):
-        raise
-    except DAMAGE as error:
-        if "imagecodecs" in str(error):  # what tifffile names where it has no decoder
-            raise CaptureError(f"{path}: its compression is not read ({error}); save it without compression") from error
-        why = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise DamagedFileError(f"{path}: not a readable TIFF file (damaged or truncated): {why}") from error
-
-
-def _refuse_cut_short(path: Path, page: Any, size: int) -> None:
-    """Refuse a page whose data end beyond the file: decoders would fill what is missing with zeros."""
-    ends = [o + c for o, c in zip(page.dataoffsets, page.databytecounts, strict=False)]
-    if not ends or max(ends) > size:
-        raise DamagedFileError(f"{path}: the TIFF is truncated (its data end beyond the file); copy it again")
+    with opened_tiff(path, read_bytes(path)) as tiff:
+        yield tiff
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +145,7 @@ def _frame(path: Path, page: Any, number: int, count: int, facts: _Facts, mapped
     shape = shape[:2] if len(shape) == 3 and shape[2] == 1 else shape
     if len(shape) != 2:
         raise CaptureError(f"{path}: a page of shape {page.shape}; frames need one channel (raw, not in colour)")
-    _refuse_cut_short(path, page, page.parent.filehandle.size)
+    refuse_cut_short(path, page, page.parent.filehandle.size)
     taken, doubts, extra = dict[str, str](), _meaning_of_numbers(path, page), dict[str, Any]()
     where = str(path)
     exposure_s = _exposure(facts, path, mapped, taken, doubts)
@@ -243,16 +180,16 @@ def _meaning_of_numbers(path: Path, page: Any) -> list[str]:
     Raises:
         CaptureError: If they are numbers of colours.
     """
-    if page.photometric == _PALETTE:
+    if page.photometric == PALETTE:
         raise CaptureError(f"{path}: its numbers are places in a table of colours; save it as grey values")
     found = []
-    if page.photometric == _WHITE_IS_ZERO:
+    if page.photometric == WHITE_IS_ZERO:
         if page.dtype.kind != "u":
             raise CaptureError(
                 f"{path}: its tags state that 0 is white, in numbers without a greatest one; save it anew"
             )
         found.append("its tags state that 0 is white: the numbers are turned")
-    if page.photometric == _MOSAIC:
+    if page.photometric == MOSAIC:
         found.append("a mosaic of colours by its tags: pixels under several filters count as one channel")
     if _LINEARIZATION in page.tags:
         found.append("its tags hold a LinearizationTable, which is applied")

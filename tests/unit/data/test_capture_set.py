@@ -64,9 +64,37 @@ def test_keys_of_other_programs_are_kept(capture):
     assert CaptureSet.read(capture).header.to_mapping()["laboratory"] == {"room": 12}
 
 
+SPELT = (
+    ("gain_db", "gain_dB"), ("gain_db", "Gain-db"), ("gain_db", "gaindb"), ("gain_db", "gain"), ("gain_db", "gain_x"),
+    ("f_number", "fNumber"), ("f_number", "f_numbre"), ("black_level_dn", "black_level"), ("shutter", "Shutter"),
+    ("temperature_C", "temperature_c"), ("temperature_C", "temperature_K"), ("source_level", "sourcelevel"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("known", "spelt"), SPELT)
+def test_a_known_key_in_another_spelling_is_refused(capture, known, spelt):
+    """It would be ignored in silence, and a default count in its place. The known one is named."""
+    edit(capture, lambda m: m["frames"][1].update({spelt: m["frames"][1].pop(known, 1)}))
+    with pytest.raises(CaptureError, match=rf"frames\.1: key '{spelt}' is not read; write '{known}'"):
+        CaptureSet.read(capture)
+
+
+def test_two_spellings_of_one_key_are_refused_and_two_units_are_not(capture):
+    """Which of the two is meant is not guessed; another program may state a quantity in its own unit as well."""
+    edit(capture, lambda m: m["frames"][1].update(gain_x=1.0, exposure_ms=10.0))
+    assert CaptureSet.read(capture).header.frames[1].model_extra == {"gain_x": 1.0, "exposure_ms": 10.0}
+    edit(capture, lambda m: m["frames"][1].update(gain_dB=6.0))
+    with pytest.raises(CaptureError, match="'gain_dB' is not read; write 'gain_db'"):
+        CaptureSet.read(capture)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        (lambda m: m.update(sorce={}), r"'sorce' is not read; write 'source'"),
+        (lambda m: m["camera"].update(Serial="1"), r"camera: key 'Serial' is not read; write 'serial'"),
+        (lambda m: m.update(lens={"f-number": 4}), r"lens: key 'f-number' is not read; write 'f_number'"),
+        (lambda m: m.update(patches=[PORT | {"U_rel": 0.1}]), r"patches\.0: key 'U_rel' is not read; write 'u_rel'"),
         (lambda m: m["camera"].pop("bit_depth"), r"'camera.bit_depth' is missing"),
         (lambda m: m["frames"][1].update(exposure_s=-1), r"frames\.1\.exposure_s = -1"),
         (lambda m: m["frames"][1].update(file="frames/9999.png"), r"9999\.png' does not exist"),

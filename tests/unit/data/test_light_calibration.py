@@ -127,6 +127,20 @@ def test_a_level_that_was_measured_twice_is_refused_by_its_step():
         calibration(*points).choose("spot", 20.0)
 
 
+@pytest.mark.parametrize("current", [(1 / 256, 1.0), (1.0, 1.0), (1.0, 1 / 256)], ids=["right", "alike", "swapped"])
+@pytest.mark.parametrize("steps", [(16, 4096), (4097, 8192)], ids=["one duty", "apart"])
+def test_a_file_whose_low_current_is_not_the_darker_one_is_refused(current, steps, tmp_path):
+    """Where it is read, whether or not both ranges were measured at the same duty; the file and channel are named."""
+    low, high = current
+    points = [point(step, step * low, "low") for step in steps] + [point(step, step * high) for step in (16, 4096)]
+    calibration(*points).write(tmp_path / "box.yaml")
+    if low < high:
+        assert LightCalibration.read(tmp_path / "box.yaml").limits("spot")[1] == 4096.0
+    else:
+        with pytest.raises(CalibrationError, match=r"box\.yaml: channel spot: .* current_range is swapped"):
+            LightCalibration.read(tmp_path / "box.yaml")
+
+
 def test_both_ends_of_what_was_measured_are_held_and_nothing_beyond():
     """16 and 4096 to a part in a thousand million; a hundredth beyond is refused with both limits."""
     found = calibration(point(16, 16.0), point(4096, 4096.0))
