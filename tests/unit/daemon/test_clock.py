@@ -115,7 +115,7 @@ async def test_the_clock_is_looked_at_every_second() -> None:
 def test_a_day_without_a_daemon_is_believed_and_no_more(
     tmp_path: Path, make_reading: Callable[..., Reading], off_us: int, doubt_us: int
 ) -> None:
-    """Off for longer, or with a newest reading in the future, the clock is in doubt by that: now, and at later starts."""
+    """Off for longer, or with a newest reading in the future, the clock is in doubt by that, at later starts too."""
     path = tmp_path / "j.sqlite"
     stamped_us = time.time_ns() // 1000 - off_us
     with Journal(path) as journal:
@@ -273,7 +273,7 @@ async def test_a_journal_error_is_told_not_swallowed(
 async def test_a_clock_that_stays_wrong_over_several_starts_deletes_nothing(
     tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The clock jumps by 400 days between two runs and stays: readings of a minute ago are kept at every later start."""
+    """The clock jumps by 400 days between two runs and stays: readings of a minute ago stay, too."""
     path, ahead = tmp_path / "j.sqlite", START_US + 400 * DAY_US
     with Journal(path) as journal:
         journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (31, 0)])
