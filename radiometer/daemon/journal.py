@@ -70,6 +70,10 @@ _UPGRADES: Final = {
     1: f"ALTER TABLE readings ADD COLUMN stream TEXT NOT NULL DEFAULT ''; {_STREAMS} {_TREND} {_FILL_TREND}",
     2: f"DROP TABLE trend; {_TREND} {_FILL_TREND}",
 }
+_JUMP: Final = (
+    "clock_jump:"  # start of a counter's name; the number of the reading after which the clock was set follows
+)
+_LONGEST_PAUSE_US: Final = 86_400_000_000  # a daemon that was off for longer may as well have a wrong clock
 _TREND_UPDATES: Final = (
     "count = count + 1",
     "total = total + :value",
@@ -116,6 +120,33 @@ def refuse_foreign_objects(connection: sqlite3.Connection, path: Path, error: ty
         )
 
 
+def _jumps(connection: sqlite3.Connection) -> list[tuple[int, int]]:
+    """Return after which numbers the clock was set forward, and by which time in µs, in the order of the numbers."""
+    rows = connection.execute("SELECT name, value FROM counters WHERE name GLOB ?", (f"{_JUMP}*",)).fetchall()
+    return sorted((int(name.removeprefix(_JUMP)), by_us) for name, by_us in rows)
+
+
+def _first_young(connection: sqlite3.Connection, before_us: int) -> tuple[int, int]:
+    """Return the number of the first reading that is not older than a time, and a time before which all are older.
+
+    What was measured before the clock was set counts by the clock as it was then.
+    """
+    jumps, begin = _jumps(connection), 0
+    (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
+    limits = [(after, before_us - sum(by_us for _, by_us in jumps[n:])) for n, (after, _) in enumerate(jumps)]
+    limits.append((last, before_us))
+    for n, (end, limit_us) in enumerate(limits):
+        young = connection.execute(
+            "SELECT sequence FROM readings WHERE sequence > ? AND sequence <= ? AND +time_us >= ?"
+            " ORDER BY sequence LIMIT 1",
+            (begin, end, limit_us),
+        ).fetchone()
+        if young is not None:
+            return young[0], min(limit for _, limit in limits[n:])
+        begin = end
+    return last, before_us
+
+
 class JournalError(OutputError):
     """The journal cannot be written just now: disk full, file locked, folder gone. Trying again may work."""
 
@@ -141,9 +172,6 @@ class Journal:
         self._checkpointed = 0  # rows that the connection had written then
         self._given_up: tuple[_Mark | None, ...] = ()  # of the files that could not be written anew
         self._last_sequence = 0
-        self.newest_at_opening_us: int | None = None
-        self.clock_doubt_us = 0
-        self._was_open = False
 
     def open(self) -> None:
         """Open the journal, making it where missing.
@@ -171,9 +199,6 @@ class Journal:
             self._release_locks()
             raise
         self._use(connection)
-        if not self._was_open:
-            self._was_open = True
-            self._learn_times(connection)
 
     def _connect(self) -> sqlite3.Connection:
         return sqlite3.connect(self._file, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
@@ -305,26 +330,55 @@ class Journal:
             return dict(connection.execute("SELECT name, json FROM patches ORDER BY name").fetchall())
 
     def note_jump(self, by_us: int) -> None:
-        """Commit that the clock was set forward by a time in µs: what is stamped from now on is in doubt by that.
+        """Commit that the clock was set forward by a time in µs since the newest reading; negative for back.
 
-        A clock that is set back takes the doubt away again. Raises JournalError if it cannot be committed now.
+        Raises:
+            JournalError: If it cannot be committed now.
         """
         with self._transaction() as connection:
             connection.execute(
-                "INSERT INTO counters VALUES ('clock_doubt_us', :by) ON CONFLICT DO UPDATE SET value = value + :by",
+                f"INSERT INTO counters SELECT '{_JUMP}' || value, :by FROM counters WHERE name = 'last_sequence'"
+                " ON CONFLICT DO UPDATE SET value = value + :by",
                 {"by": by_us},
             )
+
+    def note_opening(self, wall_us: int) -> None:
+        """Commit that a clock which disagrees with the newest reading by more than a day was set since then.
+
+        So a longer pause does not count in the age of what was measured before it: the clock alone does not tell it
+        from a wrong clock.
+
+        Args:
+            wall_us: What the clock shows, in µs since 1970 (UTC), before the first reading after the opening.
+
+        Raises:
+            JournalError: If it cannot be committed now.
+        """
+        with self._transaction() as connection:
+            newest = connection.execute(
+                "SELECT sequence, time_us FROM readings ORDER BY sequence DESC LIMIT 1"
+            ).fetchone()
+            if newest is None:
+                return
+            sequence, time_us = newest
+            name, before = f"{_JUMP}{sequence}", f"{_JUMP}{sequence - 1}"
+            # Older versions kept one sum of all jumps: of those before the newest reading.
+            connection.execute("UPDATE OR REPLACE counters SET name = ? WHERE name = 'clock_doubt_us'", (before,))
+            connection.execute("DELETE FROM counters WHERE name = ?", (name,))
+            if not 0 <= wall_us - time_us <= _LONGEST_PAUSE_US:
+                connection.execute("INSERT INTO counters VALUES (?, ?)", (name, wall_us - time_us))
 
     def drop_older(self, before_us: int) -> int:
         """Delete readings and events older than a time, oldest first, and return how many readings went.
 
-        The newest reading always stays, and so do all after the first that is young enough. Where the clock was set
-        back, an old time is among young ones, and a gap in the numbers would be damage.
+        The age of a reading does not count by how much the clock was set after it. The newest reading always stays, and
+        so do all after the first that is young enough: a gap in the numbers would be damage. Events and minutes of the
+        trend have no number, so they stay where any reading of their time could be young enough.
 
         Works in small transactions so that writing is never held up for long.
 
         Args:
-            before_us: Time in µs since 1970 (UTC).
+            before_us: Time in µs since 1970 (UTC), by the clock as it is set now.
 
         Raises:
             JournalError: If the file cannot be written now.
@@ -332,18 +386,19 @@ class Journal:
         dropped = 0
         while True:
             with self._transaction() as connection:
-                (kept,) = connection.execute(
-                    "SELECT coalesce((SELECT sequence FROM readings WHERE +time_us >= ? ORDER BY sequence LIMIT 1),"
-                    " value) FROM counters WHERE name = 'last_sequence'",
-                    (before_us,),
-                ).fetchone()
+                kept, all_before_us = _first_young(connection, before_us)
                 count = connection.execute(
                     "DELETE FROM readings WHERE sequence IN (SELECT sequence FROM readings WHERE sequence < ?"
                     " ORDER BY sequence LIMIT ?)",
                     (kept, _RETENTION_CHUNK),
                 ).rowcount
-                connection.execute("DELETE FROM events WHERE time_us < ?", (before_us,))
-                connection.execute("DELETE FROM trend WHERE minute < ?", (before_us // MINUTE_US,))
+                connection.execute("DELETE FROM events WHERE time_us < ?", (all_before_us,))
+                connection.execute("DELETE FROM trend WHERE minute < ?", (all_before_us // MINUTE_US,))
+                if count < _RETENTION_CHUNK:
+                    connection.executemany(
+                        "DELETE FROM counters WHERE name = ?",
+                        [(f"{_JUMP}{after}",) for after, _ in _jumps(connection) if after < kept],
+                    )
             dropped += count
             if count < _RETENTION_CHUNK:
                 break
@@ -403,13 +458,6 @@ class Journal:
             self._lock_file.truncate()
             self._lock_file.write(f"{last_sequence}\n")
             self._lock_file.flush()
-
-    def _learn_times(self, connection: sqlite3.Connection) -> None:
-        """Note the time of the newest reading, and how far the clock that stamped it is in doubt."""
-        newest = connection.execute("SELECT time_us FROM readings ORDER BY sequence DESC LIMIT 1").fetchone()
-        doubt = connection.execute("SELECT value FROM counters WHERE name = 'clock_doubt_us'").fetchone()
-        self.newest_at_opening_us = newest[0] if newest else None
-        self.clock_doubt_us = doubt[0] if doubt else 0
 
     def _verify(self, connection: sqlite3.Connection) -> None:
         low, high, count = connection.execute(
