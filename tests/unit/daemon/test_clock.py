@@ -176,7 +176,7 @@ def test_whatever_the_clock_did_what_is_young_stays_and_what_is_old_goes(
 def test_events_and_trend_stay_as_long_as_the_readings_of_their_time(
     tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Stamped while the clock was 30 days behind: right again, an event and a reading stay, and go together when old."""
+    """Stamped while the clock was 30 days behind: right again, an event and a reading go together."""
     path = tmp_path / "j.sqlite"
     behind_us = START_US - 30 * DAY_US
     monkeypatch.setattr(time, "time_ns", lambda: 1000 * (behind_us + HOUR_US))
