@@ -107,12 +107,12 @@ class Labels:
         """Return the counts in a sentence each."""
         found = self.planted - len(self.missed) - len(self.ties)
         return (
-            f"**Wrong labels** (no stack of fewer than four frames; the colours of a scene, or the four planes of a "
-            f"mosaic, are judged together). Clean planes by themselves: {self.clean}, of which with a label named "
-            f"wrongly: {len(self.accused)}{_names(self.accused)}; clean scenes: {self.scenes}, "
-            f"{len(self.scenes_accused)}{_names(self.scenes_accused)}. {_LIES} times in every scene of which four "
-            f"frames or more show anything (not: {', '.join(self.dark) or 'none'}) one label made wrong by a third of "
-            f"a stop to two thirds: {found} of {self.planted} found "
+            f"**Wrong labels** (no stack of fewer than four frames; the colours of a scene, or the four channels of "
+            f"a mosaic, are judged together). Colour channels with right labels, judged one by one: {self.clean}, of "
+            f"which with a label named wrongly: {len(self.accused)}{_names(self.accused)}; scenes with right labels: "
+            f"{self.scenes}, {len(self.scenes_accused)}{_names(self.scenes_accused)}. {_LIES} times in every scene "
+            f"of which four frames or more show anything (not: {', '.join(self.dark) or 'none'}) one label made wrong "
+            f"by a third of a stop to two thirds: {found} of {self.planted} found "
             f"(missed{_names(self.missed) or ': none'}), {len(self.ties)} reported as one of several"
             f"{_names(self.ties)}; another named: {len(self.others)}"
             f"{_names(self.others)}. Scenes whose exposures are off their labels by one time, the shutter's offset "

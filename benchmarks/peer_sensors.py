@@ -107,7 +107,7 @@ def judged(result: dict[str, Any]) -> str:
 
     silent: nothing hidden, nothing named. missed: something hidden, nothing named. exact: right names and nothing else,
     and sure; provisional: the same with a doubt. rival: a right name is only among alternatives. partly: a right
-    name with others, not sure. place: no name that is right, none sure. wrong: a name that is
+    name with others, not sure. unsure: no name that is right, none sure. wrong: a name that is
     not right, and sure of it.
     """
     right, reported, sure = set(result["right"]), result["reported"], result["verdict"] == "effects_found"
@@ -116,10 +116,10 @@ def judged(result: dict[str, Any]) -> str:
     names = {entry["name"] for entry in reported}
     strange = [e for e in reported if e["name"] != "unnamed" and not right & {e["name"], *e["alternatives"]}]
     if strange:
-        return "wrong" if sure else "partly" if right & names else "place"
+        return "wrong" if sure else "partly" if right & names else "unsure"
     if names <= right:
         return "exact" if sure else "provisional"
-    return "partly" if right & names else "place" if names == {"unnamed"} else "rival"
+    return "partly" if right & names else "unsure" if names == {"unnamed"} else "rival"
 
 
 def page(results: Sequence[dict[str, Any]]) -> str:

@@ -87,8 +87,9 @@ def main() -> None:
                 rows.append(row)
                 print(row, flush=True)
     body = (
-        f"Plan `{options.plan}`, {options.seeds} rigs. A limit is the size that would stand out by five sigma; a name "
-        f"asks for about four (eight nats), so that half the limit should pass, and twice it never.\n\n{page(rows)}"
+        f"Plan `{options.plan}`, {options.seeds} simulated cameras. A limit is the size that would stand out by five "
+        f"sigma; a name asks for about four (eight nats), so that half the limit should pass, and twice it "
+        f"never.\n\n{page(rows)}"
     )
     print(body)
     command = (

@@ -81,10 +81,10 @@ def as_setting(frame: dict[str, Any]) -> Setting:
 
 def page(rows: list[dict[str, Any]]) -> str:
     """Return the table in Markdown."""
-    lines = ["| hidden | patches | proposed | at random |", "|---|---|---|---|"]
+    lines = ["| hidden | radiances of patches | proposed | at random |", "|---|---|---|---|"]
     for (name, known), group in _grouped(rows).items():
         asked_for, random = (", ".join("–" if r[k] is None else str(r[k]) for r in group) for k in ("asked", "random"))
-        lines.append(f"| {name} | {'stated' if known else 'unknown'} | {asked_for} | {random} |")
+        lines.append(f"| {name} | {'stated' if known else 'not stated'} | {asked_for} | {random} |")
     counts = {k: [r[k] for r in rows] for k in ("asked", "random")}
     lines.append("")
     for key, words in (("asked", "What is asked for"), ("random", "A random choice")):
@@ -119,8 +119,8 @@ def main() -> None:
                 rows.append(row)
                 print(row, flush=True)
     body = (
-        "Captures beyond a plain bracket (12 exposures twice, 4 darks) until the hidden effect is named alone and "
-        f"without rivals, one number for each seed; – : not within {options.most}.\n\n{page(rows)}"
+        "The number of captures beyond a plain bracket until the hidden effect is named alone and without "
+        f"alternatives, for {options.seeds} seeds; – means not within {options.most}.\n\n{page(rows)}"
     )
     print(body)
     command = (

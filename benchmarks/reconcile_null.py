@@ -78,7 +78,7 @@ def page(records: list[Record]) -> str:
     ]
     listed = "Alarms: " + "; ".join(alarms_text) + "." if alarms_text else "No alarm."
     low, high = np.percentile(gaps, [2.5, 97.5])
-    middle = f"Gap of the starting model: mean {gaps.mean():.4f}, 95 % of the sets {low:.3f} to {high:.3f}."
+    middle = f"Gap of the ideal camera: mean {gaps.mean():.4f}, 95 % of the sets {low:.3f} to {high:.3f}."
     cpu = f"Processor time of the finder: median {np.median([r['cpu_s'] for r in records]):.1f} s."
     return "\n\n".join(["\n".join(rows), listed, f"{middle} {cpu}", _calibration(records)])
 
@@ -95,7 +95,7 @@ def _calibration(records: list[Record]) -> str:
         by_block[block].append(p)
     everything = np.concatenate([np.array(v) for v in by_block.values()])
     share = f"{int((everything < 0.01).sum())}/{everything.size} = {np.mean(everything < 0.01):.4f}"
-    parts = [f"Share of p < 0.01 among all tests of the starting model (required: between 0.005 and 0.02): {share}."]
+    parts = [f"Share of p < 0.01 among all tests for a trend (required: between 0.005 and 0.02): {share}."]
     parts.append(_table("statistic", by_block))
     parts.append(
         "Outliers are counts, nearly always zero, and the edge's uncertainty holds a floor for borders that are not "

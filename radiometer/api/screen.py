@@ -210,6 +210,7 @@ def screen_calibrate(
     Raises:
         UsageError: If display, channel, level or form is unknown, or no camera looks at a browser's page. Also if
             `out` holds a journal of another calibration.
+        CalibrationError: If the camera has no absolute calibration.
         MeasurementError: If white clips or is hardly brighter than black; before the screen warms up.
         DeviceError: If display or camera fails.
         OutputError: If a file cannot be written.
@@ -367,6 +368,7 @@ def screen_verify(
 
     Raises:
         UsageError: If display or level is unknown, or no camera looks at a browser's page.
+        CalibrationError: If the camera has no absolute calibration.
         MeasurementError: If white clips or is hardly brighter than black.
         DeviceError: If display or camera fails.
     """

@@ -13,7 +13,7 @@ from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.data import Calibration, Patch, PatchDescription, SourceDescription
 from radiometer.data.config_files import shipped_config
 from radiometer.devices import Camera
-from radiometer.errors import ConfigurationError, UsageError
+from radiometer.errors import CalibrationError, ConfigurationError, UsageError
 
 
 @contextmanager
@@ -99,6 +99,20 @@ def _set_by_hand(config: BenchConfig, f_number: float | None) -> float | None:
 def _calibration(path: Path, spectrum: str | None) -> Calibration:
     calibration = Calibration.read(path)
     return replace(calibration, spectrum=spectrum) if spectrum else calibration
+
+
+def require_absolute(calibration: Calibration | None) -> Calibration:
+    """Return a calibration with an absolute scale.
+
+    Raises:
+        CalibrationError: If there is none: what is read is then no radiance.
+    """
+    if calibration is None or not calibration.absolute:
+        raise CalibrationError(
+            "the camera has no absolute calibration, so it cannot measure a radiance; make one with "
+            "`radiometer calibrate`, then name it in the bench file (calibration:) or as the camera's calibration"
+        )
+    return calibration
 
 
 def calibration_path(config: BenchConfig, bench: Path | None) -> Path | None:

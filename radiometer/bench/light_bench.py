@@ -12,7 +12,7 @@ import numpy as np
 
 from radiometer.acquire.light_levels import LevelSurvey, Progress, SpectralCorrection
 from radiometer.analysis.photometry.spectral_correction import FLAT_QUANTUM_EFFICIENCY_U_REL, spectral_factor
-from radiometer.bench.assembly import calibration_path, open_instrument
+from radiometer.bench.assembly import calibration_path, open_instrument, require_absolute
 from radiometer.bench.boxes import OpenedBox
 from radiometer.bench.cameras import SIMULATED as SIMULATED_CAMERA
 from radiometer.bench.config import SimulatedCameraConfig, read_bench
@@ -22,7 +22,7 @@ from radiometer.data.config_files import shipped_config
 from radiometer.data.event_journal import EventJournal
 from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
 from radiometer.devices import CameraPreset
-from radiometer.errors import CalibrationError, UsageError
+from radiometer.errors import UsageError
 from simulators.chain.camera_model import CameraModel
 from simulators.light_box.camera import BoxView, HookedClock, LightBoxCamera
 
@@ -151,11 +151,7 @@ def _provenance(
 
 
 def _absolute(instrument: Instrument) -> Instrument:
-    if instrument.calibration is None or not instrument.calibration.absolute:
-        raise CalibrationError(
-            "the camera has no absolute calibration, so it cannot measure a radiance; "
-            "make one with `radiometer calibrate` and give it with --calibration"
-        )
+    require_absolute(instrument.calibration)
     # The box's light is known: the survey corrects every channel's readings for it, with its uncertainty.
     return replace(instrument, spectrum_stated=True)
 

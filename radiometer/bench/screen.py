@@ -24,7 +24,7 @@ from radiometer.analysis.photometry.photometry import (
     spectral_columns,
     spectrum,
 )
-from radiometer.bench.assembly import calibration_path, open_bench_camera
+from radiometer.bench.assembly import calibration_path, open_bench_camera, require_absolute
 from radiometer.bench.box_holder import darken_held
 from radiometer.bench.cameras import SIMULATED, preset_path
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
@@ -306,5 +306,5 @@ def _simulated_bench(
 
 
 def _instrument(camera: Camera, patch: Patch, calibration: Path | None, config: BenchConfig) -> Instrument:
-    known = Calibration.read(calibration) if calibration else None
+    known = require_absolute(Calibration.read(calibration) if calibration else None)
     return Instrument(camera, patch, calibration=known, time_limit_s=config.time_limit_s, calibration_file=calibration)

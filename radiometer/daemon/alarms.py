@@ -39,8 +39,8 @@ KINDS: Final = (
               "a reading of it is in the journal, or continuous measurement ended"),
     AlarmKind("reading PATCH", "the same for a patch with a name", "a reading of it came, or it was deleted"),
     AlarmKind("stopped",
-              "a patch has limits, and nothing is measured continuously, or at a period of over 5 times that at which "
-              "they were set (and 10 s)",
+              "a patch has limits, and nothing is measured continuously, or at a period longer than 10 s and than 5 "
+              "times that at which they were set",
               "it is, at a shorter period, or no patch has limits"),
     AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch, or are bounds (clipped, "
               "or below noise) or of another unit, which cannot show whether they are",

@@ -60,15 +60,19 @@ def is_right(effect: Mapping[str, Any], secret: Secret) -> bool:
 def tally(results: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of what was run, one line for each kind, in Markdown."""
     lines = [
-        "| kind | sessions | something found | right name first | exactly that | junk names | confidently wrong | "
-        "true place among three | errors |",
+        "| hidden | sessions | something found | right name first | right name alone | a wrong name | "
+        "confidently wrong | true covariate among three | crashes |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for kind in dict.fromkeys(str(result["kind"]) for result in results):
         own = [result for result in results if result["kind"] == kind]
         judged = [result["judged"] for result in own if "judged" in result]
         counts = [f"{sum(bool(j[key]) for j in judged)}/{len(judged)}" for key in YES_NO]
-        unasked = {"null": ("first", "exact", "place"), "outsider": ("first", "exact")}.get(kind, ())
+        unasked = {"null": ("first", "exact", "place"), "outsider": ("first", "exact")}.get(kind, ("place",))
         cells = ["–" if key in unasked else count for key, count in zip(YES_NO, counts, strict=True)]
-        lines.append(f"| {kind} | {len(own)} | " + " | ".join(cells) + f" | {len(own) - len(judged)} |")
+        lines.append(
+            f"| {'variant' if kind == 'law' else kind} | {len(own)} | "
+            + " | ".join(cells)
+            + f" | {len(own) - len(judged)} |"
+        )
     return "\n".join(lines)

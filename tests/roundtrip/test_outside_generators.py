@@ -135,4 +135,4 @@ def test_the_tally_counts_errors_apart():
     """A crash is a session of its own, not a wrong name."""
     right = judge(answer("effects_found", effect("veiling_glare")), VEIL)
     table = tally([{"kind": "law", "judged": right}, {"kind": "law", "error": "x"}])
-    assert table.splitlines()[-1] == "| law | 2 | 1/1 | 1/1 | 1/1 | 0/1 | 0/1 | 0/1 | 1 |"
+    assert table.splitlines()[-1] == "| variant | 2 | 1/1 | 1/1 | 1/1 | 0/1 | 0/1 | – | 1 |"

@@ -166,15 +166,19 @@ def _gamma(examined: Examined) -> Section:
             local = derived([black, one, white], partial(_local, drive=drive), drift_rel=drift)
         rows.append((f"{round(drive * _TOP)}", examined.luminance(one.radiance), local))
     notes = () if all(clear) else ("levels that do not rise above black by three standard uncertainties are left out",)
+    slope, misfit = (derived(readings, partial(_part, line, at), drift_rel=drift) for at in (0, 1))
+    # Where the greys follow no power, the slope depends on which levels were read.
+    of_line = misfit.value / max(float(np.std(logs)) * math.sqrt(max(logs.size - 2, 1)), 1e-300)
     return Section(
         "gamma", "Gamma of the greys",
         (f"{len(drives)} greys, full screen, centre; slope of ln(L − L_black) over ln(level)",),
-        (
-            Figure("gamma", derived(readings, lambda v: line(v)[0], drift_rel=drift)),
-            Figure("misfit_rms", derived(readings, lambda v: line(v)[1], drift_rel=drift)),
-        ),
+        (Figure("gamma", replace(slope, u=math.hypot(slope.u, of_line))), Figure("misfit_rms", misfit)),
         ("level", "luminance (cd·m⁻²)", "local gamma"), tuple(rows), notes,
     )  # fmt: skip
+
+
+def _part(of: Callable[[Array], tuple[float, float]], at: int, values: Array) -> float:
+    return of(values)[at]
 
 
 def _local(values: Array, drive: float) -> float:

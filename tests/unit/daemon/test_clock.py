@@ -328,3 +328,41 @@ async def test_a_journal_error_is_told_not_swallowed(
     with contextlib.suppress(asyncio.CancelledError):
         await running
     await writer.close()
+
+
+async def test_a_clock_that_stays_wrong_over_several_starts_deletes_nothing(
+    tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock jumps by 400 days between two runs and stays: readings of a minute ago stay, too."""
+    path, ahead = tmp_path / "j.sqlite", START_US + 400 * DAY_US
+    with Journal(path) as journal:
+        journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (31, 0)])
+    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (lambda: ahead, lambda: 0))
+    for first in ([2], [2, 3, 4], [2, 3, 4, 5, 6]):
+        assert await kept_after_start(path, 30.0, make_reading(time=iso_time(ahead))) == first
+
+
+def test_a_clock_that_was_wrong_first_and_is_again_deletes_nothing_young(
+    tmp_path: Path, make_reading: Callable[..., Reading]
+) -> None:
+    """Ahead by 400 days when the journal was made, right for 31 days, then ahead again while no daemon runs."""
+    now_us = START_US + 31 * DAY_US
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading(time=iso_time(START_US + 400 * DAY_US))] * 2)
+        journal.note_jump(-400 * DAY_US)
+        journal.append([make_reading(time=iso_time(now_us))] * 3)
+        journal.note_opening(now_us + 400 * DAY_US)
+        assert journal.drop_older(now_us + 400 * DAY_US - 30 * DAY_US) == 2
+
+
+def test_pauses_do_not_add_up(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+    """Off for two days each week: after a year nothing is kept that was measured over 30 days of running before."""
+    true_us = START_US
+    with Journal(tmp_path / "j.sqlite") as journal:
+        for day in range(364):
+            true_us += 3 * DAY_US if day % 5 == 0 else DAY_US
+            journal.note_opening(true_us)
+            journal.append([make_reading(time=iso_time(true_us))])
+            journal.drop_older(true_us - 30 * DAY_US)
+    left = [json.loads(line)["sequence"] for line in JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter())]
+    assert len(left) == 1 + 30 + 30 // 4  # the pause itself is not counted: four days of every five

@@ -14,6 +14,7 @@ import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.data import RadianceMap
 from radiometer.devices import DisplayPatch
+from radiometer.errors import CalibrationError
 from radiometer.screen.report.mura import mura_of
 from simulators.displays import DISPLAYS, SimulatedDisplay
 
@@ -243,3 +244,15 @@ def test_spectra_that_contradict_each_other_are_in_the_u_of_luminances() -> None
     assert gap > 0.05 * light["white"].value
     assert gap <= 2.0 * light["white"].u
     assert any("contradict" in note for note in section.notes)
+
+
+def test_a_camera_without_a_scale_measures_no_screen(tmp_path: Path) -> None:
+    """A display has luminances: a bench without an absolute calibration is refused before anything is measured."""
+    bench = tmp_path / "bench.yaml"
+    bench.write_text(
+        "format: radiometer-bench/1\ncamera: {kind: simulated, preset: BFS-U3-19S4M}\n"
+        "lens: {focal_length_mm: 16, f_number: 4}\n"
+    )
+    for measure in (rm.screen_calibrate, rm.screen_report):
+        with pytest.raises(CalibrationError, match="no absolute calibration"):
+            measure(display="lcd", bench=bench)
