@@ -345,8 +345,7 @@ class Journal:
     def note_opening(self, wall_us: int) -> None:
         """Commit that a clock which disagrees with the newest reading by more than a day was set since then.
 
-        So a longer pause does not count in the age of what was measured before it: the clock alone does not tell it
-        from a wrong clock.
+        So a longer pause does not count in the age of what was measured before it: a wrong clock looks the same.
 
         Args:
             wall_us: What the clock shows, in µs since 1970 (UTC), before the first reading after the opening.
