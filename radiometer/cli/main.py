@@ -46,9 +46,9 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
     """Return what an encoding of the output has no signs for as JSON escapes it, so that JSON stays JSON."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    from radiometer.data.json_text import json_text
+    import json
 
-    return json_text(error.object[error.start : error.end], ascii_only=True)[1:-1], error.end
+    return json.dumps(error.object[error.start : error.end])[1:-1], error.end
 
 
 def _stand_in_for_closed_streams() -> None:
