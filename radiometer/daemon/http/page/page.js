@@ -143,9 +143,10 @@ function hovered(panel, index) {
   const c = panel.columns, rows = c.value.map((v, i) => i).filter((i) => c.value[i] !== null);
   if (!rows.length) return "";
   if (index === null) {
-    const count = rows.reduce((n, i) => n + c.count[i], 0), mean = rows.reduce((n, i) => n + c.value[i] * c.count[i], 0) / count;
-    const spread = Math.sqrt(rows.reduce((n, i) => n + c.count[i] * (c.value[i] - mean) ** 2, 0) / Math.max(1, count));
-    return `mean ${+mean.toPrecision(5)} · scatter ${(100 * spread / Math.abs(mean || 1)).toPrecision(2)} % · ${count} readings`;
+    const count = rows.reduce((n, i) => n + c.count[i], 0), mean = (column) => rows.reduce((n, i) => n + column[i] * c.count[i], 0) / count;
+    const low = Math.min(...rows.map((i) => c.low[i])), high = Math.max(...rows.map((i) => c.high[i]));
+    const [from, to] = [low, high].map((v) => { const w = written(v, high - low); return w.value + w.power; });
+    return `mean ${quantity(mean(c.value), mean(c.U), "").trim()} (k = ${c.coverage_factor}) · ${count} readings from ${from} to ${to}`;
   }
   return `${timeText(c.time[index], state.span)}   ${quantity(c.value[index], c.U[index], c.unit)}${c.count[index] > 1 ? `   mean of ${c.count[index]}` : ""}${c.flagged[index] ? `   ${c.flagged[index]} flagged` : ""}`;
 }
