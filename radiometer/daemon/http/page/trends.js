@@ -22,6 +22,8 @@ const label = (value, step) => {
 // Between ticks: a step of 2.5, which is uPlot's own as well, has a digit more than its label.
 const STEPS = Array.from({ length: 40 }, (_, i) => i - 24).flatMap((power) => [1, 2, 5].map((m) => +`${m}e${power}`));
 
+const LIMIT_ROOM = 10;  // ranges of the readings; farther away a limit would leave no height for them
+
 /** One patch: its panel, its plot, and the columns it shows. */
 export class TrendPanel {
   constructor(place, name, hover) {
@@ -76,10 +78,10 @@ export class TrendPanel {
     const shown = [low, high].filter((v) => v !== null && Number.isFinite(v));
     if (!shown.length) return [0, 1];
     let [bottom, top] = [Math.min(...shown), Math.max(...shown)];
+    const room = LIMIT_ROOM * Math.max(top - bottom, Math.abs(top) * 0.02), [least, most] = [bottom - room, top + room];
     for (const side of ["low", "high"]) {  // a limit that is near, or broken, belongs into the picture
-      const limit = this.limits[side], room = Math.max(top - bottom, Math.abs(top) * 0.02);
-      if (limit != null && this.breached === side) { bottom = Math.min(bottom, limit); top = Math.max(top, limit); }
-      if (limit != null && limit > bottom - 1.5 * room && limit < top + 1.5 * room) { bottom = Math.min(bottom, limit); top = Math.max(top, limit); }
+      const limit = this.limits[side];
+      if (limit != null && (this.breached === side || (limit > least && limit < most))) { bottom = Math.min(bottom, limit); top = Math.max(top, limit); }
     }
     const pad = Math.max((top - bottom) * 0.1, Math.abs(top) * 1e-4, 1e-12);
     return [bottom - pad, top + pad];
