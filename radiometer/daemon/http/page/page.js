@@ -218,8 +218,10 @@ function patchRow(name) {
   return row;
 }
 function showPatches() {
-  const patches = state.status?.patches || {}, units = new Set(Object.keys(patches).map((name) => state.latest.get(name)?.radiance.unit).filter(Boolean));
-  $("patch-unit").textContent = units.size === 1 ? unitText([...units][0]) : "";
+  const patches = state.status?.patches || {}, shown = Object.keys(patches).map((name) => state.latest.get(name)).filter(Boolean);
+  const units = new Set(shown.map((reading) => reading.radiance.unit)), factors = shown.map((reading) => reading.coverage_factor);
+  const k = [...new Set([Math.min(...factors), Math.max(...factors)].map((factor) => +factor.toPrecision(3)))].join(" to ");
+  $("patch-unit").textContent = [units.size === 1 ? unitText([...units][0]) : "", factors.length ? `k = ${k}` : ""].filter(Boolean).join(", ");
   const rows = Object.entries(patches).map(([name, entry]) => {
     const row = patchRow(name), [title, value, button] = row.children, reading = state.latest.get(name), { low, high } = entry.limits;
     row.className = `patch-row${entry.breached ? " bad" : ""}`;
@@ -256,7 +258,8 @@ $("patches-all").addEventListener("click", () => { root.classList.toggle("all-pa
 new ResizeObserver(() => part("the patches", showPatches)).observe(document.querySelector(".card.patches"));
 function askLimits(name, limits) {
   limited = name;
-  $("limits-title").textContent = `Limits of ${name === "main" ? "the patch" : name}`;
+  const unit = state.latest.get(name)?.radiance.unit || limits.unit || "";
+  $("limits-title").textContent = `Limits of ${name === "main" ? "the patch" : name}${unit ? ` in ${unitText(unit)}` : ""}`;
   $("limit-low").value = limits.low ?? ""; $("limit-high").value = limits.high ?? "";
   $("limit-delete").hidden = name === "main";
   $("limits").returnValue = "cancel";
