@@ -181,7 +181,7 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
         if bound in outside or least - room < bound < most + room:
             axes.axhline(bound, **dashed)
         else:  # such an artist widens nothing
-            across = axes.get_yaxis_transform()  # type: ignore[no-untyped-call]
+            across = axes.get_yaxis_transform()
             axes.add_artist(Line2D([0, 1], [bound, bound], transform=across, **dashed))
     flagged: Any = [(moment_of(one["time"]), one["radiance"]["value"]) for one in readings if one["flags"]]
     if flagged:
