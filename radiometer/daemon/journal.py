@@ -151,13 +151,17 @@ class JournalError(OutputError):
     """The journal cannot be written just now: disk full, file locked, folder gone. Trying again may work."""
 
 
+class JournalSizeError(JournalError):
+    """The journal has the size that it may have: until old readings are deleted, no other can be written."""
+
+
 class Journal:
     """Writes readings and events. Use it from one thread at a time; readers have separate connections.
 
     Args:
         path: The SQLite file; it and its folder are made where missing.
         max_bytes: Size that the file and SQLite's log next to it may not outgrow; None for no limit. Appending then
-            raises JournalError.
+            raises JournalSizeError.
     """
 
     def __init__(self, path: Path, *, max_bytes: int | None = None) -> None:
@@ -671,16 +675,16 @@ class Journal:
             return OutputError(f"{self.path} is damaged or no journal ({error}); name another with --journal")
         if self._connection is None and code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY):
             return OutputError(f"cannot write the journal {self.path}: {error}; name a place that can with --journal")
-        ways_out = {
-            sqlite3.SQLITE_FULL: self._way_out_of_fullness(),
-            sqlite3.SQLITE_BUSY: "another program holds it locked; close that program",
-        }
-        return JournalError(f"cannot write the journal {self.path}: {error}; {ways_out.get(code, 'trying again')}")
-
-    def _way_out_of_fullness(self) -> str:
-        if self._max_bytes is None or free_bytes(self._file.parent) < self._max_bytes:
-            return "free space on the disk, or shorten --keep-days"
-        return f"it has the {self._max_bytes / 1e6:g} MB of --journal-max-mb: raise that, or shorten --keep-days"
+        what = f"cannot write the journal {self.path}: {error}"
+        if code == sqlite3.SQLITE_FULL:
+            if self._max_bytes is None or free_bytes(self._file.parent) < self._max_bytes:
+                return JournalError(f"{what}; free space on the disk, or shorten --keep-days")
+            size = f"it has the {self._max_bytes / 1e6:g} MB of --journal-max-mb"
+            return JournalSizeError(f"{what}; {size}: raise that, or shorten --keep-days")
+        busy = code == sqlite3.SQLITE_BUSY
+        return JournalError(
+            f"{what}; {'another program holds it locked; close that program' if busy else 'trying again'}"
+        )
 
     def _take_locks(self) -> None:
         """Lock the name of the file, which those of its WAL depend on, and the file itself, whatever it is called.
