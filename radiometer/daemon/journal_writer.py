@@ -61,7 +61,7 @@ class JournalWriter:
         self._jumps_us = 0
         self._may_be_waiting = True  # readings of an earlier daemon, until they are taken in
         self._kept_patches: dict[str, str | None] = {}
-        self._retention: RetentionClock | None = None
+        self._retention = RetentionClock()
         self._committing = asyncio.Lock()
         self._work = asyncio.Event()
         self._room = asyncio.Event()
@@ -200,6 +200,8 @@ class JournalWriter:
         if self._may_be_waiting:  # before any reading of this daemon, so that numbers and times rise together
             for text in await self._in_thread(self._journal.take_in_waiting):
                 self.note("journal", text)
+            self._retention, self._jumps_us = RetentionClock(), 0  # which shows the jumps since the start
+            await self._in_thread(self._journal.note_opening, self._retention.now_us())
             self._may_be_waiting = False
         while self._events:
             await self._in_thread(self._journal.note, *self._events[0])
@@ -212,6 +214,7 @@ class JournalWriter:
         if jumped_us := self._jumps_us:
             await self._in_thread(self._journal.note_jump, jumped_us)
             self._jumps_us -= jumped_us
+            self._retention.follow(jumped_us)
         batch = [reading for reading, _, _ in self._waiting]
         if not batch:
             return
@@ -230,10 +233,6 @@ class JournalWriter:
 
     async def _drop_old(self, keep_days: float) -> None:
         try:
-            if self._retention is None:
-                journal = self._journal
-                await self._in_thread(journal.open)
-                self._retention = RetentionClock(journal.clock_doubt_us)
             before_us = self._retention.now_us() - int(keep_days * 86400e6)
             dropped = await self._in_thread(self._journal.drop_older, before_us)
             if dropped:

@@ -727,29 +727,36 @@ def test_a_limit_of_bytes_is_one(tmp_path: Path, connections: list[Watched]) -> 
         assert size * count <= 150_000 < size * (count + 1)  # the rest is SQLite's log
 
 
+def kept_of(path: Path, before_us: int) -> list[int]:
+    """Return which numbers a deletion leaves in a journal."""
+    with Journal(path) as journal:
+        journal.drop_older(before_us)
+    return [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())]
+
+
 async def test_a_jump_is_counted_once(tmp_path: Path, make_reading: Make) -> None:
-    """Two jumps of the clock by 10 s and −4 s are a doubt of 6 s however often is committed; each is an event."""
-    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
+    """Two jumps of the clock by 10 s and −4 s make ages 6 s less, however often is committed; each is an event."""
+    path = tmp_path / "j.sqlite"
+    writer = JournalWriter(Journal(path), Alarms(lambda *_: None), lambda *_: None)
     await writer.open()
+    running = asyncio.create_task(writer.run())
+    for second in range(3):
+        await writer.submit(make_reading(time=iso_time(BASE_US + second * 1_000_000)))
     writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
     writer.note_jump(Jump(BASE_US, BASE_US - 4_000_000))
-    running = asyncio.create_task(writer.run())
     for _ in range(3):
-        await writer.submit(make_reading())
+        await writer.submit(make_reading(time=iso_time(BASE_US + 9_000_000)))
     running.cancel()
     await writer.close()
-    again = Journal(tmp_path / "j.sqlite")
-    again.open()
-    assert again.clock_doubt_us == 6_000_000
-    again.close()
-    kinds = [event["kind"] for event in JournalReader(tmp_path / "j.sqlite").events()]
-    assert kinds == ["clock", "clock"]
+    assert [event["kind"] for event in JournalReader(path).events()] == ["clock", "clock"]
+    assert kept_of(path, BASE_US + 7_000_000) == [2, 3, 4, 5, 6]
+    assert kept_of(path, BASE_US + 7_000_001) == [3, 4, 5, 6]
 
 
 async def test_a_jump_that_could_not_be_written_is_written_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, make_reading: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its event got through before the disk was full and it alone is left: the doubt of the clock is kept."""
+    """Its event got through before the disk was full and it alone is left: the readings before it are as young."""
     journal, pauses = Journal(tmp_path / "j.sqlite"), []
 
     async def pause(seconds: float) -> None:
@@ -761,12 +768,16 @@ async def test_a_jump_that_could_not_be_written_is_written_later(
 
     writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None, sleep=pause)
     await writer.open()
+    running = asyncio.create_task(writer.run())
+    for _ in range(2):
+        await writer.submit(make_reading(time=iso_time(BASE_US)))
+    running.cancel()
     monkeypatch.setattr(journal, "note_jump", full)
     writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
     await writer.close()
     assert len(pauses) == 1
-    with Journal(tmp_path / "j.sqlite") as again:
-        assert again.clock_doubt_us == 10_000_000
+    assert kept_of(tmp_path / "j.sqlite", BASE_US + 10_000_000) == [1, 2]
+    assert kept_of(tmp_path / "j.sqlite", BASE_US + 10_000_001) == [2]
 
 
 async def test_readings_that_still_wait_at_the_end_are_saved(
