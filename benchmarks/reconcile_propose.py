@@ -135,7 +135,7 @@ def page(results: list[dict[str, Any]]) -> str:
         f"| the stage is named first | {sum(r['stage_first'] for r in proposed)}/{len(results)} | |",
         f"| the law has the true covariates and no other | "
         f"{sum(r['covariate_right'] for r in proposed)}/{len(results)} | 95 % |",
-        f"| it closes 90 % of the excess in another session, with four parameters at most | "
+        f"| it closes 90 % of the excess in new sessions, with four parameters at most | "
         f"{len(closed)}/{len(results)} | 80 % |",
     ]
     if looked:
