@@ -57,6 +57,7 @@ class CameraDescription(FileSection):
     black_level_dn: Annotated[float | None, within("black_level")] = None
     white_level_dn: float | None = Field(None, gt=0)  # from which pixels are saturated, where the camera states it
     quantum_efficiency: float | None = Field(None, gt=0, le=1)
+    mode: str | None = None  # filter, read-out mode, gain in the camera's own unit, where files state them
     mosaic: Literal["RGGB", "GRBG", "GBRG", "BGGR"] | None = None  # colour filters of 2 × 2 pixels, row by row
     taps: tuple[TapDescription, ...] | None = None  # of cameras with several output amplifiers
 

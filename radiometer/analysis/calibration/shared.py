@@ -92,6 +92,8 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     # Binned pixels have another, and another scale.
     "pixel pitch": _of_device("pixel pitch in µm"),
     "mosaic": _of_device("mosaic"),
+    # Filter, read-out mode, gain in the camera's own unit: what files state of the camera beyond this table.
+    "mode": _of_device("mode"),
     "focal length": {
         State.EQUAL: _KEPT,
         State.DIFFERENT: _refused(
@@ -221,7 +223,7 @@ def require_camera(calibration: OfCamera, camera: CameraDescription) -> None:
     """Refuse a camera that a calibration does not belong to.
 
     Raises:
-        CalibrationError: If model, serial number, bit depth, pixel pitch or mosaic differ.
+        CalibrationError: If model, serial number, bit depth, pixel pitch, mosaic or mode differ.
     """
     mine = calibration.camera
     settle("model", mine.model, camera.model)
@@ -231,6 +233,7 @@ def require_camera(calibration: OfCamera, camera: CameraDescription) -> None:
     pitches = mine.pixel_pitch_um, camera.pixel_pitch_um
     settle("pixel pitch", *pitches, equal=_is_near(*pitches))
     settle("mosaic", mine.mosaic, camera.mosaic)
+    settle("mode", mine.mode, camera.mode)
 
 
 def require_lens(calibration: OfCamera, lens: LensDescription) -> None:

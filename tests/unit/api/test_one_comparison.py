@@ -52,6 +52,7 @@ CHANGES: dict[str, Change] = {
     "another serial number": of_camera(serial="other"),
     "another model": of_camera(model="other"),
     "another pixel pitch": of_camera(pixel_pitch_um=9.0),
+    "another mode": of_camera(mode="GAIN 300"),
     "another focal length": of_lens(focal_length_mm=50.0),
     "a transmittance that the calibration does not state": of_lens(transmittance=0.5),
     "another focus": of_lens(magnification=1.0),
