@@ -127,14 +127,14 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
         ("one hidden: missed", "", fine["single"], _is("missed")),
         ("0.3 of the size: right name first", "≥ 95 %", fine["weak"], _is("first")),
         ("– of these by the catalogue's equation", "", own["weak"], _is("first")),
-        ("– of these, without those missed below their limit (5 sigma), or with none", "≥ 95 %", shown, _is("first")),
-        ("two hidden: both named", "≥ 95 %", fine["pair"], _is("named")),
+        ("– of these, without missed ones that the data cannot show", "≥ 95 %", shown, _is("first")),
+        ("two hidden, of all equations: both named", "≥ 95 %", fine["pair"], _is("named")),
         ("two hidden, both by the catalogue's equation: both named", "≥ 95 %", own["pair"], _is("named")),
-        ("two hidden: exactly named", "≥ 85 %", fine["pair"], _named_exactly),
+        ("two hidden, of all equations: exactly named", "≥ 85 %", fine["pair"], _named_exactly),
         ("– and sure of it: effects_found, nothing unnamed", "", fine["pair"], _is("exact")),
         ("two hidden, both by the catalogue's equation: exactly named", "≥ 85 %", own["pair"], _named_exactly),
         ("– and sure of it: effects_found, nothing unnamed", "", own["pair"], _is("exact")),
-        ("two hidden: confidently wrong", "≤ 1 %", fine["pair"] + fine["own_pair"], _is("confident_wrong")),
+        ("two hidden, all pairs: confidently wrong", "≤ 1 %", fine["pair"] + fine["own_pair"], _is("confident_wrong")),
         (
             "another equation: right name first, or a curve without a name along the right covariate",
             "≥ 95 %", fine["variant"], _is("family_or_place"),
@@ -190,7 +190,7 @@ def _fresh_rows(what: str, before: np.ndarray, after: np.ndarray) -> list[str]:
     if large.any():
         closed = (before[large] - after[large]) / (before[large] - 1.0)
         share = _share(int((closed >= 0.9).sum()), closed.size)
-        rows.append(f"| {what}: ≥ 90 % of the excess closed, where it was above 1.05 | ≥ 95 % | {share} |")
+        rows.append(f"| {what}: ≥ 90 % of the excess closed, where the reduced χ² was above 1.05 | ≥ 95 % | {share} |")
     return rows
 
 
@@ -239,7 +239,7 @@ def _times(results: list[Result]) -> str:
 
 def _confusion(fine: dict[str, list[Result]]) -> str:
     lines = [
-        "Sure answers that were not exact (`effect:form` is a variant):",
+        "Sure answers that were not exact, except where an entry was removed (`effect:form` is a variant):",
         "",
         "| hidden | kind | answer | runs |",
         "|---|---|---|---|",

@@ -62,7 +62,8 @@ def page(rows: list[dict[str, Any]], factors: tuple[float, ...] = FACTORS) -> st
         own = [row for row in rows if row["name"] == name]
         shares = [[row["named"] for row in own if row["factor"] == factor] for factor in factors]
         cells = " | ".join(f"{sum(share)}/{len(share)}" for share in shares)
-        lines.append(f"| {name} | {own[0]['limit']:.3g} {own[0]['unit']} | {cells} |")
+        unit = "" if own[0]["unit"] == "1" else f" {own[0]['unit']}"
+        lines.append(f"| {name} | {own[0]['limit']:.3g}{unit} | {cells} |")
     whole = [[row["named"] for row in rows if row["factor"] == factor] for factor in factors]
     lines.append("| all | | " + " | ".join(f"{sum(share)}/{len(share)}" for share in whole) + " |")
     return "\n".join(lines)

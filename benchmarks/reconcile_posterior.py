@@ -29,14 +29,6 @@ FOLDER = Path("out") / "reconcile_posterior"
 BINS = (0.0, 0.5, 0.8, 0.95, 0.99, 1.0)
 CLOSED_GAP = 1.05
 _COUNTED = ("exact", "inseparable", "missed", "wrong", "sure_right", "sure_wrong")
-_KINDS = {
-    "null": "nothing",
-    "single": "one effect",
-    "law": "one effect, another equation",
-    "own_pair": "two effects",
-    "outsider": "no effect of the catalogue",
-    "removed": "an effect left out of the catalogue",
-}
 
 
 @dataclass(frozen=True)
@@ -73,7 +65,7 @@ def by_posterior(record: Record) -> Said:
     return Said(names, frozenset(), bool(names) and quiet and min(names.values()) >= SURE, not best.names)
 
 
-DECIDERS: dict[str, Callable[[Record], Said]] = {"verdict": by_verdict, "posterior alone": by_posterior}
+DECIDERS: dict[str, Callable[[Record], Said]] = {"reconcile": by_verdict, "posterior alone": by_posterior}
 
 
 def fits_of(record: Record) -> list[ModelFit]:
@@ -114,15 +106,12 @@ def covered_by(answer: Said, truth: Sequence[set[str]]) -> bool:
 
 
 def table(records: Iterable[Record]) -> str:
-    """Return a row for each kind and decider in Markdown."""
-    groups: dict[tuple[str, str], list[dict[str, bool]]] = defaultdict(list)
+    """Return a row for each decider in Markdown."""
+    groups: dict[str, list[dict[str, bool]]] = defaultdict(list)
     for record in records:
         for name, decide in DECIDERS.items():
-            found = judged(record, decide(record))
-            for kind in (_KINDS[record["kind"]], "all"):
-                groups[kind, name].append(found)
+            groups[name].append(judged(record, decide(record)))
     heads = (
-        "hidden",
         "decider",
         "sessions",
         "exact",
@@ -133,9 +122,9 @@ def table(records: Iterable[Record]) -> str:
         "sure, wrong",
     )
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    for (kind, name), entries in sorted(groups.items()):
+    for name, entries in groups.items():
         counts = [sum(entry[key] for entry in entries) for key in _COUNTED]
-        lines.append(f"| {kind} | {name} | {len(entries)} | {' | '.join(map(str, counts))} |")
+        lines.append(f"| {name} | {len(entries)} | {' | '.join(map(str, counts))} |")
     return "\n".join(lines)
 
 
@@ -181,7 +170,7 @@ def page(records: Sequence[Record]) -> str:
         table(done),
         "Names as they are reported, by the probability that they or their alternatives are present:",
         reliability(done, by_verdict),
-        "Names of the most probable model:",
+        "Names of the most probable model, by the posterior alone:",
         reliability(done, by_posterior),
     ]
     return "\n\n".join([*parts, *failed])

@@ -133,11 +133,14 @@ def page(results: list[dict[str, Any]]) -> str:
         f"| the stage is right, alone or among those that the data leave open | "
         f"{sum(r['stage_right'] for r in proposed)}/{len(results)} | 85 % |",
         f"| the stage is named first | {sum(r['stage_first'] for r in proposed)}/{len(results)} | |",
-        f"| true covariates alone | {sum(r['covariate_right'] for r in proposed)}/{len(results)} | 95 % |",
-        f"| it closes 90 % of the excess in another session, with four parameters at most | "
+        f"| the law has the true covariates and no other | "
+        f"{sum(r['covariate_right'] for r in proposed)}/{len(results)} | 95 % |",
+        f"| it closes 90 % of the excess in new sessions, with four parameters at most | "
         f"{len(closed)}/{len(results)} | 80 % |",
-        *([f"| a reconciliation of a third session names it first | {len(again)}/{len(looked)} | |"] if looked else []),
     ]
+    if looked:
+        third = "`reconcile` with the law in its catalogue names it first in a third session"
+        lines.append(f"| {third} | {len(again)}/{len(looked)} | |")
     open_ones = [f"{r['name']} ({100 * r['closed']:.0f} %)" for r in shown if r["closed"] < 0.9]
     return "\n".join([*lines, "", f"Closed by less than 90 %: {', '.join(open_ones) or 'none'}."])
 

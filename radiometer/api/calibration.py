@@ -20,7 +20,7 @@ from radiometer.analysis.calibration.calibrate import (
     metered_u_rel,
 )
 from radiometer.analysis.calibration.flat_field import fit_flat_field
-from radiometer.analysis.calibration.shared import require_channel
+from radiometer.analysis.calibration.shared import require_camera, require_channel, require_lens
 from radiometer.analysis.characterise.taps import camera_with_taps
 from radiometer.analysis.exports.certificate import read_certificate
 from radiometer.analysis.merge.bracket import merge
@@ -54,7 +54,7 @@ from radiometer.data.reading import RADIANCE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.data.validation import validate
 from radiometer.devices import CameraPreset
-from radiometer.errors import InputError, UsageError
+from radiometer.errors import CalibrationError, InputError, UsageError
 from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
@@ -577,11 +577,20 @@ def _with_u(base: Calibration, **figures: float) -> Calibration:
 
 
 def _flat_field(path: Path, base: Calibration, source_u_rel: float) -> FlatField:
+    """Return the flat field in a capture set. Raises CalibrationError if it is of another camera or lens."""
+    capture = open_capture(path)
+    try:
+        require_camera(base, capture.header.camera)
+        require_lens(base, capture.header.lens)
+    except CalibrationError as error:
+        raise CalibrationError(f"flat field {path}: {error}") from error
     # Without its cos⁴ the lens leaves all of the fall-off to the flat field.
     uncorrected = base.lens.model_copy(update={"vignetting": "none", "focal_length_mm": None})
-    bracket = open_capture(path).lit_bracket()
+    bracket = capture.lit_bracket()
     even = merge(bracket, Setup(base.camera, base.lens, replace(base, lens=uncorrected)))
-    return fit_flat_field(even, base.camera, base.lens, source_u_rel=source_u_rel)
+    stops = {frame.settings.f_number or capture.header.lens.f_number for frame in bracket.light} - {None}
+    lens = base.lens.model_copy(update={"f_number": stops.pop()}) if len(stops) == 1 else base.lens
+    return fit_flat_field(even, base.camera, lens, source_u_rel=source_u_rel)
 
 
 def read_spectral_response(path: Path) -> SpectralResponse:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import difflib
 import errno
 import importlib
@@ -36,7 +37,18 @@ def main() -> None:
     if not {"-v", "-vv", "--verbose"} & set(sys.argv):
         sys.excepthook = _report_defect
     _stand_in_for_closed_streams()
+    codecs.register_error("radiometer", _escaped)
+    sys.stdout.reconfigure(errors="radiometer")  # type: ignore[union-attr]
     sys.exit(_flushed(run(sys.argv[1:])))
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    """Return what an encoding of the output has no signs for as JSON escapes it, so that JSON stays JSON."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    import json
+
+    return json.dumps(error.object[error.start : error.end])[1:-1], error.end
 
 
 def _stand_in_for_closed_streams() -> None:

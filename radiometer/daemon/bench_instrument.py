@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.photometry.photometry import spectrum
+from radiometer.analysis.signal.situation import situation_of
 from radiometer.bench.assembly import calibration_path, stated_source
 from radiometer.bench.boxes import open_light_box
 from radiometer.bench.cameras import open_camera
@@ -22,6 +22,7 @@ from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.daemon.instrument import DeviceReport, Measurement, MeasurementSettings
 from radiometer.data import Bracket, Calibration, CameraDescription, Flag, Frame, LensDescription, Patch, ResponseCurve
+from radiometer.data.setup import Setup
 from radiometer.devices import AcquisitionCounts, Camera, CameraCapabilities, CameraIdentity, CameraSettings
 from radiometer.devices.light_box import FULL_LEVEL, ChannelState, CurrentRange, DriveLevel, LightBox
 from radiometer.devices.opening import Opened
@@ -251,7 +252,7 @@ class BenchInstrument:
         """Read the calibration file again and return one line that names it. Raises CalibrationError."""
         fresh = self._read_calibration()
         if fresh is not None and self._camera is not None:
-            require_camera(fresh, self._camera.description)
+            situation_of(Setup(self._camera.description, self._camera.lens, fresh))  # refused here, not at each reading
         self._calibration = fresh
         return f"{self._path.name}, made {fresh.created}" if self._path and fresh else "no calibration in use"
 

@@ -11,7 +11,6 @@ from typing import Final
 from radiometer.daemon.timestamps import iso_time, now_us
 
 JUMP_US: Final = 5_000_000  # time services move the clock in steps of less; larger steps are reported
-LONGEST_PAUSE_US: Final = 86_400_000_000  # a daemon that was off for longer may as well have a wrong clock
 _PERIOD_S: Final = 1.0  # a jump is noted before the next reading of the usual period
 
 
@@ -74,25 +73,20 @@ class ClockWatch:
 
 
 class RetentionClock:
-    """The time that the age of readings is counted by before they are deleted.
-
-    It starts from the wall clock less what that may be ahead by, and goes on with the steady clock. A wall clock that
-    jumped forward, now or before any start, deletes nothing; at worst readings are kept for longer.
+    """The wall clock as far as the journal knows how it was set: a jump moves it once the journal has noted it.
 
     Args:
-        doubt_us: By how much the wall clock may be ahead at the start, in µs; negative for behind.
         wall_us: Wall clock in µs since 1970.
         steady_us: Steady clock in µs.
     """
 
-    def __init__(
-        self,
-        doubt_us: int = 0,
-        wall_us: Callable[[], int] = now_us,
-        steady_us: Callable[[], int] = steady_us,
-    ) -> None:
+    def __init__(self, wall_us: Callable[[], int] = now_us, steady_us: Callable[[], int] = steady_us) -> None:
         self._wall_us, self._steady_us = wall_us, steady_us
-        self._offset_us = wall_us() - max(0, doubt_us) - steady_us()
+        self._offset_us = wall_us() - steady_us()
+
+    def follow(self, by_us: int) -> None:
+        """Go forward by a jump in µs that the journal has noted."""
+        self._offset_us += by_us
 
     def now_us(self) -> int:
         """Return the time in µs since 1970, never later than the wall clock shows."""

@@ -20,7 +20,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
-from radiometer.daemon.clock_watch import LONGEST_PAUSE_US
 from radiometer.daemon.timestamps import microseconds, now_us
 from radiometer.data import Reading
 from radiometer.data.guards import MOST_FILE_BYTES
@@ -39,7 +38,6 @@ _CHECKPOINT_CHANGES: Final = 500  # rows written between two checkpoints: some 4
 _LOG_PART: Final = 0.25  # of the size that the journal may have: SQLite's log next to the file
 _ROW_BYTES: Final = 32_768  # that a row takes in the log at most: a page of each table and index
 _LOG_BEGINNINGS: Final = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")  # sqlite.org/fileformat2.html, 4.1
-_COUNTER: Final = "INSERT INTO counters VALUES (?, ?) ON CONFLICT DO UPDATE SET value = excluded.value"
 _RETENTION_CHUNK: Final = 5000  # rows of one transaction: writing is never held up for long
 MINUTE_US: Final = 60_000_000  # a minute in µs
 _TREND_COLUMNS: Final = (
@@ -72,6 +70,10 @@ _UPGRADES: Final = {
     1: f"ALTER TABLE readings ADD COLUMN stream TEXT NOT NULL DEFAULT ''; {_STREAMS} {_TREND} {_FILL_TREND}",
     2: f"DROP TABLE trend; {_TREND} {_FILL_TREND}",
 }
+_JUMP: Final = (
+    "clock_jump:"  # start of a counter's name; the number of the reading after which the clock was set follows
+)
+_LONGEST_PAUSE_US: Final = 86_400_000_000  # a daemon that was off for longer may as well have a wrong clock
 _TREND_UPDATES: Final = (
     "count = count + 1",
     "total = total + :value",
@@ -118,8 +120,39 @@ def refuse_foreign_objects(connection: sqlite3.Connection, path: Path, error: ty
         )
 
 
+def _jumps(connection: sqlite3.Connection) -> list[tuple[int, int]]:
+    """Return after which numbers the clock was set forward, and by which time in µs, in the order of the numbers."""
+    rows = connection.execute("SELECT name, value FROM counters WHERE name GLOB ?", (f"{_JUMP}*",)).fetchall()
+    return sorted((int(name.removeprefix(_JUMP)), by_us) for name, by_us in rows)
+
+
+def _first_young(connection: sqlite3.Connection, before_us: int) -> tuple[int, int]:
+    """Return the number of the first reading that is not older than a time, and a time before which all are older.
+
+    What was measured before the clock was set counts by the clock as it was then.
+    """
+    jumps, begin = _jumps(connection), 0
+    (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
+    limits = [(after, before_us - sum(by_us for _, by_us in jumps[n:])) for n, (after, _) in enumerate(jumps)]
+    limits.append((last, before_us))
+    for n, (end, limit_us) in enumerate(limits):
+        young = connection.execute(
+            "SELECT sequence FROM readings WHERE sequence > ? AND sequence <= ? AND +time_us >= ?"
+            " ORDER BY sequence LIMIT 1",
+            (begin, end, limit_us),
+        ).fetchone()
+        if young is not None:
+            return young[0], min(limit for _, limit in limits[n:])
+        begin = end
+    return last, before_us
+
+
 class JournalError(OutputError):
     """The journal cannot be written just now: disk full, file locked, folder gone. Trying again may work."""
+
+
+class JournalSizeError(JournalError):
+    """The journal has the size that it may have: until old readings are deleted, no other can be written."""
 
 
 class Journal:
@@ -128,7 +161,7 @@ class Journal:
     Args:
         path: The SQLite file; it and its folder are made where missing.
         max_bytes: Size that the file and SQLite's log next to it may not outgrow; None for no limit. Appending then
-            raises JournalError.
+            raises JournalSizeError.
     """
 
     def __init__(self, path: Path, *, max_bytes: int | None = None) -> None:
@@ -143,8 +176,6 @@ class Journal:
         self._checkpointed = 0  # rows that the connection had written then
         self._given_up: tuple[_Mark | None, ...] = ()  # of the files that could not be written anew
         self._last_sequence = 0
-        self.clock_doubt_us = 0
-        self._was_open = False
 
     def open(self) -> None:
         """Open the journal, making it where missing.
@@ -172,9 +203,6 @@ class Journal:
             self._release_locks()
             raise
         self._use(connection)
-        if not self._was_open:
-            self._was_open = True
-            self._learn_times(connection)
 
     def _connect(self) -> sqlite3.Connection:
         return sqlite3.connect(self._file, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
@@ -306,26 +334,54 @@ class Journal:
             return dict(connection.execute("SELECT name, json FROM patches ORDER BY name").fetchall())
 
     def note_jump(self, by_us: int) -> None:
-        """Commit that the clock was set forward by a time in µs: what is stamped from now on is in doubt by that.
+        """Commit that the clock was set forward by a time in µs since the newest reading; negative for back.
 
-        A clock that is set back takes the doubt away again. Raises JournalError if it cannot be committed now.
+        Raises:
+            JournalError: If it cannot be committed now.
         """
         with self._transaction() as connection:
             connection.execute(
-                "INSERT INTO counters VALUES ('clock_doubt_us', :by) ON CONFLICT DO UPDATE SET value = value + :by",
+                f"INSERT INTO counters SELECT '{_JUMP}' || value, :by FROM counters WHERE name = 'last_sequence'"
+                " ON CONFLICT DO UPDATE SET value = value + :by",
                 {"by": by_us},
             )
+
+    def note_opening(self, wall_us: int) -> None:
+        """Commit that a clock which disagrees with the newest reading by more than a day was set since then.
+
+        So a longer pause does not count in the age of what was measured before it: a wrong clock looks the same.
+
+        Args:
+            wall_us: What the clock shows, in µs since 1970 (UTC), before the first reading after the opening.
+
+        Raises:
+            JournalError: If it cannot be committed now.
+        """
+        with self._transaction() as connection:
+            newest = connection.execute(
+                "SELECT sequence, time_us FROM readings ORDER BY sequence DESC LIMIT 1"
+            ).fetchone()
+            if newest is None:
+                return
+            sequence, time_us = newest
+            name, before = f"{_JUMP}{sequence}", f"{_JUMP}{sequence - 1}"
+            # Older versions kept one sum of all jumps: of those before the newest reading.
+            connection.execute("UPDATE OR REPLACE counters SET name = ? WHERE name = 'clock_doubt_us'", (before,))
+            connection.execute("DELETE FROM counters WHERE name = ?", (name,))
+            if not 0 <= wall_us - time_us <= _LONGEST_PAUSE_US:
+                connection.execute("INSERT INTO counters VALUES (?, ?)", (name, wall_us - time_us))
 
     def drop_older(self, before_us: int) -> int:
         """Delete readings and events older than a time, oldest first, and return how many readings went.
 
-        The newest reading always stays, and so do all after the first that is young enough. Where the clock was set
-        back, an old time is among young ones, and a gap in the numbers would be damage.
+        The age of a reading does not count by how much the clock was set after it. The newest reading always stays, and
+        so do all after the first that is young enough: a gap in the numbers would be damage. Events and minutes of the
+        trend have no number, so they stay where any reading of their time could be young enough.
 
         Works in small transactions so that writing is never held up for long.
 
         Args:
-            before_us: Time in µs since 1970 (UTC).
+            before_us: Time in µs since 1970 (UTC), by the clock as it is set now.
 
         Raises:
             JournalError: If the file cannot be written now.
@@ -333,23 +389,19 @@ class Journal:
         dropped = 0
         while True:
             with self._transaction() as connection:
-                (kept,) = connection.execute(
-                    "SELECT coalesce((SELECT sequence FROM readings WHERE +time_us >= ? ORDER BY sequence LIMIT 1),"
-                    " value) FROM counters WHERE name = 'last_sequence'",
-                    (before_us,),
-                ).fetchone()
+                kept, all_before_us = _first_young(connection, before_us)
                 count = connection.execute(
                     "DELETE FROM readings WHERE sequence IN (SELECT sequence FROM readings WHERE sequence < ?"
                     " ORDER BY sequence LIMIT ?)",
                     (kept, _RETENTION_CHUNK),
                 ).rowcount
-                connection.execute(
-                    "DELETE FROM events WHERE rowid < coalesce((SELECT rowid FROM events WHERE time_us >= ?"
-                    " ORDER BY rowid LIMIT 1), (SELECT max(rowid) + 1 FROM events))",
-                    (before_us,),
-                )
-                (oldest_us,) = connection.execute("SELECT coalesce(min(time_us), 0) FROM readings").fetchone()
-                connection.execute("DELETE FROM trend WHERE minute < ?", (min(before_us, oldest_us) // MINUTE_US,))
+                connection.execute("DELETE FROM events WHERE time_us < ?", (all_before_us,))
+                connection.execute("DELETE FROM trend WHERE minute < ?", (all_before_us // MINUTE_US,))
+                if count < _RETENTION_CHUNK:
+                    connection.executemany(
+                        "DELETE FROM counters WHERE name = ?",
+                        [(f"{_JUMP}{after}",) for after, _ in _jumps(connection) if after < kept],
+                    )
             dropped += count
             if count < _RETENTION_CHUNK:
                 break
@@ -409,24 +461,6 @@ class Journal:
             self._lock_file.truncate()
             self._lock_file.write(f"{last_sequence}\n")
             self._lock_file.flush()
-
-    def _learn_times(self, connection: sqlite3.Connection) -> None:
-        """Note how far the clock is in doubt, also by the time since the newest reading.
-
-        A pause of more than a day, or one that is negative, may be a clock that was set while no daemon ran.
-        """
-        newest = connection.execute("SELECT sequence, time_us FROM readings ORDER BY sequence DESC LIMIT 1").fetchone()
-        counters = dict(connection.execute("SELECT name, value FROM counters").fetchall())
-        sequence, time_us = newest or (0, now_us())
-        pause_us = now_us() - time_us
-        counted_us = 0 if 0 <= pause_us <= LONGEST_PAUSE_US else pause_us
-        # Without a reading since, an opening before this one has counted its part of the pause.
-        before_us = counters["pause_us"] if counters.get("paused_after") == sequence else 0
-        self.clock_doubt_us = counters.get("clock_doubt_us", 0) + counted_us - before_us
-        if counted_us != before_us:
-            noted = {"clock_doubt_us": self.clock_doubt_us, "paused_after": sequence, "pause_us": counted_us}
-            with suppress(JournalError), self._transaction() as transaction:  # a full disk: this run knows it
-                transaction.executemany(_COUNTER, noted.items())
 
     def _verify(self, connection: sqlite3.Connection) -> None:
         low, high, count = connection.execute(
@@ -641,16 +675,16 @@ class Journal:
             return OutputError(f"{self.path} is damaged or no journal ({error}); name another with --journal")
         if self._connection is None and code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY):
             return OutputError(f"cannot write the journal {self.path}: {error}; name a place that can with --journal")
-        ways_out = {
-            sqlite3.SQLITE_FULL: self._way_out_of_fullness(),
-            sqlite3.SQLITE_BUSY: "another program holds it locked; close that program",
-        }
-        return JournalError(f"cannot write the journal {self.path}: {error}; {ways_out.get(code, 'trying again')}")
-
-    def _way_out_of_fullness(self) -> str:
-        if self._max_bytes is None or free_bytes(self._file.parent) < self._max_bytes:
-            return "free space on the disk, or shorten --keep-days"
-        return f"it has the {self._max_bytes / 1e6:g} MB of --journal-max-mb: raise that, or shorten --keep-days"
+        what = f"cannot write the journal {self.path}: {error}"
+        if code == sqlite3.SQLITE_FULL:
+            if self._max_bytes is None or free_bytes(self._file.parent) < self._max_bytes:
+                return JournalError(f"{what}; free space on the disk, or shorten --keep-days")
+            size = f"it has the {self._max_bytes / 1e6:g} MB of --journal-max-mb"
+            return JournalSizeError(f"{what}; {size}: raise that, or shorten --keep-days")
+        busy = code == sqlite3.SQLITE_BUSY
+        return JournalError(
+            f"{what}; {'another program holds it locked; close that program' if busy else 'trying again'}"
+        )
 
     def _take_locks(self) -> None:
         """Lock the name of the file, which those of its WAL depend on, and the file itself, whatever it is called.

@@ -15,7 +15,7 @@ import structlog
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump, RetentionClock
 from radiometer.daemon.instrument import Origin
-from radiometer.daemon.journal import Journal, JournalError
+from radiometer.daemon.journal import Journal, JournalError, JournalSizeError
 from radiometer.data import Reading
 from radiometer.errors import OutputError
 
@@ -33,7 +33,8 @@ class JournalWriter:
         alarms: Where trouble is reported.
         on_commit: Called in the event loop with every reading once it is on disk, with what was given with it and the
             time in s that the commit took; the only way to a client.
-        capacity: Readings that may wait; when as many wait, `wait_for_room` blocks, so measuring pauses.
+        capacity: Readings that may wait; when as many wait, `wait_for_room` blocks, so measuring pauses. It also does
+            while the journal has the size that it may have.
         keep_days: Age at which readings are deleted; None keeps all.
         retry_s: Pause in s between two tries while the journal cannot be written.
         closing_s: Time in s in which waiting readings are still committed at the end. A blocked disk is given up then,
@@ -61,7 +62,7 @@ class JournalWriter:
         self._jumps_us = 0
         self._may_be_waiting = True  # readings of an earlier daemon, until they are taken in
         self._kept_patches: dict[str, str | None] = {}
-        self._retention: RetentionClock | None = None
+        self._retention = RetentionClock()
         self._committing = asyncio.Lock()
         self._work = asyncio.Event()
         self._room = asyncio.Event()
@@ -122,11 +123,11 @@ class JournalWriter:
 
     @property
     def has_room(self) -> bool:
-        """Return whether fewer than `capacity` readings wait."""
+        """Return whether fewer than `capacity` readings wait, and the journal may still grow."""
         return self._room.is_set()
 
     async def wait_for_room(self) -> None:
-        """Return once fewer than `capacity` readings wait."""
+        """Return once fewer than `capacity` readings wait, and the journal may still grow."""
         await self._room.wait()
 
     async def run(self) -> None:
@@ -134,12 +135,11 @@ class JournalWriter:
         next_retention = 0.0
         while True:
             self._work.clear()
-            if self._is_pending and not await self._try_to_commit():
-                continue
+            committed = not self._is_pending or await self._try_to_commit()
             if self._keep_days is not None and time.monotonic() >= next_retention:
                 await self._drop_old(self._keep_days)
                 next_retention = time.monotonic() + _RETENTION_PERIOD_S
-            if not self._is_pending:
+            if committed and not self._is_pending:
                 await self._wait_for_work()
 
     async def close(self) -> None:
@@ -185,11 +185,15 @@ class JournalWriter:
             # What the thread has begun ends, though this task is cancelled: else it would be committed again.
             await asyncio.shield(self._commit_batch())
         except OutputError as error:
+            if isinstance(error, JournalSizeError):  # it will not pass by itself, as a lock or a full disk may
+                self._room.clear()
             paused = "" if self._room.is_set() else "; measuring is paused until it can be written"
             self._alarms.put_up(ALARM, f"{error}; {len(self._waiting)} readings wait{paused}")
             await self._sleep(self._retry_s)
             return False
         self._alarms.clear(ALARM, "the journal is written again")
+        if len(self._waiting) < self._capacity:
+            self._room.set()
         return True
 
     async def _commit_batch(self) -> None:
@@ -200,6 +204,8 @@ class JournalWriter:
         if self._may_be_waiting:  # before any reading of this daemon, so that numbers and times rise together
             for text in await self._in_thread(self._journal.take_in_waiting):
                 self.note("journal", text)
+            self._retention, self._jumps_us = RetentionClock(), 0  # which shows the jumps since the start
+            await self._in_thread(self._journal.note_opening, self._retention.now_us())
             self._may_be_waiting = False
         while self._events:
             await self._in_thread(self._journal.note, *self._events[0])
@@ -212,6 +218,7 @@ class JournalWriter:
         if jumped_us := self._jumps_us:
             await self._in_thread(self._journal.note_jump, jumped_us)
             self._jumps_us -= jumped_us
+            self._retention.follow(jumped_us)
         batch = [reading for reading, _, _ in self._waiting]
         if not batch:
             return
@@ -225,15 +232,9 @@ class JournalWriter:
             self._on_commit(reading, origin, seconds)
             if not future.done():
                 future.set_result(reading)
-        if len(self._waiting) < self._capacity:
-            self._room.set()
 
     async def _drop_old(self, keep_days: float) -> None:
         try:
-            if self._retention is None:
-                journal = self._journal
-                await self._in_thread(journal.open)
-                self._retention = RetentionClock(journal.clock_doubt_us)
             before_us = self._retention.now_us() - int(keep_days * 86400e6)
             dropped = await self._in_thread(self._journal.drop_older, before_us)
             if dropped:

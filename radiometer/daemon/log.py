@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 # A line ends where no reading came for as long as the daemon waits before its alarm `reading`.
 _GAP_PERIODS: Final = 5.0
 _GAP_S: Final = 10.0
-_LIMIT_ROOM: Final = 1.5  # a limit is drawn within so many times the range of the readings from them, as on the page
+_LIMIT_ROOM: Final = 10.0  # a limit widens the picture within so many ranges of the readings, as on the page
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ class LoggedReadings(Result):
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the readings with a band of their expanded uncertainty, a line for each place, flagged ones marked.
 
-        A line ends where the readings pause. The limits in force are dashed where they are near, or where the newest
-        reading is beyond them.
+        A line ends where the readings pause. The limits in force are dashed. They widen the picture where they are
+        near, or where the newest reading is beyond them.
 
         Args:
             axes: Where to draw; a new figure by default.
@@ -158,6 +158,8 @@ def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Seque
 
 
 def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: PatchLimits) -> None:
+    from matplotlib.lines import Line2D
+
     moments, values, spread = zip(*_with_gaps(readings), strict=True)
     bounds = [value for value in (limits.low, limits.high) if value is not None]
     shown = f"{name} (limits {' to '.join('none' if v is None else f'{v:g}' for v in (limits.low, limits.high))})"
@@ -175,8 +177,12 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
     sides = ((limits.low, 1), (limits.high, -1))
     outside = [bound for bound, sign in sides if bound is not None and sign * (bound - values[-1]) > 0]
     for bound in bounds:
+        dashed: Any = {"color": line.get_color(), "linestyle": "--", "linewidth": 1.0}
         if bound in outside or least - room < bound < most + room:
-            axes.axhline(bound, color=line.get_color(), linestyle="--", linewidth=1.0)
+            axes.axhline(bound, **dashed)
+        else:  # such an artist widens nothing
+            across = axes.get_yaxis_transform()
+            axes.add_artist(Line2D([0, 1], [bound, bound], transform=across, **dashed))
     flagged: Any = [(moment_of(one["time"]), one["radiance"]["value"]) for one in readings if one["flags"]]
     if flagged:
         axes.plot(*zip(*flagged, strict=True), ".", color="#b3261e", label=label(f"{name}, flagged"))

@@ -45,7 +45,8 @@ def opened_tiff(path: Path, content: bytes) -> Iterator[Any]:
     """Give a TIFF's bytes as tifffile's file while the block runs.
 
     Raises:
-        CaptureError: If it is damaged or truncated, or its compression is not read.
+        CaptureError: If its compression is not read.
+        DamagedFileError: If it is damaged or truncated.
     """
     refuse_endless_tiff(path, content)
     try:
@@ -130,7 +131,7 @@ def page_values(path: Path, page: Any) -> NDArray[Any]:
     layout = {"YX": tuple(page.shape), "YXS": tuple(page.shape), "SYX": (*page.shape[1:], *page.shape[:1])}
     shape = layout.get(page.axes)
     if shape is None or page.dtype is None:
-        raise CaptureError(f"{path}: its values lie in a way that is not read; save it as one picture of 8 or 16 bits")
+        raise CaptureError(f"{path}: the layout of its values is not read; save it as one picture of 8 or 16 bits")
     if page.compression not in _OF_LIBTIFF:
         values = np.asarray(page.asarray())
         return np.moveaxis(values, 0, -1) if page.axes == "SYX" else values

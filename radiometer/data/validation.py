@@ -162,7 +162,7 @@ def _line(entry: Mapping[str, Any], model: type[BaseModel]) -> str:
 def _meant(key: str, model: type[BaseModel], absent: frozenset[str]) -> str | None:
     """Return the known key that an unknown one is in another spelling; None where it is like none.
 
-    One that differs in its unit or in a letter is so only where the known key is absent: beside it, it is a further
+    One that differs in its unit or in a letter is so only where the known key is absent. Next to that, it is a further
     statement of another program.
     """
     plain = _plain(key)

@@ -117,7 +117,7 @@ def assemble(
         CaptureHeader,
         {
             "camera": camera,
-            "lens": _lens(ordered),
+            "lens": _lens(ordered, options),
             "source": SourceDescription(kind="sphere" if ordered[0].photons is not None else "scene"),
             "patterns": tuple(dict.fromkeys(f.settings.pattern for f in ordered)),
             "frames": tuple(entry for _, entry in entries.values()),
@@ -272,8 +272,10 @@ def _white_level(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOpt
     return (lowest if lowest < full_scale else None), doubts
 
 
-def _lens(frames: Sequence[FoundFrame]) -> LensDescription:
+def _lens(frames: Sequence[FoundFrame], options: ImportOptions) -> LensDescription:
     facts: dict[str, Any] = {}
+    if options.crop is not None or options.sample > 1:  # the optical axis is where it was: at the middle of the file's
+        facts["principal_point_px"] = options.place_of_middle(frames[0].shape)
     for frame in frames:
         for key, value in frame.lens.items():
             facts.setdefault(key, value)

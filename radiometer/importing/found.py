@@ -47,6 +47,16 @@ class ImportOptions:
             pixels = pixels[self.crop.slices]
         return np.ascontiguousarray(pixels[:: self.sample, :: self.sample])
 
+    def place_of_middle(self, shape: tuple[int, int]) -> tuple[float, float]:
+        """Return where the middle of a whole picture is in the requested part: x and y in pixels of that.
+
+        Args:
+            shape: (height, width) of the whole picture.
+        """
+        corner = (self.crop.x, self.crop.y) if self.crop is not None else (0, 0)
+        x, y = (((side - 1) / 2.0 - begin) / self.sample for side, begin in zip(shape[::-1], corner, strict=True))
+        return x, y
+
     def digital_numbers(self, pixels: NDArray[Any], where: str) -> DigitalNumbers:
         """Return stored values as the digital numbers of a frame, cut to the requested part.
 

@@ -18,6 +18,8 @@ from radiometer.typing import Array
 
 _TILES_ACROSS = 32  # over the shorter side: a fall-off has no finer structure, and dust fills few of them
 _FEWEST_TILES = 24  # at least four values for each of at most six parameters
+_AXIS_WITHIN = 0.3  # of half the diagonal, to each side: where the optical axis is looked for
+_FARTHEST_AXIS = 0.2  # of it: mounts centre lenses to a few per cent; a gradient or a scene moves the fit to the limit
 _OUTLIER_SIGMA = 5.0  # of some thousand tiles of normal scatter none is so far off
 
 
@@ -77,7 +79,7 @@ def fit_flat_field(
         shape=even.shape,
         f_number=lens.f_number,
     )
-    _refuse_nonsense(flat)
+    _refuse_nonsense(flat, start)
     return flat
 
 
@@ -140,7 +142,7 @@ def _fit(
         found = optimize.least_squares(
             residuals,
             start,
-            bounds=(start - 0.3 * radius, start + 0.3 * radius),
+            bounds=(start - _AXIS_WITHIN * radius, start + _AXIS_WITHIN * radius),
             x_scale=0.05 * radius,
         )
         centre, free = found.x, free + 2
@@ -165,8 +167,14 @@ def _without_outliers(tiles: _Tiles, centre: Array, radius: float, focal: float 
     return tiles
 
 
-def _refuse_nonsense(flat: FlatField) -> None:
+def _refuse_nonsense(flat: FlatField, start: Array) -> None:
     height, width = flat.shape
+    away_px = float(np.max(np.abs(np.array(flat.principal_point_px) - start)))
+    if away_px > _FARTHEST_AXIS * flat.radius_px:
+        raise MeasurementError(
+            f"the fall-off seems to be about a point {away_px:.0f} px from the optical axis: the light was not even, or"
+            " lens.principal_point_px is missing; use an integrating sphere or a diffuser before the lens"
+        )
     corners = flat.at(np.array([0.0, width - 1.0, 0.0, width - 1.0]), np.array([0.0, 0.0, height - 1.0, height - 1.0]))
     if corners.min() < 0.05 or corners.max() > 1.5:
         raise MeasurementError(

@@ -31,7 +31,7 @@ from radiometer.analysis.merge.sums import (
     merge_passes,
 )
 from radiometer.analysis.photometry.photometry import KINDS
-from radiometer.analysis.reading.budget import common_u_rel, frame_u_rel, unstated_u_rel
+from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.model import (
     corrected_settings,
@@ -665,6 +665,16 @@ class StreamingMerge:
             f"the response bends by {100 * share:.2g} % at full scale, as found: the map keeps it, u does not hold it",
         )
 
+    def _fall_off(self) -> tuple[str, ...]:
+        """Return what the lens may lose towards the corners, where nothing says how much."""
+        flat = None if self._calibration is None else self._calibration.flat_field
+        if flat is not None or falloff_known(self._camera, self._situation.lens) != "unknown":
+            return ()
+        return (
+            "the lens's fall-off is not corrected (focal length or pixel size unknown, no flat): an ordinary lens "
+            f"loses {100 * UNKNOWN_FALLOFF:.2g} % at the corner, a wide one more, which u does not hold",
+        )
+
     def _light(self) -> tuple[str, ...]:
         """Return how far pixels may be off whose light is of another spectrum, which a map knows of none."""
         calibration = self._calibration
@@ -685,7 +695,8 @@ class StreamingMerge:
         of_time = self._exposure_offset()
         in_u = of_time if self._exposures_in_u else ()
         of_light = self._stray_light(images[0])
-        not_in_u = (*of_light, *(() if self._exposures_in_u else of_time), *self._bend(), *self._light(), *doubtful)
+        of_time = () if self._exposures_in_u else of_time
+        not_in_u = (*of_light, *of_time, *self._bend(), *self._light(), *self._fall_off(), *doubtful)
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,

@@ -15,8 +15,9 @@ _FOCUS = ("magnification", "pupil_magnification")
 
 
 def lens_in_use(calibration: Calibration, lens: LensDescription) -> LensDescription:
-    """Return the calibration's lens with all that the lens in use states of itself: f-number, transmittance, focus.
+    """Return the calibration's lens with all that the lens in use states of itself.
 
+    These are f-number, transmittance and focus, and where the optical axis meets the frames, which may be cut.
     Where the lens in use says nothing of transmittance and magnification it is as it was at calibration. An f-number
     that it does not state stays unknown: it changes from picture to picture.
 
@@ -24,6 +25,8 @@ def lens_in_use(calibration: Calibration, lens: LensDescription) -> LensDescript
         CalibrationError: If it states a transmittance and the calibration none, so that they cannot be compared.
     """
     stated = {name: getattr(lens, name) for name in _FOCUS if name in lens.model_fields_set}
+    if lens.principal_point_px is not None:
+        stated["principal_point_px"] = lens.principal_point_px
     if lens.transmittance is not None:
         stated |= {"transmittance": lens.transmittance, "transmittance_u_rel": lens.transmittance_u_rel}
     if "transmittance" in stated and calibration.lens.transmittance is None and calibration.absolute:

@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from radiometer.daemon import journal_writer
@@ -111,20 +112,86 @@ async def test_the_clock_is_looked_at_every_second() -> None:
     assert (set(pauses), [jump.by_us for jump in reported]) == ({1.0}, [HOUR_US])
 
 
-@pytest.mark.parametrize(("off_us", "doubt_us"), [(0, 0), (DAY_US - HOUR_US, 0), (2 * DAY_US, 2 * DAY_US), (-1, -1)])
+@pytest.mark.parametrize(
+    ("off_us", "by_us"), [(0, 0), (DAY_US, 0), (DAY_US + 1, DAY_US + 1), (-1, -1), (-400 * DAY_US, -400 * DAY_US)]
+)
 def test_a_day_without_a_daemon_is_believed_and_no_more(
-    tmp_path: Path, make_reading: Callable[..., Reading], off_us: int, doubt_us: int
+    off_us: int, by_us: int, tmp_path: Path, make_reading: Callable[..., Reading]
 ) -> None:
-    """Off for longer, or with a newest reading in the future, the clock is in doubt by that, at later starts too."""
+    """Off for longer, or with a newest reading in the future, the pause does not count in ages."""
+    newest_us = START_US - off_us
+    for before_us, left in ((newest_us + by_us, 2), (newest_us + by_us + 1, 1)):
+        path = tmp_path / f"{left}.sqlite"
+        with Journal(path) as journal:
+            journal.append([make_reading(time=iso_time(newest_us))] * 2)
+            for _ in range(3):  # starts without a reading count once
+                journal.note_opening(START_US)
+            journal.drop_older(before_us)
+        assert len(list(JournalReader(path).lines(ReadingFilter()))) == left
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_whatever_the_clock_did_what_is_young_stays_and_what_is_old_goes(
+    seed: int, tmp_path: Path, make_reading: Callable[..., Reading]
+) -> None:
+    """The clock set forward and back, with the daemon on and off, deletions at every start; the true time decides.
+
+    Every reading that is truly younger than 30 days stays. At the end, what ran for longer
+    than that after a reading has let it go: nothing is kept for ever.
+    """
+    random, path = np.random.default_rng(seed), tmp_path / "j.sqlite"
+    true_us, off_us, stamps = START_US, 0, list[int]()
+    keep_us = 30 * DAY_US
+
+    def drop(journal: Journal) -> None:
+        journal.drop_older(true_us + off_us - keep_us)
+        left = [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())]
+        assert set(left) >= {n + 1 for n, made_us in enumerate(stamps) if true_us - made_us <= keep_us}
+
+    for _ in range(30):
+        if random.random() < 0.5:
+            off_us = int(random.choice([0, 400, -400, 20, -20, 3])) * DAY_US
+        with Journal(path) as journal:
+            journal.note_opening(true_us + off_us)
+            drop(journal)
+            for _ in range(int(random.integers(0, 4))):
+                if random.random() < 0.2:
+                    set_us = int(random.choice([0, 400, -400, 20, -20])) * DAY_US
+                    journal.note_jump(set_us - off_us)
+                    off_us = set_us
+                true_us += int(random.integers(1, DAY_US))
+                stamps.append(true_us)
+                journal.append([make_reading(time=iso_time(true_us + off_us))])
+                drop(journal)
+        true_us += int(random.integers(1, 5 * DAY_US))
+    with Journal(path) as journal:
+        journal.note_opening(true_us + off_us)
+        for _ in range(62):
+            true_us += DAY_US // 2
+            journal.append([make_reading(time=iso_time(true_us + off_us))])
+        drop(journal)
+    assert len(list(JournalReader(path).lines(ReadingFilter()))) == 61
+
+
+def test_events_and_trend_stay_as_long_as_the_readings_of_their_time(
+    tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stamped while the clock was 30 days behind: right again, an event and a reading go together."""
     path = tmp_path / "j.sqlite"
-    stamped_us = time.time_ns() // 1000 - off_us
+    behind_us = START_US - 30 * DAY_US
+    monkeypatch.setattr(time, "time_ns", lambda: 1000 * (behind_us + HOUR_US))
     with Journal(path) as journal:
-        journal.append([make_reading(time=iso_time(stamped_us))])
-    with Journal(path) as journal:
-        assert journal.clock_doubt_us == pytest.approx(doubt_us, abs=HOUR_US / 2)
-        journal.append([make_reading(time=iso_time(time.time_ns() // 1000))])
-    with Journal(path) as journal:
-        assert journal.clock_doubt_us == pytest.approx(doubt_us, abs=HOUR_US / 2)
+        journal.append([make_reading(time=iso_time(START_US))])
+        journal.note_jump(-30 * DAY_US)
+        journal.note("clock", "set back")
+        journal.append([make_reading(time=iso_time(behind_us + HOUR_US))])
+        journal.note_jump(30 * DAY_US)
+        journal.append([make_reading(time=iso_time(START_US + 2 * HOUR_US))] * 2)
+        reader = JournalReader(path)
+        for before_us, left in ((START_US + HOUR_US, 1), (START_US + HOUR_US + 1, 0)):
+            assert journal.drop_older(before_us) == 1
+            assert len(reader.events()) == left
+            assert len(reader.trend("", behind_us, behind_us + DAY_US)) == left
 
 
 async def test_a_jump_is_in_journal_and_state(
@@ -142,17 +209,17 @@ async def test_a_jump_is_in_journal_and_state(
 
 
 def test_the_age_is_counted_by_a_clock_that_cannot_be_set() -> None:
-    """Forward jumps while it runs, and one before the start, do not move it; a clock set back holds it back."""
+    """A forward jump moves it once the journal has noted it, and not before; a clock set back holds it back."""
     clocks = Clocks()
-    retention = RetentionClock(0, *clocks.both)
+    retention = RetentionClock(*clocks.both)
     clocks.go(HOUR_US)
     assert retention.now_us() == START_US + HOUR_US
     clocks.wall += 10 * DAY_US
     assert retention.now_us() == START_US + HOUR_US
+    retention.follow(10 * DAY_US)
+    assert retention.now_us() == START_US + HOUR_US + 10 * DAY_US
     clocks.wall = START_US - DAY_US
     assert retention.now_us() == START_US - DAY_US
-    stamped_ahead = RetentionClock(10 * DAY_US, *Clocks().both)
-    assert stamped_ahead.now_us() == START_US - 10 * DAY_US
 
 
 async def kept_after_start(path: Path, keep_days: float, young: Reading) -> list[int]:
@@ -174,7 +241,7 @@ async def test_keep_days_deletes_what_is_older_and_nothing_else(
     path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
         journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (9, 8, 6, 1, 0)])
-    monkeypatch.setattr(time, "time_ns", lambda: 1000 * (START_US + 10 * DAY_US))
+    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (lambda: START_US + 10 * DAY_US, lambda: 0))
     young = make_reading(time=iso_time(START_US + 10 * DAY_US))
     assert await kept_after_start(path, 7.0, young) == [3, 4, 5]
     assert await kept_after_start(path, 0.5, young) == [5, 6, 7]
@@ -219,19 +286,12 @@ async def test_a_jump_before_a_restart_is_remembered(
 ) -> None:
     """The clock jumped, readings were stamped with it, the daemon was started anew: still nothing young goes."""
     path, wall = tmp_path / "j.sqlite", START_US + 10 * DAY_US
-    monkeypatch.setattr(time, "time_ns", lambda: 1000 * START_US)
     with Journal(path) as journal:
         journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (9, 6, 1)])
         journal.note_jump(10 * DAY_US)
         journal.append([make_reading(time=iso_time(wall))])
-    monkeypatch.setattr(time, "time_ns", lambda: 1000 * wall)
+    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (lambda: wall, lambda: 0))
     assert await kept_after_start(path, 7.0, make_reading(time=iso_time(wall))) == [2, 3, 4]
-    with Journal(path) as journal:
-        journal.note_jump(-10 * DAY_US)
-    again = Journal(path)
-    again.open()
-    assert again.clock_doubt_us == 0
-    again.close()
 
 
 async def test_a_journal_error_is_told_not_swallowed(
@@ -277,9 +337,32 @@ async def test_a_clock_that_stays_wrong_over_several_starts_deletes_nothing(
     path, ahead = tmp_path / "j.sqlite", START_US + 400 * DAY_US
     with Journal(path) as journal:
         journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (31, 0)])
-    monkeypatch.setattr(time, "time_ns", lambda: 1000 * ahead)
+    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (lambda: ahead, lambda: 0))
     for first in ([2], [2, 3, 4], [2, 3, 4, 5, 6]):
         assert await kept_after_start(path, 30.0, make_reading(time=iso_time(ahead))) == first
-    monkeypatch.setattr(time, "time_ns", lambda: 1000 * START_US)
-    with Journal(path) as journal:
-        assert journal.clock_doubt_us == 0
+
+
+def test_a_clock_that_was_wrong_first_and_is_again_deletes_nothing_young(
+    tmp_path: Path, make_reading: Callable[..., Reading]
+) -> None:
+    """Ahead by 400 days when the journal was made, right for 31 days, then ahead again while no daemon runs."""
+    now_us = START_US + 31 * DAY_US
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading(time=iso_time(START_US + 400 * DAY_US))] * 2)
+        journal.note_jump(-400 * DAY_US)
+        journal.append([make_reading(time=iso_time(now_us))] * 3)
+        journal.note_opening(now_us + 400 * DAY_US)
+        assert journal.drop_older(now_us + 400 * DAY_US - 30 * DAY_US) == 2
+
+
+def test_pauses_do_not_add_up(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+    """Off for two days each week: after a year nothing is kept that was measured over 30 days of running before."""
+    true_us = START_US
+    with Journal(tmp_path / "j.sqlite") as journal:
+        for day in range(364):
+            true_us += 3 * DAY_US if day % 5 == 0 else DAY_US
+            journal.note_opening(true_us)
+            journal.append([make_reading(time=iso_time(true_us))])
+            journal.drop_older(true_us - 30 * DAY_US)
+    left = [json.loads(line)["sequence"] for line in JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter())]
+    assert len(left) == 1 + 30 + 30 // 4  # the pause itself is not counted: four days of every five

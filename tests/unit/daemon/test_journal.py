@@ -25,7 +25,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_stat
 
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump
-from radiometer.daemon.journal import SCHEMA_VERSION, Journal, JournalError, default_journal_path
+from radiometer.daemon.journal import SCHEMA_VERSION, Journal, JournalError, JournalSizeError, default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, TrendPoint, to_csv
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time, now_us, parse_moment
@@ -727,29 +727,36 @@ def test_a_limit_of_bytes_is_one(tmp_path: Path, connections: list[Watched]) -> 
         assert size * count <= 150_000 < size * (count + 1)  # the rest is SQLite's log
 
 
+def kept_of(path: Path, before_us: int) -> list[int]:
+    """Return which numbers a deletion leaves in a journal."""
+    with Journal(path) as journal:
+        journal.drop_older(before_us)
+    return [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())]
+
+
 async def test_a_jump_is_counted_once(tmp_path: Path, make_reading: Make) -> None:
-    """Two jumps of the clock by 10 s and −4 s are a doubt of 6 s however often is committed; each is an event."""
-    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
+    """Two jumps of the clock by 10 s and −4 s make ages 6 s less, however often is committed; each is an event."""
+    path = tmp_path / "j.sqlite"
+    writer = JournalWriter(Journal(path), Alarms(lambda *_: None), lambda *_: None)
     await writer.open()
+    running = asyncio.create_task(writer.run())
+    for second in range(3):
+        await writer.submit(make_reading(time=iso_time(BASE_US + second * 1_000_000)))
     writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
     writer.note_jump(Jump(BASE_US, BASE_US - 4_000_000))
-    running = asyncio.create_task(writer.run())
     for _ in range(3):
-        await writer.submit(make_reading())
+        await writer.submit(make_reading(time=iso_time(BASE_US + 9_000_000)))
     running.cancel()
     await writer.close()
-    again = Journal(tmp_path / "j.sqlite")
-    again.open()
-    assert again.clock_doubt_us == 6_000_000
-    again.close()
-    kinds = [event["kind"] for event in JournalReader(tmp_path / "j.sqlite").events()]
-    assert kinds == ["clock", "clock"]
+    assert [event["kind"] for event in JournalReader(path).events()] == ["clock", "clock"]
+    assert kept_of(path, BASE_US + 7_000_000) == [2, 3, 4, 5, 6]
+    assert kept_of(path, BASE_US + 7_000_001) == [3, 4, 5, 6]
 
 
 async def test_a_jump_that_could_not_be_written_is_written_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, make_reading: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its event got through before the disk was full and it alone is left: the doubt of the clock is kept."""
+    """Its event got through before the disk was full and it alone is left: the readings before it are as young."""
     journal, pauses = Journal(tmp_path / "j.sqlite"), []
 
     async def pause(seconds: float) -> None:
@@ -761,12 +768,16 @@ async def test_a_jump_that_could_not_be_written_is_written_later(
 
     writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None, sleep=pause)
     await writer.open()
+    running = asyncio.create_task(writer.run())
+    for _ in range(2):
+        await writer.submit(make_reading(time=iso_time(BASE_US)))
+    running.cancel()
     monkeypatch.setattr(journal, "note_jump", full)
     writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
     await writer.close()
     assert len(pauses) == 1
-    with Journal(tmp_path / "j.sqlite") as again:
-        assert again.clock_doubt_us == 10_000_000
+    assert kept_of(tmp_path / "j.sqlite", BASE_US + 10_000_000) == [1, 2]
+    assert kept_of(tmp_path / "j.sqlite", BASE_US + 10_000_001) == [2]
 
 
 async def test_readings_that_still_wait_at_the_end_are_saved(
@@ -922,6 +933,52 @@ async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path: Path, ma
     assert [reading.sequence for reading in await asyncio.gather(*futures)] == [1, 2, 3]
     assert given == [(1, 5.0), (2, 3.0), (3, 4.0)]
     await writer.close()
+
+
+def filled(path: Path, make_reading: Make) -> Journal:
+    """Return a journal that a hundred readings of 90 days ago and those of this moment have filled to its size."""
+    old, new = (make_reading(time=iso_time(now_us() - days * DAY_US)) for days in (90, 0))
+    with Journal(path, max_bytes=200_000) as journal, suppress(JournalSizeError):
+        journal.append([old] * 100)
+        while True:
+            journal.append([new] * 20)
+    return Journal(path, max_bytes=200_000)
+
+
+async def test_measuring_pauses_at_the_size_limit(tmp_path: Path, make_reading: Make) -> None:
+    """At the first readings that have no place, not when memory is full of them; the alarm names the option."""
+    writer = JournalWriter(
+        filled(tmp_path / "j.sqlite", make_reading), Alarms(lambda *_: None), lambda *_: None, closing_s=0.05
+    )
+    await writer.open()
+    running = asyncio.create_task(writer.run())
+    async with asyncio.timeout(20.0):
+        while writer.has_room:
+            writer.submit(make_reading(time=iso_time(now_us())))
+            await asyncio.sleep(0.01)
+    assert "--journal-max-mb: raise that" in writer.trouble
+    assert "measuring is paused" in writer.trouble
+    running.cancel()
+    with pytest.raises(OutputError, match="readings are not in the journal"):
+        await writer.close()
+
+
+async def test_a_journal_that_is_full_at_the_start_makes_room_by_deleting(tmp_path: Path, make_reading: Make) -> None:
+    """What is too old goes though nothing could be written before: then measuring goes on."""
+    writer = JournalWriter(
+        filled(tmp_path / "j.sqlite", make_reading), Alarms(lambda *_: None), lambda *_: None, keep_days=30.0,
+        retry_s=0.01,
+    )  # fmt: skip
+    await writer.open()
+    futures = [writer.submit(make_reading(time=iso_time(now_us()))) for _ in range(30)]
+    running = asyncio.create_task(writer.run())
+    async with asyncio.timeout(20.0):
+        await asyncio.gather(*futures)
+        await writer.wait_for_room()
+    running.cancel()
+    await writer.close()
+    first, last, _ = JournalReader(tmp_path / "j.sqlite").bounds()
+    assert (first, last) == (101, futures[-1].result().sequence)
 
 
 def test_deletion_takes_whole_old_minutes_of_the_trend(tmp_path: Path, make_reading: Make) -> None:

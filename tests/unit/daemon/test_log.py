@@ -6,6 +6,7 @@ import datetime as dt
 import logging
 import sqlite3
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,14 +83,29 @@ def test_a_line_and_its_band_end_where_the_readings_pause(tmp_path, make_reading
         (PatchLimits(), [], "lamp"),
     ],
 )
-def test_limits_are_drawn_where_they_are_near_and_named_always(tmp_path, make_reading, limits, drawn, legend):
+def test_limits_are_in_the_picture_where_they_are_near_and_named_always(tmp_path, make_reading, limits, drawn, legend):
     """Those of a patch with a name and of its unit; one far from its readings only where the newest is beyond it."""
     with Journal(tmp_path / "j.sqlite") as written:
         written.append(hours(make_reading, 0, 1, 2, name="lamp"))
         written.keep_patch("lamp", NamedPatch("lamp", Patch(1, 2, 3, 4), limits).to_json())
-    line, *dashed = rm.log(tmp_path / "j.sqlite").plot().get_lines()
+    axes = rm.log(tmp_path / "j.sqlite").plot()
+    line, *dashed = axes.get_lines()
+    bottom, top = axes.get_ylim()
     assert line.get_label() == legend
-    assert [one.get_ydata()[0] for one in dashed] == drawn
+    assert [bound for one in dashed if bottom < (bound := one.get_ydata()[0]) < top] == drawn
+
+
+def test_limits_far_from_their_readings_are_drawn_where_another_patch_is_there(tmp_path, make_reading):
+    """A patch that reads nothing widens the picture to 0: the low limit of the bright one lies in it."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, 2, name="lamp"))
+        dark = hours(make_reading, 3, 4, name="dark")
+        written.append([replace(one, radiance=Quantity(0.0, 0.004, "W sr-1 m-2")) for one in dark])
+        written.keep_patch("lamp", NamedPatch("lamp", Patch(1, 2, 3, 4), PatchLimits(low=0.1)).to_json())
+    axes = rm.log(tmp_path / "j.sqlite").plot()
+    bottom, top = axes.get_ylim()
+    assert bottom < 0.1 < top
+    assert [0.1, 0.1] in [list(line.get_ydata()) for line in axes.get_lines()]
 
 
 def test_limits_of_the_patch_for_all_are_of_where_it_is_now(tmp_path, make_reading):

@@ -15,9 +15,9 @@ from radiometer.daemon.bench_instrument import BenchInstrument, WatchedCamera
 from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.keeper import KeeperTimes
 from radiometer.daemon.service import ServiceOptions
-from radiometer.data import Flag, Frame
+from radiometer.data import Calibration, CameraDescription, Flag, Frame, LensDescription, Scale, SensorNoise
 from radiometer.devices import Camera, CameraSettings
-from radiometer.errors import DeviceError, RadiometerError
+from radiometer.errors import CalibrationError, DeviceError, RadiometerError
 from testing.daemon_process import write_small_bench
 
 
@@ -167,6 +167,33 @@ def test_a_measurement_is_taken_at_its_own_gain_and_exposure(tmp_path: Path) -> 
     assert instrument.self_test() == []
     assert instrument.calibration_summary == {}
     assert instrument.reload_calibration() == "no calibration in use"
+    instrument.close()
+
+
+@pytest.mark.parametrize(
+    ("of_camera", "of_lens"),
+    [({"model": "other"}, {}), ({}, {"focal_length_mm": 35.0}), ({}, {"transmittance": None})],
+    ids=["camera", "lens", "transmittance"],
+)
+def test_a_calibration_that_no_reading_could_use_is_refused_at_once(
+    of_camera: dict[str, Any], of_lens: dict[str, Any], tmp_path: Path
+) -> None:
+    """Read again, one of another camera or lens is refused, and the old one goes on."""
+    camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.4, black_level_dn=64.0)
+    lens = LensDescription(f_number=4.0, transmittance=0.95)
+    scale = Scale(value=1e-6, u_rel=0.01, method="known_radiance", f_number=4.0)
+    path = tmp_path / "cal.yaml"
+    right = Calibration(camera, lens, scale, None, SensorNoise.of(camera))
+    right.write(path)
+    instrument = BenchInstrument(write_small_bench(tmp_path), calibration=path)
+    instrument.open()
+    before = instrument.calibration_summary
+    wrong = replace(right, camera=camera.model_copy(update=of_camera), lens=lens.model_copy(update=of_lens))
+    replace(wrong, created="2026-01-01T00:00:00Z").write(path)
+    with pytest.raises(CalibrationError, match=r"another camera|with a lens of 35 mm|states none"):
+        instrument.reload_calibration()
+    assert instrument.calibration_summary == before
+    assert instrument.measure(FIXED).reading.radiance.value > 0
     instrument.close()
 
 

@@ -12,8 +12,9 @@ import tifffile
 import yaml
 
 import radiometer as rm
+from radiometer.analysis.signal.lens import lens_in_use, relative_sensitivity
 from radiometer.cli.main import run
-from radiometer.data import Patch
+from radiometer.data import Calibration, CameraDescription, LensDescription, Patch, SensorNoise
 from radiometer.data.statements import StatementMap
 from radiometer.errors import CaptureError, UnsettledError
 from radiometer.importing import ImportOptions, import_sources, imported_of, is_foreign, open_capture
@@ -397,6 +398,25 @@ def test_crop_and_sampling(write_fits):
     capture = open_capture(path, ImportOptions(crop=Patch(8, 4, 20, 10), sample=2))
     assert np.array_equal(capture.read_frame(0).dn, FITS_PICTURE[4:14:2, 8:28:2])
     assert capture.header.camera.pixel_spacing_um == 10.0
+    assert capture.header.lens.principal_point_px == ((31.5 - 8) / 2, (23.5 - 4) / 2)
+
+
+@pytest.mark.parametrize("options", [ImportOptions(crop=Patch(30, 20, 30, 20)), ImportOptions(sample=2)])
+def test_the_fall_off_of_a_part_is_that_of_its_place(options, write_fits):
+    """cos⁴ of the calibration's wide lens is about the middle of the whole picture, whatever part was taken of it."""
+    path = write_fits("a.fits", FITS_PICTURE, EXPTIME=1.0, XPIXSZ=5.0)
+    camera, lens = CameraDescription(bit_depth=16), LensDescription(focal_length_mm=0.2, vignetting="cos4")
+    known = Calibration(camera, lens, None, None, SensorNoise.of(camera))
+    y, x = np.mgrid[:48, :64]
+    falloff = []
+    for capture in (open_capture(path), open_capture(path, options)):
+        shape = capture.read_frame(0).dn.shape
+        used = lens_in_use(known, capture.header.lens)
+        rows, columns = y[: shape[0], : shape[1]], x[: shape[0], : shape[1]]
+        falloff.append(relative_sensitivity(capture.header.camera, used, None, shape, columns, rows))
+    whole, part = falloff
+    assert whole.min() < 0.5
+    np.testing.assert_allclose(part, options.cut(whole, "whole"), rtol=1e-12)
 
 
 def test_floating_point_needs_a_full_scale(write_fits):

@@ -143,9 +143,10 @@ function hovered(panel, index) {
   const c = panel.columns, rows = c.value.map((v, i) => i).filter((i) => c.value[i] !== null);
   if (!rows.length) return "";
   if (index === null) {
-    const count = rows.reduce((n, i) => n + c.count[i], 0), mean = rows.reduce((n, i) => n + c.value[i] * c.count[i], 0) / count;
-    const spread = Math.sqrt(rows.reduce((n, i) => n + c.count[i] * (c.value[i] - mean) ** 2, 0) / Math.max(1, count));
-    return `mean ${+mean.toPrecision(5)} · scatter ${(100 * spread / Math.abs(mean || 1)).toPrecision(2)} % · ${count} readings`;
+    const count = rows.reduce((n, i) => n + c.count[i], 0), mean = (column) => rows.reduce((n, i) => n + column[i] * c.count[i], 0) / count;
+    const low = Math.min(...rows.map((i) => c.low[i])), high = Math.max(...rows.map((i) => c.high[i]));
+    const [from, to] = [low, high].map((v) => { const w = written(v, high - low); return w.value + w.power; });
+    return `mean ${quantity(mean(c.value), mean(c.U), "").trim()} (k = ${c.coverage_factor}) · ${count} readings from ${from} to ${to}`;
   }
   return `${timeText(c.time[index], state.span)}   ${quantity(c.value[index], c.U[index], c.unit)}${c.count[index] > 1 ? `   mean of ${c.count[index]}` : ""}${c.flagged[index] ? `   ${c.flagged[index]} flagged` : ""}`;
 }
@@ -217,8 +218,10 @@ function patchRow(name) {
   return row;
 }
 function showPatches() {
-  const patches = state.status?.patches || {}, units = new Set(Object.keys(patches).map((name) => state.latest.get(name)?.radiance.unit).filter(Boolean));
-  $("patch-unit").textContent = units.size === 1 ? unitText([...units][0]) : "";
+  const patches = state.status?.patches || {}, shown = Object.keys(patches).map((name) => state.latest.get(name)).filter(Boolean);
+  const units = new Set(shown.map((reading) => reading.radiance.unit)), factors = shown.map((reading) => reading.coverage_factor);
+  const k = [...new Set([Math.min(...factors), Math.max(...factors)].map((factor) => +factor.toPrecision(3)))].join(" to ");
+  $("patch-unit").textContent = [units.size === 1 ? unitText([...units][0]) : "", factors.length ? `k = ${k}` : ""].filter(Boolean).join(", ");
   const rows = Object.entries(patches).map(([name, entry]) => {
     const row = patchRow(name), [title, value, button] = row.children, reading = state.latest.get(name), { low, high } = entry.limits;
     row.className = `patch-row${entry.breached ? " bad" : ""}`;
@@ -255,7 +258,8 @@ $("patches-all").addEventListener("click", () => { root.classList.toggle("all-pa
 new ResizeObserver(() => part("the patches", showPatches)).observe(document.querySelector(".card.patches"));
 function askLimits(name, limits) {
   limited = name;
-  $("limits-title").textContent = `Limits of ${name === "main" ? "the patch" : name}`;
+  const unit = state.latest.get(name)?.radiance.unit || limits.unit || "";
+  $("limits-title").textContent = `Limits of ${name === "main" ? "the patch" : name}${unit ? ` in ${unitText(unit)}` : ""}`;
   $("limit-low").value = limits.low ?? ""; $("limit-high").value = limits.high ?? "";
   $("limit-delete").hidden = name === "main";
   $("limits").returnValue = "cancel";

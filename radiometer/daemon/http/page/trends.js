@@ -19,6 +19,11 @@ const label = (value, step) => {
   return value.toFixed(Math.min(8, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))));
 };
 
+// Between ticks: a step of 2.5, which is uPlot's own as well, has a digit more than its label.
+const STEPS = Array.from({ length: 40 }, (_, i) => i - 24).flatMap((power) => [1, 2, 5].map((m) => +`${m}e${power}`));
+
+const LIMIT_ROOM = 10;  // ranges of the readings; farther away a limit would leave no height for them
+
 /** One patch: its panel, its plot, and the columns it shows. */
 export class TrendPanel {
   constructor(place, name, hover) {
@@ -48,7 +53,7 @@ export class TrendPanel {
     this.plot = new uPlot({
       width: Math.max(80, this.frame.clientWidth), height: Math.max(60, this.frame.clientHeight), legend: { show: false }, padding: [6, 20, 0, 0],
       scales: { x: { time: true, range: () => this.window }, y: { range: (u, low, high) => this.range(low, high) } },
-      axes: [{ ...axis, values: axisTimes, space: 74, size: 26 }, { ...axis, size: 66, space: 30, values: (u, splits) => splits.map((v) => label(v, Math.abs((splits[1] ?? 1) - splits[0]) || 1)) }],
+      axes: [{ ...axis, values: axisTimes, space: 74, size: 26 }, { ...axis, size: 66, space: 30, incrs: STEPS, values: (u, splits) => splits.map((v) => label(v, Math.abs((splits[1] ?? 1) - splits[0]) || 1)) }],
       series: [{}, { ...hidden, label: "value + U" }, { ...hidden, label: "value − U" },
         { label: "highest", stroke: () => css("--faint"), width: 1, points: { show: false } }, { label: "lowest", stroke: () => css("--faint"), width: 1, points: { show: false } },
         { label: "value", stroke: () => css("--accent"), width: 1.8, points: { show: (u, s, from, to) => to - from < 60, size: 4, fill: () => css("--accent") } }],
@@ -73,10 +78,10 @@ export class TrendPanel {
     const shown = [low, high].filter((v) => v !== null && Number.isFinite(v));
     if (!shown.length) return [0, 1];
     let [bottom, top] = [Math.min(...shown), Math.max(...shown)];
+    const room = LIMIT_ROOM * Math.max(top - bottom, Math.abs(top) * 0.02), [least, most] = [bottom - room, top + room];
     for (const side of ["low", "high"]) {  // a limit that is near, or broken, belongs into the picture
-      const limit = this.limits[side], room = Math.max(top - bottom, Math.abs(top) * 0.02);
-      if (limit != null && this.breached === side) { bottom = Math.min(bottom, limit); top = Math.max(top, limit); }
-      if (limit != null && limit > bottom - 1.5 * room && limit < top + 1.5 * room) { bottom = Math.min(bottom, limit); top = Math.max(top, limit); }
+      const limit = this.limits[side];
+      if (limit != null && (this.breached === side || (limit > least && limit < most))) { bottom = Math.min(bottom, limit); top = Math.max(top, limit); }
     }
     const pad = Math.max((top - bottom) * 0.1, Math.abs(top) * 1e-4, 1e-12);
     return [bottom - pad, top + pad];

@@ -121,6 +121,57 @@ def test_a_picture_that_is_no_flat_is_refused(rig):
         fit_flat_field(even_map(spot), camera, lens)
 
 
+@pytest.mark.parametrize("unevenness", ["gradient", "steps"])
+def test_light_that_is_not_even_is_no_fall_off(rig, unevenness):
+    """A source twice as bright at its right, and a chart in the dark, move the fitted axis far off the lens's."""
+    camera, lens = wide(rig)
+    x = np.linspace(1.0, 2.0, SHAPE[1])[None, :]
+    light = x if unevenness == "gradient" else np.where(x > 1.7, np.round(4 * x), 1.0)
+    with pytest.raises(MeasurementError, match=r"the light was not even|no even source"):
+        fit_flat_field(even_map(falloff() * light), camera, lens)
+
+
+@pytest.mark.parametrize(
+    ("of_camera", "of_lens", "message"),
+    [
+        ({"model": "other"}, {}, "its model is"),
+        ({"serial": "999"}, {}, "its serial is"),
+        ({"pixel_pitch_um": 9.0}, {}, "its pixel pitch"),
+        ({}, {"focal_length_mm": 16.0}, "the one in use has 16 mm"),
+    ],
+)
+def test_a_flat_field_of_another_camera_or_lens_is_refused(rig, of_camera, of_lens, message, tmp_path, capsys):
+    """The fall-off is that of one lens on one sensor: what a calibration and a reading must share holds for it too."""
+    camera, lens = wide(rig)
+    camera, rng = camera.model_copy(update={"model": "one", "serial": "123"}), np.random.default_rng(5)
+    others = camera.model_copy(update=of_camera), lens.model_copy(update=of_lens)
+    radiance = 0.5 * rig.radiance_of_full_scale(1e-3)
+    for name, described in (("flat", others), ("known", (camera, lens))):
+        with CaptureSetWriter(tmp_path / name, *described) as writer:
+            for _ in range(2):
+                writer.add(rig.frame(radiance * falloff(), 1e-3, rng))
+    words = ["calibrate", str(tmp_path / "known"), "--patch", "20,20,20,20", "--radiance", str(radiance)]
+    words += ["--u-rel", "0.001", "--flat", str(tmp_path / "flat"), "-o", str(tmp_path / "cal.yaml")]
+    assert run(words) == 1
+    error = " ".join(capsys.readouterr().err.split())
+    assert "flat field" in error
+    assert message in error
+
+
+def test_a_flat_field_has_the_f_number_of_its_frames(rig, tmp_path, capsys):
+    """Mechanical vignetting depends on the iris: what counts is where it stood for the flat frames."""
+    camera, lens = wide(rig)
+    radiance, rng = 0.5 * rig.radiance_of_full_scale(1e-3), np.random.default_rng(5)
+    for name, stop in (("flat", 8.0), ("known", 4.0)):
+        with CaptureSetWriter(tmp_path / name, camera, lens) as writer:
+            for _ in range(2):
+                writer.add(rig.but(f_number=stop).frame(radiance * (stop / 4.0) ** 2 * falloff(), 1e-3, rng))
+    words = ["calibrate", str(tmp_path / "known"), "--patch", "20,20,20,20", "--radiance", str(radiance)]
+    words += ["--u-rel", "0.001", "--flat", str(tmp_path / "flat"), "--json", "-o", str(tmp_path / "cal.yaml")]
+    assert run(words) == 0
+    assert json.loads(capsys.readouterr().out)["flat_field"]["f_number"] == 8.0
+
+
 def test_a_clipped_flat_is_refused(rig):
     """Nothing usable is left."""
     camera, lens = wide(rig)

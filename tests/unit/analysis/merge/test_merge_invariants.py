@@ -257,3 +257,11 @@ def test_a_map_reports_what_is_off_by_a_thousandth_or_more(off_rel):
     ).not_in_u
     words = ("the exposure of 1e+03 µs", "the response bends", "light of another spectrum")
     assert [any(one.startswith(word) for one in reported) for word in words] == [off_rel > 0.001] * 3
+
+
+@pytest.mark.parametrize(("lens", "named"), [({}, True), ({"focal_length_mm": 16.0}, False)])
+def test_a_map_names_a_fall_off_that_nothing_states(lens, named):
+    """Without a focal length the loss at the corners is unknown: neither corrected nor in u, so it is named."""
+    camera = CAMERA.model_copy(update={"pixel_pitch_um": 4.5})
+    found = merge(frames(1, (1e-3, 2e-3)), Setup(camera, LensDescription(f_number=4.0, **lens)))
+    assert any("fall-off is not corrected" in one for one in found.not_in_u) is named
