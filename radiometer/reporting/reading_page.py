@@ -32,7 +32,10 @@ FLAG_MEANINGS: Final[Mapping[Flag, str]] = {
     Flag.STALE_CALIBRATION: "the calibration is older than its stated validity: calibrate again",
     Flag.UNCALIBRATED: "no calibration: the value is relative, not a radiance",
     Flag.NONUNIFORM: "the patch is not uniform: its spread exceeds the noise",
-    Flag.FEW_FRAMES: ("fewer than three frames (five short ones): they cannot show whether the light is steady"),
+    Flag.FEW_FRAMES: (
+        "fewer than three frames, or fewer than five where all are shorter than 10 ms: they cannot show whether the "
+        "light is steady"
+    ),
     Flag.STRAY_LIGHT: ("light from around the patch may make up much of the reading: shade or mask the surround"),
     Flag.SHORT_EXPOSURE: (
         "the offset of so short an exposure dominates the uncertainty: close the iris, expose longer"

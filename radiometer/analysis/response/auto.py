@@ -370,8 +370,10 @@ def _offset_note(exposures: Exposures, printed: ResponseSamples) -> tuple[str, .
 
 def _curve(samples: ResponseSamples, result: FittedResponse, u: Array) -> ResponseCurve:
     times = _AS_STATED if not result.fit.time_modes.size else "exposure times right on average"
+    basis = ValueBasis(samples.bit_depth, samples.limits)
     return finished_curve(
-        result.log_exposure,
+        # As fitted, not yet levelled: what levelling changes is in its uncertainty.
+        np.asarray(basis.all_values() @ result.fit.coefficients),
         u,
         supported_range(result.samples),
         method=METHOD,

@@ -49,7 +49,7 @@ def finished_curve(
     inside = rising(log_exposure, u_log_exposure, valid_dn, black_dn)
     # Where the fit fell and had to be levelled, it is no better known than by how much.
     u = np.hypot(u_log_exposure, np.abs(inside - log_exposure))
-    determined = _determined(u, valid_dn)
+    determined = _determined(inside, u, valid_dn)
     u = np.where((np.arange(u.size) < determined[0]) | (np.arange(u.size) > determined[1]), np.inf, u)
     found = {**({BLACK_KEY: float(black_dn)} if black_dn > 0.0 else {}), **(parameters or {})}
     middle = inside.size // 2
@@ -99,12 +99,21 @@ def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int], black_dn: f
     return curve
 
 
-def _determined(u: Array, valid_dn: tuple[int, int]) -> tuple[int, int]:
-    """Return the supported range without ends where a few stray data leave the curve undetermined."""
+def _determined(curve: Array, u: Array, valid_dn: tuple[int, int]) -> tuple[int, int]:
+    """Return the supported range without ends where a few stray data leave the curve undetermined, or level.
+
+    Where the uncertainty grows faster towards an end than ln H changes, the fit bends away from its data: whatever
+    light made a number, the curve gives it that of the one before.
+    """
     low, high = valid_dn
     limit = max(_UNDETERMINED_U, 10.0 * float(np.median(u[low : high + 1])))
     known = low + np.flatnonzero(u[low : high + 1] <= limit)
-    return int(known[0]), max(int(known[-1]), int(known[0]) + 1)
+    first, last = int(known[0]), max(int(known[-1]), int(known[0]) + 1)
+    rise, growth = np.gradient(curve[first : last + 1]), np.gradient(u[first : last + 1])
+    rising_to, rising_from = np.flatnonzero(rise > growth), np.flatnonzero(rise > -growth)
+    if not (rising_to.size and rising_from.size) or rising_from[0] >= rising_to[-1]:
+        return first, last
+    return first + int(rising_from[0]), first + int(rising_to[-1])
 
 
 def _slope(piece: Array, over: Array) -> float:

@@ -83,6 +83,15 @@ def test_pixels_that_are_black_in_every_frame_count_as_bounds() -> None:
     figures = region_figures(found, "x", Patch(0, 0, 10, 10))
     assert figures.mean.u == pytest.approx(0.3 * 0.6 / math.sqrt(3.0), rel=0.2)
     assert "upper bounds" in figures.flags[0]
+    assert "30 of 100 pixels" in figures.flags[0]
+
+
+def test_a_region_says_how_many_of_its_pixels_are_outside_the_response() -> None:
+    """Of 99 in 100 pixels it says 99 of 100; without any it says nothing."""
+    found = map_of(np.full((10, 10), 5.0))
+    assert region_figures(found, "x", Patch(0, 0, 10, 10)).flags == ()
+    found.mask.ravel()[1:] = PixelMask.EXTRAPOLATED
+    assert "99 of 100 pixels" in region_figures(found, "x", Patch(0, 0, 10, 10)).flags[0]
 
 
 @pytest.mark.parametrize("projection", ["equidistant", "equisolid", "stereographic", "orthographic"])

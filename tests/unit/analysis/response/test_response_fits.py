@@ -214,7 +214,9 @@ def test_noise_behind_a_straight_line_moves_no_mean():
 def test_a_finished_curve_never_falls_and_owns_up_to_its_ends(seed, low, high):
     """Gauge 0 in the middle, monotonic, u infinite outside the data and never below what was levelled."""
     rng = np.random.default_rng(seed)
-    g = np.log(np.arange(256) + 1.0) + 0.02 * rng.normal(size=256)
+    noise = 0.02 * rng.normal(size=256)
+    noise[low : low + 9], noise[high - 30 : high + 1] = 0.0, 0.0  # an end that has to be levelled is left out
+    g = np.log(np.arange(256) + 1.0) + noise
     u = np.full(256, 0.01)
     curve = finished_curve(g, u, (low, high), method="m", channel="mono")
     assert np.all(np.diff(curve.log_exposure) >= 0)
@@ -261,6 +263,18 @@ def test_a_middle_without_data_makes_the_whole_curve_less_certain():
     stray = np.full(256, 0.01)
     stray[240:] = 0.2
     assert finished_curve(g, stray, (10, 250), method="m", channel="mono").valid_dn == (10, 239)
+
+
+def test_an_end_where_the_fit_bends_away_from_its_data_is_not_supported():
+    """Above 240 the fit is level while it grows less certain, below 20 it is: no number there tells its light."""
+    dn = np.arange(256.0)
+    g = np.log(np.clip(dn, 20.0, 240.0))
+    u = 0.001 + 0.0005 * np.maximum(dn - 235.0, 20.0 - dn).clip(0.0)
+    curve = finished_curve(g, u, (5, 250), method="m", channel="mono")
+    assert curve.valid_dn == (20, 240)
+    assert np.all(np.isinf(curve.u_log_exposure[241:]))
+    rising_there = finished_curve(np.log(dn + 1.0), u, (5, 250), method="m", channel="mono")
+    assert rising_there.valid_dn == (5, 250)
 
 
 def test_the_fog_of_frames_stays_with_their_curve():
