@@ -39,6 +39,7 @@ VALUES = {
     "bit depth": (12, 10),
     "pixel pitch": (4.5, 9.0),
     "mosaic": ("RGGB", "BGGR"),
+    "mode": ("GAIN 0", "GAIN 300"),
     "focal length": (16.0, 25.0),
     "f-number": (4.0, 5.6),
     "ISO speed": (100.0, 200.0),
@@ -57,7 +58,7 @@ def test_every_quantity_of_the_table_is_tried():
 
 
 # What a camera's description states, by its name in the table.
-MARKS = {"model": "model", "serial": "serial", "pixel pitch": "pixel_pitch_um", "mosaic": "mosaic"}
+MARKS = {name: name for name in ("model", "serial", "mosaic", "mode")} | {"pixel pitch": "pixel_pitch_um"}
 
 
 def calibration(quantity: str, there: object) -> Calibration:
