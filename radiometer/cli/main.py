@@ -6,6 +6,7 @@ import codecs
 import difflib
 import errno
 import importlib
+import json
 import os
 import sys
 import textwrap
@@ -44,10 +45,7 @@ def main() -> None:
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:
     """Return what an encoding of the output has no signs for as JSON escapes it, so that JSON stays JSON."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    import json
-
+    assert isinstance(error, UnicodeEncodeError)
     return json.dumps(error.object[error.start : error.end])[1:-1], error.end
 
 

@@ -27,15 +27,12 @@ def command(
     ] = None,
     patch: Annotated[str | None, typer.Option(help="Region X,Y,W,H that holds the diode and its glow.")] = None,
     half_angle: Annotated[
-        HalfAngle | None,
-        typer.Option(help="Angle in degrees at which its intensity is one half (half the viewing angle)."),
+        HalfAngle | None, typer.Option(help="Degrees at which its intensity is one half (half the viewing angle).")
     ] = None,
     half_angle_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in degrees.")] = 1.0,
     diameter: Annotated[Millimetres | None, typer.Option(help="Diameter of its emitting area in mm.")] = None,
     diameter_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in mm.")] = 0.05,
-    distance: Annotated[
-        Millimetres | None, typer.Option(help="From emitter to the lens's entrance pupil in mm.")
-    ] = None,
+    distance: Annotated[Millimetres | None, typer.Option(help="Emitter to the lens's entrance pupil in mm.")] = None,
     distance_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in mm.")] = 0.5,
     f_number_u_rel: Annotated[float, relative_option("--f-number-u-rel", "Relative u (k = 1) of the f-number")] = 0.02,
     datasheet_mw: Annotated[Positive | None, typer.Option(help="Flux that the datasheet states, in mW.")] = None,

@@ -39,9 +39,7 @@ def command(
     radiance: Annotated[
         str | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻², or its calibration certificate (DCC, .xml).")
     ] = None,
-    luminance: Annotated[
-        Positive | None, typer.Option(help="Its luminance in cd·m⁻², instead of the radiance.")
-    ] = None,
+    luminance: Annotated[Positive | None, typer.Option(help="Luminance in cd·m⁻², instead of the radiance.")] = None,
     u_rel: Annotated[float | None, relative_option("--u-rel", "Its relative u (k = 1)")] = None,
     meter_k: Annotated[
         MeterConstant | None,
@@ -69,9 +67,7 @@ def command(
     align: Annotated[
         str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
     ] = "auto",
-    reference_dn: Annotated[
-        Positive | None, typer.Option(help="Pixel value it came out at; half of full scale.")
-    ] = None,
+    reference_dn: Annotated[Positive | None, typer.Option(help="Its pixel value; half of full scale.")] = None,
     dynamic_range: Annotated[
         list[str] | None,
         typer.Option(

@@ -29,8 +29,7 @@ def command(
         Days | None, typer.Option(help="Delete readings older than this, once an hour; by default none is deleted.")
     ] = None,
     journal_max_mb: Annotated[
-        Megabytes | None,
-        typer.Option(help="Let the journal, with SQLite's log, grow no larger; measuring pauses then."),
+        Megabytes | None, typer.Option(help="Let the journal and its log grow no larger; measuring pauses then.")
     ] = None,
     scpi_address: Annotated[str, typer.Option(help="Address for SCPI.")] = "127.0.0.1",
     scpi_port: Annotated[Port, typer.Option(help="Port for SCPI; 0 chooses one.")] = 5025,
