@@ -24,9 +24,7 @@ def command(
     scheduler: Annotated[str | None, typer.Option(help="Dask scheduler that stands already: tcp://HOST:PORT.")] = None,
     workers: Annotated[AnyCount, typer.Option(help="Local worker processes; 0 works in this process.")] = 0,
     calibration: Annotated[Path | None, typer.Option(help="Calibration file; relative values without one.")] = None,
-    patch: Annotated[
-        str | None, typer.Option(help="Region X,Y,W,H; each capture set's own patches by default.")
-    ] = None,
+    patch: Annotated[str | None, typer.Option(help="Region X,Y,W,H; each set's own patches by default.")] = None,
     maps: Annotated[Path | None, typer.Option(help="Folder for radiance maps (Zarr), with --do merge.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Summary as JSON on standard output.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a table whose journal is missing.")] = False,
