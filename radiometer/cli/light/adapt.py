@@ -49,7 +49,9 @@ app = command_group("Dark adaptation: run the test, and analyse the measured thr
 def run(
     protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one (`adapt protocols`).")],
     subject: Annotated[str, typer.Option(help="Pseudonym of the subject.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Journal: SUBJECT-PROTOCOL-EYE-TIME.jsonl.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Journal; SUBJECT-PROTOCOL-EYE-DATETIME.jsonl.")
+    ] = None,
     csv: Annotated[Path | None, typer.Option(help="Thresholds; next to the journal where they can be fitted.")] = None,
     box: Annotated[str | None, typer.Option(help="Light box: sim, a serial number or a port.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Light calibration; the box's own by default.")] = None,
