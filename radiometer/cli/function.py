@@ -139,13 +139,13 @@ def _value(default: ast.expr | None) -> Any:
     return default.value if isinstance(default, ast.Constant) else None
 
 
-def _annotation(name: str, kind: str, default: Any, stated: Any, said: str) -> Any:
+def _annotation(name: str, kind: str, default: Any, stated: Any, text: str) -> Any:
     """Return the annotation that typer reads of a parameter, as the command line writes it."""
     whole = get_origin(stated) is Annotated
     info = copy.copy(get_args(stated)[-1] if whole else stated or typer.Option())
     if kind == "bool" and not info.param_decls:  # without its opposite
         info.param_decls = (f"--{name.replace('_', '-')}",)
-    info.help = info.help or said
+    info.help = info.help or text
     if whole:
         return Annotated[(*get_args(stated)[:-1], info)]
     names = re.findall(r"\w+", kind)

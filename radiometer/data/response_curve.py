@@ -48,8 +48,6 @@ class ResponseCurve:
         finite = self.log_exposure[np.isfinite(self.log_exposure)]
         if finite.size < 2 or np.any(np.diff(finite) < 0):
             raise InputError("a response curve must not fall: more light never gives a lower digital number")
-        if np.abs(finite).max() > _LARGEST_LOG:
-            raise InputError(f"a response curve holds a log exposure beyond ± {_LARGEST_LOG:g}; correct the number")
         for name in ("log_exposure", "u_log_exposure"):
             values = np.array(getattr(self, name), dtype=np.float64)
             values.flags.writeable = False
@@ -101,7 +99,7 @@ class ResponseCurve:
         try:
             valid = mapping.get("valid_dn")
             return cls(
-                np.array(mapping["log_exposure"], dtype=np.float64),
+                _of_light(np.array(mapping["log_exposure"], dtype=np.float64)),
                 np.array(mapping["u_log_exposure"], dtype=np.float64),
                 absolute=bool(mapping.get("absolute", False)),
                 valid_dn=(int(valid[0]), int(valid[1])) if valid else None,
@@ -134,6 +132,13 @@ class ResponseCurve:
         return _from_csv(read_text(path), path)
 
 
+def _of_light(log_exposure: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the values of a file. Raises InputError if one is beyond all light."""
+    if np.any(np.abs(log_exposure[np.isfinite(log_exposure)]) > _LARGEST_LOG):
+        raise InputError(f"a response curve holds a log exposure beyond ± {_LARGEST_LOG:g}; correct the number")
+    return log_exposure
+
+
 def _from_csv(text: str, path: Path) -> ResponseCurve:
     rows = list(csv.reader(io.StringIO(text)))
     if not rows or [cell.strip() for cell in rows[0]] != _CSV_HEADER:
@@ -147,6 +152,7 @@ def _from_csv(text: str, path: Path) -> ResponseCurve:
     curve_is_relative = abs(float(table[len(table) // 2, 1])) < 1e-9
     provenance = Provenance("file", (path.name,))
     try:
-        return ResponseCurve(table[:, 1], table[:, 2], absolute=not curve_is_relative, provenance=provenance)
+        log_exposure = _of_light(table[:, 1])
+        return ResponseCurve(log_exposure, table[:, 2], absolute=not curve_is_relative, provenance=provenance)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

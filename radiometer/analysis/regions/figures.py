@@ -147,12 +147,12 @@ def _black(values: Array, own: Array, mask: NDArray[np.uint8]) -> NDArray[np.boo
 def _flags(mask: NDArray[np.uint8], black: NDArray[np.bool_]) -> tuple[str, ...]:
     outside = (mask & PixelMask.EXTRAPOLATED) != 0
     dark, beyond = (f"{pixels.sum()} of {pixels.size} pixels are" for pixels in (black, outside))
-    said = {
+    known = {
         "saturated: highest, mean and uniformity are bounds": mask & PixelMask.SATURATED,
         f"below noise: {dark} black in every frame; lowest and mean are upper bounds": black,
         f"extrapolated: {beyond} outside the response's data": outside,
     }
-    return tuple(text for text, pixels in said.items() if pixels.any())
+    return tuple(text for text, pixels in known.items() if pixels.any())
 
 
 def ratio_of(first: RegionFigures, second: RegionFigures, common_u_rel: float) -> Quantity:
