@@ -13,7 +13,7 @@ from radiometer.devices import Finding, Health
 from radiometer.errors import MissingLibrary
 
 FRAME_BYTES: Final = 1616 * 1240 * 2  # a full Mono12 frame of the target camera
-WANTED_BUFFER_BYTES: Final = 33_554_432  # several frames; what camera makers' guides set
+REQUIRED_BUFFER_BYTES: Final = 33_554_432  # several frames; what camera makers' guides set
 JUMBO_MTU: Final = 9000  # bytes; what GigE cameras are made for: fewer packets, fewer interrupts
 USBFS_MB: Final = 1000  # FLIR's guide for USB3 cameras on Linux
 FLIR_USB_VENDOR: Final = "1e10"
@@ -146,7 +146,7 @@ def check_socket_buffers(root: Path) -> Finding:
     """Return whether the kernel can hold a full frame that arrives in one burst."""
     limit = socket_buffer_limit(root)
     shown = f"sockets may buffer {limit / 1e6:.1f} MB; a full 12-bit frame has {FRAME_BYTES / 1e6:.1f} MB"
-    cure = f"sysctl -w net.core.rmem_max={WANTED_BUFFER_BYTES} (keep it in /etc/sysctl.d/90-camera.conf)"
+    cure = f"sysctl -w net.core.rmem_max={REQUIRED_BUFFER_BYTES} (keep it in /etc/sysctl.d/90-camera.conf)"
     if limit >= FRAME_BYTES:
         return Finding("socket buffers", Health.OK, shown)
     return Finding("socket buffers", Health.WARNING, f"{shown}: packets of GigE cameras get lost", cure)

@@ -122,7 +122,7 @@ def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any
     source = Path(str(home and home.origin)).read_text(encoding="utf-8")
     function = next(one for one in ast.parse(source).body if isinstance(one, ast.FunctionDef) and one.name == name)
     doc = ast.get_docstring(function) or ""
-    said = _ARGS.findall(doc.partition("\nArgs:\n")[2].partition("\n\n")[0])
+    arguments = _ARGS.findall(doc.partition("\nArgs:\n")[2].partition("\n\n")[0])
     plain, named = function.args.args, function.args.kwonlyargs
     required = [inspect.Parameter.empty] * (len(plain) - len(function.args.defaults))
     values = [*required, *map(_value, function.args.defaults), *map(_value, function.args.kw_defaults)]
@@ -130,7 +130,7 @@ def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any
         one.arg: (ast.unparse(one.annotation) if one.annotation else "", value)
         for one, value in zip((*plain, *named), values, strict=True)
     }
-    return re.split(r"\n\n[A-Z]\w+:\n", doc)[0], {one: " ".join(text.split()) for one, text in said}, taken
+    return re.split(r"\n\n[A-Z]\w+:\n", doc)[0], {one: " ".join(text.split()) for one, text in arguments}, taken
 
 
 def _value(default: ast.expr | None) -> Any:

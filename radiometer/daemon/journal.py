@@ -600,7 +600,7 @@ class Journal:
                     connection.close()
                     continue
             except sqlite3.Error as error:
-                if not _tells_of_damage(error):
+                if not _shows_damage(error):
                     connection.close()
                     raise self._explain(error) from error
             except OutputError:
@@ -653,7 +653,7 @@ class Journal:
             self._verify(target)
             self._require_all_given(target)
         except sqlite3.Error as error:
-            if not _tells_of_damage(error):
+            if not _shows_damage(error):
                 raise
             return False
         except OutputError:
@@ -720,7 +720,7 @@ class Journal:
             self._lock_file = None
 
 
-def _tells_of_damage(error: sqlite3.Error) -> bool:
+def _shows_damage(error: sqlite3.Error) -> bool:
     """Return whether SQLite found the content wrong or cut, not the disk full or the file locked."""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR)
     damage = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_SCHEMA)

@@ -40,7 +40,7 @@ _FEWEST_PIXELS = 24  # in a pile: fewer can halve their spread by chance
 _RANKS_PER_DOUBLING = 4
 _SINGLE_SHARE = 0.5  # of the strays may have another next to them: in an area nearly all have
 _FEWEST_CODES = 10  # different ones: all even by chance once in a thousand
-_CODES_BESIDE = 8  # next to a pile, which show how dense ordinary pixels are
+_CODES_NEXT_TO = 8  # next to a pile, which show how dense ordinary pixels are
 _PILES_TRIED = 6  # distinct ones in a frame
 _PIXELS_COMPARED = 4096  # of a pile: quartile ranges are then known to 2 per cent
 _FRAMES_LOOKED_AT = 5  # of one gain and light, evenly over the exposures: every pair of them is compared
@@ -284,7 +284,7 @@ def _extent(frame: _Ranks, upper: int, centre: int, lower: int, step: int) -> tu
     top = math.floor(centre + EDGE_SIGMAS * max(spread, step / 2.0))
     inner = step * round(spread / step)
     dense = _per_code(frame, centre - inner, centre + inner + 1, step)
-    margin = max(_CODES_BESIDE * step, math.ceil(EDGE_SIGMAS * spread))
+    margin = max(_CODES_NEXT_TO * step, math.ceil(EDGE_SIGMAS * spread))
     around = max(_per_code(frame, end - margin, end, step), _per_code(frame, top + 1, top + 1 + margin, step))
     above = frame.pixels_from(top + 1)
     pixels = frame.pixels_from(end) - above
@@ -297,7 +297,7 @@ def _lower_end(frame: _Ranks, end: int, step: int) -> int:
 
     Rounding hides a spread of less than a code, and noise may be wider below the middle of a pile than above it.
     """
-    reach = _CODES_BESIDE * step
+    reach = _CODES_NEXT_TO * step
     while end - step > reach:
         ordinary = _per_code(frame, end - step - reach, end - step, step)
         if frame.counts[end - step] <= max(_DENSER * ordinary, ordinary + _SIGMAS * math.sqrt(ordinary + 1.0)):

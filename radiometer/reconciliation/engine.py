@@ -70,7 +70,7 @@ from simulators.effects.registry import all_effects
 
 _STANDS_OUT: Final = 8.0  # times what neighbouring frames differ by otherwise
 _STAYS: Final = 4.0  # the same of the frames behind the jump: a lone frame that differs is no jump
-_BESIDE: Final = 3  # frames on either side that tell whether it stays
+_NEXT_TO: Final = 3  # frames on either side that tell whether it stays
 _MOST_JUMPS: Final = 8  # of one series, the largest first
 
 
@@ -100,7 +100,7 @@ def _of_series(frames: tuple[int, ...], means: Array) -> list[int]:
     usual = robust_sigma(steps)
     found = []
     for at in np.argsort(-np.abs(steps), kind="stable")[:_MOST_JUMPS].tolist():
-        behind, before = level[at + 1 : at + 1 + _BESIDE], level[max(at + 1 - _BESIDE, 0) : at + 1]
+        behind, before = level[at + 1 : at + 1 + _NEXT_TO], level[max(at + 1 - _NEXT_TO, 0) : at + 1]
         stays = abs(float(np.median(behind) - np.median(before)))
         if abs(float(steps[at])) > _STANDS_OUT * usual and stays > _STAYS * usual:
             found.append(frames[at + 1])

@@ -13,7 +13,7 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
 _CLEAR_SIGMAS: Final = 5.0  # of the tiles' scatter, from which a first frame is reported to differ
-_MOST_SAID: Final = 6  # frames in a sentence
+_MOST_STATED: Final = 6  # frames in a sentence
 SURE: Final = 0.95  # probability from which a name is almost certain: one in twenty such names may be wrong
 _LIKELY: Final = 2.0 / 3.0  # as the word is used in assessments: Mastrandrea et al. (2010), guidance note of the IPCC
 _SHOWN: Final = 1e-3  # probabilities are printed with three decimals
@@ -242,13 +242,13 @@ class Repeats:
             f"{self._shown(self.scatter.value, self.scatter.u)} (standard deviation) from frame to frame{aside}"
         )
         begins = [one for one in self.series if len(one.frames) > 2 and abs(one.apart[0]) > _CLEAR_SIGMAS * one.u[0]]
-        begins = sorted(begins, key=lambda one: -abs(one.apart[0]))[:_MOST_SAID]
+        begins = sorted(begins, key=lambda one: -abs(one.apart[0]))[:_MOST_STATED]
         text = [first] if self.scatter.u is not None and self.scatter.value > 2.0 * self.scatter.u else []
         text += [f"first frame of a series less the others: {self._listed(begins)}"] if begins else []
         out = [(one, at) for one in self.series for at in one.standing_out]
         if out:
             outliers = (
-                f"frame {one.frames[at]} ({self._shown(one.apart[at], one.u[at])})" for one, at in out[:_MOST_SAID]
+                f"frame {one.frames[at]} ({self._shown(one.apart[at], one.u[at])})" for one, at in out[:_MOST_STATED]
             )
             text.append(f"outside the scatter of the others: {', '.join(outliers)}")
         return tuple(text)

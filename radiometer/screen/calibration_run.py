@@ -25,7 +25,7 @@ from radiometer.screen.run import Light, Measured, Progress, curves_of, measure_
 
 _WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
 _PILOTS: Final = 8  # a scatter from eight is known to a quarter
-_WANTED_SCATTER_REL: Final = 0.004  # of the mean: well below the 1 % of a calibration
+_REQUIRED_SCATTER_REL: Final = 0.004  # of the mean: well below the 1 % of a calibration
 _MOST_REPEATS: Final = 64  # bounds the time that one patch takes
 
 
@@ -195,7 +195,7 @@ def _repeats(bench: Instrumented, least: int) -> int:
     """Return how many readings of flickering light it takes for a mean of the requested scatter; white is shown."""
     values = np.array([bench.read().radiance for _ in range(_PILOTS)])
     scatter = float(values.std(ddof=1) / values.mean())
-    return int(np.clip(np.ceil((scatter / _WANTED_SCATTER_REL) ** 2), least, _MOST_REPEATS))
+    return int(np.clip(np.ceil((scatter / _REQUIRED_SCATTER_REL) ** 2), least, _MOST_REPEATS))
 
 
 def _additivity(measured: list[Measured]) -> float | None:

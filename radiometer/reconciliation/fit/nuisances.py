@@ -31,7 +31,7 @@ _STATED: Final = 1.0  # prior standard deviation below which a radiance counts a
 _HELD: Final = 1e-3  # of the uncertainty of stated radiances, for a fit to which they are exact
 _DIMMEST: Final = 600.0  # logarithm of a factor that a step of a fit may ask for: it stays a number above zero
 _LINEAR_FROM: Final = -0.5  # relative error of a radiance from which on its factor is linear
-_TOLD_K: Final = 2.0  # span of temperatures of darks from which they tell how dark current grows
+_DETERMINED_K: Final = 2.0  # span of temperatures of darks from which they tell how dark current grows
 _FREE_SLOPE: Final = 3.0
 _FREE_TEXTURE: Final = 10.0
 
@@ -324,7 +324,7 @@ def dark_current_is_free(design: Design) -> bool:
     Where darks at several temperatures determine its whole law it is an effect to be named, not a nuisance.
     """
     camera, dark_c = design.header.camera, design.temperature_c[design.closed]
-    if dark_c.size and np.isfinite(dark_c).all() and np.ptp(dark_c) > _TOLD_K:
+    if dark_c.size and np.isfinite(dark_c).all() and np.ptp(dark_c) > _DETERMINED_K:
         return False
     noise_stated = camera.conversion_gain_e_per_dn is not None and camera.read_noise_e is not None
     return camera.dark_current_e_per_s is None and not noise_stated

@@ -171,7 +171,7 @@ class _Judged:
     by_others: Sequence[
         tuple[float, float]
     ] = ()  # of each frame ln of real over stated exposure by the others, and its u
-    can_tell: bool = True  # whether enough photographs show something to tell a wrong label
+    can_show: bool = True  # whether enough photographs show something to tell a wrong label
 
     @property
     def labels(self) -> tuple[WrongLabel, ...]:
@@ -348,7 +348,7 @@ def _rivals(label: WrongLabel, judged: _Judged, names: Sequence[str]) -> tuple[s
 def _limits(judged: _Judged) -> list[float]:
     """Return of each frame ln of real over stated exposure from which its label is named; infinite where none is."""
     return [
-        smallest_label_error(float(seconds), judged.exposures.allowed_s) + _SURE * u if judged.can_tell else math.inf
+        smallest_label_error(float(seconds), judged.exposures.allowed_s) + _SURE * u if judged.can_show else math.inf
         for seconds, (_, u) in zip(judged.samples.exposures_s, judged.by_others, strict=True)
     ]
 
@@ -373,7 +373,7 @@ def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> 
 
 def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     """Return what to say of photographs that no tone curve joins."""
-    few = "" if judged.can_tell else ", wrong exposures (so few photographs cannot show which)"
+    few = "" if judged.can_show else ", wrong exposures (so few photographs cannot show which)"
     step_dn = dial_step_dn(judged.fitted.samples, judged.fitted.log_exposure)
     return (
         f"These {len(bracket.light)} photographs follow no single tone curve with their exposures: left-out parts of "
@@ -402,7 +402,7 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     if not judged.labels and not judged.rounded and judged.offset is None:
         if judged.follow_no_curve:
             return _no_curve(judged, bracket, names)
-        few = "" if judged.can_tell else "; with so few, the tone curve may hide a wrong one"
+        few = "" if judged.can_show else "; with so few, the tone curve may hide a wrong one"
         predicted = f"left-out parts of the picture are predicted to {after:.2g} DN on average"
         return f"All printed exposures agree: {predicted}{few}."
     parts = ["the printed times are rounded stops"] if judged.rounded else []

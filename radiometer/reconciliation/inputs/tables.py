@@ -296,7 +296,7 @@ GAP_UNIT: Final = "reduced chi-square on held-out drives"
 DROOP, STEP = "led_droop", "meter_range_step"
 _FOLDS: Final = 5  # every fifth drive is held out: neighbours of it stay
 _MOST_STEPS: Final = 3  # ranges of a meter within one table
-_FEWEST_BESIDE: Final = 4  # readings on each side of a step: fewer fit any jump
+_FEWEST_OTHERS: Final = 4  # readings on each side of a step: fewer fit any jump
 _LEAST_DEVIATION: Final = 0.005  # a law that moves half drive by less is no finding to act upon
 _NEIGHBOURS: Final = 12  # readings that give the noise at one of them to a fifth
 _SIGMAS: Final = 3.0
@@ -446,7 +446,7 @@ def _range_steps(data: _Data) -> tuple[float, ...]:
         for low, high in pairwise(thresholds.tolist()):
             edge = math.sqrt(low * high) if low > 0.0 else 0.5 * (low + high)
             above = data.reading > edge
-            if min(int(above.sum()), int((~above).sum())) < _FEWEST_BESIDE:
+            if min(int(above.sum()), int((~above).sum())) < _FEWEST_OTHERS:
                 continue
             more = _gain(data, design, np.column_stack([design, above]))
             if more > gain:
