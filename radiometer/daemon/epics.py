@@ -120,9 +120,12 @@ class PvaServer:
                 await self._post_map()
 
     def _post(self) -> None:
-        """Post the latest reading with the alarms that are up now."""
+        """Post the latest reading with the alarms that are up now; that there is none where another place is set."""
         reading = self._station.shown.latest
         if reading is None:
+            for name in _NAMED:
+                self._variables[name].post(self._unread(name))
+            self._variables["flags"].post({"value": "", "alarm": self._no_reading()})
             return
         common = {"alarm": self._alarm(reading), "timeStamp": _time_stamp(reading)}
         for name in _NAMED:

@@ -84,6 +84,11 @@ class Metrics:
         for flag in reading.flags:
             self.flagged.labels(str(flag)).inc()
 
+    def drop_reading(self) -> None:
+        """Show the reading of the patch for all no longer: another place is set, or another wavelength."""
+        for gauge in (self.radiance, self.u_radiance):
+            gauge.clear()
+
     def take_patch_reading(self, reading: Reading) -> None:
         """Show a reading of a patch with a name."""
         labels = (reading.name, reading.radiance.unit)
@@ -92,7 +97,7 @@ class Metrics:
 
     def drop_patch(self, name: str) -> None:
         """Show a patch no longer: it was moved or deleted."""
-        for gauge in (self.patch_radiance, self.patch_u_radiance):
+        for gauge in (self.patch_radiance, self.patch_u_radiance, self.limit_alarm):
             for labels in [key for key in list(gauge._metrics) if key[0] == name]:
                 gauge.remove(*labels)
 

@@ -232,6 +232,7 @@ class Station:
         """Take settings over; where they change what is measured, the latest reading is of something else now."""
         if settings.subject != self.settings.subject:
             self.shown.forget()
+            self.metrics.drop_reading()
             self.patches.forget_main()
         self.acquisition.settings = settings
 

@@ -528,12 +528,14 @@ async def test_what_is_measured_with_the_settings_in_force_belongs_to_all(connec
 
 
 async def test_a_moved_patch_has_no_reading_yet(client: Any, station: Station) -> None:
-    """After the shared patch was moved, FETC? refuses the reading of the old place; exposure alone changes nothing."""
+    """After the shared patch was moved, nothing states the reading of the old place; exposure alone changes nothing."""
     assert await client.ask("READ?")
     await client.send("SENS:EXP 4 MS")
     assert float((await client.ask("FETC?")).split(",")[0]) == 17.0
+    assert b"\nradiometer_radiance{" in station.metrics.render()
     await client.send(f"SENS:PATC {ALL_X},1,2,3;:FETC?")
     assert (await client.ask("SYST:ERR?")).startswith("-230")
+    assert b"\nradiometer_radiance{" not in station.metrics.render()
     assert float((await client.ask("READ?;:FETC?")).split(";")[1].split(",")[0]) == 1.0 + ALL_X
     await client.send("SENS:CORR:WAV 600;:FETC?")
     assert (await client.ask("SYST:ERR?")).startswith("-230")
