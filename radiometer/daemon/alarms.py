@@ -42,8 +42,8 @@ KINDS: Final = (
               "a patch has limits, and nothing is measured continuously, or at a period longer than 10 s and than 5 "
               "times that at which they were set",
               "it is, at a shorter period, or no patch has limits"),
-    AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch, or are bounds (clipped, "
-              "or below noise) or of another unit, which cannot show whether they are",
+    AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch, or cannot show whether they are "
+              "(clipped, below noise, or of another unit)",
               "two in a row are back inside by the hysteresis, or the limits or the patch changed"),
     AlarmKind("calibration", "the calibration could not be read again, and the old one stays in use",
               "it was read again"),

@@ -86,7 +86,7 @@ class MqttPublisher:
         self._retained: set[str] = set()
         self._ended = False
         self._own_name = uuid.uuid4().hex
-        self._named_s = self._other_s = -math.inf  # when it said who it is, and when another daemon did
+        self._named_s = self._other_s = -math.inf  # when it named itself, and when another daemon did
 
     @property
     def topic(self) -> str:

@@ -70,7 +70,7 @@ from simulators.effects.registry import all_effects
 
 _STANDS_OUT: Final = 8.0  # times what neighbouring frames differ by otherwise
 _STAYS: Final = 4.0  # the same of the frames behind the jump: a lone frame that differs is no jump
-_NEXT_TO: Final = 3  # frames on either side that tell whether it stays
+_NEXT_TO: Final = 3  # frames on either side that show whether it stays
 _MOST_JUMPS: Final = 8  # of one series, the largest first
 
 

@@ -671,8 +671,8 @@ class StreamingMerge:
         if flat is not None or falloff_known(self._camera, self._situation.lens) != "unknown":
             return ()
         return (
-            "the lens's fall-off is not corrected (focal length or pixel size unknown, no flat): an ordinary lens "
-            f"loses {100 * UNKNOWN_FALLOFF:.2g} % at the corner, a wide one more, which u does not hold",
+            "the lens's fall-off is not corrected (focal length or pixel size unknown, no flat field): at the corner "
+            f"an ordinary lens loses {100 * UNKNOWN_FALLOFF:.2g} %, a wide one more, which u does not hold",
         )
 
     def _light(self) -> tuple[str, ...]:

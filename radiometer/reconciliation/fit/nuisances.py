@@ -31,7 +31,7 @@ _STATED: Final = 1.0  # prior standard deviation below which a radiance counts a
 _HELD: Final = 1e-3  # of the uncertainty of stated radiances, for a fit to which they are exact
 _DIMMEST: Final = 600.0  # logarithm of a factor that a step of a fit may ask for: it stays a number above zero
 _LINEAR_FROM: Final = -0.5  # relative error of a radiance from which on its factor is linear
-_DETERMINED_K: Final = 2.0  # span of temperatures of darks from which they tell how dark current grows
+_DETERMINED_K: Final = 2.0  # span of temperatures of darks from which they show how dark current grows
 _FREE_SLOPE: Final = 3.0
 _FREE_TEXTURE: Final = 10.0
 

@@ -171,7 +171,7 @@ class _Judged:
     by_others: Sequence[
         tuple[float, float]
     ] = ()  # of each frame ln of real over stated exposure by the others, and its u
-    can_show: bool = True  # whether enough photographs show something to tell a wrong label
+    can_show: bool = True  # whether enough photographs show enough to identify a wrong label
 
     @property
     def labels(self) -> tuple[WrongLabel, ...]:

@@ -61,10 +61,10 @@ def test_no_command_warns_in_the_words_of_a_library(
     (tmp_path / "map.tiff").write_bytes((desk / "map.tiff").read_bytes())
     monkeypatch.chdir(tmp_path)
     code = run(words)
-    said = capsys.readouterr().err
+    printed = capsys.readouterr().err
     assert code in (0, 1)
-    assert "Warning" not in said
-    assert "defect" not in said
+    assert "Warning" not in printed
+    assert "defect" not in printed
 
 
 def test_a_region_of_one_pixel_has_its_value_and_no_spread(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:

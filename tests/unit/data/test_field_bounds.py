@@ -202,7 +202,7 @@ def shipped(root: Path) -> list[dict[str, Any]]:
 
 def test_no_odd_value_of_a_file_is_a_defect_of_the_program(project_root: Path, tmp_path: Path) -> None:
     """Null, lists, mappings, text, NaN, nothing, a list that holds itself: at places by chance, refused in a line."""
-    rng, file, said = random.Random(20261127), tmp_path / "changed.yaml", list[str]()
+    rng, file, printed = random.Random(20261127), tmp_path / "changed.yaml", list[str]()
     every = [(one, place) for one in shipped(project_root) for place, _ in places(one) if len(place) < 5]
     tried = [(*one, SELF) for one in every[::20]] + [(*rng.choice(every), rng.choice(ODD)) for _ in range(300)]
     for content, place, value in tried:
@@ -210,9 +210,9 @@ def test_no_odd_value_of_a_file_is_a_defect_of_the_program(project_root: Path, t
         try:
             FILES[content["format"]](file)
         except rm.RadiometerError as error:
-            said.append(str(error))
-    assert len(said) > 100
-    assert all(line.strip() and "\n" not in line for line in said)
+            printed.append(str(error))
+    assert len(printed) > 100
+    assert all(line.strip() and "\n" not in line for line in printed)
 
 
 def test_no_whole_number_of_a_file_takes_memory_or_time(project_root: Path, tmp_path: Path) -> None:

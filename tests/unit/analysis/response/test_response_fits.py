@@ -266,7 +266,7 @@ def test_a_middle_without_data_makes_the_whole_curve_less_certain():
 
 
 def test_an_end_where_the_fit_bends_away_from_its_data_is_not_supported():
-    """Above 240 the fit is level while it grows less certain, below 20 it is: no number there tells its light."""
+    """Above 240 the fit is level while it grows less certain, below 20 it is: no number there shows its light."""
     dn = np.arange(256.0)
     g = np.log(np.clip(dn, 20.0, 240.0))
     u = 0.001 + 0.0005 * np.maximum(dn - 235.0, 20.0 - dn).clip(0.0)
