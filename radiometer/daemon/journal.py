@@ -254,9 +254,22 @@ class Journal:
             "INSERT INTO readings VALUES (?, ?, ?, ?, ?, ?, ?)",
             [row.numbered(sequence) for sequence, row in enumerate(rows, start=last + 1)],
         )
+        self._note_camera(connection, last, rows)
         connection.executemany(_ADD_TO_TREND, filter(None, (row.trend() for row in rows)))
         connection.execute("UPDATE counters SET value = ? WHERE name = 'last_sequence'", (last + len(rows),))
         return int(last)
+
+    @staticmethod
+    def _note_camera(connection: sqlite3.Connection, last: int, rows: Sequence[_Row]) -> None:
+        """Note as an event where the readings of another camera begin: after a restart the history goes on."""
+        query = "SELECT json_extract(json, '$.instrument') FROM readings WHERE sequence = ?"
+        (before,) = connection.execute(query, (last,)).fetchone() or (None,)
+        for sequence, row in enumerate(rows, start=last + 1):
+            camera = row.mapping["instrument"]
+            if before not in (None, camera):
+                message = f"from reading {sequence} on, readings are of the camera {camera}, not of {before}"
+                _insert_event(connection, "camera", message)
+            before = camera
 
     def save_waiting(self, readings: Sequence[Reading]) -> Path:
         """Write readings that cannot be committed into a file next to the journal, and return it.

@@ -43,6 +43,18 @@ def test_a_reading_comes_back_as_it_was_committed(tmp_path: Path, make_reading: 
     assert JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter()) == [numbered.to_json()]
 
 
+def test_where_the_readings_of_another_camera_begin_is_an_event(tmp_path: Path, make_reading: Make) -> None:
+    """After a restart and within a batch; those of one camera are none."""
+    for cameras in (("A", "A"), ("A",), ("B", "A")):
+        with Journal(tmp_path / "j.sqlite") as journal:
+            journal.append([make_reading(instrument=camera) for camera in cameras])
+    events = JournalReader(tmp_path / "j.sqlite").events()
+    assert [event["message"] for event in events if event["kind"] == "camera"] == [
+        "from reading 4 on, readings are of the camera B, not of A",
+        "from reading 5 on, readings are of the camera A, not of B",
+    ]
+
+
 def test_an_undefined_radiance_is_kept_too(tmp_path: Path, make_reading: Make) -> None:
     """A value that is not finite is stored as null, not refused."""
     with Journal(tmp_path / "j.sqlite") as journal:
