@@ -27,8 +27,9 @@ KINDS: Final = (
               " lost while idle, it answers again"),
     AlarmKind("light box", "the light box is lost or late", "it answers again; all channels are dark then"),
     AlarmKind("light CHANNEL", "a channel is not at the level that was set", "the channel is set anew"),
-    AlarmKind("journal", "the journal cannot be written, or was deleted, moved, replaced or overwritten",
-              "it is written again"),
+    AlarmKind("journal", "the journal cannot be written, or was deleted, moved, replaced or overwritten; or lines of a "
+              "`-waiting-` file are damaged",
+              "it is written again; that file was moved away"),
     AlarmKind("measurement", "the shared patch cannot be measured, as where every pixel is saturated",
               "it was measured, or continuous measurement ended"),
     AlarmKind("measurement PATCH", "a patch with a name cannot be measured", "it was measured, or was deleted"),
