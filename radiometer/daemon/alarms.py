@@ -36,7 +36,7 @@ KINDS: Final = (
     AlarmKind("period", "fewer than two thirds of the measurements due in the last 10 s (5 periods, if longer) began",
               "nine tenths of them began, or another period was set"),
     AlarmKind("reading", "no reading of the shared patch for the longest of 5 periods, 10 s and 3 times its last "
-              "duration",
+              "duration, in which measuring was not paused for the journal",
               "a reading of it is in the journal, or continuous measurement ended"),
     AlarmKind("reading PATCH", "the same for a patch with a name", "a reading of it came, or it was deleted"),
     AlarmKind("stopped",

@@ -41,6 +41,7 @@ class JournalWriter:
         retry_s: Pause in s between two tries while the journal cannot be written.
         closing_s: Time in s in which waiting readings are still committed at the end. A blocked disk is given up then,
             long before systemd kills after 90 s.
+        look_at_clock: Calls `note_jump` where the clock was set and that was not noted yet.
         sleep: Waits for a number of seconds.
 
     Attributes:
@@ -57,11 +58,12 @@ class JournalWriter:
         keep_days: float | None = None,
         retry_s: float = 0.5,
         closing_s: float = 5.0,
+        look_at_clock: Callable[[], None] = lambda: None,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
         self._journal, self._alarms, self._on_commit = journal, alarms, on_commit
         self._capacity, self._keep_days, self._retry_s, self._sleep = capacity, keep_days, retry_s, sleep
-        self._closing_s, self.trouble = closing_s, ""
+        self._closing_s, self._look_at_clock, self.trouble = closing_s, look_at_clock, ""
         self._damaged: dict[Path, str] = {}  # files of readings that waited which stay, and what is wrong with them
         self._waiting: deque[tuple[Reading, asyncio.Future[Reading], Origin | None]] = deque()
         self._events: deque[tuple[str, str]] = deque(maxlen=capacity)
@@ -217,7 +219,8 @@ class JournalWriter:
                 self.note("journal", text)
                 if left is not None:
                     self._damaged[left] = text
-            self._retention, self._jumps_us = RetentionClock(), 0  # which shows the jumps since the start
+            self._look_at_clock()  # a jump since the start is in what the opening notes, and is not counted again
+            self._retention, self._jumps_us = RetentionClock(), 0
             await self._in_thread(self._journal.note_opening, self._retention.now_us())
             self._may_be_waiting = False
         while self._events:
