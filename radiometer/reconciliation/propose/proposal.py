@@ -11,19 +11,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.data import CameraDescription, FrameSettings
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import OutputError
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.next_capture import FORMAT as PLAN_FORMAT
 from radiometer.reconciliation.next_capture import FRAMES, CapturePool
 from radiometer.reconciliation.propose.grammar import COVARIATES, FORMS
-from radiometer.reconciliation.propose.law import Law, acted, round_to
+from radiometer.reconciliation.propose.law import Law, acted, context_at, round_to
 from radiometer.reconciliation.result import FittedParameter
 from simulators.chain.law_stages import LINKS
-from simulators.effects.context import ExposureContext, FrameGeometry
 
-SETTINGS: Final = ("exposure_s", "gain_db", "f_number", "temperature_c", "timestamp_s", "source_level")
 _WIDTH: Final = 116
 
 
@@ -67,7 +64,8 @@ def source_of_test(
     law: Law,
     amplitude: float,
     file_name: str,
-    context: Mapping[str, Any],
+    settings: Mapping[str, float],
+    shape: tuple[int, int],
     values: Sequence[tuple[float, float, float, float]],
 ) -> str:
     """Return the text of a test of an effect file: its values at some places, and nothing at amplitude 0.
@@ -76,13 +74,12 @@ def source_of_test(
         law: The law at its parameters.
         amplitude: Its amplitude.
         file_name: Name of the effect file in the folder of the test.
-        context: Settings of the frame: those of SETTINGS, since_frame_s, and width and height of the sensor.
+        settings: Of the frame, by their names in `FrameSettings`.
+        shape: Height and width of the sensor in pixels.
         values: Column, row, signal in front of it and what `acted` makes of it.
     """
-    given = "\n".join(f"        {key}={context[key]!r}," for key in SETTINGS)
     found = {law.amplitude: round_to(amplitude)} | {name: round_to(value) for name, value in law.parameters.items()}
-    parameters = "\n".join(f'    "{name}": {value!r},' for name, value in found.items())
-    rows = "\n".join(f"    {tuple(round_to(float(v), 10) for v in row)!r}," for row in values)
+    rows = [tuple(round_to(float(v), 10) for v in row) for row in values]
     nothing = "0.0" if LINKS[law.link].is_noise else "before"
     return f'''"""The law `{law.name}` gives what it was proposed with."""
 
@@ -91,34 +88,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.data import CameraDescription, FrameSettings
-from simulators.effects.context import ExposureContext, FrameGeometry
+from radiometer.reconciliation.propose.law import context_at
 from simulators.effects.registry import make_effect, register_file
 
 register_file(Path(__file__).with_name("{file_name}"))
-FOUND = {{
-{parameters}
-}}
+FOUND = {pformat(found)}
+SETTINGS = {pformat(dict(settings))}
 # column, row, signal before, {law.shown} after
-VALUES = [
-{rows}
-]
-
-
-def context_at(column, row):
-    """Return the circumstances of one pixel."""
-    settings = FrameSettings(
-{given}
-    )
-    geometry = FrameGeometry(np.array([column]), np.array([row]), {context["width"]}, {context["height"]})
-    camera = CameraDescription(bit_depth=16)
-    return ExposureContext(settings, geometry, camera, since_frame_s={context["since_frame_s"]!r})
+VALUES = {pformat(rows)}
 
 
 @pytest.mark.parametrize(("column", "row", "before", "after"), VALUES)
 def test_the_law_gives_what_was_found(column, row, before, after):
     """What the effect makes of the signal is what the proposal was made with."""
-    found = make_effect("{law.name}", FOUND).{law.shown}(np.array([before]), context_at(column, row))
+    found = make_effect("{law.name}", FOUND).{law.shown}(np.array([before]), context_at(column, row, {shape}, SETTINGS))
     assert np.ravel(found)[0] == pytest.approx(after, rel=1e-6)
 
 
@@ -126,7 +109,7 @@ def test_the_law_gives_what_was_found(column, row, before, after):
 def test_without_its_amplitude_it_does_nothing(column, row, before, after):
     """An amplitude of 0 leaves the signal as it is."""
     nothing = make_effect("{law.name}", FOUND | {{"{law.amplitude}": 0.0}})
-    assert np.ravel(nothing.{law.shown}(np.array([before]), context_at(column, row)))[0] == {nothing}
+    assert np.ravel(nothing.{law.shown}(np.array([before]), context_at(column, row, {shape}, SETTINGS)))[0] == {nothing}
 '''
 
 
@@ -283,49 +266,27 @@ def write_files(proposal: Proposal, folder: Path, origin: str) -> tuple[Path, ..
         raise OutputError(f"cannot make the folder {folder}: {error.strerror or error}; name another") from error
     name = proposal.name
     effect, test, plan = folder / f"{name}.py", folder / f"test_{name}.py", folder / "plan.yaml"
+    frames, reasons = refuting_frames(proposal)
     write_text_atomic(effect, proposal.source(origin))
     write_text_atomic(test, _test(proposal, effect.name))
-    write_yaml_atomic(plan, _plan(proposal))
+    write_yaml_atomic(plan, {"format": PLAN_FORMAT, "reasons": reasons, "frames": frames})
     return effect, test, plan
 
 
 def _test(proposal: Proposal, file_name: str) -> str:
-    height, width = proposal.before.design.shape
-    context = _test_context(proposal.before, width, height)
-    rows = []
-    for column, row, signal in (
-        (0.0, 0.0, 100.0),
-        (0.5 * width, 0.3 * height, 1000.0),
-        (width - 1.0, height - 1.0, 50.0),
-    ):
-        at = _exposure_context(context, column, row)
-        rows.append((column, row, signal, acted(proposal.law, round_to(proposal.amplitude), signal, at)))
-    return source_of_test(proposal.law, proposal.amplitude, file_name, context, rows)
-
-
-def _plan(proposal: Proposal) -> dict[str, Any]:
-    """Return captures beyond the ranges of the first ones, where the law predicts the largest change, and a repeat."""
-    frames, reasons = refuting_frames(proposal)
-    return {"format": PLAN_FORMAT, "reasons": reasons, "frames": frames}
-
-
-def _test_context(state: FitState, width: int, height: int) -> dict[str, Any]:
-    design = state.design
-    warm = design.temperature_c
-    return {
+    design, amplitude = proposal.before.design, round_to(proposal.amplitude)
+    warm, (height, width) = design.temperature_c, design.shape
+    settings = {
         "exposure_s": float(np.max(design.exposure_s)),
         "gain_db": float(np.max(design.gain_db)),
         "f_number": float(np.min(design.f_number)),
         "temperature_c": float(np.nanmax(warm)) if np.isfinite(warm).any() else 25.0,
         "timestamp_s": float(np.median(design.timestamp_s)),
         "source_level": 1.0,
-        "since_frame_s": 1.0,
-        "width": width,
-        "height": height,
     }
-
-
-def _exposure_context(known: Mapping[str, Any], column: float, row: float) -> ExposureContext:
-    settings = FrameSettings(**{key: known[key] for key in SETTINGS})
-    geometry = FrameGeometry(np.array([column]), np.array([row]), known["width"], known["height"])
-    return ExposureContext(settings, geometry, CameraDescription(bit_depth=16), since_frame_s=known["since_frame_s"])
+    places = ((0.0, 0.0, 100.0), (0.5 * width, 0.3 * height, 1000.0), (width - 1.0, height - 1.0, 50.0))
+    rows = [
+        (x, y, signal, acted(proposal.law, amplitude, signal, context_at(x, y, design.shape, settings)))
+        for x, y, signal in places
+    ]
+    return source_of_test(proposal.law, amplitude, file_name, settings, design.shape, rows)

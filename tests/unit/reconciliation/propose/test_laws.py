@@ -352,9 +352,9 @@ def test_the_written_test_passes_and_dies_with_the_law(tmp_path):
     """The test next to an effect file holds for it, and fails once a constant of the formula is another."""
     law = Law("optics", (Term("power", "image_x", {"reference": 0.4}, {"power": 2.0}),))
     keys = {"exposure_s": 0.5, "gain_db": 20.0, "temperature_c": 30.0, "timestamp_s": 2.0, "source_level": 0.75}
-    keys |= {"f_number": 4.0, "since_frame_s": 1.0, "width": 200, "height": 100}
+    keys |= {"f_number": 4.0}
     after = float(effect_of(law, round_to(0.02)).mean(np.array([SIGNAL]), at(30.0, 4.0))[0])
-    text = source_of_test(law, 0.02, f"{law.name}.py", keys, [(30.0, 4.0, SIGNAL, after)])
+    text = source_of_test(law, 0.02, f"{law.name}.py", keys, (100, 200), [(30.0, 4.0, SIGNAL, after)])
     good, bad = tmp_path / "good", tmp_path / "bad"
     for folder, source in ((good, effect_source(law, 0.02)), (bad, wrong(law))):
         folder.mkdir()
