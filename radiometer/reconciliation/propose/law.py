@@ -337,7 +337,7 @@ def acted(law: Law, amplitude: float, signal: float, context: ExposureContext) -
     return float(np.ravel(found)[0])
 
 
-def context_at(column: float, row: float, shape: tuple[int, int], settings: Mapping[str, float]) -> ExposureContext:
+def context_at(column: float, row: float, shape: tuple[int, int], settings: Mapping[str, Any]) -> ExposureContext:
     """Return the circumstances of one pixel of a sensor of this height and width, a second after the frame before."""
     geometry = FrameGeometry(np.array([column]), np.array([row]), shape[1], shape[0])
     camera = CameraDescription(bit_depth=16)
