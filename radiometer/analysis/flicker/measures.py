@@ -164,10 +164,7 @@ def _with_noise(pst: Quantity, part: Waveform, period: Period | None) -> tuple[Q
 def _shape(waveform: Waveform, period: Period | None) -> tuple[ShapeMeasures, str]:
     """Return the shape of the period, or of the whole record where a period does not describe it, with a remark."""
     if period is None:
-        line = other_line(waveform)
-        return measure_record(waveform, 0.0 if line is None else line[0]), (
-            "no repetition was found beyond noise: the measures are of the whole record"
-        )
+        return measure_record(waveform), ("no repetition was found beyond noise: the measures are of the whole record")
     shape = measure_shape(waveform, period)
     line = other_line(waveform, period, shape)
     if line is None:
@@ -180,7 +177,7 @@ def _shape(waveform: Waveform, period: Period | None) -> tuple[ShapeMeasures, st
         f"light of {other_hz:.4g} Hz, {100 * amplitude:.2g} % of the mean, does not repeat with "
         f"{period.frequency_hz:.4g} Hz: "
     )
-    record = measure_record(waveform, max(other_hz, period.frequency_hz))
+    record = measure_record(waveform)
     widened = [
         Quantity(one.value, math.hypot(one.u, amplitude), "1") for one in (shape.modulation_depth, shape.flicker_index)
     ]
