@@ -20,6 +20,7 @@ from radiometer.analysis.flicker.shape import LEAST_KEPT, ShapeMeasures, measure
 from radiometer.analysis.flicker.waveform import Period, Waveform, find_period, whole_periods
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
+from radiometer.statistics.scale import jackknife_u
 from radiometer.typing import Array
 
 # SVM: exponent of the sum and band of its Fourier components (IEC TR 63158, clause 4; CIE TN 006:2016).
@@ -285,14 +286,12 @@ def _jackknife(
     of: Callable[[Waveform, Period | None], float], part: Waveform, period: Period | None, blocks: int, periods: int
 ) -> float:
     """Return the standard uncertainty of a measure by leaving out one block of whole periods at a time."""
-    if blocks < 2:
-        return 0.0
     edges = np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / periods
     values = []
     for first, last in zip(edges[:-1].round().astype(int), edges[1:].round().astype(int), strict=True):
         left = np.concatenate([part.light[:first], part.light[last:]])
         values.append(of(Waveform(left, part.rate_hz, part.origin, averaged_s=part.averaged_s), period))
-    return float(np.sqrt((blocks - 1) * np.var(values)))
+    return float(jackknife_u(values).item())
 
 
 def _sampling_warnings(waveform: Waveform) -> list[str]:

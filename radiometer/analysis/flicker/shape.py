@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from radiometer.analysis.flicker.waveform import Period, Waveform, harmonic_columns
 from radiometer.data import Quantity
+from radiometer.statistics.scale import jackknife_u
 from radiometer.typing import Array
 
 _MOST_POINTS: Final = 4096  # phases that are kept apart: a mean over one keeps 1 − 1e-7 of a sinusoid
@@ -64,9 +65,7 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
         return _of_series(fold, *orders, kept) if orders else _of_phases(fold)
 
     values, u = of(whole)
-    if parts:
-        scatter = np.sqrt((len(parts) - 1) * np.var([of(part)[0] for part in parts], axis=0))
-        u = np.maximum(u, scatter)
+    u = np.maximum(u, jackknife_u([of(part)[0] for part in parts]))
     phase, light = whole.phase, whole.light
     if orders:
         phase = np.arange(_GRID) / _GRID
@@ -205,16 +204,8 @@ class _Equations:
         return _Series(factors, inverse * (float(self.fold.count @ residual**2) / freedom), residual)
 
     def determine(self, order: int) -> bool:
-        """Return whether the phases determine a series and leave two of them to check it by."""
+        """Return whether the phases determine a series."""
         if order > self.most:
-            return False
-        unknowns = 2 * order + 1
-        apart = 1.0 / (4 * unknowns)
-        distinct, at, phase = 0, 0, self.fold.phase
-        while at < phase.size and phase[at] < phase[0] + 1.0 - apart / 2.0:
-            distinct += 1
-            at = int(np.searchsorted(phase, phase[at] + apart))
-        if distinct < unknowns + 2:
             return False
         own = self._of(order)
         sizes = np.linalg.eigvalsh(self._products[np.ix_(own, own)])
@@ -224,15 +215,16 @@ class _Equations:
 def _supported_orders(fold: _Fold) -> tuple[int, int] | None:
     """Return the order of the series that describes the light within its noise, and that which it is checked by.
 
-    The second is twice the first; of a sinusoid at least the same. Harmonics above the light's own must be
-    insignificant, and the residuals must not follow the phase. None where no series fits.
+    The second is about twice the first. Harmonics above the light's own must be insignificant, and the residuals must
+    not follow the phase. None where no series fits.
     """
     noise = _noise(fold)
     enough = int((float(fold.count.sum()) / _SAMPLES_PER_FACTOR - 1.0) / 2.0)
     equations = _Equations(fold, min(2 * _ORDERS[-1], max(enough, 1)))
     for order in _ORDERS:
-        twice = 2 * order if equations.determine(2 * order) or order > 1 else order
-        if not equations.determine(twice):
+        # Light may have odd harmonics alone.
+        twice = next((n for n in (max(2 * order, order + _TAIL), 2 * order) if equations.determine(n)), None)
+        if twice is None:
             return None
         series = equations.series(twice)
         least = _NEGLIGIBLE * max(series.amplitude(n) for n in range(1, twice + 1))
