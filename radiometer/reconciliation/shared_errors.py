@@ -556,7 +556,8 @@ _EDGES: Final = 5.0  # √(number of edges that average out), few to be safe
 _LEAST_STEP: Final = 0.1  # of the brightest light, where all patches are alike
 _TREND_TERMS: Final = 3  # of a tile's lines: constant, slope and curvature are taken out
 _SMALLEST_SHARE: Final = 1e-6
-_SMALL_SHARE: Final = 1e-2  # of a variance, that its own scatter hides
+ANSCOMBE: Final = 0.375  # added to a count before its root
+_SMALL_SHARE: Final = 0.01  # of the variance of twice the root of a count, which is 1
 _FIXED: Final = ("spatial", "columns", "rows")
 
 
@@ -649,12 +650,12 @@ def errors_of_counts(prediction: Prediction, usable: Mapping[str, Mask]) -> tupl
     found = []
     for name in ("outliers", "unsteady"):
         count = np.where(usable[name], getattr(prediction, name), 0.0)
-        if count.any():
-            values, vectors = np.linalg.eigh(np.minimum.outer(count, count))
-            kept = values > _SMALL_SHARE * values[-1]
-            moved = vectors[:, kept] * np.sqrt(values[kept] / np.maximum(count, 1.0)[:, None])
-            part = {name: _of_captures(moved)}
-            found.append(FixedError(f"number: {name}", lambda prediction, part=part: part, np.ones(moved.shape[1])))
+        scale = np.sqrt(count + ANSCOMBE)  # of what twice the root moves by
+        values, vectors = np.linalg.eigh(np.minimum.outer(count, count) / np.outer(scale, scale))
+        kept = values > _SMALL_SHARE
+        if kept.any():
+            part = {name: _of_captures(vectors[:, kept] * np.sqrt(values[kept]))}
+            found.append(FixedError(f"number: {name}", lambda prediction, part=part: part, np.ones(kept.sum())))
     return tuple(found)
 
 
