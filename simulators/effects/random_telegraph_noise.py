@@ -67,14 +67,15 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
         moved = height * (high - 0.5)
         stands = ndtr(moved / sigma - _OUTLYING)
         jumps = squares / white
-        stays = (1.0 - stands) * (1.0 - share_unsteady(frames, 1.0, jumps))
-        kept = stays * _left_by_darks(1.0 - stays.mean(axis=-1, keepdims=True), context)
+        calm = 1.0 - share_unsteady(frames, 1.0, jumps)
+        kept = 1.0 - stands
+        kept = kept * _left_by_darks(1.0 - (kept * calm).mean(axis=-1, keepdims=True), context)
         shares = self.share * EXPONENTIAL_SHARES[:, None] / _FROM_HALF.size
 
         def of_pixels(values: Any) -> Any:
             return (shares * values).sum(axis=(-2, -1))[..., None]
 
-        noise = of_pixels(kept * squares / np.maximum(frames - 1.0, 1.0))
+        noise = of_pixels(kept * calm * squares / np.maximum(frames - 1.0, 1.0))
         fixed = of_pixels(kept * np.square(moved)) - noise / frames[..., 0]
         unsteady = share_unsteady(frames, white / (white + noise[..., None]), jumps)
         pixels = np.sum(getattr(context, "tile_pixels", 1.0))

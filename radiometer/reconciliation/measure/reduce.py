@@ -232,6 +232,7 @@ _SMOOTH_MAD_DN: Final = 15.0**0.5 / MAD_TO_SIGMA
 _MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more would cost time and change nothing
 _TREND_TERMS: Final = 6
 _HALF_WAVES: Final = 3  # down a frame, of a black level that moves while the rows are read
+_LITTLE_CUT: Final = 0.05  # share of a tile's samples at an end of the codes that leaves its noise nearly normal
 _CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cut off: six sigmas of 36 pixels in pairs
 
 
@@ -366,15 +367,20 @@ class CaptureSums:
     def _unsteady(self, number: int, good: Array, n: int, spacing_dn: float) -> Mask:
         """Return which pixels, defects or not, scatter far more than those of their tile that count.
 
-        Where the noise hides below the spacing of the codes, one sample two codes off is no sign of that.
+        Where the noise hides below the spacing of the codes, one sample two codes off is no sign of that, nor is any
+        where most are cut off.
         """
-        scatter = (self.square[number] - np.square(self.total[number]) / n) / max(n - 1, 1)
-        far = np.zeros(scatter.shape, dtype=np.bool_)
+        far = np.zeros(good.shape, dtype=np.bool_)
+        if n < 2:
+            return far
+        index = self.groups[number].index
+        whole = np.maximum(self.low, self.high)[index] < _LITTLE_CUT * n
+        scatter = (self.square[number] - np.square(self.total[number]) / n) / (n - 1)
         for _ in range(2):  # the noisiest ones raise what the others are compared with
             calm = good * ~far
             variance = (scatter * calm).sum(axis=(1, 2)) / np.maximum(calm.sum(axis=(1, 2)), 1.0)
             limit = np.maximum(unsteady_from(n) * variance, 4.0 * spacing_dn**2 / n)
-            far = scatter > limit[:, None, None]
+            far = scatter > np.where(whole, limit, np.inf)[:, None, None]
         return np.asarray(far)
 
     def _half_waves(self) -> Array:
@@ -403,9 +409,8 @@ class CaptureSums:
         good = group.cut(~self.defects)
         picture = self.total[number] / n
         outside = _outlying(picture, group, spacing_dn)
-        good = good * ~outside  # known defects, what stands out here …
+        good = good * ~outside  # known defects and what stands out here
         restless = self._unsteady(number, good, n, spacing_dn)
-        good = good * ~restless  # … and what is unsteady here
         for tile, spots, restless_spots in zip(group.tiles, outside, restless, strict=True):
             outlying[tile.slices] |= spots
             unsteady[tile.slices] |= restless_spots
@@ -422,9 +427,10 @@ class CaptureSums:
         out["spatial"][index] = np.sum(residual**2, axis=(1, 2)) / (pixels - _TREND_TERMS)
         out["slope_x"][index] = coefficients[:, 1] / group.slope_norm[0]
         out["slope_y"][index] = coefficients[:, 2] / group.slope_norm[1]
-        out["variance_dof"][index] = (n - 1) * (pixels - 1)
+        calm = good * ~restless
+        out["variance_dof"][index] = (n - 1) * (calm.sum(axis=(1, 2)) - 1)
         if n > 1:
-            self._temporal(number, group, good, out, n)
+            self._temporal(number, group, calm, out, n)
         return np.asarray(residual), np.asarray(good)
 
     def _without_flicker(
