@@ -308,8 +308,7 @@ def require_place(calibration: OfCamera, lens: LensDescription) -> None:
 
 def is_focused_alike(calibration: OfCamera, lens: LensDescription) -> bool:
     """Return whether a lens's image distance is that at calibration, within 1 %."""
-    there, here = (1.0 + one.magnification / one.pupil_magnification for one in (calibration.lens, lens))
-    return _is_near(there, here)
+    return _is_near(calibration.lens.extension, lens.extension)
 
 
 def require_flat_field(base: OfCamera, camera: CameraDescription, lens: LensDescription) -> None:

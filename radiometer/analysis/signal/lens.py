@@ -67,8 +67,7 @@ def lens_factor_sr(lens: LensDescription, f_number: float | None) -> float:
     number = f_number if f_number is not None else lens.f_number
     if number is None:
         return 1.0
-    near = 1.0 + lens.magnification / lens.pupil_magnification
-    return math.pi * (lens.transmittance or 1.0) / (4.0 * number**2 * near**2)
+    return math.pi * (lens.transmittance or 1.0) / (4.0 * number**2 * lens.extension**2)
 
 
 def flat_doubt(calibration: Calibration, lens: LensDescription, numbers: Collection[float | None]) -> float:
@@ -96,7 +95,7 @@ def relative_sensitivity(
     """Return the sensitivity at pixel positions relative to the optical axis.
 
     A flat field is used where there is one; else the natural fall-off cos⁴α, declared or not, where focal length and
-    pixel pitch are known; else 1.
+    pixel pitch are known; else 1. A lens that is focused near sees less of the field: tan α = r/(f·(1 + m/p)).
 
     Args:
         camera: Pixel pitch and spacing in µm.
@@ -113,7 +112,8 @@ def relative_sensitivity(
     if lens.focal_length_mm is None or pitch_um is None:
         return np.ones(x.shape)
     centre = lens.principal_point_px or ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0)
-    tan2 = ((x - centre[0]) ** 2 + (y - centre[1]) ** 2) * (pitch_um * 1e-3 / lens.focal_length_mm) ** 2
+    distance_px = lens.extension * lens.focal_length_mm * 1e3 / pitch_um
+    tan2 = ((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / distance_px**2
     return np.asarray(1.0 / (1.0 + tan2) ** 2)
 
 
