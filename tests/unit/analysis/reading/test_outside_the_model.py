@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
+from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.budget import conditions_of, frame_u_rel, local_scatter, stray_light
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
@@ -202,6 +203,9 @@ def test_a_flat_field_of_another_stop_or_focus_is_in_doubt(rig, f_number, magnif
     same = read(rig, calibrated(rig, flat_field=flat.model_copy(update={"f_number": 4.0})), patch=corner)
     assert line(other, "flat field") == pytest.approx(math.hypot(0.003, 0.5 * 0.2), rel=1e-6)
     assert line(same, "flat field") == pytest.approx(0.003)
+    frames = rig.frames(np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(3), STEADY)
+    mapped = merge(frames, Setup(rig.description, lens, calibrated(rig, flat_field=flat)))
+    assert mapped.u_radiance[11, 11] / mapped.radiance[11, 11] == pytest.approx(0.5 * 0.2, rel=0.05)
 
 
 def test_two_halves_of_different_radiance_are_not_saturated(rig):
