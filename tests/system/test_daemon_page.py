@@ -67,6 +67,18 @@ _FOCUS = """
 (() => { const e = document.activeElement, b = e.getBoundingClientRect(), s = getComputedStyle(e);
   return JSON.stringify([e.tagName, e.id || e.name || e.textContent.trim().slice(0, 20), s.outlineStyle !== "none",
     [...document.querySelectorAll(".card, header")].indexOf(e.closest(".card, header")), b.top + scrollY]); })()"""
+# Replies to what was sent come when the alarm that followed is shown, as on a busy machine.
+_LATE_REPLIES = """
+{ const plain = fetch;
+  replied = 0;
+  window.fetch = async (...asked) => {
+    const reply = await plain(...asked);
+    if (asked[1]?.method !== "POST") return reply;
+    while (!document.querySelector(".patch-row.bad[data-patch=wall]")) await new Promise((go) => setTimeout(go, 50));
+    setTimeout(() => { replied += 1; }, 500);
+    return reply;
+  };
+}"""
 _SMALL = """
 JSON.stringify([...document.querySelectorAll("button, a, input")].filter((e) => {
   const b = e.getBoundingClientRect();
@@ -217,8 +229,11 @@ async def test_a_person_names_limits_and_remarks(daemon: DaemonProcess, tmp_path
         assert daemon.get("/status")["patches"]["wall"]["patch"] == {"x": 20, "y": 30, "width": 20, "height": 20}
         await tap('.patch-row[data-patch="wall"] button', "document.getElementById('limits').open")
         await browser.evaluate("document.getElementById('limit-high').value = 0.5")
+        await browser.evaluate(_LATE_REPLIES)
         await tap('#limits button[value="save"]', f"{row}.querySelector('button').textContent.includes('0.5')")
         await browser.wait_for(f"{row}.matches('.bad')", 60.0)  # two readings later: a busy daemon takes its time
+        await browser.wait_for("replied === 1")
+        assert await browser.evaluate(f"{row}.matches('.bad')"), "a late reply hides what came after it"
         await browser.evaluate("document.getElementById('remark').value = 'lamp exchanged'")
         remarks = "[...document.querySelectorAll('.is-remark')].map((e) => e.parentElement.textContent).join()"
         await tap("#remark-form button", f"{remarks}.includes('lamp exchanged')")
