@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -28,7 +28,7 @@ from radiometer.analysis.signal.situation import contradicted, same_light
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import Radiance, quantity_in_words
-from radiometer.api.result import Drawn, or_null
+from radiometer.api.result import Drawn
 from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.drawing import new_axes
 from radiometer.data.storage import write_text_atomic
@@ -80,23 +80,14 @@ class MapAnalysis(Drawn):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        line = {} if self.profile is None else {"profile": {k: v.tolist() for k, v in self.profile._asdict().items()}}
-        return {
-            "map": self.origin,
-            "unit": self.map.unit,
-            "regions": {
-                one.name: {
-                    "patch": [one.patch.x, one.patch.y, one.patch.width, one.patch.height],
-                    **{name: getattr(one, name).to_mapping() for name in _FIGURES},
-                    "good_share": one.good_share,
-                    "flags": list(one.flags),
-                }
-                for one in self.regions
-            },
-            **{name: or_null(getattr(self, name)) for name in ("contrast", "illuminance", "ugr", "dgp")},
-            "assumptions": list(self.assumptions),
-            **line,
+        line = {} if self.profile is None else {"profile": self.profile._asdict()}
+        names = (*_FIGURES, "good_share", "flags")
+        regions = {
+            one.name: {"patch": astuple(one.patch), **{name: getattr(one, name) for name in names}}
+            for one in self.regions
         }
+        asked = ("contrast", "illuminance", "ugr", "dgp", "assumptions")
+        return self.plain(*asked, map=self.origin, unit=self.map.unit, regions=regions, **line)
 
     @property
     def of_picture(self) -> dict[str, Quantity]:
