@@ -223,7 +223,7 @@ function patchRow(name) {
 function showPatches() {
   const patches = state.status?.patches || {}, shown = Object.keys(patches).map((name) => state.latest.get(name)).filter(Boolean);
   const units = new Set(shown.map((reading) => reading.radiance.unit)), factors = shown.map((reading) => reading.coverage_factor);
-  const k = [...new Set([Math.min(...factors), Math.max(...factors)].map((factor) => +factor.toPrecision(3)))].join(" to ");
+  const k = [...new Set([Math.min(...factors), Math.max(...factors)].map((factor) => +factor.toPrecision(2)))].join(" to ");
   $("patch-unit").textContent = [units.size === 1 ? unitText([...units][0]) : "", factors.length ? `k = ${k}` : ""].filter(Boolean).join(", ");
   const rows = Object.entries(patches).map(([name, entry]) => {
     const row = patchRow(name), [title, value, button] = row.children, reading = state.latest.get(name), { low, high } = entry.limits;
