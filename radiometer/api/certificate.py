@@ -86,14 +86,10 @@ class Certificate(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        return {
-            "identifier": self.content.identifier,
-            "item": self.content.item.model_dump(mode="json"),
-            "date": self.content.date,
-            "results": {name: {**one.to_mapping(), "coverage_factor": k} for name, one, k in self.content.results},
-            "file": None if self.file is None else str(self.file),
-            "page": None if self.page is None else str(self.page),
-        }
+        known = self.content
+        results = {name: {**one.to_mapping(), "coverage_factor": k} for name, one, k in known.results}
+        item = known.item.model_dump(mode="json")
+        return self.plain("file", "page", identifier=known.identifier, item=item, date=known.date, results=results)
 
     def __str__(self) -> str:
         """Return number, item and first result in one line."""
@@ -149,12 +145,12 @@ def certificate(
 
 def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory, identifier: str) -> Certified:
     if isinstance(source, Calibration):
-        return _of_calibration(source, laboratory, identifier)
+        return _of_calibration(source, identifier)
     if isinstance(source, Reading):
         return _of_reading({**source.to_mapping(), "budget": source.budget_lines}, laboratory, identifier)
     path = Path(source)
     if path.suffix.lower() in (".yaml", ".yml"):
-        return _of_calibration(Calibration.read(path), laboratory, identifier)
+        return _of_calibration(Calibration.read(path), identifier)
     try:
         return _of_reading(parsed_json(read_text(path)), laboratory, identifier)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -227,17 +223,16 @@ def _day(time: str) -> str:
     return moment.date().isoformat()
 
 
-def _of_calibration(calibration: Calibration, laboratory: Laboratory, identifier: str) -> Certified:
+def _of_calibration(calibration: Calibration, identifier: str) -> Certified:
     if not calibration.absolute:
         raise UsageError(_RELATIVE)
     camera, scale = calibration.camera, calibration.scale
-    item = laboratory.item  # the laboratory's item is the source that it reads, unless the camera is not known
-    if camera.vendor and camera.serial:
-        item = Item(name="camera", manufacturer=camera.vendor, model=camera.model or "", serial=camera.serial)
-    if item is None:
+    if not (camera.vendor and camera.serial):  # the laboratory's item is the source that it reads
         raise UsageError(
-            "the calibration states no maker and serial number of its camera; state the item in the laboratory file"
+            "the calibration does not state which camera it is of, which is the certificate's item; state maker and "
+            "serial number in its file (camera: vendor, serial)"
         )
+    item = Item(name="camera", manufacturer=camera.vendor, model=camera.model or "", serial=camera.serial)
     conditions = [("spectrum", calibration.spectrum)]
     if scale.f_number is not None:
         conditions.append(("f-number", f"{scale.f_number:g}"))

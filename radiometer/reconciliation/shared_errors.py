@@ -653,13 +653,9 @@ def errors_of_few_pixels(
     found = []
     if prediction.uneven_noise.any():
         of_tile, one = prediction.uneven_noise / np.sqrt(np.maximum(seen.pixels, 1.0)), np.eye(len(design.tiles))
-        noise = {
-            "variance": Part(np.where(usable["variance"], of_tile / prediction.variance, 0.0), one),
-            "spatial": Part(
-                np.where(usable["spatial"], of_tile / design.frame_count[:, None] / prediction.spatial, 0.0), one
-            ),
-        }
-        found.append(FixedError("noise of few pixels", lambda prediction: noise, np.ones(len(one))))
+        left = {"variance": of_tile, "spatial": of_tile / design.frame_count[:, None]}
+        noise = {n: Part(np.where(usable[n], by / getattr(prediction, n), 0.0), one) for n, by in left.items()}
+        found.append(FixedError("noise of few pixels", _whatever(noise), np.ones(len(one))))
     for name in ("outliers", "unsteady"):
         count = np.where(usable[name], getattr(prediction, name), 0.0)
         if not count.any():
@@ -668,8 +664,13 @@ def errors_of_few_pixels(
         values, vectors = np.linalg.eigh(np.minimum.outer(root, root) / np.maximum.outer(root, root))
         kept = values > _SMALL_SHARE
         part = {name: _of_captures(vectors[:, kept] * np.sqrt(values[kept]))}
-        found.append(FixedError(f"number: {name}", lambda prediction, part=part: part, np.ones(kept.sum())))
+        found.append(FixedError(f"number: {name}", _whatever(part), np.ones(kept.sum())))
     return tuple(found)
+
+
+def _whatever(part: Mapping[str, Part]) -> Callable[[Prediction], Mapping[str, Part]]:
+    """Return the parts of a source of error that are the same whatever is predicted."""
+    return lambda prediction: part
 
 
 def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:
@@ -679,7 +680,7 @@ def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:
         usable: (captures,) whether a capture's borders carry information.
     """
     part = {"edge": _of_captures(np.ones((usable.size, 1)))}
-    return (FixedError("borders", lambda prediction: part, np.array([SHARPEST])),) if usable.any() else ()
+    return (FixedError("borders", _whatever(part), np.array([SHARPEST])),) if usable.any() else ()
 
 
 def error_of_histograms(honest: Array, usable: Mask) -> tuple[FixedError, ...]:
@@ -693,7 +694,7 @@ def error_of_histograms(honest: Array, usable: Mask) -> tuple[FixedError, ...]:
         return ()
     periods = honest.shape[1]
     part = {"comb": Part(honest, np.eye(periods))}
-    return (FixedError("histogram of the scene", lambda prediction: part, np.ones(periods)),)
+    return (FixedError("histogram of the scene", _whatever(part), np.ones(periods)),)
 
 
 def _of_captures(columns: Array) -> Part:

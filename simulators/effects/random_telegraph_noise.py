@@ -26,10 +26,10 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
     The jump is the same with light or without, at every exposure and gain. Pixels that stand out or are unsteady in a
     dark are left out of all later captures, so that high jumps leave the noise of tiles.
 
-    Source: Zhang et al. (2016), Chinese Physics B 25, 070503: traps of the source follower are the main noise of dim
-    pictures. Chao et al. (2019), Sensors 19, 5447: they are part of the tail of its distribution. That heights are
-    exponential is an assumption. Jumps of the dark charge grow with the exposure instead: Hopkins and Hopkinson (1993),
-    IEEE Trans. Nucl. Sci. 40, 1567; Bogaerts et al. (2002), ibid. 49, 249.
+    Source: traps of the source follower are the main noise of dim pictures (Zhang et al. 2016, Chinese Physics B 25,
+    070503). They are part of the tail of its distribution (Chao et al. 2019, Sensors 19, 5447). That their heights are
+    exponentially distributed is an assumption. Jumps of the dark charge (Hopkins and Hopkinson 1993, IEEE Trans. Nucl.
+    Sci. 40, 1567; Bogaerts et al. 2002, ibid. 49, 249) grow with the exposure instead.
     """
 
     name = "random_telegraph_noise"
