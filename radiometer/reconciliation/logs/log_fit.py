@@ -63,6 +63,9 @@ _LEAST_CORRELATION: Final = 0.5  # of a column as predicted and as measured: the
 _DEGREE: Final = 3  # of a trend without a name: a bend that changes its sign once
 
 
+Adds = Callable[[LogTable, Array], Array | float]
+
+
 @dataclass(frozen=True, slots=True)
 class LogTerm:
     """One term that may be missing."""
@@ -74,7 +77,7 @@ class LogTerm:
     # Size of each that makes a difference of about 1 % somewhere; also the step of differences
     scales: tuple[float, ...]
     part: str  # part of the predicted value that it adds to: one of `_PARTS`
-    adds: Callable[[LogTable, Array], Array | float]  # gives what its parameters add to that part
+    adds: Adds  # gives what its parameters add to that part
     flexible: bool = False  # whether it is the flexible form of another one of the same name
     start: tuple[float, ...] = ()  # where their fit begins; zeros by default
 
@@ -167,29 +170,15 @@ def catalogue(log: LogTable) -> tuple[LogTerm, ...]:
     if (colour := log.colour) is not None and _varies(colour):
         per, mean = units.get("colour", "1"), float(np.mean(colour))
         unit, scale = "1" if per == "1" else f"{per}-1", 0.01 / float(np.std(colour))
-        found.append(
-            _term(
-                "spectral_mismatch",
-                "colour",
-                "per_colour",
-                unit,
-                scale,
-                "log_factor",
-                lambda log, own: own[0] * (np.asarray(log.colour) - mean),
-            )
-        )
+
+        def of_colour(log: LogTable, own: Array) -> Array:
+            return np.asarray(own[0] * (np.asarray(log.colour) - mean))
+
+        found.append(_term("spectral_mismatch", "colour", "per_colour", unit, scale, "log_factor", of_colour))
     return tuple(found)
 
 
-def _term(
-    name: str,
-    where: str,
-    parameter: str,
-    unit: str,
-    scale: float,
-    part: str,
-    adds: Callable[[LogTable, Array], Array | float],
-) -> LogTerm:
+def _term(name: str, where: str, parameter: str, unit: str, scale: float, part: str, adds: Adds) -> LogTerm:
     """Return a term of one parameter."""
     return LogTerm(name, where, (parameter,), (unit,), (scale,), part, adds)
 
@@ -203,19 +192,13 @@ def _temperature_terms(log: LogTable, warm_c: Array) -> list[LogTerm]:
         warm = 2.0 ** ((np.asarray(log.temperature_c) - _DARK_AT_C) / doubling)
         return np.asarray(own[0] * log.exposure_s * warm)
 
-    names, units, scales = ("dark_at_25C_dn_per_s", "doubling_K"), ("DN s-1", "K"), (dark, 0.02)
-    efficiency, where = "quantum_efficiency_temperature", "temperature"
+    def of_efficiency(log: LogTable, own: Array) -> Array:
+        return np.asarray(own[0] * (np.asarray(log.temperature_c) - mean_c))
+
+    names, units, where = ("dark_at_25C_dn_per_s", "doubling_K"), ("DN s-1", "K"), "temperature"
     return [
-        _term(
-            efficiency,
-            where,
-            "per_K",
-            "K-1",
-            0.001,
-            "log_factor",
-            lambda log, own: own[0] * (np.asarray(log.temperature_c) - mean_c),
-        ),
-        LogTerm("dark_current", where, names, units, scales, "dark", of_dark, start=(dark, DOUBLING_K)),
+        _term("quantum_efficiency_temperature", where, "per_K", "K-1", 0.001, "log_factor", of_efficiency),
+        LogTerm("dark_current", where, names, units, (dark, 0.02), "dark", of_dark, start=(dark, DOUBLING_K)),
     ]
 
 

@@ -300,7 +300,7 @@ FORMS: Final = {
              "as a step along {covariate}", _edge, is_steep=True),
         Form("power", "np.maximum({u} / {reference}, 1e-12) ** {power}", (("power", False),),
              "as a power of {covariate}",
-             lambda values, known: [ ({"reference": _round(values[-1], 4)}, {"power": power}) for power in (0.5, 2.0, -0.5) ]),
+              lambda values, known: [({"reference": _round(values[-1], 4)}, {"power": p}) for p in (0.5, 2.0, -0.5)]),
         Form("decay", "np.exp(-{u} / {tau})", (("tau", True),), "fading exponentially with {covariate}", _decay,
              is_steep=True),
         Form("rise", "np.exp(-({end} - {u}) / {tau})", (("tau", True),), "growing exponentially along {covariate}",
