@@ -9,7 +9,7 @@ import itertools
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import structlog
 
-from radiometer.data import CaptureHeader, Frame
+from radiometer.data import CaptureHeader
 from radiometer.data.white_level import white_level_notes
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
@@ -29,7 +29,7 @@ from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
-from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, reduce_frames
 from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
 from radiometer.reconciliation.propose.search import held_to_laws
@@ -192,59 +192,6 @@ def whole_catalogue() -> dict[str, type[CatalogueEffect]]:
     return {name: kind for name, kind in all_effects().items() if issubclass(kind, CatalogueEffect)}
 
 
-def reconcile(
-    header: CaptureHeader,
-    frames: Iterable[Frame],
-    model: CameraModel | None = None,
-    *,
-    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
-    without: Sequence[str] = (),
-    with_limits: bool = True,
-    say: Say = lambda line: None,
-) -> ReconcileResult:
-    """Return where measured and simulated disagree, and which effects are missing.
-
-    Args:
-        header: What `capture.yaml` says.
-        frames: The frames it lists, in its order.
-        model: The camera as it is believed to be; by default the ideal EMVA 1288 camera of the header.
-        catalogue: Effects to try, by name; by default all.
-        without: Names of effects to leave out.
-        with_limits: Whether to work out what the data would have shown at 5 sigma.
-        say: Told what happens, line by line.
-
-    Raises:
-        CaptureError: If frames are missing or differ in size, or a patch does not fit.
-    """
-    held = frames if isinstance(frames, Sequence) else list(frames)
-    if len(held) != len(header.frames):
-        raise CaptureError(f"the header lists {len(header.frames)} frames, but {len(held)} were given")
-    entries = {
-        n: kind for n, kind in (whole_catalogue() if catalogue is None else catalogue).items() if n not in without
-    }
-    return examine(
-        header, frame_reader(held), held[0].shape, model, catalogue=entries, with_limits=with_limits, say=say
-    ).result
-
-
-@on_one_blas_thread
-def gaps_of(
-    found: Sequence[ReconcileResult | None], header: CaptureHeader, frames: Iterable[Frame]
-) -> tuple[float, ...]:
-    """Return the reduced χ² of held-out settings of a capture set under models that are not changed.
-
-    Only the nuisances (responsivity, patch radiances) are fitted; the frames are read once.
-
-    Args:
-        found: Results whose effects are taken, or None for the ideal camera of the header.
-        header: What `capture.yaml` of the (fresh) capture set says.
-        frames: Its frames.
-    """
-    held = frames if isinstance(frames, Sequence) else list(frames)
-    design, _, reduced = evidence_for(header, held[0].shape, frame_reader(held))
-    return tuple(first_state(design, *reduced, () if entry is None else entry.added).gap for entry in found)
-
-
 def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureHeader, tuple[CatalogueEffect, ...]]:
     """Return the header with a model's camera and lens, and the effects that it adds to the ideal chain."""
     if model is None:
@@ -260,7 +207,9 @@ def reconcile_capture(
     *,
     catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
 ) -> Reconciled:
-    """Return the same for a capture set on disk; one frame is in memory at a time.
+    """Return where a capture set on disk and its simulation disagree, and which effects are missing.
+
+    One frame is in memory at a time.
 
     Args:
         path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).

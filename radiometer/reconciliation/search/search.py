@@ -50,15 +50,13 @@ from radiometer.reconciliation.search.outcome import (
     score,
     worth,
 )
-from radiometer.reconciliation.search.screening import Before, StartPool, directions_of, screen
+from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.thresholds import (
     FLEXIBLE_NATS,
     HUGE_NATS,
-    KEPT_NATS,
     LAW_SHARE,
     MOST_STEPS,
     NAMED_NATS,
-    OWN_LAW_NATS,
     PARAMETER_NATS,
     SIGNIFICANCE,
     SMOOTH_SHARE,
@@ -172,7 +170,7 @@ def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], 
 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     standing = significant(tests)
-    screened = run.screened = screen(state, run.catalogue, run.pool, Before(run.screened, _FITTED + len(run.refused)))
+    screened = run.screened = screen(state, run.catalogue, run.pool, run.screened, _FITTED + len(run.refused))
     limit = SIGNIFICANCE / max(len(screened), 1)
     promising = _promising(screened, limit, standing)
     promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
@@ -344,7 +342,7 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
             if promised - state.cost > 2.0 * HUGE_NATS:  # the others, free to move, come nowhere near
                 continue
             lost = _lost(state, smaller)
-            if lost < KEPT_NATS:
+            if lost < PARAMETER_NATS:
                 say(f"{name} dropped again: it brings {lost:.1f} nats")
                 state, changed = refit(reweighted(refit(smaller))).recorded(), True
                 dropped.append(name)
@@ -441,7 +439,7 @@ class LooserForms:
             only: Names of the effects that leave structure in their own place, where these alone are asked and the
                 tests of that place are what is beyond chance; by default all effects.
         """
-        needed = NAMED_NATS if only is None else OWN_LAW_NATS
+        needed = NAMED_NATS if only is None else 0.0
         forms = (form for form in _forms_of_promise(state, only) if form[0] >= needed)
         return cls(state, needed, sorted(forms, key=lambda entry: -entry[0])[:_REFITTED])
 
