@@ -23,7 +23,7 @@ from radiometer.data.white_level import white_level_notes
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.fit.descent import first_state, fitted_parameters, is_misfit
+from radiometer.reconciliation.fit.descent import first_state, fitted_parameters, is_misfit, scatter_of
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
@@ -31,7 +31,7 @@ from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
 from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, reduce_frames
 from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
-from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
+from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior
 from radiometer.reconciliation.propose.search import held_to_laws
 from radiometer.reconciliation.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
 from radiometer.reconciliation.result import (
@@ -338,7 +338,10 @@ def _result(
 ) -> ReconcileResult:
     state, other_well = outcome.state, well is not None and well.contradicts
     found = _found(outcome, entries, again, failed)
-    weighed, alternatives = posterior_of(state, entries), {effect.name: effect.alternatives for effect in found}
+    weighed, alternatives = (
+        posterior(state.models, entries, scatter_of(state)),
+        {effect.name: effect.alternatives for effect in found},
+    )
     doubts = [*outcome.remarks, *doubts_of(outcome, weighed, alternatives), *faint(outcome)]
     verdict = verdict_of(outcome, doubts, again, other_well=other_well)
     effects = tuple(_believed(effect, weighed, verdict) for effect in found)

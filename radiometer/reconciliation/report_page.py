@@ -6,12 +6,10 @@ Pictures show the gap as it closes, each effect along its covariate, and the res
 from __future__ import annotations
 
 import inspect
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from radiometer.data.storage import write_text_atomic
 from radiometer.numbers import unit_text, with_u
 from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.state import FitState
@@ -31,22 +29,14 @@ _LISTED_PLACES: Final = 5
 _WEAK_NATS: Final = 10.0
 
 
-def write_report(path: Path, reconciled: Reconciled, title: str, origin: Origin) -> None:
-    """Write the report as one HTML file that needs nothing else.
+def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
+    """Return the report as HTML, one file that needs nothing else.
 
     Args:
         reconciled: What was found.
         title: Name of the capture set.
         origin: Camera, lens, date and whatever else is known of the data.
-
-    Raises:
-        OutputError: If the file cannot be written.
     """
-    write_text_atomic(path, report_html(reconciled, title, origin))
-
-
-def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
-    """Return the report as HTML."""
     result = reconciled.result
     return page(
         title,
@@ -459,6 +449,7 @@ def _fitting(value: Array, dimensions: int) -> Array:
 
 def rest_map(state: FitState) -> str:
     """Return where on the picture the final model still disagrees: each patch by its residual over all captures."""
+    from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.patches import Rectangle
@@ -471,7 +462,7 @@ def rest_map(state: FitState) -> str:
     score = np.where(count > 0, residual.sum(axis=0) / np.sqrt(np.maximum(count, 1)), np.nan)
     height, width = design.shape
     reach = max(_CHANCE_SIGMAS, float(np.nanmax(np.abs(score), initial=0.0)))
-    norm, colours = TwoSlopeNorm(0.0, -reach, reach), _diverging()
+    norm, colours = TwoSlopeNorm(0.0, -reach, reach), colormaps["RdBu_r"]
 
     def draw(figure: Figure, narrow: bool) -> None:
         axes = figure.subplots()
@@ -494,12 +485,6 @@ def rest_map(state: FitState) -> str:
         f"{int(np.isfinite(score).sum())} are beyond."
     )
     return picture(draw, caption, (6.8, 0.6 + 5.2 * height / width), (4.0, 1.0 + 3.2 * height / width))
-
-
-def _diverging() -> Any:
-    from matplotlib import colormaps
-
-    return colormaps["RdBu_r"]
 
 
 def residual_panels(reconciled: Reconciled) -> str:

@@ -19,6 +19,9 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.typing import Array
+from simulators.effects.catalogue import elapsed_s
+from simulators.effects.context import ExposureContext
+from simulators.effects.surroundings import column_light, picture_mean
 
 Formula = Callable[[Mapping[str, Any]], Any]
 
@@ -32,7 +35,6 @@ _OPERATORS: Final[dict[type[ast.AST], Callable[[Any, Any], Any]]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
     ast.Eq: operator.eq,
-    ast.Is: operator.is_,
 }
 _OF_NUMPY: Final = ("asarray", "exp", "isclose", "log", "maximum", "mod", "sin", "square", "sum", "tanh")
 _NUMPY: Final = {name: getattr(np, name) for name in _OF_NUMPY} | {"pi": np.pi, "inf": np.inf}
@@ -70,9 +72,6 @@ def _of(node: ast.AST) -> Formula:
             return _joined(_OPERATORS[type(sign)], left, right)
         case ast.Compare(left=left, ops=[sign], comparators=[right]) if type(sign) in _OPERATORS:
             return _joined(_OPERATORS[type(sign)], left, right)
-        case ast.IfExp(test=test, body=body, orelse=other):
-            asked, then, otherwise = _of(test), _of(body), _of(other)
-            return lambda known: then(known) if asked(known) else otherwise(known)
         case ast.Call(func=function, args=arguments, keywords=keywords):
             return _called(function, arguments, keywords)
     raise ValueError(f"a formula cannot hold {ast.unparse(node)!r}")
@@ -104,7 +103,7 @@ class Covariate:
     name: str  # its name in results
     tag: str  # what its parameters are called by
     unit: str  # its unit; "1" for a pure number
-    code: str  # how an effect finds it, in terms of `context` and `signal`
+    value: Callable[[Any, ExposureContext], Any]  # gives it for a signal and a context
     words: str  # what people call it
     forms: tuple[str, ...]  # names of the forms that are tried along it
 
@@ -117,32 +116,47 @@ class Covariate:
 
 
 _OF_PLACES: Final = ("ramp", "line", "bow", "arch", "border", "edge", "decay", "rise", "sine")
-_RESTED: Final = "np.asarray(np.inf if context.since_frame_s is None else context.since_frame_s)"
+
+
+def _of_settings(name: str) -> Callable[[Any, ExposureContext], Any]:
+    return lambda signal, context: np.asarray(getattr(context.settings, name))
+
+
+def _rested(signal: Any, context: ExposureContext) -> Any:
+    return np.asarray(np.inf if context.since_frame_s is None else context.since_frame_s)
+
+
+def _placed(name: str) -> Callable[[Any, ExposureContext], Any]:
+    """Return what gives a place in shares of the picture's longer side."""
+    return lambda signal, context: (
+        getattr(context.geometry, name) / max(context.geometry.sensor_width, context.geometry.sensor_height)
+    )
+
+
 COVARIATES: Final = {
     entry.name: entry
     for entry in (
-        Covariate("exposure_s", "exposure", "s", "np.asarray(context.settings.exposure_s)", "the exposure",
+        Covariate("exposure_s", "exposure", "s", _of_settings("exposure_s"), "the exposure",
                   ("power", "step", "decay", "fall")),
-        Covariate("timestamp_s", "time", "s", "np.asarray(elapsed_s(context))", "the time",
+        Covariate("timestamp_s", "time", "s", lambda signal, context: np.asarray(elapsed_s(context)), "the time",
                   ("ramp", "line", "decay", "fall", "sine")),
-        Covariate("temperature_C", "warm", "°C", "np.asarray(context.settings.temperature_c)", "the temperature",
+        Covariate("temperature_C", "warm", "°C", _of_settings("temperature_c"), "the temperature",
                   ("ramp", "line", "bow", "step")),
-        Covariate("source_level", "level", "1", "np.asarray(context.settings.source_level)", "the source's level",
+        Covariate("source_level", "level", "1", _of_settings("source_level"), "the source's level",
                   ("ramp", "step", "power", "bend")),
-        Covariate("gain_db", "gain", "dB", "np.asarray(context.settings.gain_db)", "the gain",
-                  ("ramp", "step", "one", "two")),
-        Covariate("f_number", "stop", "1", "np.asarray(context.settings.f_number)", "the f-number",
-                  ("power", "step", "one", "two")),
-        Covariate("since_frame_s", "rest", "s", _RESTED, "the time since the last frame", ("decay", "fall")),
-        Covariate("frame", "frame", "1", "np.asarray(context.frame_numbers)", "the frame's running number", ("every",)),
-        Covariate("image_x", "x", "1", "context.geometry.x_px / side", "the column", (*_OF_PLACES, "spot")),
-        Covariate("image_y", "y", "1", "context.geometry.y_px / side", "the row", (*_OF_PLACES, "moving_wave")),
-        Covariate("picture_mean", "picture", "1", "picture_mean(signal, context)", "the mean of the picture",
-                  ("ramp", "power")),
-        Covariate("column_light", "column", "e- s-1", "column_light(signal, context)", "the mean light of the column",
-                  ("proportion",)),
-        Covariate("signal", "signal", "e-", "signal", "the charge", ("power", "step", "bend", "sine")),
-        Covariate("value", "value", "DN", "signal", "the amplified signal", ("step", "bend", "sine")),
+        Covariate("gain_db", "gain", "dB", _of_settings("gain_db"), "the gain", ("ramp", "step", "one", "two")),
+        Covariate("f_number", "stop", "1", _of_settings("f_number"), "the f-number", ("power", "step", "one", "two")),
+        Covariate("since_frame_s", "rest", "s", _rested, "the time since the last frame", ("decay", "fall")),
+        Covariate("frame", "frame", "1", lambda signal, context: np.asarray(context.frame_numbers),
+                  "the frame's running number", ("every",)),
+        Covariate("image_x", "x", "1", _placed("x_px"), "the column", (*_OF_PLACES, "spot")),
+        Covariate("image_y", "y", "1", _placed("y_px"), "the row", (*_OF_PLACES, "moving_wave")),
+        Covariate("picture_mean", "picture", "1", picture_mean, "the mean of the picture", ("ramp", "power")),
+        Covariate("column_light", "column", "e- s-1", column_light, "the mean light of the column", ("proportion",)),
+        Covariate("signal", "signal", "e-", lambda signal, context: signal, "the charge",
+                  ("power", "step", "bend", "sine")),
+        Covariate("value", "value", "DN", lambda signal, context: signal, "the amplified signal",
+                  ("step", "bend", "sine")),
     )
 }  # fmt: skip
 PLACES: Final = ("image_x", "image_y")

@@ -569,11 +569,6 @@ class Refined:
         """Return by how much the name by its free law raises the held-out log density."""
         return self.state.evidence - self.without.evidence
 
-    @property
-    def form(self) -> CatalogueEffect:
-        """Return the effect with its free law."""
-        return next(effect for effect in self.state.effects if effect.name == self.name)
-
 
 def nowhere_near(base: FitState, found: FitState) -> float:
     """Return the χ² beyond which a single law that is fitted comes nowhere near what was found.
@@ -602,8 +597,9 @@ def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEff
     if not found:
         return None
     best = max(found, key=lambda refined: worth(refined.state))
-    closing = [refined for refined in found if not is_misfit(refined.state)]
-    return replace(best, rivals=tuple({m.name: m.form for m in closing if m.name != best.name}.values()))
+    closing = [refined for refined in found if not is_misfit(refined.state) and refined.name != best.name]
+    forms = {own.name: effect for own in closing for effect in own.state.effects if effect.name == own.name}
+    return replace(best, rivals=tuple(forms.values()))
 
 
 _Promise = tuple[float, FitState, FreeLaw]
