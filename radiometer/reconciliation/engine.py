@@ -36,7 +36,6 @@ from radiometer.reconciliation.propose.search import held_to_laws
 from radiometer.reconciliation.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
 from radiometer.reconciliation.result import (
     CovariateGap,
-    FittedParameter,
     FoundEffect,
     LawCurve,
     Limit,
@@ -47,7 +46,7 @@ from radiometer.reconciliation.result import (
     Verdict,
 )
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
-from radiometer.reconciliation.search.outcome import Reconciled, Search, Step
+from radiometer.reconciliation.search.outcome import Reconciled, Search
 from radiometer.reconciliation.search.search import search
 from radiometer.reconciliation.separability import Separability, inseparable, limits, separability
 from radiometer.reconciliation.verdict import (
@@ -351,11 +350,12 @@ def _result(
     if with_limits:
         shown = _optional_step("the limits", lambda: limits(state, entries), failed) or {}
     settled = any(effect.next_capture for effect in effects) or verdict is Verdict.EFFECTS_FOUND
-    further = (
-        None
-        if settled
-        else _optional_step("the next capture", lambda: _further(state, entries, shown, effects), failed)
-    )
+    unnamed = [(effect.where, effect.block) for effect in effects if effect.name == UNNAMED]
+
+    def following() -> dict[str, Any] | None:
+        return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
+
+    further = None if settled else _optional_step("the next capture", following, failed)
     return ReconcileResult(
         verdict=verdict,
         effects=effects,
@@ -425,16 +425,6 @@ def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T |
         return None
 
 
-def _further(
-    state: FitState,
-    entries: Mapping[str, type[CatalogueEffect]],
-    shown: Mapping[str, Limit],
-    effects: Sequence[FoundEffect],
-) -> dict[str, Any] | None:
-    unnamed = [(effect.where, effect.block) for effect in effects if effect.name == "unnamed"]
-    return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
-
-
 def _found(
     outcome: Search,
     entries: Mapping[str, type[CatalogueEffect]],
@@ -452,44 +442,32 @@ def _found(
             found.append(rest)
         elif step.name in present and step.name not in weak:
             own = present[step.name]
-            alike = (
-                _optional_step(f"which effects act like {step.name}", partial(inseparable, state, own, entries), failed)
-                or ()
-            )
+            what = f"which effects act like {step.name}"
+            alike = _optional_step(what, partial(inseparable, state, own, entries), failed) or ()
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
             what = f"the capture that separates {step.name} from its rivals"
             advice = _optional_step(what, partial(propose, state, own, rivals), failed)
-            shown = replace(step, rivals=rivals)
-            fitted = dict(parameters[step.name])
+            fitted, curved = dict(parameters[step.name]), tuple[str, ...]()
             if isinstance(own, FreeLaw):
-                sizes = _optional_step(
-                    f"how well the size of {step.name} is known", partial(sizes_by_own_law, state, own), failed
+                what, curved = f"how well the size of {step.name} is known", own.law_names()
+                sizes = _optional_step(what, partial(sizes_by_own_law, state, own), failed) or {}
+                fitted |= {name: entry for name, entry in sizes.items() if fitted[name].u is None}
+            found.append(
+                FoundEffect(
+                    step.name,
+                    {name: entry for name, entry in fitted.items() if name not in curved},
+                    step.where,
+                    step.gap_before,
+                    step.gap_after,
+                    tuple(rival.name for rival in rivals),
+                    advice,
+                    step.gain_nats,
+                    own.block,
+                    other_law=size_of_rest(state, own.block) if own in others else None,
+                    curve=LawCurve.of(own, parameters[step.name]),
                 )
-                fitted |= {name: entry for name, entry in (sizes or {}).items() if fitted[name].u is None}
-            effect = _effect(shown, own, fitted, advice)
-            other = size_of_rest(state, own.block) if own in others else None
-            found.append(replace(effect, other_law=other, curve=LawCurve.of(own, parameters[step.name])))
+            )
     return (*found, rest) if rest is not None and rest not in found else tuple(found)
-
-
-def _effect(
-    step: Step,
-    effect: CatalogueEffect,
-    parameters: Mapping[str, FittedParameter],
-    advice: Mapping[str, Any] | None,
-) -> FoundEffect:
-    curved = effect.law_names() if isinstance(effect, FreeLaw) else ()
-    return FoundEffect(
-        step.name,
-        {name: entry for name, entry in parameters.items() if name not in curved},
-        step.where,
-        step.gap_before,
-        step.gap_after,
-        tuple(rival.name for rival in step.rivals),
-        advice,
-        step.gain_nats,
-        effect.block,
-    )
 
 
 def _place(test: Disagreement) -> Place:
