@@ -466,12 +466,11 @@ class LogFit:
     control: str = ""  # verdict of the same search over values that lack nothing
 
 
-def fit_log(log: LogTable, *, control: bool = True, seed: int = 1) -> LogFit:
+def fit_log(log: LogTable, *, control: bool = True) -> LogFit:
     """Return which term a log lacks, if any.
 
     Args:
         control: Search values that lack nothing too: made from the fitted model with scatter of the same kind.
-        seed: Of that scatter.
 
     Raises:
         MeasurementError: If the readings do not determine a responsivity.
@@ -481,7 +480,7 @@ def fit_log(log: LogTable, *, control: bool = True, seed: int = 1) -> LogFit:
     state, steps = _search(start)
     silent = ""
     if control:
-        reported = _search(_start(_lacking_nothing(state, seed)))[1]
+        reported = _search(_start(_lacking_nothing(state)))[1]
         silent = str(_verdict(reported))
     before, after = (night_error(one) for one in (start, state))
     result = _result(start, state, steps, before, after, silent)
@@ -640,9 +639,9 @@ def _without(state: LogState, term: LogTerm) -> Array:
     return np.delete(state.parameters, np.arange(at, at + term.size))
 
 
-def _lacking_nothing(state: LogState, seed: int) -> LogTable:
+def _lacking_nothing(state: LogState) -> LogTable:
     """Return the table with values that the responsivity alone predicts, scattered as the readings do."""
-    log, rng = state.log, np.random.default_rng(seed)
+    log, rng = state.log, np.random.default_rng(1)
     values = predicted_log(log, (), state.parameters[:1])
     for rows, factor in state.scatter.factors(log):
         values[rows] += factor @ rng.standard_normal(rows.size)

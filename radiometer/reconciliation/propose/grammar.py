@@ -364,12 +364,13 @@ class Term:
         """Return the parameter's unit."""
         return COVARIATES[self.covariate].unit if dict(FORMS[self.form].roles)[role] else "1"
 
-    def code(self, prefix: str = "self.") -> str:
-        """Return the line of NumPy."""
+    def text(self) -> str:
+        """Return the formula for people, in the names of its parameters."""
         own = COVARIATES[self.covariate]
-        filled = {role: prefix + self.parameter(role) for role, _ in FORMS[self.form].roles}
+        filled = {role: self.parameter(role) for role, _ in FORMS[self.form].roles}
         constants = {name: f"{value:.6g}" for name, value in self.constants.items()}
-        return FORMS[self.form].code.format(u=own.tag, **filled, **constants)
+        found = FORMS[self.form].code.format(u=own.tag, **filled, **constants).replace("np.", "")
+        return f"({found})" if found.startswith("1.0 /") else found
 
     def evaluated(self, known: Mapping[str, Array]) -> Array:
         """Return the term's values for values of its covariates by name, which broadcast."""

@@ -136,8 +136,8 @@ class Law:
         return any(term.form == "step" and term.covariate in ("signal", "value") for term in self.terms)
 
     def formula(self) -> str:
-        """Return the amplitude times the terms as the file has it."""
-        return " * ".join([f"self.{self.amplitude}", *(_in_brackets(term) for term in self.terms)])
+        """Return the amplitude times the terms, for people."""
+        return " * ".join([self.amplitude, *(term.text() for term in self.terms)])
 
     def with_parameters(self, values: Mapping[str, float]) -> Law:
         """Return the law at other parameters, by their names in the effect."""
@@ -146,11 +146,6 @@ class Law:
             for t in self.terms
         ]
         return Law(self.link, tuple(moved))
-
-
-def _in_brackets(term: Term) -> str:
-    code = term.code()
-    return f"({code})" if code.startswith("1.0 /") else code
 
 
 def _fields(law: Law, amplitude: float) -> list[tuple[str, type[float], Any]]:

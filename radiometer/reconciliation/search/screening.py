@@ -237,7 +237,7 @@ def usable_catalogue(
 def screen(
     state: FitState,
     catalogue: Mapping[str, type[CatalogueEffect]],
-    pool: StartPool | None = None,
+    pool: StartPool,
     before: Sequence[Candidate] = (),
     needed: int = 0,
 ) -> list[Candidate]:
@@ -255,7 +255,6 @@ def screen(
 
     Source: Minoux (1978), accelerated greedy algorithms, for the order.
     """
-    pool = pool or StartPool()
     known: dict[str, list[Candidate]] = {}
     for candidate in before:
         known.setdefault(candidate.effect.name, []).append(candidate)
