@@ -45,7 +45,7 @@ def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
             paragraph(_summary(result)),
             story(reconciled),
             *[_effect(effect, reconciled) for effect in result.effects],
-            _following(result),
+            paragraph(f"Next capture: {result.next_capture['description']}", "do") if result.next_capture else "",
             _repeats(result),
             section("Where the residual is", rest_map(reconciled.outcome.state)),
             heading("Figures"),
@@ -134,12 +134,6 @@ def _frames(result: ReconcileResult) -> str:
     return table(("frame", "exposure", "apart (k = 2)"), rows)
 
 
-def _following(result: ReconcileResult) -> str:
-    if not result.next_capture:
-        return ""
-    return paragraph(f"Next capture: {result.next_capture['description']}", "do")
-
-
 def _effect(effect: FoundEffect, reconciled: Reconciled) -> str:
     present = {one.name: one for one in reconciled.outcome.state.effects}
     entry = present.get(effect.name)
@@ -204,16 +198,13 @@ def _law(effect: FoundEffect) -> str:
         return ""
     (first, knots), *second = effect.curve.along.items()
     columns = second[0][1] if second else (None,)
-    shown = [_with_band(value, u) for value, u in zip(effect.curve.factor, effect.curve.u, strict=True)]
+    known = zip(effect.curve.factor, effect.curve.u, strict=True)
+    shown = [f"{value:.3g}" if u is None else with_u(value, 2.0 * u, "") for value, u in known]
     width = len(columns)
     rows = [(f"{at:.3g}", *shown[n * width : (n + 1) * width]) for n, at in enumerate(knots)]
     heads = ("factor",) if not second else tuple(f"{axis_label(second[0][0])[0]} {at:.3g}" for at in columns)
     sentence = "It follows another functional form: the factors below multiply the catalogue's equation, ± U (k = 2)."
     return paragraph(sentence) + table((axis_label(first)[0], *heads), rows)
-
-
-def _with_band(value: float, u: float | None) -> str:
-    return f"{value:.3g}" if u is None else with_u(value, 2.0 * u, "")
 
 
 def _rivals(effect: FoundEffect) -> str:

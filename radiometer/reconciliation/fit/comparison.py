@@ -244,11 +244,7 @@ class Comparison:
 
     def common_deviance(self, prediction: Prediction) -> float:
         """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
-        return float(np.sum(self.common_deviances(prediction)))
-
-    def common_deviances(self, prediction: Prediction) -> Array:
-        """Return what each capture adds to it, (captures,)."""
-        return self.deviances_of_flicker(self.flicker_of(prediction), prediction.row_variance)
+        return float(np.sum(self.deviances_of_flicker(self.flicker_of(prediction), prediction.row_variance)))
 
     def deviances_of_flicker(self, flicker2: Array, row_variance: Array) -> Array:
         """Return the same for a relative variance of the light, (…, captures), with row noise in DN², (captures,)."""

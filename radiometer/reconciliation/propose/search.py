@@ -532,7 +532,9 @@ def held_to_laws(
     if law is None:
         return outcome
     is_plainer = law.law.size < outcome.state.parameters.size
-    lead = lead_nats(outcome, law)
+    # An entry is known beforehand, a law is not: it must lead by the odds of a name. A lead that it owes to fewer
+    # parameters makes a name doubtful, and takes none away: the law may be a special case of the entry.
+    lead = (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
     if lead <= (0.0 if is_plainer else NAMED_NATS):
         return outcome
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
@@ -550,15 +552,6 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
         is_place = where in ("field_radius", "screen_x", "screen_y", *PLACES)
         found += PLACES if is_place else ("signal", "value") if where == "signal" else (where,)
     return tuple(dict.fromkeys(found))
-
-
-def lead_nats(outcome: Search, law: Proposal) -> float:
-    """Return by how many nats a law predicts better than what was found, each parameter paid for.
-
-    An entry is known beforehand, a law is not: it must lead by the odds of a name. A lead that it owes to fewer
-    parameters makes a name doubtful, and takes none away: the law may be a special case of the entry.
-    """
-    return (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
 
 
 def brings_most(outcome: Search, law: Proposal) -> bool:

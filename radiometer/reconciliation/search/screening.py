@@ -226,14 +226,6 @@ _SMALLEST_CURVATURE: Final = 1e-9
 AT_ONCE: Final = 32  # changes that are projected together: one at a time would read the whole fit for each
 
 
-def usable_catalogue(
-    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]
-) -> dict[str, type[CatalogueEffect]]:
-    """Return the entries that the data can speak about at all and that are not in the model yet."""
-    taken = {effect.name for effect in state.effects if not effect.repeats}
-    return {n: kind for n, kind in catalogue.items() if n not in taken and kind.usable(state.model.context)}
-
-
 def screen(
     state: FitState,
     catalogue: Mapping[str, type[CatalogueEffect]],
@@ -241,7 +233,9 @@ def screen(
     before: Sequence[Candidate] = (),
     needed: int = 0,
 ) -> list[Candidate]:
-    """Return the best start of every usable entry (rigid and flexible apart), the most promising first.
+    """Return the best start of every entry (rigid and flexible apart), the most promising first.
+
+    Entries are those that the data can speak about at all and that are not in the model yet.
 
     Where a screening of the model before is known, entries are tested in the order of what they explained there.
     Testing stops once enough explain twice what any of the rest did, since the disagreement falls from model to
@@ -259,7 +253,9 @@ def screen(
     for candidate in before:
         known.setdefault(candidate.effect.name, []).append(candidate)
     gains = {name: max(candidate.gain for candidate in several) for name, several in known.items()}
-    kinds = sorted(usable_catalogue(state, catalogue).values(), key=lambda kind: -gains.get(kind.name, np.inf))
+    taken = {effect.name for effect in state.effects if not effect.repeats}
+    able = [kind for n, kind in catalogue.items() if n not in taken and kind.usable(state.model.context)]
+    kinds = sorted(able, key=lambda kind: -gains.get(kind.name, np.inf))
     found: list[Candidate] = []
     for first in range(0, len(kinds), _TOGETHER):
         most = _MAY_RISE * gains.get(kinds[first].name, np.inf)

@@ -462,16 +462,17 @@ def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[t
         if only is not None and effect.name not in only:
             continue
         for form in effect.loosened(state.model.context):
-            yield _linear_gain(state, index, form) / 2.0 - PARAMETER_NATS * _further(effect, form), index, form
+            effects = [form if place == index else other for place, other in enumerate(state.effects)]
+            nats = _linear_gain(state, effects, index) / 2.0 - PARAMETER_NATS * _further(effect, form)
+            yield nats, index, form
 
 
 def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:
     return max(len(form.free()) - len(effect.free()), 1)
 
 
-def _linear_gain(state: FitState, index: int, form: CatalogueEffect) -> float:
-    """Return the χ² that a form in an effect's place explains by itself and by its parameters' directions."""
-    effects = [form if place == index else effect for place, effect in enumerate(state.effects)]
+def _linear_gain(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> float:
+    """Return the χ² that one of some effects, instead of the model's, explains by itself and by its parameters."""
     followed = state.fit.followed(directions_of(state, effects, index))
     return state.fit.score(slice(0, state.comparison.size), followed)[0]
 
@@ -641,10 +642,10 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
         form: A form with a free law, or a looser one.
     """
     try:
-        followed = base.fit.followed(directions_of(base, (*base.effects, form), len(base.effects)))
+        gain = _linear_gain(base, (*base.effects, form), len(base.effects))
     except (MeasurementError, ConfigurationError):  # what no camera does
         return -np.inf
-    return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
+    return gain / 2.0 - PARAMETER_NATS * len(form.free())
 
 
 def _with_form(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:
