@@ -72,9 +72,6 @@ PARAMETER_NATS: Final = _row(
     "freedom that is no knowledge: each parameter pays it beyond what held-out settings say; names that bring less "
     "next to later ones",
 )
-FLEXIBLE_NATS: Final = _row(
-    "FLEXIBLE_NATS", 5.0, "nats", "a flexible form that takes a name from a rigid entry of another", _acted(6)
-)
 NAMED_NATS: Final = _row(
     "NAMED_NATS",
     8.0,
@@ -102,7 +99,12 @@ LAW_SHARE: Final = _row(
 
 # ---- the search -----------------------------------------------------------------------------------------------------
 RIVAL_NATS: Final = _row(
-    "RIVAL_NATS", 5.0, "nats", "one name reported where another is as good: rivals within odds of 150", _ODDS
+    "RIVAL_NATS",
+    5.0,
+    "nats",
+    "one name reported where another is as good: rivals within odds of 150; a flexible form that takes a name from a "
+    "rigid entry of another without leading by as much",
+    _acted(6),
 )
 HUGE_NATS: Final = _row(
     "HUGE_NATS",

@@ -35,7 +35,6 @@ from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, Row
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
-    FLEXIBLE_NATS,
     MOST_STEPS,
     NAMED_NATS,
     PARAMETER_NATS,
@@ -598,7 +597,7 @@ def _score(old: LogState, new: LogState, term: LogTerm | None = None) -> float:
 
     A term along the signal must gain them with the signal as predicted and as measured.
     """
-    flexible = FLEXIBLE_NATS if term is not None and term.flexible else 0.0
+    flexible = RIVAL_NATS if term is not None and term.flexible else 0.0
     gained = min(after.evidence - before.evidence for before, after in _ways(old, new))
     return gained - PARAMETER_NATS * (new.free - old.free) - flexible
 

@@ -52,12 +52,12 @@ from radiometer.reconciliation.search.outcome import (
 )
 from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.thresholds import (
-    FLEXIBLE_NATS,
     HUGE_NATS,
     LAW_SHARE,
     MOST_STEPS,
     NAMED_NATS,
     PARAMETER_NATS,
+    RIVAL_NATS,
     SIGNIFICANCE,
     SMOOTH_SHARE,
 )
@@ -216,7 +216,7 @@ def _is_likelier(fits: FullFits, looser: LooserForms, chosen: tuple[FittedCandid
     """
     if looser.promise < _LITTLE_PROMISE * score(chosen) or looser.best is None:
         return False
-    form = looser.best.nats - PARAMETER_NATS * looser.best.further - FLEXIBLE_NATS
+    form = looser.best.nats - PARAMETER_NATS * looser.best.further - RIVAL_NATS
     if form > score(chosen) or form < _NEAR_FORM * score(chosen):
         return form > score(chosen)
     fitted = fits.included(chosen[0].effect, far=False)
