@@ -108,7 +108,7 @@ def shared_errors(
     usable: Mapping[str, Mask],
     sensitivity: Array,
     repeatability: Repeatability,
-    noise_response: Mapping[str, Array] | None = None,
+    noise_response: Mapping[str, Array],
 ) -> tuple[SharedError, ...]:
     """Return the sources that the weights of means, slopes and variances hold.
 
@@ -130,7 +130,7 @@ def shared_errors(
     if repeatability.flicker2.any():  # brighter frames have more photon noise, in all tiles alike
         found += [
             SharedError(f"noise of its frames: {name}", {name: Part(np.where(usable[name], by, 0.0), one)}, shaken2)
-            for name, by in (noise_response or {}).items()
+            for name, by in noise_response.items()
         ]
     if repeatability.row_variance.any():
         found += _row_noise(design, base, usable, repeatability.row_variance)

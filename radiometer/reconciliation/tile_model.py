@@ -380,7 +380,7 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
             frame_numbers=own,
         )
         for (time_s, warm, since), rested, own in zip(
-            (design.first_frames, design.later_frames), design.since_frame_s, numbers[1:], strict=True
+            design.first_and_later, design.since_frame_s, numbers[1:], strict=True
         )
     )
     return replace(context, first_frame=first, later_frames=later)
