@@ -43,6 +43,7 @@ VALUES = {
     "filter": ("V", "R"),
     "band": ("Red", "Green"),
     "binning": ("1", "2"),
+    "white_balance": ("set to daylight", "set to shade"),
     "conversion gain": (2.6, 1.3),
     "focal length": (16.0, 25.0),
     "f-number": (4.0, 5.6),
