@@ -19,6 +19,7 @@ from radiometer.adaptation.protocol import (
 )
 from radiometer.adaptation.reliability import Reliability
 from radiometer.adaptation.rod_intercept import InterceptRule
+from radiometer.adaptation.threshold_files import number_of
 
 LEVEL_UNIT: Final = "scotopic cd·m⁻²"  # of which a run's levels and thresholds are log₁₀
 
@@ -39,8 +40,8 @@ class MethodBias:
 def method_bias(method: LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlusMethod) -> MethodBias | None:
     """Return the bias of a method that takes the first level seen; None for the others, which aim at the 63 % point.
 
-    Exact for a usual psychometric function, averaged over the places of the levels; its uncertainty is that of the
-    slope.
+    Exact for a usual psychometric function, averaged over the places of the levels. Its uncertainty is the root mean
+    square of what other usual slopes change.
     """
     if isinstance(method, LimitsMethod):
         biases = [_ascent(slope, method.step_log10, method.start_below_log10) for slope in SLOPES]
@@ -48,7 +49,7 @@ def method_bias(method: LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlu
         biases = [_down_up(slope, method) for slope in SLOPES]
     else:
         return None
-    return MethodBias(biases[1], (max(biases) - min(biases)) / math.sqrt(12.0))
+    return MethodBias(biases[1], float(np.sqrt(np.mean(np.square(np.array(biases) - biases[1])))))
 
 
 def _seen(level: float, slope: float) -> float:
@@ -136,16 +137,6 @@ def intercept_of(facts: Mapping[str, str]) -> InterceptRule | None:
     return InterceptRule(
         criterion,
         number_of(facts, "intercept_limit_min"),
-        number_of(facts, "method_bias_log10") or 0.0,
-        number_of(facts, "u_method_bias_log10") or 0.0,
         facts.get("intercept_source", ""),
         number_of(facts, "intercept_bleach_s"),
     )
-
-
-def number_of(facts: Mapping[str, str], name: str) -> float | None:
-    """Return a fact as a number; None where it is missing or none."""
-    try:
-        return float(facts[name])
-    except (KeyError, ValueError):
-        return None

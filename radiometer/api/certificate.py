@@ -18,7 +18,7 @@ from radiometer.analysis.exports.certificate import (
     Laboratory,
     certificate_xml,
 )
-from radiometer.analysis.reading.budget import OBSERVED
+from radiometer.analysis.reading.budget import OBSERVED, coverage_factor
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
@@ -86,14 +86,10 @@ class Certificate(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        return {
-            "identifier": self.content.identifier,
-            "item": self.content.item.model_dump(mode="json"),
-            "date": self.content.date,
-            "results": {name: {**one.to_mapping(), "coverage_factor": k} for name, one, k in self.content.results},
-            "file": None if self.file is None else str(self.file),
-            "page": None if self.page is None else str(self.page),
-        }
+        known = self.content
+        results = {name: {**one.to_mapping(), "coverage_factor": k} for name, one, k in known.results}
+        item = known.item.model_dump(mode="json")
+        return self.plain("file", "page", identifier=known.identifier, item=item, date=known.date, results=results)
 
     def __str__(self) -> str:
         """Return number, item and first result in one line."""
@@ -149,12 +145,12 @@ def certificate(
 
 def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory, identifier: str) -> Certified:
     if isinstance(source, Calibration):
-        return _of_calibration(source, laboratory, identifier)
+        return _of_calibration(source, identifier)
     if isinstance(source, Reading):
         return _of_reading({**source.to_mapping(), "budget": source.budget_lines}, laboratory, identifier)
     path = Path(source)
     if path.suffix.lower() in (".yaml", ".yml"):
-        return _of_calibration(Calibration.read(path), laboratory, identifier)
+        return _of_calibration(Calibration.read(path), identifier)
     try:
         return _of_reading(parsed_json(read_text(path)), laboratory, identifier)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -189,6 +185,7 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
     if Flag.UNCALIBRATED.value in content["flags"]:
         raise UsageError(_RELATIVE)
     results = tuple((name, _result(name, stated[name]), k) for name in stated)
+    _refuse_changed(content, results[0][1], k)
     budget = tuple(
         Contribution(str(line["name"]), float(line["u_rel"]), str(line.get("kind", "B")))
         for line in content.get("budget", [])
@@ -203,6 +200,23 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
         item=laboratory.item, equipment=(("camera", str(content["instrument"])), *_calibration_of(content)),
         conditions=tuple(conditions), results=results, budget=budget, version=radiometer.__version__,
     )  # fmt: skip
+
+
+def _refuse_changed(content: dict[str, Any], radiance: Quantity, k: float) -> None:
+    """Refuse a reading whose k belongs neither to its degrees of freedom nor to its expanded uncertainty.
+
+    Raises:
+        InputError: If one that the file states is more than 1 % off, which no rounding explains.
+    """
+    freedom, expanded_rel = content.get("degrees_of_freedom"), content.get("U_rel")
+    belongs = [] if freedom is None else [coverage_factor(float(freedom))]
+    belongs += [] if expanded_rel is None else [float(expanded_rel) / radiance.u_rel]
+    for one in belongs:
+        if not abs(k - one) <= 0.01 * k:
+            raise InputError(
+                f"coverage_factor is {k:g}; for {100 * COVERAGE_PROBABILITY:g} % the reading's degrees_of_freedom and "
+                f"U_rel make it {one:.3g}: state the reading as `radiometer measure` printed it"
+            )
 
 
 def _result(name: str, stated: dict[str, Any]) -> Quantity:
@@ -227,17 +241,16 @@ def _day(time: str) -> str:
     return moment.date().isoformat()
 
 
-def _of_calibration(calibration: Calibration, laboratory: Laboratory, identifier: str) -> Certified:
+def _of_calibration(calibration: Calibration, identifier: str) -> Certified:
     if not calibration.absolute:
         raise UsageError(_RELATIVE)
     camera, scale = calibration.camera, calibration.scale
-    item = laboratory.item  # the laboratory's item is the source that it reads, unless the camera is not known
-    if camera.vendor and camera.serial:
-        item = Item(name="camera", manufacturer=camera.vendor, model=camera.model or "", serial=camera.serial)
-    if item is None:
+    if not (camera.vendor and camera.serial):  # the laboratory's item is the source that it reads
         raise UsageError(
-            "the calibration states no maker and serial number of its camera; state the item in the laboratory file"
+            "the calibration does not state which camera it is of, which is the certificate's item; state maker and "
+            "serial number in its file (camera: vendor, serial)"
         )
+    item = Item(name="camera", manufacturer=camera.vendor, model=camera.model or "", serial=camera.serial)
     conditions = [("spectrum", calibration.spectrum)]
     if scale.f_number is not None:
         conditions.append(("f-number", f"{scale.f_number:g}"))

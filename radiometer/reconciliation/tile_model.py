@@ -646,6 +646,7 @@ class TileModel:
             beyond_x=everywhere(final.beyond_x) / safe,
             beyond_y=everywhere(final.beyond_y) / safe,
             beyond_rows=everywhere(final.beyond_rows) / safe,
+            uneven_noise=everywhere(final.uneven_noise),
         )
 
 

@@ -52,7 +52,7 @@ from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
 from radiometer.typing import Array
-from radiometer.units import exact_exposure_s
+from radiometer.units import exact_exposures_s
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -207,9 +207,8 @@ class _Judged:
 
 
 def _exact_log_times(bracket: Bracket) -> Array:
-    stated = np.array([frame.settings.exposure_s for frame in bracket.light])
-    exact = np.array([exact_exposure_s(seconds) for seconds in stated])
-    return np.asarray(np.log(bracket.effective_exposures_s) + np.log(exact / stated))
+    stated = [frame.settings.exposure_s for frame in bracket.light]
+    return np.asarray(np.log(bracket.effective_exposures_s) + np.log(np.divide(exact_exposures_s(stated), stated)))
 
 
 def _plane(frames: Sequence[Frame]) -> list[Plane]:
