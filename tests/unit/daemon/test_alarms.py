@@ -10,12 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import aiohttp
 import pytest
 
 from radiometer.daemon.alarms import KINDS
 from radiometer.daemon.descriptors import Descriptors
-from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.instrument import DeviceReport
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.patches import PatchLimits
@@ -110,7 +108,7 @@ def _kind(name: str) -> str:
     return name
 
 
-def test_every_alarm_is_tested_and_documented() -> None:
+def test_every_alarm_is_tested_and_documented():
     """The table of docs/reference/daemon.md is that of the program, line by line."""
     assert {_kind(name) for name in CASES} | {"mqtt", "period"} == {kind.name for kind in KINDS}
     text = (ROOT / "docs" / "reference" / "daemon.md").read_text(encoding="utf-8")
@@ -119,57 +117,42 @@ def test_every_alarm_is_tested_and_documented() -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-async def test_an_alarm_is_up_as_long_as_its_cause(
-    name: str,
-    station: Station,
-    instrument: Any,
-    box: Any,
-    eventually: Eventually,
-) -> None:
+async def test_an_alarm_is_up_as_long_as_its_cause(name, station, instrument, box, serve, eventually):
     """Health, state and every listener have it; then it goes, and the journal has both."""
     station.lateness.missing_s = 0.3
-    world, server = World(station, instrument, box), HttpServer(station, limits=Limits(http_requests_per_s=1e4))
-    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
-    async with aiohttp.ClientSession() as session:
+    world, http = World(station, instrument, box), await serve(limits=Limits(http_requests_per_s=1e4))
 
-        async def health() -> tuple[int, Any]:
-            async with session.get(f"{base}/healthz") as reply:
-                return reply.status, (await reply.json())["alarms"]
+    async def health():
+        reply = await http.get("/healthz")
+        return reply.status, reply.json()["alarms"]
 
-        async def until(*, up: bool) -> None:
-            async with asyncio.timeout(60):
-                while (name in (await health())[1]) is not up:
-                    await asyncio.sleep(0.01)
-
-        station.patches.define("lamp", LAMP)
-        station.set_every(0.01)
-        await eventually(lambda: station.shown.latest and station.patches.latest_of("lamp"))
-        assert await health() == (200, [])
-        listener = station.hub.subscribe(10_000)
-        for step, up in zip(CASES[name], (True, False), strict=True):
-            done = step(world)
-            if asyncio.iscoroutine(done):
-                await done
-            await until(up=up)
-            status, alarms = await health()
-            assert status == (503 if alarms else 200)
+    async def until(*, up):
         async with asyncio.timeout(60):
-            while await health() != (200, []):
+            while (name in (await health())[1]) is not up:
                 await asyncio.sleep(0.01)
-        reported = set()
-        while (event := await listener.next()) is not None:
-            reported |= (
-                {alarm["name"] for alarm in json.loads(event.line)["alarms"]} if event.kind == "status" else set()
-            )
-            if name in reported:
-                break
-        assert name in reported
-    await server.close()
+
+    station.patches.define("lamp", LAMP)
+    station.set_every(0.01)
+    await eventually(lambda: station.shown.latest and station.patches.latest_of("lamp"))
+    assert await health() == (200, [])
+    listener = station.hub.subscribe(10_000)
+    for step, up in zip(CASES[name], (True, False), strict=True):
+        done = step(world)
+        if asyncio.iscoroutine(done):
+            await done
+        await until(up=up)
+        status, alarms = await health()
+        assert status == (503 if alarms else 200)
+    async with asyncio.timeout(60):
+        while await health() != (200, []):
+            await asyncio.sleep(0.01)
+    reported = set()
+    while name not in reported and (event := await listener.next()) is not None:
+        reported |= {alarm["name"] for alarm in json.loads(event.line)["alarms"]} if event.kind == "status" else set()
+    assert name in reported
 
 
-async def test_no_number_of_the_camera_makes_anything_but_json(
-    station: Station, instrument: Any, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_no_number_of_the_camera_makes_anything_but_json(station, instrument, serve, eventually, monkeypatch):
     """NaN and infinity in a reading, in a temperature, in counters and in the calibration: null on every interface."""
 
     def refuse(constant: str) -> None:
@@ -185,36 +168,24 @@ async def test_no_number_of_the_camera_makes_anything_but_json(
     instrument.measure = measure
     instrument.check = lambda: DeviceReport(math.nan, {"frames": math.inf})
     monkeypatch.setattr(type(instrument), "calibration_summary", property(lambda self: {"created": math.nan}))
-    server, listener = HttpServer(station, limits=Limits(http_requests_per_s=1e4)), station.hub.subscribe(10_000)
-    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    http, listener = await serve(limits=Limits(http_requests_per_s=1e4)), station.hub.subscribe(10_000)
     station.patches.define("lamp", LAMP)
     station.set_every(0.01)
     await eventually(lambda: station.patches.latest_of("lamp"))
     station.set_every(None)
     await eventually(lambda: math.isnan(station.camera.report.temperature_c or 0.0))
-    async with aiohttp.ClientSession() as session:
-        for path in (
-            "status",
-            "readings?stream=all",
-            "readings?format=jsonl",
-            "trend",
-            "events",
-            "response",
-            "healthz",
-        ):
-            async with session.get(f"{base}/{path}") as reply:
-                assert reply.status in (200, 503)
-                for line in (await reply.text()).splitlines() if "jsonl" in path else [await reply.text()]:
-                    json.loads(line, parse_constant=refuse)
-        async with session.post(f"{base}/settings", json={"auto_exposure": True, "exposure_s": math.nan}) as reply:
-            assert reply.status == 400
-        async with session.get(f"{base}/metrics") as reply:
-            assert reply.status == 200
+    for path in ("status", "readings?stream=all", "readings?format=jsonl", "trend", "events", "response", "healthz"):
+        reply = await http.get(f"/{path}")
+        assert reply.status in (200, 503)
+        for line in reply.text.splitlines() if "jsonl" in path else [reply.text]:
+            json.loads(line, parse_constant=refuse)
+    odd_settings = {"auto_exposure": True, "exposure_s": math.nan}
+    assert (await http.post("/settings", json=odd_settings)).status == 400
+    assert (await http.get("/metrics")).status == 200
     for _ in range(4):  # as many come at least: of the patch, of its two readings, of the end of measuring
         event = await listener.next()
         assert event is not None
         json.loads(event.line, parse_constant=refuse)
-    await server.close()
 
 
 @pytest.mark.parametrize(
@@ -229,12 +200,10 @@ async def test_no_number_of_the_camera_makes_anything_but_json(
     ],
     ids=["replies", "events", "lines", "table", "pictures", "half a body"],
 )
-async def test_clients_that_do_not_read_delay_no_reading(
-    station: Station, scpi: Any, instrument: Any, eventually: Eventually, request_bytes: bytes
-) -> None:
+async def test_clients_that_do_not_read_delay_no_reading(station, scpi, serve, instrument, eventually, request_bytes):
     """Ten of each kind ask and never read, nor finish what they send; the shared patch is measured on and on."""
-    http = HttpServer(station, limits=Limits(http_requests_per_s=1e4))
-    ports = {True: await http.listen("127.0.0.1", 0), False: await scpi.listen_tcp("127.0.0.1", 0)}
+    http = await serve(limits=Limits(http_requests_per_s=1e4))
+    ports = {True: http.port, False: await scpi.listen_tcp("127.0.0.1", 0)}
     instrument.measure_s = 0.0
     station.set_every(0.0)
     deaf = []
@@ -248,4 +217,3 @@ async def test_clients_that_do_not_read_delay_no_reading(
     assert station.troubles() == []
     for writer in deaf:
         writer.transport.abort()
-    await http.close()

@@ -6,10 +6,8 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable
-from pathlib import Path
 from typing import Any
 
-import aiohttp
 import pytest
 
 from radiometer.daemon.http.server import HttpServer
@@ -22,7 +20,7 @@ from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from radiometer.errors import DeviceError, LightEnded
 from testing.box_station import box_station, seconds_until
-from testing.fake_station import QUICK, LineClient
+from testing.fake_station import QUICK, HttpClient, LineClient
 
 Eventually = Callable[..., Awaitable[None]]
 
@@ -34,9 +32,7 @@ def _telling(box: Any) -> None:
 
 
 @pytest.mark.usefixtures("_telling")
-async def test_a_light_that_the_box_ended_is_not_believed_on(
-    station: Station, client: Any, box: Any, eventually: Eventually
-) -> None:
+async def test_a_light_that_the_box_ended_is_not_believed_on(station, client, box, eventually):
     """Level 0 on every interface, an alarm that names the channel, and a line in the journal."""
     await station.light.set_level("red", 0.91)
     box.levels["red"] = 0.0  # the firmware's energy budget is used up
@@ -52,7 +48,7 @@ async def test_a_light_that_the_box_ended_is_not_believed_on(
 
 
 @pytest.mark.usefixtures("_telling")
-async def test_light_that_agrees_is_no_alarm(station: Station, box: Any, eventually: Eventually) -> None:
+async def test_light_that_agrees_is_no_alarm(station, box, eventually):
     """What is read back as it was set, to the resolution of its 16 bits, stays without a word."""
     await station.light.set_level("red", 0.91)
     asked = []
@@ -62,7 +58,7 @@ async def test_light_that_agrees_is_no_alarm(station: Station, box: Any, eventua
     assert station.light.levels["red"] == 0.91
 
 
-async def test_a_stated_limit_is_accepted_with_what_is_lit_already(tmp_path: Path) -> None:
+async def test_a_stated_limit_is_accepted_with_what_is_lit_already(tmp_path):
     """The light of one channel uses up what others may give: their limits fall at once, and none is refused."""
     async with box_station(tmp_path) as (station, _, _):
         await seconds_until(lambda: station.status()["light_limits"])
@@ -74,9 +70,7 @@ async def test_a_stated_limit_is_accepted_with_what_is_lit_already(tmp_path: Pat
 
 
 @pytest.mark.parametrize(("off", "alarmed"), [(1.0 / 65535.0, True), (-1.0 / 65535.0, True), (0.5e-6, False)])
-async def test_light_that_is_off_by_one_step_of_the_box_is_an_alarm(
-    station: Station, box: Any, eventually: Eventually, off: float, alarmed: bool
-) -> None:
+async def test_light_that_is_off_by_one_step_of_the_box_is_an_alarm(station, box, eventually, off, alarmed):
     """A level is one of 65,535: what is read back is the same number or it is another light."""
     await station.light.set_level("red", 0.5)
     looks = 0
@@ -92,9 +86,7 @@ async def test_light_that_is_off_by_one_step_of_the_box_is_an_alarm(
     assert station.light.levels["red"] == (0.5 + off if alarmed else 0.5)
 
 
-async def test_the_level_of_a_lost_box_is_unconfirmed(
-    station: Station, client: Any, box: Any, eventually: Eventually
-) -> None:
+async def test_the_level_of_a_lost_box_is_unconfirmed(station, client, box, eventually):
     """While the box does not answer no level is shown: null in the state, -230 over SCPI."""
     await station.light.set_level("red", 0.5)
     assert (station.status()["light"]["red"], station.status()["light_confirmed"]) == (0.5, True)
@@ -108,7 +100,7 @@ async def test_the_level_of_a_lost_box_is_unconfirmed(
         assert (await client.ask("SYST:ERR?")).startswith("-230")
 
 
-async def test_the_journal_reports_when_light_went_on_and_off(station: Station, eventually: Eventually) -> None:
+async def test_the_journal_reports_when_light_went_on_and_off(station, eventually):
     """Each change between dark and lit is one event; a change of level is none."""
     for level in (0.25, 0.5, 0.0, 0.0):
         await station.light.set_level("red", level)
@@ -118,7 +110,7 @@ async def test_the_journal_reports_when_light_went_on_and_off(station: Station, 
     assert reported == ["red lit at 0.25", "red switched off"]
 
 
-async def test_scpi_switches_all_off(client: Any, box: Any) -> None:
+async def test_scpi_switches_all_off(client, box):
     """OUTP:ALL OFF darkens every channel; ON has no meaning and is refused; the query reports."""
     assert float(await client.ask("SOUR:LED2:LEV 0.5;:SOUR:LED1:LEV 0.5;LEV?")) == 0.5
     assert await client.ask("OUTP:ALL?") == "1"
@@ -128,7 +120,7 @@ async def test_scpi_switches_all_off(client: Any, box: Any) -> None:
     assert box.levels == {"white": 0.0, "red": 0.0}
 
 
-async def test_off_as_the_first_message_does_not_wait(connect: Any, station: Station, box: Any) -> None:
+async def test_off_as_the_first_message_does_not_wait(connect, station, box):
     """The pause that vets what lights does not hold up what darkens."""
     await station.light.set_level("red", 0.5)
     one = await connect()
@@ -138,18 +130,15 @@ async def test_off_as_the_first_message_does_not_wait(connect: Any, station: Sta
     assert box.levels["red"] == 0.0
 
 
-async def test_http_switches_all_off(station: Station, box: Any) -> None:
+async def test_http_switches_all_off(http, station, box):
     """POST /light/off darkens every channel and replies the levels."""
-    server = HttpServer(station)
-    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
     await station.light.set_level("red", 0.5)
-    async with aiohttp.ClientSession() as session, session.post(f"{base}/light/off") as reply:
-        assert (reply.status, await reply.json()) == (200, {"light": {"white": 0.0, "red": 0.0}})
+    reply = await http.post("/light/off")
+    assert (reply.status, reply.json()) == (200, {"light": {"white": 0.0, "red": 0.0}})
     assert box.levels == {"white": 0.0, "red": 0.0}
-    await server.close()
 
 
-async def test_a_channel_that_fails_does_not_keep_the_next_one_lit(station: Station, box: Any) -> None:
+async def test_a_channel_that_fails_does_not_keep_the_next_one_lit(station, box):
     """All channels are tried, then the failure is reported."""
     await station.light.set_level("red", 0.5)
     whole = box.set_level
@@ -167,26 +156,13 @@ async def test_a_channel_that_fails_does_not_keep_the_next_one_lit(station: Stat
 
 
 @pytest.mark.parametrize("way", ["http", "scpi", "channel"])
-async def test_darkness_comes_before_all_light_that_waits(way: str, station: Station, box: Any, connect: Any) -> None:
+async def test_darkness_comes_before_all_light_that_waits(way, station, box, asked, connect, http):
     """40 requests for light wait for a slow box: off is what it is asked next, and none of them is lit after."""
-    asked: list[float] = []
-
-    def slow(channel: str, level: float) -> float:
-        time.sleep(0.03)
-        asked.append(level)
-        box.levels[channel] = level
-        return level
-
-    box.set_level = slow
     waiting = [asyncio.ensure_future(station.light.set_level("red", 0.2 + 0.01 * n)) for n in range(40)]
     while not asked:
         await asyncio.sleep(0.005)
     if way == "http":
-        server = HttpServer(station)
-        base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
-        async with aiohttp.ClientSession() as session, session.post(f"{base}/light/off") as reply:
-            assert reply.status == 200
-        await server.close()
+        assert (await http.post("/light/off")).status == 200
     elif way == "scpi":
         assert await (await connect()).ask("OUTP:ALL OFF;*OPC?") == "1"
     else:
@@ -217,9 +193,7 @@ def asked(box: Any) -> list[float]:
 
 
 @pytest.mark.parametrize("way", ["all", "channel", "other program"])
-async def test_light_that_waits_in_a_connection_is_ended_too(
-    way: str, connect: Any, client: Any, box: Any, asked: list[float], eventually: Eventually
-) -> None:
+async def test_light_that_waits_in_a_connection_is_ended_too(way, connect, client, box, asked, eventually):
     """Of 8 clients that send 100 messages each at once, more than are read, none lights once another one said off."""
     box.switched_off = 0
     clients = [await connect() for _ in range(8)]
@@ -239,7 +213,7 @@ async def test_light_that_waits_in_a_connection_is_ended_too(
     assert float(await clients[0].ask("SOUR:LED2:LEV 0.25;LEV?")) == 0.25  # what is asked for afterwards is given
 
 
-async def test_a_client_may_light_after_its_own_darkness_in_one_go(client: Any, asked: list[float]) -> None:
+async def test_a_client_may_light_after_its_own_darkness_in_one_go(client, asked):
     """Messages of one client are a program: its own off ends nothing that stands after it."""
     await client.send("SOUR:LED2:LEV 0.5\nOUTP:ALL OFF\nSOUR:LED2:LEV 0.25\nSOUR:LED2:LEV 0\nSOUR:LED2:LEV 0.125")
     assert float(await client.ask("SOUR:LED2:LEV?")) == 0.125
@@ -247,34 +221,27 @@ async def test_a_client_may_light_after_its_own_darkness_in_one_go(client: Any, 
     assert (await client.ask("SYST:ERR?")).startswith("0")
 
 
-async def test_light_that_waits_for_its_rate_is_ended_too(station: Station, box: Any, asked: list[float]) -> None:
+async def test_light_that_waits_for_its_rate_is_ended_too(serve, box, asked):
     """New connections wait their turn; darkness overtakes them, and none of them is lit after."""
-    server = HttpServer(station, limits=Limits(http_requests_per_s=20.0))
-    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    http = await serve(limits=Limits(http_requests_per_s=20.0))
 
-    async def light() -> int:
-        async with (
-            aiohttp.ClientSession() as session,
-            session.post(f"{base}/light", json={"channel": "red", "level": 0.5}) as reply,
-        ):
-            return reply.status
+    async def light():
+        client = HttpClient(http.port)
+        async with client.session:
+            return (await client.post("/light", json={"channel": "red", "level": 0.5})).status
 
     waiting = [asyncio.ensure_future(light()) for _ in range(40)]
     while len(asked) < 2:
         await asyncio.sleep(0.005)
-    async with aiohttp.ClientSession() as session, session.post(f"{base}/light/off") as reply:
-        assert reply.status == 200
+    assert (await http.post("/light/off")).status == 200
     before, statuses = len(asked), await asyncio.gather(*waiting)
     assert (box.levels["red"], asked[before:]) == (0.0, [])
     assert statuses.count(409) > 20
     assert await light() == 200
-    await server.close()
 
 
 @pytest.mark.parametrize("reached", [False, True])
-async def test_darkness_of_a_box_that_does_not_answer_is_an_error(
-    tmp_path: Path, instrument: Any, box: Any, eventually: Eventually, reached: bool
-) -> None:
+async def test_darkness_of_a_box_that_does_not_answer_is_an_error(tmp_path, instrument, box, eventually, reached):
     """Whether it was ever reached or not: nobody knows that it is dark, on either interface."""
     channels, box.channels = box.channels, (box.channels if reached else ())
     box.unplugged = not reached
@@ -283,9 +250,10 @@ async def test_darkness_of_a_box_that_does_not_answer_is_an_error(
     box.unplugged = True
     await eventually(lambda: station.light.keeper and station.light.keeper.state is not DeviceState.READY)
     server, scpi = HttpServer(station), ScpiServer(station)
-    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
-    async with aiohttp.ClientSession() as session, session.post(f"{base}/light/off") as reply:
-        assert (reply.status, "unplugged" in await reply.text()) == (503, True)
+    http = HttpClient(await server.listen("127.0.0.1", 0))
+    async with http.session:
+        reply = await http.post("/light/off")
+    assert (reply.status, "unplugged" in reply.text) == (503, True)
     line = LineClient(*await asyncio.open_connection("127.0.0.1", await scpi.listen_tcp("127.0.0.1", 0)))
     await line.send("*CLS;:OUTP:ALL OFF")
     assert (await line.ask("SYST:ERR?")).startswith("-24")
