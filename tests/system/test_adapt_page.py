@@ -67,9 +67,7 @@ async def _wait_for_text(browser: Browser, name: str, text: str) -> None:
 
 
 @pytest.mark.slow
-async def test_page_shows_points_grow_and_survives_a_reload(
-    served: tuple[LivePage, Controls], browser: Browser
-) -> None:
+async def test_page_shows_points_grow_and_survives_a_reload(served, browser):
     """Phase, counts, fit and devices appear; a reload has all of it again; nothing is loaded from elsewhere."""
     page, _ = served
     await browser.command("Page.navigate", url=page.url)
@@ -96,7 +94,7 @@ async def test_page_shows_points_grow_and_survives_a_reload(
 
 
 @pytest.mark.slow
-async def test_nothing_on_the_page_is_green_or_blue(served: tuple[LivePage, Controls], browser: Browser) -> None:
+async def test_nothing_on_the_page_is_green_or_blue(served, browser):
     """At its brightest and with every part shown not one pixel has green or blue; as opened the red stays below 100."""
     page, _ = served
     _tell_trials(page, 0, 40)
@@ -117,7 +115,7 @@ async def test_nothing_on_the_page_is_green_or_blue(served: tuple[LivePage, Cont
 
 
 @pytest.mark.slow
-async def test_every_prompt_has_tones_of_its_own(served: tuple[LivePage, Controls], browser: Browser) -> None:
+async def test_every_prompt_has_tones_of_its_own(served, browser):
     """Rendered without a loudspeaker, each prompt sounds, stays below half of full scale, and differs from the others.
 
     A single tone of 392 Hz crosses zero upwards once in each of its periods: 0.12 s of it do so 47 times.
@@ -139,7 +137,7 @@ async def test_every_prompt_has_tones_of_its_own(served: tuple[LivePage, Control
 
 
 @pytest.mark.slow
-async def test_buttons_reach_the_run_and_a_browser_may_go(served: tuple[LivePage, Controls], browser: Browser) -> None:
+async def test_buttons_reach_the_run_and_a_browser_may_go(served, browser):
     """Pause, resume and, on the second press, stop; the page may be left meanwhile."""
     page, controls = served
     await browser.command("Page.navigate", url=page.url)
@@ -164,7 +162,7 @@ async def test_buttons_reach_the_run_and_a_browser_may_go(served: tuple[LivePage
 
 
 @pytest.mark.slow
-async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path: Path, browser: Browser) -> None:
+async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path, browser):
     """A run pauses where the page asked for it before it began, goes on, and ends: each by the page, in this order."""
     classic = read_protocol("classic")
     protocol = classic.model_copy(update={"end": classic.end.model_copy(update={"duration_min": 120.0})})

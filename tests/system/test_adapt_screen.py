@@ -75,7 +75,7 @@ def _by_limits(rng: np.random.Generator) -> float:
         missed, level = missed or not seen, level - 0.4 if seen else level + 0.1
 
 
-def test_thresholds_are_the_simulated_eyes(oled: Path, tmp_path: Path) -> None:
+def test_thresholds_are_the_simulated_eyes(oled, tmp_path):
     """Where the screen's steps are fine, thresholds less the eye's own are what ascending limits find of any eye.
 
     The screen's luminances are those of its calibration, the eye's those of the simulation: the ratio of their
@@ -95,7 +95,7 @@ def test_thresholds_are_the_simulated_eyes(oled: Path, tmp_path: Path) -> None:
     assert errors.std() < 1.8 * expected.std()
 
 
-def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path: Path) -> None:
+def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path):
     """Its darkest level is above the cones' plateau: the curve ends at once, and behind density 2 it goes on."""
     file = tmp_path / "lcd.yaml"
     with open_screen_bench("lcd", seed=2) as bench:
@@ -118,7 +118,7 @@ def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path: Path) -> None:
     assert counts[1] > 3 * counts[0]
 
 
-def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, project_root: Path) -> None:
+def test_command_runs_it_and_journals_the_prompts(oled, tmp_path, project_root):
     """`adapt run screen-only` before a simulated screen ends well; prompts stand in the journal, bells on stderr."""
     words = ["adapt", "run", "screen-only", "--subject", "S1", "--screen", str(oled), "--display", "oled"]
     done = subprocess.run(
@@ -138,7 +138,7 @@ def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, pr
     assert json.loads(done.stdout.splitlines()[-1])["verdict"] == "floor_reached"
 
 
-def test_what_does_not_go_together_is_refused(oled: Path, tmp_path: Path) -> None:
+def test_what_does_not_go_together_is_refused(oled, tmp_path):
     """No calibration, an old one, no subject, a subject before a real page, a criterion out of reach: all stated."""
     protocol = read_protocol("screen-only")
     old = tmp_path / "old.yaml"
@@ -181,7 +181,7 @@ MARK = VIEWING.ellipse(-4.0, 0.6, (60, 0, 0))
 
 
 @pytest.mark.slow
-async def test_browser_shows_exactly_the_codes_asked_for(shown: tuple[BrowserStimulus, Browser]) -> None:
+async def test_browser_shows_exactly_the_codes_asked_for(shown):
     """Field, mark and spot stand on the composed screen to the code, the spot in its place and size to a pixel."""
     screen, browser = shown
     waiting = await browser.picture()
@@ -211,7 +211,7 @@ async def _tapping(browser: Browser) -> None:
 
 
 @pytest.mark.slow
-async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, Browser]) -> None:
+async def test_browser_blinks_and_records_the_key(shown):
     """Presses during a blink come back from its onset, none is invented; a key held down is reported as a hold."""
     screen, browser = shown
     lit, rest = ScreenPicture(shapes=(MARK, VIEWING.ellipse(4.0, 1.5, (0, 0, 90)))), ScreenPicture(shapes=(MARK,))
@@ -239,9 +239,7 @@ async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, 
 
 
 @pytest.mark.slow
-async def test_short_run_in_a_browser_is_journalled_with_its_presses(
-    oled: Path, tmp_path: Path, shown: tuple[BrowserStimulus, Browser]
-) -> None:
+async def test_short_run_in_a_browser_is_journalled_with_its_presses(oled, tmp_path, shown):
     """Three seconds of blinks after a short bleach, the space bar tapped all the while: events and real presses."""
     screen, browser = shown
     text = (

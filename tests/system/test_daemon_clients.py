@@ -47,7 +47,7 @@ def _need(program: str) -> str:
     return path
 
 
-def test_pyvisa_reads_values_settings_and_blocks(daemon: DaemonProcess) -> None:
+def test_pyvisa_reads_values_settings_and_blocks(daemon):
     """A VISA socket resource queries value and uncertainty, sets an exposure, and fetches the picture."""
     pyvisa = pytest.importorskip("pyvisa")
     pytest.importorskip("pyvisa_py")
@@ -73,7 +73,7 @@ def test_pyvisa_reads_values_settings_and_blocks(daemon: DaemonProcess) -> None:
     manager.close()
 
 
-def test_lxi_tools_talk_scpi(daemon: DaemonProcess) -> None:
+def test_lxi_tools_talk_scpi(daemon):
     """`lxi scpi --raw` prints the reply."""
     command = [_need("lxi"), "scpi", "--raw", "--address", "127.0.0.1", "--port", str(daemon.scpi_port), "MEAS:RAD?"]
     reply = subprocess.run(command, capture_output=True, text=True, timeout=within(30), check=True).stdout
@@ -81,7 +81,7 @@ def test_lxi_tools_talk_scpi(daemon: DaemonProcess) -> None:
     assert abs(value - BRIGHT) < 4 * u
 
 
-def test_curl_reads_history_picture_and_stream(daemon: DaemonProcess, tmp_path: Path) -> None:
+def test_curl_reads_history_picture_and_stream(daemon, tmp_path):
     """History as CSV, the picture as PNG, and the first readings of the stream."""
     curl = [_need("curl"), "-sS", "--max-time", "20"]
     table = subprocess.run(
@@ -104,7 +104,7 @@ def test_curl_reads_history_picture_and_stream(daemon: DaemonProcess, tmp_path: 
     assert numbers == list(range(numbers[0], numbers[0] + 2))
 
 
-def test_curl_posts_a_measurement(daemon: DaemonProcess) -> None:
+def test_curl_posts_a_measurement(daemon):
     """POST /measure with a patch of its own."""
     body = '{"patch": {"x": 100, "y": 30, "width": 20, "height": 20}}'
     command = [_need("curl"), "-sS", "-f", "--json", body, f"{daemon.url}/measure"]
@@ -119,7 +119,7 @@ async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
         yield driver
 
 
-async def test_a_browser_drags_the_patch_and_sees_the_value_change(daemon: DaemonProcess, browser: Browser) -> None:
+async def test_a_browser_drags_the_patch_and_sees_the_value_change(daemon, browser):
     """From the bright field to the dim one; nothing from outside is loaded and no script fails."""
     await browser.command("Page.navigate", url=daemon.url + "/")
     await browser.wait_for(f"Math.abs(parseFloat(document.getElementById('value').textContent) - {BRIGHT}) < 0.03")
@@ -144,7 +144,7 @@ async def test_a_browser_drags_the_patch_and_sees_the_value_change(daemon: Daemo
     assert [url for url in browser.requested if not url.startswith((daemon.url, "blob:", "data:", "about:"))] == []
 
 
-async def test_the_red_theme_lights_the_red_channel_only(daemon: DaemonProcess, browser: Browser) -> None:
+async def test_the_red_theme_lights_the_red_channel_only(daemon, browser):
     """Not one pixel of the whole page has green or blue in it, alarm and sliders included: rods stay adapted."""
     await browser.command("Page.navigate", url=daemon.url + "/")
     await browser.wait_for("document.querySelectorAll('#lights input').length >= 4")
@@ -185,9 +185,7 @@ def foreign_page() -> Iterator[str]:
         serving.join()
 
 
-async def test_a_web_page_cannot_drive_the_scpi_port(
-    daemon: DaemonProcess, browser: Browser, foreign_page: str
-) -> None:
+async def test_a_web_page_cannot_drive_the_scpi_port(daemon, browser, foreign_page):
     """A browser's POST with commands in its body, sent to the SCPI port, lights and changes nothing."""
     await browser.command("Page.navigate", url=foreign_page)
     await browser.wait_for("document.title === 'foreign'")

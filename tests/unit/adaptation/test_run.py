@@ -24,7 +24,7 @@ from radiometer.adaptation.session import prompts_after
 from radiometer.data.config_files import shipped_config
 from radiometer.data.event_journal import Event, read_events
 from radiometer.errors import ConfigurationError, DeviceLost, InputError, MeasurementError, OutputError, UsageError
-from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
+from testing.scripted_adaptation import ScriptedStage, eye, threshold
 
 
 @pytest.fixture(autouse=True)
@@ -44,7 +44,7 @@ def classic() -> AdaptationProtocol:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "tolerance"), [("classic", 0.11), ("quick", 0.35)])
-def test_thresholds_follow_the_eye(tmp_path: Path, name: str, tolerance: float) -> None:
+def test_thresholds_follow_the_eye(tmp_path, name, tolerance):
     """Ascending limits overshoot by at most a step (0.1); the 4-2 dB staircase stays within its first step."""
     protocol = read_protocol(name)
     outcome = _run(tmp_path, ScriptedStage(eye, protocol))
@@ -54,7 +54,7 @@ def test_thresholds_follow_the_eye(tmp_path: Path, name: str, tolerance: float) 
     assert max(map(abs, errors)) < tolerance + 0.1  # the curve itself moves by up to 0.1 within a trial
 
 
-def test_thresholds_do_not_share_one_grid_of_levels(tmp_path: Path) -> None:
+def test_thresholds_do_not_share_one_grid_of_levels(tmp_path):
     """An eye of constant, sharp threshold: what limits find is spread evenly over one step above it, from 0 to 0.1."""
     outcome = _run(
         tmp_path, ScriptedStage(lambda level, _: level is not None and level >= -1.0, read_protocol("classic"))
@@ -67,7 +67,7 @@ def test_thresholds_do_not_share_one_grid_of_levels(tmp_path: Path) -> None:
     assert abs(np.corrcoef(above[:-1], above[1:])[0, 1]) < 4 / math.sqrt(count)
 
 
-def test_classic_runs_its_whole_time_and_quick_ends_at_its_criterion(tmp_path: Path) -> None:
+def test_classic_runs_its_whole_time_and_quick_ends_at_its_criterion(tmp_path):
     """40 min, and the moment when the threshold is below -3."""
     whole = _run(tmp_path, ScriptedStage(eye, read_protocol("classic")), "a")
     quick = _run(tmp_path, ScriptedStage(eye, read_protocol("quick")), "b")
@@ -86,9 +86,7 @@ def test_classic_runs_its_whole_time_and_quick_ends_at_its_criterion(tmp_path: P
     ],
 )
 @pytest.mark.parametrize("name", ["classic", "quick"])
-def test_absent_and_careless_subjects_get_a_verdict_and_no_fit(
-    tmp_path: Path, name: str, subject: Eye, verdict: Verdict
-) -> None:
+def test_absent_and_careless_subjects_get_a_verdict_and_no_fit(tmp_path, name, subject, verdict):
     """Never pressing, always pressing and leaving are distinguished, each in words, by limits and by the staircase."""
     outcome = _run(tmp_path, ScriptedStage(subject, read_protocol(name)))
     assert outcome.verdict is verdict
@@ -96,7 +94,7 @@ def test_absent_and_careless_subjects_get_a_verdict_and_no_fit(
     assert "nothing is fitted" in outcome.explanation
 
 
-def test_hasty_presses_count_as_false(tmp_path: Path, classic: AdaptationProtocol) -> None:
+def test_hasty_presses_count_as_false(tmp_path, classic):
     """Presses 50 ms after each onset are faster than a human; after 15 trials no one has to sit on for 40 min."""
     stage = ScriptedStage(eye, classic, latency_s=0.05)
     outcome = _run(tmp_path, stage)
@@ -107,9 +105,7 @@ def test_hasty_presses_count_as_false(tmp_path: Path, classic: AdaptationProtoco
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dies_after_s", [125.0, 700.0, 1500.0])
-def test_run_taken_up_after_a_crash_has_the_same_events(
-    tmp_path: Path, classic: AdaptationProtocol, dies_after_s: float
-) -> None:
+def test_run_taken_up_after_a_crash_has_the_same_events(tmp_path, classic, dies_after_s):
     """A device that dies in any trial: after resuming the journal equals that of an undisturbed run."""
     _run(tmp_path, ScriptedStage(eye, classic), "whole")
     broken = ScriptedStage(eye, classic)
@@ -120,7 +116,7 @@ def test_run_taken_up_after_a_crash_has_the_same_events(
     assert (tmp_path / "broken").read_text() == (tmp_path / "whole").read_text()
 
 
-def test_spot_that_goes_no_dimmer_ends_the_test_with_what_is_known(tmp_path: Path) -> None:
+def test_spot_that_goes_no_dimmer_ends_the_test_with_what_is_known(tmp_path):
     """A darkest spot at -4: thresholds down to it are a curve, and the verdict says where it ends."""
     outcome = _run(tmp_path, ScriptedStage(eye, read_protocol("screen-only")))
     assert outcome.verdict is Verdict.FLOOR_REACHED
@@ -128,7 +124,7 @@ def test_spot_that_goes_no_dimmer_ends_the_test_with_what_is_known(tmp_path: Pat
     assert -4.0 < min(outcome.thresholds_log10) < -3.7
 
 
-def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: AdaptationProtocol) -> None:
+def test_journal_of_another_subject_is_refused(tmp_path, classic):
     """No two subjects in one file."""
     _run(tmp_path, ScriptedStage(lambda level, seconds: False, classic))
     with RunJournal(tmp_path / "j") as journal, pytest.raises(UsageError, match="belongs to subject 'A1'"):
@@ -147,9 +143,7 @@ class _Described(ScriptedStage):
         return {}
 
 
-def test_a_run_is_not_taken_up_on_a_screen_that_was_calibrated_anew(
-    tmp_path: Path, classic: AdaptationProtocol
-) -> None:
+def test_a_run_is_not_taken_up_on_a_screen_that_was_calibrated_anew(tmp_path, classic):
     """Levels of two calibrations in one curve would show as a break."""
     broken = _Described(eye, classic)
     broken.dies_after = 125.0
@@ -161,7 +155,7 @@ def test_a_run_is_not_taken_up_on_a_screen_that_was_calibrated_anew(
         run_test(classic, other, journal, subject="A1", seed=3)
 
 
-def test_a_run_is_not_taken_up_with_a_protocol_that_has_changed(tmp_path: Path, classic: AdaptationProtocol) -> None:
+def test_a_run_is_not_taken_up_with_a_protocol_that_has_changed(tmp_path, classic):
     """Coarser steps under the same name: thresholds of two methods in one table would share one bias."""
     broken = ScriptedStage(eye, classic)
     broken.dies_after = 125.0
@@ -173,7 +167,7 @@ def test_a_run_is_not_taken_up_with_a_protocol_that_has_changed(tmp_path: Path, 
         run_test(changed, ScriptedStage(eye, classic), journal, subject="A1", seed=3)
 
 
-def test_a_run_is_not_taken_up_with_another_age_or_pupil(tmp_path: Path, classic: AdaptationProtocol) -> None:
+def test_a_run_is_not_taken_up_with_another_age_or_pupil(tmp_path, classic):
     """Its head states them once; a run that stated none may learn them later."""
     broken = ScriptedStage(eye, classic)
     broken.dies_after = 125.0
@@ -186,7 +180,7 @@ def test_a_run_is_not_taken_up_with_another_age_or_pupil(tmp_path: Path, classic
         run_test(classic, ScriptedStage(eye, classic), journal, subject="A1", seed=3, visit=later)
 
 
-def test_refused_check_is_journalled_and_keeps_the_bleach_away(tmp_path: Path, classic: AdaptationProtocol) -> None:
+def test_refused_check_is_journalled_and_keeps_the_bleach_away(tmp_path, classic):
     """No one is dazzled for nothing, and the journal says why; the next try begins with the checks again."""
     stage = ScriptedStage(eye, classic)
     findings = [Finding("check", {"what": "safety"}), judge_room(0.5, 0.01, classic)]
@@ -199,7 +193,7 @@ def test_refused_check_is_journalled_and_keeps_the_bleach_away(tmp_path: Path, c
         assert [event["kind"] for event in journal.events[4:6]] == ["bleach", "dark"]
 
 
-def test_catches_are_about_a_tenth_of_all_trials(tmp_path: Path, classic: AdaptationProtocol) -> None:
+def test_catches_are_about_a_tenth_of_all_trials(tmp_path, classic):
     """Their number is binomial with the protocol's share (4 sigmas)."""
     _run(tmp_path, ScriptedStage(eye, classic))
     with RunJournal(tmp_path / "j") as journal:
@@ -209,7 +203,7 @@ def test_catches_are_about_a_tenth_of_all_trials(tmp_path: Path, classic: Adapta
 
 
 @pytest.mark.slow
-def test_csv_is_what_the_fit_reads(tmp_path: Path, classic: AdaptationProtocol) -> None:
+def test_csv_is_what_the_fit_reads(tmp_path, classic):
     """Two columns, minutes and log10 threshold."""
     text = _run(tmp_path, ScriptedStage(eye, classic)).to_csv()
     head, first, *_ = text.splitlines()
@@ -217,7 +211,7 @@ def test_csv_is_what_the_fit_reads(tmp_path: Path, classic: AdaptationProtocol) 
     assert len(first.split(",")) == 2
 
 
-def test_without_a_seed_catches_are_those_of_seed_nought(tmp_path: Path, classic: AdaptationProtocol) -> None:
+def test_without_a_seed_catches_are_those_of_seed_nought(tmp_path, classic):
     """A run that states none can be done again, and another seed's trials are others."""
 
     def lines(name: str, **seed: int) -> list[str]:
@@ -245,7 +239,7 @@ def _run_with(path: Path, stage: ScriptedStage, controls: Controls | None = None
         return run_test(stage.protocol, stage, journal, subject="A1", seed=3, controls=controls), journal
 
 
-def test_pause_stops_the_blinks_and_the_eye_adapts_on(tmp_path: Path, stage: ScriptedStage) -> None:
+def test_pause_stops_the_blinks_and_the_eye_adapts_on(tmp_path, stage):
     """From 300 s to 360 s nothing is shown; the test still ends 40 min after the bleach."""
     controls = Controls()
     stage.at = {300.0: controls.pause, 360.0: controls.resume}
@@ -268,7 +262,7 @@ def _undisturbed(path: Path, stage: ScriptedStage, number: int) -> Event:
 
 
 @pytest.mark.slow
-def test_trial_that_a_pause_cuts_is_begun_anew(tmp_path: Path, stage: ScriptedStage) -> None:
+def test_trial_that_a_pause_cuts_is_begun_anew(tmp_path, stage):
     """Its blinks before the pause count for nothing: the threshold has moved meanwhile."""
     cut_s = _undisturbed(tmp_path / "whole", stage, 5)["time_s"] - 1.5
     controls = Controls()
@@ -280,7 +274,7 @@ def test_trial_that_a_pause_cuts_is_begun_anew(tmp_path: Path, stage: ScriptedSt
     assert trial["blinks"] == trial["sequence"] - resume - 1
 
 
-def test_long_press_pauses_and_the_next_press_goes_on(tmp_path: Path, stage: ScriptedStage) -> None:
+def test_long_press_pauses_and_the_next_press_goes_on(tmp_path, stage):
     """The subject's own pause, without anybody at the keyboard."""
     stage.at = {300.0: lambda: setattr(stage, "held_since", 301.0)}
     stage.presses_in_pause = [330.0]
@@ -290,7 +284,7 @@ def test_long_press_pauses_and_the_next_press_goes_on(tmp_path: Path, stage: Scr
 
 
 @pytest.mark.slow
-def test_press_that_became_a_long_one_is_no_answer(tmp_path: Path, stage: ScriptedStage) -> None:
+def test_press_that_became_a_long_one_is_no_answer(tmp_path, stage):
     """The trial that it ended is void: its threshold is not among the results."""
     trial = _undisturbed(tmp_path / "whole", stage, 2)
     stage.at = {trial["time_s"] + 2.0: lambda: setattr(stage, "held_since", trial["time_s"] - 0.6)}
@@ -300,7 +294,7 @@ def test_press_that_became_a_long_one_is_no_answer(tmp_path: Path, stage: Script
     assert trial["minutes"] not in outcome.times_min
 
 
-def test_operators_pause_is_not_ended_by_a_press(tmp_path: Path, stage: ScriptedStage) -> None:
+def test_operators_pause_is_not_ended_by_a_press(tmp_path, stage):
     """Only the operator knows why."""
     controls = Controls()
     stage.at = {300.0: controls.pause, 400.0: controls.resume}
@@ -309,7 +303,7 @@ def test_operators_pause_is_not_ended_by_a_press(tmp_path: Path, stage: Scripted
     assert journal.of_kind("resume")[0]["time_s"] == pytest.approx(400.0, abs=0.5)
 
 
-def test_pause_without_an_end_ends_the_test(tmp_path: Path, stage: ScriptedStage) -> None:
+def test_pause_without_an_end_ends_the_test(tmp_path, stage):
     """After the protocol's 10 min the subject counts as gone."""
     controls = Controls()
     stage.at = {300.0: controls.pause}
@@ -319,7 +313,7 @@ def test_pause_without_an_end_ends_the_test(tmp_path: Path, stage: ScriptedStage
 
 
 @pytest.mark.parametrize("paused", [False, True])
-def test_stop_ends_the_test_at_once_and_for_good(tmp_path: Path, stage: ScriptedStage, paused: bool) -> None:
+def test_stop_ends_the_test_at_once_and_for_good(tmp_path, stage, paused):
     """Running or paused; the same command afterwards finds it over."""
     controls = Controls()
     stage.at = {500.0: lambda: controls.stop("subject's wish")}
@@ -337,7 +331,7 @@ def test_stop_ends_the_test_at_once_and_for_good(tmp_path: Path, stage: Scripted
 
 
 @pytest.mark.parametrize("when", [500.0, 0.0])
-def test_a_test_whose_lights_were_switched_off_ends(tmp_path: Path, stage: ScriptedStage, when: float) -> None:
+def test_a_test_whose_lights_were_switched_off_ends(tmp_path, stage, when):
     """By `light off` of another program, in the bleach or later: it is stopped, and the journal states by whom."""
     stage.at = {when: lambda: setattr(stage, "switched_off", True)}
     if not when:
@@ -349,7 +343,7 @@ def test_a_test_whose_lights_were_switched_off_ends(tmp_path: Path, stage: Scrip
     assert journal.events[-1]["time_s"] < 502.0
 
 
-def test_restart_ends_a_pause_that_a_crash_met(tmp_path: Path, protocol: AdaptationProtocol) -> None:
+def test_restart_ends_a_pause_that_a_crash_met(tmp_path, protocol):
     """Whoever starts the program again wants to go on; the time away has passed for the eye too."""
 
     def crash() -> None:
@@ -368,7 +362,7 @@ def test_restart_ends_a_pause_that_a_crash_met(tmp_path: Path, protocol: Adaptat
     assert outcome.verdict is Verdict.COMPLETE
 
 
-def test_controls_keep_the_first_who_asked() -> None:
+def test_controls_keep_the_first_who_asked():
     """A second pause changes nothing; toggling ends it; a stop cannot be taken back."""
     controls = Controls()
     controls.pause("subject")
@@ -383,7 +377,7 @@ def test_controls_keep_the_first_who_asked() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stopped", [False, True])
-def test_operators_wishes_are_lived_through_again(tmp_path: Path, stage: ScriptedStage, stopped: bool) -> None:
+def test_operators_wishes_are_lived_through_again(tmp_path, stage, stopped):
     """A simulated run that is taken up pauses, goes on and stops where it did, without anybody at the keyboard."""
     controls = Controls()
     stage.at = {301.3: controls.pause, 362.2: controls.resume}
@@ -399,7 +393,7 @@ def test_operators_wishes_are_lived_through_again(tmp_path: Path, stage: Scripte
 
 
 @pytest.mark.slow
-def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path: Path, stage: ScriptedStage) -> None:
+def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path, stage):
     """Whoever starts the program again wants to go on, in simulated time too."""
     controls = Controls()
     stage.at = {301.3: controls.pause, 362.2: controls.resume}
@@ -415,7 +409,7 @@ def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path: Pat
     assert journal.of_kind("resume")[0]["paused_s"] == 0.0
 
 
-def test_stop_during_the_bleach_lets_nothing_blink(tmp_path: Path, stage: ScriptedStage) -> None:
+def test_stop_during_the_bleach_lets_nothing_blink(tmp_path, stage):
     """Lights off while the bleach is on ends the test before the first blink."""
     controls = Controls()
     controls.stop("lights off")
@@ -457,9 +451,7 @@ def _run_fixating(path: Path, stage: ScriptedStage) -> tuple[Outcome, RunJournal
         return run_test(stage.protocol, stage, journal, subject="A1", seed=3, eye="left"), journal
 
 
-def test_light_is_shown_in_its_share_of_the_trials_once_the_cones_are_back(
-    tmp_path: Path, short: AdaptationProtocol
-) -> None:
+def test_light_is_shown_in_its_share_of_the_trials_once_the_cones_are_back(tmp_path, short):
     """6 % of the trials from 4 min on (within four sigmas), none before; who never sees it looks at the mark."""
     stage = StageWithBlindSpot(lambda _: False, short)
     outcome, journal = _run_fixating(tmp_path / "j", stage)
@@ -475,7 +467,7 @@ def test_light_is_shown_in_its_share_of_the_trials_once_the_cones_are_back(
 
 
 @pytest.mark.slow
-def test_without_a_place_nothing_is_checked(tmp_path: Path, short: AdaptationProtocol) -> None:
+def test_without_a_place_nothing_is_checked(tmp_path, short):
     """Neither by a stage that cannot, nor by one that could but has none, nor where the protocol does not want it."""
     no_check = short.model_copy(update={"fixation_check": None})
     for name, stage in (
@@ -488,7 +480,7 @@ def test_without_a_place_nothing_is_checked(tmp_path: Path, short: AdaptationPro
         assert outcome.verdict is Verdict.COMPLETE
 
 
-def test_light_that_is_always_seen_leaves_nothing_to_be_fitted(tmp_path: Path, short: AdaptationProtocol) -> None:
+def test_light_that_is_always_seen_leaves_nothing_to_be_fitted(tmp_path, short):
     """The verdict says that fixation was lost."""
     outcome, _ = _run_fixating(tmp_path / "j", StageWithBlindSpot(lambda _: True, short))
     assert outcome.verdict is Verdict.FIXATION_LOST
@@ -496,9 +488,7 @@ def test_light_that_is_always_seen_leaves_nothing_to_be_fitted(tmp_path: Path, s
     assert "mark" in outcome.explanation
 
 
-def test_loss_is_announced_when_two_of_three_are_seen_and_counted_anew_then(
-    tmp_path: Path, short: AdaptationProtocol
-) -> None:
+def test_loss_is_announced_when_two_of_three_are_seen_and_counted_anew_then(tmp_path, short):
     """Seen at the 2nd, 4th, 5th and 6th: reported after the 4th (2, 4 of 2–4) and after the 6th (5, 6 of 5–6)."""
     outcome, journal = _run_fixating(tmp_path / "j", StageWithBlindSpot(lambda n: n in (2, 4, 5, 6), short))
     checks = [t["sequence"] for t in journal.of_kind("trial") if t.get("of") == "blind_spot"]
@@ -511,9 +501,7 @@ def test_loss_is_announced_when_two_of_three_are_seen_and_counted_anew_then(
     assert outcome.verdict is Verdict.COMPLETE
 
 
-def test_bright_spots_are_ten_times_above_the_last_threshold_and_missed_ones_are_lapses(
-    tmp_path: Path, short: AdaptationProtocol
-) -> None:
+def test_bright_spots_are_ten_times_above_the_last_threshold_and_missed_ones_are_lapses(tmp_path, short):
     """Some 4 % of the trials; an eye that sees what is above its threshold misses none."""
     outcome, journal = _run_fixating(tmp_path / "j", ScriptedStage(eye, short))
     last, above = None, []
@@ -531,7 +519,7 @@ def test_bright_spots_are_ten_times_above_the_last_threshold_and_missed_ones_are
     assert missed.reliability.lapses.hits == missed.reliability.lapses.of > 0
 
 
-def test_check_that_a_crash_has_cut_stays_one(tmp_path: Path, short: AdaptationProtocol) -> None:
+def test_check_that_a_crash_has_cut_stays_one(tmp_path, short):
     """The light was shown, the press journalled, then the box went away: the trial is ended as what it was."""
     stage = StageWithBlindSpot(lambda n: n == 3, short)
     stage.dies_at_check = 3
@@ -543,7 +531,7 @@ def test_check_that_a_crash_has_cut_stays_one(tmp_path: Path, short: AdaptationP
 
 
 @pytest.mark.parametrize("wrong", ["temporal_deg: 10", "below_deg: 8", "size_deg: 5"])
-def test_light_next_to_the_blind_spot_is_refused(tmp_path: Path, project_root: Path, wrong: str) -> None:
+def test_light_next_to_the_blind_spot_is_refused(tmp_path, project_root, wrong):
     """Its place and size are those of the optic disc."""
     text = (project_root / "configs" / "protocols" / "classic.yaml").read_text()
     (tmp_path / "p.yaml").write_text(text.replace("{share: 0.06}", "{" + wrong + "}"))
@@ -551,7 +539,7 @@ def test_light_next_to_the_blind_spot_is_refused(tmp_path: Path, project_root: P
         read_protocol(tmp_path / "p.yaml")
 
 
-def test_events_read_back_in_order(tmp_path: Path) -> None:
+def test_events_read_back_in_order(tmp_path):
     """What was written is what is read, numbered."""
     with RunJournal(tmp_path / "j") as journal:
         journal.write("start", 0.0, subject="A")
@@ -561,7 +549,7 @@ def test_events_read_back_in_order(tmp_path: Path) -> None:
     assert events[1] == {"sequence": 1, "kind": "trial", "time_s": 1.5, "threshold": -1.0}
 
 
-def test_half_written_line_is_cut_and_the_next_event_follows(tmp_path: Path) -> None:
+def test_half_written_line_is_cut_and_the_next_event_follows(tmp_path):
     """A crash in the middle of a write costs that event only."""
     file = tmp_path / "j"
     with RunJournal(file) as journal:
@@ -574,7 +562,7 @@ def test_half_written_line_is_cut_and_the_next_event_follows(tmp_path: Path) -> 
     assert [e["time_s"] for e in read_events(file)] == [0.0, 2.0]
 
 
-def test_two_programs_never_write_one_test(tmp_path: Path) -> None:
+def test_two_programs_never_write_one_test(tmp_path):
     """Neither while one runs it, nor after it went on since the other read it."""
     file = tmp_path / "j"
     with RunJournal(file) as running:
@@ -589,7 +577,7 @@ def test_two_programs_never_write_one_test(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [b"{not json}\n", b'{"sequence": 5, "kind": "trial", "time_s": 1}\n'])
-def test_damage_in_the_middle_is_refused_with_its_line(tmp_path: Path, damage: bytes) -> None:
+def test_damage_in_the_middle_is_refused_with_its_line(tmp_path, damage):
     """A journal with a hole is not taken up."""
     file = tmp_path / "j"
     file.write_bytes(b'{"sequence": 0, "kind": "start", "time_s": 0}\n' + damage + b"{}\n")
@@ -597,7 +585,7 @@ def test_damage_in_the_middle_is_refused_with_its_line(tmp_path: Path, damage: b
         read_events(file)
 
 
-def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path, monkeypatch):
     """Without a word each event waits for the disk; one that need not last only leaves the program."""
     synced: list[int] = []
     monkeypatch.setattr(os, "fsync", synced.append)
@@ -612,7 +600,7 @@ def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path: Path, monkeyp
     assert after_start >= 1
 
 
-def test_a_full_disk_names_the_journal_and_keeps_what_was_measured(tmp_path: Path) -> None:
+def test_a_full_disk_names_the_journal_and_keeps_what_was_measured(tmp_path):
     """The error states the file and that the same command goes on; the events before are read back."""
     file = tmp_path / "j"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -629,7 +617,7 @@ def test_a_full_disk_names_the_journal_and_keeps_what_was_measured(tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", ["../../x", "a/b", "", ".hidden"])
-def test_a_protocols_name_leads_to_no_other_folder(tmp_path: Path, project_root: Path, name: str) -> None:
+def test_a_protocols_name_leads_to_no_other_folder(tmp_path, project_root, name):
     """The journal's file carries it."""
     text = (project_root / "configs/protocols/quick.yaml").read_text()
     (tmp_path / "p.yaml").write_text(text.replace("name: quick", f"name: '{name}'", 1))
@@ -641,7 +629,7 @@ def test_a_protocols_name_leads_to_no_other_folder(tmp_path: Path, project_root:
     "line",
     ["pause_between_s: 1.0e9", "on_s: 1.0e6", "highest_log10: 300", "most_blinks: 1000000", "calibration_days: 1.0e9"],
 )
-def test_a_protocol_with_an_endless_time_or_level_is_refused(tmp_path: Path, line: str) -> None:
+def test_a_protocol_with_an_endless_time_or_level_is_refused(tmp_path, line):
     """A time or level far beyond any test is a slip of the pen, and would run without end."""
     name = line.split(":")[0]
     text = shipped_config("protocols/classic.yaml").read_text(encoding="utf-8")

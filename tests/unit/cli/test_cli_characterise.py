@@ -37,9 +37,7 @@ def capture(tmp_path: Path) -> Path:
     return tmp_path / "set"
 
 
-def test_json_and_camera_file_hold_the_same_figures(
-    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_and_camera_file_hold_the_same_figures(capture, tmp_path, capsys):
     """Standard output is one JSON object; the YAML file is a camera preset with the same conversion gain."""
     assert run(["characterise", str(capture), "-o", str(tmp_path / "camera.yaml"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -50,9 +48,7 @@ def test_json_and_camera_file_hold_the_same_figures(
 
 
 @pytest.mark.slow
-def test_table_names_symbols_and_report_is_written(
-    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_table_names_symbols_and_report_is_written(capture, tmp_path, capsys):
     """The table shows symbols with k = 2 uncertainties; the datasheet is an HTML page."""
     assert run(["characterise", str(capture), "--report", str(tmp_path / "sheet.html")]) == 0
     out = capsys.readouterr().out
@@ -62,7 +58,7 @@ def test_table_names_symbols_and_report_is_written(
 
 
 @pytest.mark.slow
-def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path: Path) -> None:
+def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path):
     """With --camera sim the frames are taken from the bench file's camera, and the file can be simulated again."""
     bench = {
         "camera": {"kind": "simulated", "preset": "BFS-U3-19S4M", "width": 64, "height": 48},
@@ -89,9 +85,7 @@ def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path: Path) -> No
         (["nowhere", "--camera", "sim"], 2, "one of both"),
     ],
 )
-def test_misuse_is_one_line_with_its_exit_code(
-    words: list[str], code: int, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_misuse_is_one_line_with_its_exit_code(words, code, message, capsys):
     """Neither or both of capture and camera is misuse; a missing folder is a failure."""
     assert run(["characterise", *words]) == code
     error = capsys.readouterr().err
@@ -124,7 +118,7 @@ def flux_capture(tmp_path: Path) -> Path:
     return tmp_path / "set"
 
 
-def test_json_gives_thesis_and_emitted_flux(flux_capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_gives_thesis_and_emitted_flux(flux_capture, capsys):
     """The emitted flux is 5 mW within its k = 2 uncertainty; the thesis's figure is next to it."""
     words = ["--half-angle", "60", "--distance", "80", "--diameter", "3", "--datasheet-mw", "5", "--json"]
     assert run(["flux", str(flux_capture), *words]) == 0
@@ -135,7 +129,7 @@ def test_json_gives_thesis_and_emitted_flux(flux_capture: Path, capsys: pytest.C
     assert set(printed["emitted"]) == {"fraction_through_pupil", "radiance_times_area"}
 
 
-def test_table_shows_how_the_gap_closes(flux_capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_shows_how_the_gap_closes(flux_capture, capsys):
     """Each step has its flux and the share that it closes."""
     assert run(["flux", str(flux_capture), "--half-angle", "60", "--distance", "80", "--datasheet-mw", "5"]) == 0
     out = capsys.readouterr().out
@@ -143,9 +137,7 @@ def test_table_shows_how_the_gap_closes(flux_capture: Path, capsys: pytest.Captu
     assert "open: " in out
 
 
-def test_without_a_half_angle_the_way_to_the_emitted_flux_is_named(
-    flux_capture: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_half_angle_the_way_to_the_emitted_flux_is_named(flux_capture, capsys):
     """Only the flux through the sensor is given."""
     assert run(["flux", str(flux_capture)]) == 0
     assert "for the emitted flux give --half-angle" in capsys.readouterr().out
@@ -160,9 +152,7 @@ def test_without_a_half_angle_the_way_to_the_emitted_flux_is_named(
         (["--patch", "90,0,40,40"], 1, "is not on the frame of 96 × 96"),
     ],
 )
-def test_misuse_is_one_line(
-    flux_capture: Path, words: list[str], code: int, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_misuse_is_one_line(flux_capture, words, code, message, capsys):
     """What is missing or impossible is stated with the way out."""
     if words[:2] == ["--half-angle", "95"]:
         words = [*words, "--distance", "80"]
@@ -172,9 +162,7 @@ def test_misuse_is_one_line(
     assert error.count("\n") == 1
 
 
-def test_characterised_camera_gives_the_scale_and_its_uncertainty(
-    flux_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_characterised_camera_gives_the_scale_and_its_uncertainty(flux_capture, tmp_path, capsys):
     """With a camera file the 3 % of an uncharacterised camera no longer count; with a calibration it is misuse."""
     file = {
         "format": "radiometer-camera/1",

@@ -60,7 +60,7 @@ def _words(path: tuple[str, ...], command: Any, name: str, target: Path) -> list
     return words
 
 
-def test_every_option_that_names_an_output_is_checked() -> None:
+def test_every_option_that_names_an_output_is_checked():
     """By the words of its help: what writes, draws, creates or keeps is declared, or asks for --force itself."""
     unchecked = [
         f"{' '.join(path)} {one.name}"
@@ -75,9 +75,7 @@ def test_every_option_that_names_an_output_is_checked() -> None:
 
 
 @pytest.mark.parametrize(("path", "command", "name"), _OUTPUTS)
-def test_an_output_is_checked_before_the_work(
-    path: tuple[str, ...], command: Any, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_output_is_checked_before_the_work(path, command, name, tmp_path, capsys):
     """A folder that is missing and a file that is there: exit code 2, one line, and the file stays as it was."""
     is_folder = getattr(command.callback, "output_folder", None) == name  # made with those above it
     if not is_folder:
@@ -99,9 +97,7 @@ def test_an_output_is_checked_before_the_work(
         ("adapt fit f.csv --report link.csv", "f.csv"),
     ],
 )  # fmt: skip
-def test_no_output_replaces_an_input(
-    words: str, precious: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_output_replaces_an_input(words, precious, tmp_path, monkeypatch, capsys):
     """Not with --force either, under whatever name: exit code 2 and the file as it was."""
     monkeypatch.chdir(tmp_path)
     for name in ("set/frames/0.png", "set/capture.yaml", "photos/a.png", "f.csv"):
@@ -113,7 +109,7 @@ def test_no_output_replaces_an_input(
     assert Path(precious).read_text() == "file: frames/0.png"
 
 
-def test_no_command_replaces_a_file_unasked() -> None:
+def test_no_command_replaces_a_file_unasked():
     """--force is off unless it is given, in every command that has it."""
     asked = {" ".join(path): one.default for path, command in _ALL for one in command.params if "--force" in one.opts}
     assert len(asked) > 20
@@ -124,15 +120,13 @@ _HOSTILE = ("..", "../../out", "/etc/x", "a/b", "-o", ".hidden", "x" * 300, "a\0
 
 
 @pytest.mark.parametrize("serial", _HOSTILE)
-def test_a_box_cannot_choose_where_its_calibration_is_written(
-    serial: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_box_cannot_choose_where_its_calibration_is_written(serial, tmp_path, monkeypatch):
     """Whatever serial number it sends: one file in the folder for them."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     assert calibration_file(serial).resolve().parent == tmp_path / "radiometer" / "light_boxes"
 
 
-def test_a_file_cannot_choose_where_its_frames_are_written(tmp_path: Path) -> None:
+def test_a_file_cannot_choose_where_its_frames_are_written(tmp_path):
     """Whatever camera name a FITS header states: every capture set is a separate folder in that of -o."""
     fits = pytest.importorskip("astropy.io.fits")
     source, out = tmp_path / "source", tmp_path / "a" / "out"
@@ -149,9 +143,7 @@ def test_a_file_cannot_choose_where_its_frames_are_written(tmp_path: Path) -> No
     assert len([path for path in out.iterdir() if (path / "capture.yaml").is_file()]) == len(names)
 
 
-def test_a_file_that_is_no_journal_is_never_emptied(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_no_journal_is_never_emptied(tmp_path, monkeypatch, capsys):
     """`adapt run -o` takes up a journal, also one whose first line a crash tore; a text without a line end stays."""
     monkeypatch.chdir(tmp_path)
     words = ["adapt", "run", "quick", "--subject", "S01", "--simulate", "steady", "-o"]

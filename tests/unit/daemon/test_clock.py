@@ -18,7 +18,6 @@ from radiometer.daemon.clock_watch import ClockWatch, Jump, RetentionClock
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.journal_writer import JournalWriter
-from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import iso_time, microseconds
 from radiometer.data import Reading
 
@@ -43,7 +42,7 @@ class Clocks:
 
 
 @pytest.mark.parametrize(("by_us", "message"), [(-HOUR_US, "back by 60 min"), (10 * DAY_US, "forward by 10 d")])
-def test_a_jump_is_reported_once(by_us: int, message: str) -> None:
+def test_a_jump_is_reported_once(by_us, message):
     """Set back by an hour or forward by ten days: one jump, with both times; then all is quiet."""
     clocks, reported = Clocks(), list[Jump]()
     watch = ClockWatch(reported.append, *clocks.both)
@@ -64,12 +63,12 @@ def test_a_jump_is_reported_once(by_us: int, message: str) -> None:
     [(-45_600_000, "back by 46 s"), (119_400_000, "forward by 119 s"), (119_600_000, "forward by 2 min"),
      (7_199_000_000, "forward by 120 min"), (-9_000_000_000, "back by 2.5 h"), (172_800_000_000, "forward by 2 d")],
 )  # fmt: skip
-def test_a_jump_is_reported_in_the_largest_unit_it_holds_twice(by_us: int, message: str) -> None:
+def test_a_jump_is_reported_in_the_largest_unit_it_holds_twice(by_us, message):
     """In whole seconds; minutes, hours and days from two of them on."""
     assert f"{message}, from 2026-06-01T00:00:00Z" in str(Jump(START_US, START_US + by_us))
 
 
-def test_what_a_time_service_does_is_no_jump() -> None:
+def test_what_a_time_service_does_is_no_jump():
     """Half a second per hour, for a day, is followed without a word."""
     clocks, reported = Clocks(), list[Jump]()
     watch = ClockWatch(reported.append, *clocks.both)
@@ -83,7 +82,7 @@ def test_what_a_time_service_does_is_no_jump() -> None:
 @pytest.mark.parametrize(
     ("by_us", "reported"), [(4_900_000, False), (5_000_000, True), (-4_900_000, False), (-5_000_000, True)]
 )
-def test_five_seconds_are_a_jump_and_less_is_not(by_us: int, reported: bool) -> None:
+def test_five_seconds_are_a_jump_and_less_is_not(by_us, reported):
     """Time services move a clock in smaller steps; what was followed is not added up to a jump."""
     clocks, jumps = Clocks(), list[Jump]()
     watch = ClockWatch(jumps.append, *clocks.both)
@@ -93,7 +92,7 @@ def test_five_seconds_are_a_jump_and_less_is_not(by_us: int, reported: bool) -> 
     assert [jump.by_us for jump in jumps] == ([by_us, by_us] if reported else [])
 
 
-async def test_the_clock_is_looked_at_every_second() -> None:
+async def test_the_clock_is_looked_at_every_second():
     """A jump is reported at the next look, after a second at most; a day without one shows nothing."""
     clocks, reported, pauses = Clocks(), list[Jump](), list[float]()
     watch = ClockWatch(reported.append, *clocks.both)
@@ -115,9 +114,7 @@ async def test_the_clock_is_looked_at_every_second() -> None:
 @pytest.mark.parametrize(
     ("off_us", "by_us"), [(0, 0), (DAY_US, 0), (DAY_US + 1, DAY_US + 1), (-1, -1), (-400 * DAY_US, -400 * DAY_US)]
 )
-def test_a_day_without_a_daemon_is_believed_and_no_more(
-    off_us: int, by_us: int, tmp_path: Path, make_reading: Callable[..., Reading]
-) -> None:
+def test_a_day_without_a_daemon_is_believed_and_no_more(off_us, by_us, tmp_path, make_reading):
     """Off for longer, or with a newest reading in the future, the pause does not count in ages."""
     newest_us = START_US - off_us
     for before_us, left in ((newest_us + by_us, 2), (newest_us + by_us + 1, 1)):
@@ -131,9 +128,7 @@ def test_a_day_without_a_daemon_is_believed_and_no_more(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_whatever_the_clock_did_what_is_young_stays_and_what_is_old_goes(
-    seed: int, tmp_path: Path, make_reading: Callable[..., Reading]
-) -> None:
+def test_whatever_the_clock_did_what_is_young_stays_and_what_is_old_goes(seed, tmp_path, make_reading):
     """The clock set forward and back, with the daemon on and off, deletions at every start; the true time decides.
 
     Every reading that is truly younger than 30 days stays. At the end, what ran for longer
@@ -173,9 +168,7 @@ def test_whatever_the_clock_did_what_is_young_stays_and_what_is_old_goes(
     assert len(list(JournalReader(path).lines(ReadingFilter()))) == 61
 
 
-def test_events_and_trend_stay_as_long_as_the_readings_of_their_time(
-    tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_events_and_trend_stay_as_long_as_the_readings_of_their_time(tmp_path, make_reading, monkeypatch):
     """Stamped while the clock was 30 days behind: right again, an event and a reading go together."""
     path = tmp_path / "j.sqlite"
     behind_us = START_US - 30 * DAY_US
@@ -194,9 +187,7 @@ def test_events_and_trend_stay_as_long_as_the_readings_of_their_time(
             assert len(reader.trend("", behind_us, behind_us + DAY_US)) == left
 
 
-async def test_a_jump_is_in_journal_and_state(
-    station: Station, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_jump_is_in_journal_and_state(station, eventually, monkeypatch):
     """An event of kind clock, and the jump in the state that the page shows."""
     assert station.status()["clock_jump"] is None
     right = time.time_ns
@@ -208,7 +199,7 @@ async def test_a_jump_is_in_journal_and_state(
     assert "set back by 60 min" in reader.events()[0]["message"]
 
 
-def test_the_age_is_counted_by_a_clock_that_cannot_be_set() -> None:
+def test_the_age_is_counted_by_a_clock_that_cannot_be_set():
     """A forward jump moves it once the journal has noted it, and not before; a clock set back holds it back."""
     clocks = Clocks()
     retention = RetentionClock(*clocks.both)
@@ -234,9 +225,7 @@ async def kept_after_start(path: Path, keep_days: float, young: Reading) -> list
     return [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())][:-2]
 
 
-async def test_keep_days_deletes_what_is_older_and_nothing_else(
-    tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_keep_days_deletes_what_is_older_and_nothing_else(tmp_path, make_reading, monkeypatch):
     """Seven days: a reading of eight days goes, one of six stays; with the clock ten days ahead all stay."""
     path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
@@ -248,13 +237,7 @@ async def test_keep_days_deletes_what_is_older_and_nothing_else(
 
 
 @pytest.mark.parametrize(("keep_days", "expected_s"), [(30.0, [0.0, 3600.0, 7300.0]), (None, [])])
-async def test_old_readings_go_at_the_start_and_every_hour(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    make_reading: Callable[..., Reading],
-    keep_days: float | None,
-    expected_s: list[float],
-) -> None:
+async def test_old_readings_go_at_the_start_and_every_hour(tmp_path, monkeypatch, make_reading, keep_days, expected_s):
     """Whatever wakes the writer between deletes nothing; where all are kept, nothing ever does."""
 
     class Steady:
@@ -281,9 +264,7 @@ async def test_old_readings_go_at_the_start_and_every_hour(
     assert dropped == expected_s
 
 
-async def test_a_jump_before_a_restart_is_remembered(
-    tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_jump_before_a_restart_is_remembered(tmp_path, make_reading, monkeypatch):
     """The clock jumped, readings were stamped with it, the daemon was started anew: still nothing young goes."""
     path, wall = tmp_path / "j.sqlite", START_US + 10 * DAY_US
     with Journal(path) as journal:
@@ -294,9 +275,7 @@ async def test_a_jump_before_a_restart_is_remembered(
     assert await kept_after_start(path, 7.0, make_reading(time=iso_time(wall))) == [2, 3, 4]
 
 
-async def test_a_journal_error_is_told_not_swallowed(
-    tmp_path: Path, make_reading: Callable[..., Reading], eventually: Eventually
-) -> None:
+async def test_a_journal_error_is_told_not_swallowed(tmp_path, make_reading, eventually):
     """While appending fails nothing is handed out and the alarm is up; afterwards each reading comes exactly once."""
     import asyncio
     import contextlib
@@ -330,9 +309,7 @@ async def test_a_journal_error_is_told_not_swallowed(
     await writer.close()
 
 
-async def test_a_clock_that_stays_wrong_over_several_starts_deletes_nothing(
-    tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_clock_that_stays_wrong_over_several_starts_deletes_nothing(tmp_path, make_reading, monkeypatch):
     """The clock jumps by 400 days between two runs and stays: readings of a minute ago stay, too."""
     path, ahead = tmp_path / "j.sqlite", START_US + 400 * DAY_US
     with Journal(path) as journal:
@@ -342,9 +319,7 @@ async def test_a_clock_that_stays_wrong_over_several_starts_deletes_nothing(
         assert await kept_after_start(path, 30.0, make_reading(time=iso_time(ahead))) == first
 
 
-def test_a_clock_that_was_wrong_first_and_is_again_deletes_nothing_young(
-    tmp_path: Path, make_reading: Callable[..., Reading]
-) -> None:
+def test_a_clock_that_was_wrong_first_and_is_again_deletes_nothing_young(tmp_path, make_reading):
     """Ahead by 400 days when the journal was made, right for 31 days, then ahead again while no daemon runs."""
     now_us = START_US + 31 * DAY_US
     with Journal(tmp_path / "j.sqlite") as journal:
@@ -355,7 +330,7 @@ def test_a_clock_that_was_wrong_first_and_is_again_deletes_nothing_young(
         assert journal.drop_older(now_us + 400 * DAY_US - 30 * DAY_US) == 2
 
 
-def test_pauses_do_not_add_up(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+def test_pauses_do_not_add_up(tmp_path, make_reading):
     """Off for two days each week: after a year nothing is kept that was measured over 30 days of running before."""
     true_us = START_US
     with Journal(tmp_path / "j.sqlite") as journal:

@@ -47,9 +47,7 @@ HARMS: dict[str, str] = {
 
 
 @pytest.mark.parametrize("harm", ["emptied", "log emptied", "log cut", "log noise"])
-def test_an_overwritten_journal_is_written_anew_where_all_of_it_can_be_read(
-    harm: str, tmp_path: Path, make_reading: Make
-) -> None:
+def test_an_overwritten_journal_is_written_anew_where_all_of_it_can_be_read(harm, tmp_path, make_reading):
     """The next commit fails and says so; the one after it goes on with the next number, and nothing is missing."""
     path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
@@ -65,7 +63,7 @@ def test_an_overwritten_journal_is_written_anew_where_all_of_it_can_be_read(
 
 
 @pytest.mark.parametrize("harm", ["halved", "older copy", "noise"])
-def test_an_overwritten_journal_is_made_whole_from_its_log(harm: str, tmp_path: Path, make_reading: Make) -> None:
+def test_an_overwritten_journal_is_made_whole_from_its_log(harm, tmp_path, make_reading):
     """Where the log holds every page, it is written into the file before the next reading is told to anyone."""
     path, older, alone = tmp_path / "j.sqlite", tmp_path / "older.sqlite", tmp_path / "alone.sqlite"
     with Journal(older) as early:
@@ -79,9 +77,7 @@ def test_an_overwritten_journal_is_made_whole_from_its_log(harm: str, tmp_path: 
 
 
 @pytest.mark.parametrize("harm", [harm for harm in HARMS if not harm.startswith("log")])
-async def test_readings_wait_where_an_overwritten_journal_cannot_be_read(
-    harm: str, tmp_path: Path, make_reading: Make
-) -> None:
+async def test_readings_wait_where_an_overwritten_journal_cannot_be_read(harm, tmp_path, make_reading):
     """An alarm says so at once, no client sees a reading, and the next start takes in what waited."""
     path, older, newest = tmp_path / "j.sqlite", tmp_path / "older.sqlite", tmp_path / "newest.sqlite"
     with Journal(path) as journal:
@@ -129,7 +125,7 @@ OTHERS: dict[str, str] = {
 
 
 @pytest.mark.parametrize("other", OTHERS)
-def test_what_leaves_a_sound_journal_behind_is_no_trouble(other: str, tmp_path: Path, make_reading: Make) -> None:
+def test_what_leaves_a_sound_journal_behind_is_no_trouble(other, tmp_path, make_reading):
     """Readers, backups and checkpoints of other programs, between any two commits; a checkpoint of ours as well."""
     path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
@@ -142,7 +138,7 @@ def test_what_leaves_a_sound_journal_behind_is_no_trouble(other: str, tmp_path: 
     connection.close()
 
 
-def test_the_log_of_a_long_day_stays_small(tmp_path: Path, make_reading: Make) -> None:
+def test_the_log_of_a_long_day_stays_small(tmp_path, make_reading):
     """Checkpoints keep SQLite's log to some MB, however much is written."""
     path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
@@ -151,7 +147,7 @@ def test_the_log_of_a_long_day_stays_small(tmp_path: Path, make_reading: Make) -
         assert path.with_name("j.sqlite-wal").stat().st_size < 16e6
 
 
-def test_a_reading_that_another_program_deleted_is_missed(tmp_path: Path, make_reading: Make) -> None:
+def test_a_reading_that_another_program_deleted_is_missed(tmp_path, make_reading):
     """A hole is damage as at the start: nothing more is written, until a copy is put back."""
     path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
@@ -165,9 +161,7 @@ def test_a_reading_that_another_program_deleted_is_missed(tmp_path: Path, make_r
 
 
 @pytest.mark.parametrize("harm", ["log emptied", "emptied"])
-def test_what_happens_during_a_commit_is_noticed_by_the_next(
-    harm: str, tmp_path: Path, make_reading: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_happens_during_a_commit_is_noticed_by_the_next(harm, tmp_path, make_reading, monkeypatch):
     """The files are remembered as the daemon left them, not as another program did meanwhile."""
     path, real = tmp_path / "j.sqlite", sqlite3.connect
     harms = list[str]()

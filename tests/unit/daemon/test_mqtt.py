@@ -110,9 +110,7 @@ async def published(station: Station, broker: tuple[Broker, int]) -> AsyncIterat
     await publisher.stop()
 
 
-async def test_each_patch_is_retained_as_long_as_it_is_measured(
-    station: Station, published: tuple[Broker, MqttPublisher], eventually: Eventually
-) -> None:
+async def test_each_patch_is_retained_as_long_as_it_is_measured(station, published, eventually):
     """What an earlier daemon left, what was deleted, moved or ended is cleared; a client's own is never published."""
     broker, publisher = published
     station.patches.define("a b", LAMP)
@@ -135,9 +133,7 @@ async def test_each_patch_is_retained_as_long_as_it_is_measured(
     assert 40 not in {reading["patch"]["x"] for reading in read}
 
 
-async def test_the_last_will_of_an_earlier_daemon_comes_late(
-    published: tuple[Broker, MqttPublisher], eventually: Eventually
-) -> None:
+async def test_the_last_will_of_an_earlier_daemon_comes_late(published, eventually):
     """Its connection ended by a power cut, say: a daemon that runs is online again at once, one that ended is not."""
     broker, publisher = published
     await eventually(lambda: broker.retained.get("radiometer/4711/state") == b"online")
@@ -147,11 +143,7 @@ async def test_the_last_will_of_an_earlier_daemon_comes_late(
     await eventually(lambda: broker.retained["radiometer/4711/state"] == b"offline")
 
 
-async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(
-    station: Station,
-    published: tuple[Broker, MqttPublisher],
-    eventually: Eventually,
-) -> None:
+async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(station, published, eventually):
     """Connected is not enough: what waits, and what was dropped for want of room, is in the alarm."""
     broker, publisher = published
     publisher.acknowledged_within_s = 0.3
@@ -172,9 +164,7 @@ async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(
     await eventually(lambda: not message())
 
 
-async def test_another_daemon_of_the_same_instrument_is_an_alarm(
-    station: Station, published: tuple[Broker, MqttPublisher], eventually: Eventually
-) -> None:
+async def test_another_daemon_of_the_same_instrument_is_an_alarm(station, published, eventually):
     """Each says who it is; the readings of two would be mixed under one topic. What it says itself is no other one."""
     broker, publisher = published
     await eventually(lambda: [payload for topic, payload in broker.published if topic.endswith("/daemon")])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 from dataclasses import replace
-from decimal import Decimal
 from typing import Any
 
 import pytest
@@ -63,7 +62,7 @@ def number(unit: str = "", limits: ParameterLimits = WIDE, **more: Any) -> Numbe
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_suffixes_multiply_by_what_the_standard_says(unit: str) -> None:
+def test_suffixes_multiply_by_what_the_standard_says(unit):
     """Each suffix, in any case, with and without blanks; no other is taken."""
     for suffix, by in UNITS[unit].items():
         for written in (f"2.5{suffix}", f"2.5 {suffix.lower()}"):
@@ -76,7 +75,7 @@ def test_suffixes_multiply_by_what_the_standard_says(unit: str) -> None:
 
 @settings(max_examples=150)
 @given(NUMBERS, st.sampled_from(["{}", "+{}", "{}e0", "{} E +1", "{}E-2"]))
-def test_every_decimal_number_is_read_as_it_is_written(value: Decimal, form: str) -> None:
+def test_every_decimal_number_is_read_as_it_is_written(value, form):
     """<NRf>: sign, point and exponent, with blanks about the E."""
     text = form.format(abs(value) if form.startswith("+") else value)
     scale = {"{} E +1": 10.0, "{}E-2": 0.01}.get(form, 1.0)
@@ -86,7 +85,7 @@ def test_every_decimal_number_is_read_as_it_is_written(value: Decimal, form: str
 
 @settings(max_examples=60)
 @given(st.integers(0, 2**31))
-def test_hexadecimal_octal_and_binary_are_whole_numbers(value: int) -> None:
+def test_hexadecimal_octal_and_binary_are_whole_numbers(value):
     """#H, #Q and #B of the same number."""
     found = [
         read(number(fraction="rounded"), f"#{mark}{value:{form}}")
@@ -97,7 +96,7 @@ def test_hexadecimal_octal_and_binary_are_whole_numbers(value: int) -> None:
 
 @settings(max_examples=60)
 @given(st.floats(-1e3, 1e3), st.floats(0.001, 1e3), st.floats(-2e3, 3e3))
-def test_limits_hold_on_both_sides(low: float, span: float, value: float) -> None:
+def test_limits_hold_on_both_sides(low, span, value):
     """Inside is taken, outside refused (−222); MIN, MAX and DEF are the limits and the default."""
     low, high = abs(low), abs(low) + span
     bounded = number(limits=ParameterLimits(low, high, low))
@@ -110,7 +109,7 @@ def test_limits_hold_on_both_sides(low: float, span: float, value: float) -> Non
     assert [read(bounded, word) for word in ("MIN", "maximum", "Def")] == [low, high, low]
 
 
-def test_words_choices_texts_and_switches() -> None:
+def test_words_choices_texts_and_switches():
     """Short and long forms are taken and nothing between; 0 is off, all else on; quotes are doubled."""
     also = number(also=("NONE", "CENTer"))
     assert [read(also, word) for word in ("none", "CENT", "center")] == ["NONE", "CENTer", "CENTer"]
@@ -137,7 +136,7 @@ def test_words_choices_texts_and_switches() -> None:
 
 @settings(max_examples=80)
 @given(units, st.sampled_from([";", " ; ", ";\t"]))
-def test_a_message_comes_apart_as_it_was_put_together(parts: list[tuple[str, bool, int]], between: str) -> None:
+def test_a_message_comes_apart_as_it_was_put_together(parts, between):
     """Headers, question marks and arguments of every unit, in order."""
     texts = [header + "?" * query + (" " + ",".join("123"[:count]) if count else "") for header, query, count in parts]
     units, error = split_message(between.join(texts))
@@ -150,7 +149,7 @@ def test_a_message_comes_apart_as_it_was_put_together(parts: list[tuple[str, boo
 
 @settings(max_examples=60)
 @given(st.text(st.characters(max_codepoint=255), max_size=30))
-def test_a_block_and_a_string_hold_any_text(content: str) -> None:
+def test_a_block_and_a_string_hold_any_text(content):
     """#<digits><length><bytes>, #0 to the end, and quotes give back what was put in."""
     length = str(len(content))
     ((one, two), error) = split_message(f"A #{len(length)}{length}{content};B 1")
@@ -163,7 +162,7 @@ def test_a_block_and_a_string_hold_any_text(content: str) -> None:
     assert formats.block(content.encode("latin-1")) == f"#{len(length)}{length}{content}"
 
 
-def test_the_error_queue_keeps_the_oldest() -> None:
+def test_the_error_queue_keeps_the_oldest():
     """First in, first out; of too many the last says so; each sets the event bit of its hundred."""
     status = Status()
     assert status.take_event_status() == 128
@@ -179,7 +178,7 @@ def test_the_error_queue_keeps_the_oldest() -> None:
     assert [int(entry.split(",")[0]) for entry in entries] == [-113] * 31 + [-350]
 
 
-def test_our_errors_have_the_standard_s_numbers() -> None:
+def test_our_errors_have_the_standard_s_numbers():
     """Each kind of error by its number; what no one foresaw is −310."""
     expected = {
         SettingOutOfRange("camera", "gain", 1.0, 0.0, 0.5, "dB"): -222,
@@ -202,12 +201,12 @@ def test_our_errors_have_the_standard_s_numbers() -> None:
     [(0.1, "1.000000000E-01"), (-1234.5678901, "-1.234567890E+03"), (math.nan, "9.91E+37"), (math.inf, "9.9E+37"),
      (-math.inf, "-9.9E+37"), (0.0, "0.000000000E+00")],
 )  # fmt: skip
-def test_numbers_are_written_as_the_standard_says(value: float, text: str) -> None:
+def test_numbers_are_written_as_the_standard_says(value, text):
     """<NR3> with ten digits; not a number and infinity as SCPI-99, 7.2.1.5, has them."""
     assert formats.number(value) == text
 
 
-def test_the_elements_of_a_reading_come_in_the_order_asked_for() -> None:
+def test_the_elements_of_a_reading_come_in_the_order_asked_for():
     """Value, u, time, number and flags of radiance or luminance; what is not there is not a number."""
     reading = Reading(
         Quantity(2.0, 0.25, "W sr-1 m-2"), Patch(0, 0, 1, 1), "1", Quantity(300.0, 4.0, "cd m-2"),
@@ -230,7 +229,7 @@ class Clock:
 
 @settings(max_examples=60)
 @given(st.floats(1.0, 1000.0), st.lists(st.floats(0.0, 0.5), min_size=1, max_size=40))
-def test_no_more_than_rate_and_burst_is_let_through(per_s: float, pauses: list[float]) -> None:
+def test_no_more_than_rate_and_burst_is_let_through(per_s, pauses):
     """In any time at most a burst of one second and the rate; whoever waits as reported is let through next."""
     clock = Clock()
     bucket, taken, start = TokenBucket(per_s, clock), int(per_s), clock.now_s
@@ -275,7 +274,7 @@ SETTINGS = [
 
 
 @pytest.mark.parametrize(("message", "name", "value"), SETTINGS, ids=[entry[0] for entry in SETTINGS])
-async def test_a_setting_is_that_of_the_next_measurement(station: Any, message: str, name: str, value: Any) -> None:
+async def test_a_setting_is_that_of_the_next_measurement(station, message, name, value):
     """In s, dB, pixels and nm; the query gives it back."""
     session = Session(station, TABLE)
     assert session.execute(message) is None
@@ -292,7 +291,7 @@ async def test_a_setting_is_that_of_the_next_measurement(station: Any, message: 
     ("query", "low", "high", "default"),
     [("SENS:EXP?", 1e-5, 30.0, 0.01), ("SENS:GAIN?", 0.0, 48.0, 0.0), ("SENS:CORR:WAV?", 300.0, 1200.0, 550.0)],
 )
-async def test_limits_are_the_camera_s(station: Any, query: str, low: float, high: float, default: float) -> None:
+async def test_limits_are_the_camera_s(station, query, low, high, default):
     """MIN, MAX and DEF of what the camera can do."""
     session = Session(station, TABLE)
     found = [float(session.execute(f"{query} {word}")) for word in ("MIN", "MAX", "DEF")]  # type: ignore[arg-type]
@@ -305,7 +304,7 @@ async def test_limits_are_the_camera_s(station: Any, query: str, low: float, hig
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mask=st.integers(0, 255))
-async def test_masks_are_given_back(station: Any, mask: int) -> None:
+async def test_masks_are_given_back(station, mask):
     """*ESE and the enable registers whole, *SRE without its own bit 6."""
     session = Session(station, TABLE)
     assert session.execute(f"*ESE {mask};*ESE?") == str(mask)
@@ -335,7 +334,7 @@ def test_what_stands_before_a_mistake_is_still_there():
 _NOT_RESET = ("*", "STATus", "INITiate", "TRIGger", "SOURce", "OUTPut", "SENSe:PATCh:LIMits")
 
 
-async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) -> None:
+async def test_reset_gives_back_every_setting_that_can_be_asked(station):
     """Each setting is changed; after *RST every query answers as it did at the start."""
     session = Session(station, TABLE)
     both = [c for c in TABLE.commands if c.do and c.ask and not c.pattern.startswith(_NOT_RESET)]
@@ -383,9 +382,7 @@ _PLACES_BETWEEN_PIXELS = ("1.5,2,3,4", "1,1.5,3,4", "1,2,1.5,4", "1,2,3,15E-1", 
         ("FETC?", -230, "READ? makes one"),
     ],
 )  # fmt: skip
-async def test_what_is_wrong_is_named_by_the_standard_s_number(
-    station: Any, message: str, number: int, text: str
-) -> None:
+async def test_what_is_wrong_is_named_by_the_standard_s_number(station, message, number, text):
     """SCPI-99, 21.8: separators, missing and unknown parameters, a suffix of a header beyond the channels, no data."""
     session = Session(station, TABLE)
     reply = session.execute(message)

@@ -84,9 +84,7 @@ async def ended(running: asyncio.Task[None]) -> None:
 
 
 @pytest.mark.parametrize(("stuck_s", "fed"), [(0.0, True), (599.0, True), (600.0, False)])
-async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, eventually: Eventually, stuck_s: float, fed: bool
-) -> None:
+async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(tmp_path, monkeypatch, eventually, stuck_s, fed):
     """The longest exposures and the longest patience are below; a call that takes longer never ends."""
     one = fresh(tmp_path)
     monkeypatch.setattr(type(one.station.camera), "stuck_s", stuck_s)
@@ -100,7 +98,7 @@ async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(
     await ended(running)
 
 
-async def test_an_alarm_of_descriptors_ends_once_some_are_free(tmp_path: Path, eventually: Eventually) -> None:
+async def test_an_alarm_of_descriptors_ends_once_some_are_free(tmp_path, eventually):
     """The running daemon looks for itself: no client has to come first."""
     one = fresh(tmp_path)
     one.station.alarms.put_up("descriptors", "no file descriptor is free")
@@ -109,9 +107,7 @@ async def test_an_alarm_of_descriptors_ends_once_some_are_free(tmp_path: Path, e
     await ended(running)
 
 
-async def test_a_loop_that_ended_ends_the_daemon_with_its_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_loop_that_ended_ends_the_daemon_with_its_error(tmp_path, monkeypatch):
     """The error names its kind and reason; the watchdog is not fed any more, and the camera is closed."""
     one = fresh(tmp_path)
     monkeypatch.setattr(one.station, "failed_task", lambda: ValueError("the journal's disk is gone"))
@@ -122,9 +118,7 @@ async def test_a_loop_that_ended_ends_the_daemon_with_its_error(
     assert not one.instrument.is_open
 
 
-async def test_start_and_stop_are_events_of_the_journal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
-) -> None:
+async def test_start_and_stop_are_events_of_the_journal(tmp_path, monkeypatch, eventually):
     """A signal is named, and so is the error that ends a daemon; what happens between them is between them."""
     one = fresh(tmp_path)
     running = asyncio.create_task(one.service.run())
@@ -151,7 +145,7 @@ async def asked(path: Path, message: bytes) -> bytes:
     return reply
 
 
-async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path, eventually: Eventually) -> None:
+async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path, eventually):
     """It says where it listens, is ready, reloads by SIGHUP for better or worse, shows its state, and ends by SIGTERM.
 
     The socket opens to user and group alone, and one that a killed daemon left behind is no obstacle.
@@ -200,7 +194,7 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path,
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL
 
 
-async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path: Path, eventually: Eventually) -> None:
+async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path, eventually):
     """Each reload stops the camera: 100 signals within a moment stop it twice, for the last one must count."""
     one = fresh(tmp_path)
     running = asyncio.create_task(one.service.run())
@@ -214,7 +208,7 @@ async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path: Path, eve
     await ended(running)
 
 
-async def test_who_may_connect_is_announced(tmp_path: Path, eventually: Eventually) -> None:
+async def test_who_may_connect_is_announced(tmp_path, eventually):
     """Networks that are let in, that a token is needed, and how pvAccess is served."""
     options = {"scpi_address": "0.0.0.0", "scpi_allow": parse_networks(["10.0.0.0/8", "192.0.2.0/24"])}
     one = fresh(tmp_path, **options, token="a-secret-of-sixteen", pva=PvaOptions("lab", isolated=True))
@@ -231,7 +225,7 @@ async def test_who_may_connect_is_announced(tmp_path: Path, eventually: Eventual
     await ended(running)
 
 
-async def test_a_service_that_listens_nowhere_only_keeps_its_journal(tmp_path: Path, eventually: Eventually) -> None:
+async def test_a_service_that_listens_nowhere_only_keeps_its_journal(tmp_path, eventually):
     """No port is opened that was not asked for."""
     one = fresh(tmp_path, scpi_address=None, http_address=None)
     running = asyncio.create_task(one.service.run())
@@ -240,7 +234,7 @@ async def test_a_service_that_listens_nowhere_only_keeps_its_journal(tmp_path: P
     await ended(running)
 
 
-async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path: Path) -> None:
+async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path):
     """A taken port is an error that names it; what was started before is stopped, and systemd is notified."""
     taken = await asyncio.start_server(lambda reader, writer: None, "127.0.0.1", 0)
     port = taken.sockets[0].getsockname()[1]
@@ -252,14 +246,14 @@ async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path
     taken.close()
 
 
-async def test_hearing_from_other_machines_needs_a_list(tmp_path: Path) -> None:
+async def test_hearing_from_other_machines_needs_a_list(tmp_path):
     """An address beyond loopback is refused without one, in words that tell the way out."""
     with pytest.raises(RadiometerError, match=r"--scpi-allow \(addresses or networks\), or stay on 127\.0\.0\.1"):
         await fresh(tmp_path, scpi_address="0.0.0.0").service.run()
 
 
 @pytest.mark.slow
-def test_the_daemon_starts_without_what_it_does_not_need() -> None:
+def test_the_daemon_starts_without_what_it_does_not_need():
     """scipy.stats takes longer to load than all the daemon's own modules; nothing of the daemon asks for it."""
     words = "import radiometer.daemon.service, radiometer.daemon.bench_instrument, radiometer.daemon.bench_instrument"
     code = f"import sys; {words}; print(sorted({{'scipy.stats', 'pandas', 'matplotlib', 'numba'}} & set(sys.modules)))"
@@ -267,7 +261,7 @@ def test_the_daemon_starts_without_what_it_does_not_need() -> None:
     assert done.stdout == "[]\n"
 
 
-async def test_no_descriptors_are_one_alarm_and_a_few_tries_a_second() -> None:
+async def test_no_descriptors_are_one_alarm_and_a_few_tries_a_second():
     """Fifty clients knock while none can be taken: nothing floods, and all are served afterwards."""
     changes: list[str] = []
     descriptors = Descriptors(Alarms(lambda kind, name, message: changes.append(f"{kind} {name}")))

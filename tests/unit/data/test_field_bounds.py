@@ -67,7 +67,7 @@ def is_taken(takes: TypeAdapter[float], value: float) -> bool:
 
 
 @pytest.mark.parametrize("takes", named(r"(^|_)u_(rel|dn|s)(_|$)|^u$|^glare_u$"))
-def test_an_uncertainty_may_be_nothing_but_not_less(takes: TypeAdapter[float]) -> None:
+def test_an_uncertainty_may_be_nothing_but_not_less(takes):
     """0 is what is known exactly; −1e-9 is no standard uncertainty."""
     assert is_taken(takes, 0.0)
     assert not is_taken(takes, -1e-9)
@@ -76,7 +76,7 @@ def test_an_uncertainty_may_be_nothing_but_not_less(takes: TypeAdapter[float]) -
 @pytest.mark.parametrize(
     "takes", named(r"^(f_number|focal_length_\w+|wavelength_nm|pixel_\w+|full_well_e|validity_days)$")
 )
-def test_a_length_or_capacity_is_above_nothing(takes: TypeAdapter[float]) -> None:
+def test_a_length_or_capacity_is_above_nothing(takes):
     """A lens of 0 mm or f/0, a wavelength or pixel of 0 and a validity of no time are mistakes."""
     assert not is_taken(takes, 0.0)
     assert not is_taken(takes, -1.0)
@@ -102,7 +102,7 @@ def test_a_length_or_capacity_is_above_nothing(takes: TypeAdapter[float]) -> Non
         (SteadyBleach, {"channel": "bleach", "luminance_cd_m2": 10_000.0, "duration_s": 600.0, "pupil_mm": 9.0}),
     ],
 )
-def test_what_exists_is_taken(model: type[BaseModel], fields: dict[str, object]) -> None:
+def test_what_exists_is_taken(model, fields):
     """Fast and slow lenses, one and sixteen bits, germicidal lamps, hours of exposure, cooled sensors: as stated."""
     made = model.model_validate(fields)
     assert {name: getattr(made, name) for name in fields} == fields
@@ -126,9 +126,7 @@ SCALE = {"value": 1e-6, "u_rel": 0.01, "method": "known_radiance"}
         (CameraDescription, {"bit_depth": 12, "full_well_e": 1e-300}, "full_well_e = 1e-300"),
     ],
 )
-def test_what_cannot_exist_is_refused_with_place_and_range(
-    model: type[BaseModel], fields: dict[str, object], shown: str
-) -> None:
+def test_what_cannot_exist_is_refused_with_place_and_range(model, fields, shown):
     """A mistake of unit or power of ten: file, key, number and what is plausible."""
     with pytest.raises(InputError, match=f"^a.yaml: {shown}"):
         validate(model, fields, "a.yaml", InputError)
@@ -137,7 +135,7 @@ def test_what_cannot_exist_is_refused_with_place_and_range(
 @pytest.mark.parametrize(
     "model", sorted({*models(FileSection), *models(ConfigSection)}, key=lambda one: one.__qualname__)
 )
-def test_true_is_no_number(model: type[BaseModel]) -> None:
+def test_true_is_no_number(model):
     """A level, bound or share that a file states as `true` is refused by its key: it would be 1."""
     for name, field in model.model_fields.items():
         if field.annotation in (int, float, int | None, float | None):
@@ -149,7 +147,7 @@ def test_true_is_no_number(model: type[BaseModel]) -> None:
 @pytest.mark.parametrize(
     "model", sorted({*models(FileSection), *models(ConfigSection)}, key=lambda one: one.__qualname__)
 )
-def test_no_count_of_a_file_sizes_an_array_without_bound(model: type[BaseModel], number: object) -> None:
+def test_no_count_of_a_file_sizes_an_array_without_bound(model, number):
     """Bits, pixels, counts, seeds: each field that takes a whole number refuses what memory could not hold."""
     for name, field in model.model_fields.items():
         if re.search(r"\bint\b", str(field.annotation)):
@@ -200,7 +198,7 @@ def shipped(root: Path) -> list[dict[str, Any]]:
     return [content for content in map(yaml.safe_load, (*texts, SCREEN)) if content.get("format") in FILES]
 
 
-def test_no_odd_value_of_a_file_is_a_defect_of_the_program(project_root: Path, tmp_path: Path) -> None:
+def test_no_odd_value_of_a_file_is_a_defect_of_the_program(project_root, tmp_path):
     """Null, lists, mappings, text, NaN, nothing, a list that holds itself: at places by chance, refused in a line."""
     rng, file, printed = random.Random(20261127), tmp_path / "changed.yaml", list[str]()
     every = [(one, place) for one in shipped(project_root) for place, _ in places(one) if len(place) < 5]
@@ -215,7 +213,7 @@ def test_no_odd_value_of_a_file_is_a_defect_of_the_program(project_root: Path, t
     assert all(line.strip() and "\n" not in line for line in printed)
 
 
-def test_no_whole_number_of_a_file_takes_memory_or_time(project_root: Path, tmp_path: Path) -> None:
+def test_no_whole_number_of_a_file_takes_memory_or_time(project_root, tmp_path):
     """Every number of every shipped form, as 10¹¹ and 10²⁰: refused in a line, or at least read at once."""
     at_first, seen = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, set()
     file = tmp_path / "changed.yaml"
@@ -233,7 +231,7 @@ def test_no_whole_number_of_a_file_takes_memory_or_time(project_root: Path, tmp_
     assert {"radiometer-bench/1", "radiometer-screen/1", "radiometer-protocol/1"} <= seen
 
 
-def test_a_simulated_lens_may_be_nearly_opaque() -> None:
+def test_a_simulated_lens_may_be_nearly_opaque():
     """1 % is a lens behind a grey filter of density 2, for the sun."""
     assert Lens(transmittance=0.01).transmittance == 0.01
     assert not math.isclose(Lens().transmittance, 0.01)
@@ -244,9 +242,7 @@ def test_a_simulated_lens_may_be_nearly_opaque() -> None:
     [((), (), True), ((0.0, 6.0), (0.01, 0.02), True), ((0.0, 6.0), (0.01,), False), ((0.0,), (0.01, 0.02), False),
      ((6.0, 0.0), (0.01, 0.02), False), ((0.0, 0.0), (0.01, 0.02), False)],
 )  # fmt: skip
-def test_a_table_of_gains_has_one_error_for_each(
-    gains_db: tuple[float, ...], errors: tuple[float, ...], taken: bool
-) -> None:
+def test_a_table_of_gains_has_one_error_for_each(gains_db, errors, taken):
     """Gains rise, and none lacks its error."""
     if taken:
         assert FoundEffects(gains_db=gains_db, gain_errors_rel=errors).gain_errors_rel == errors

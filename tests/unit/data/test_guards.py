@@ -63,7 +63,7 @@ def _png(width: int, height: int, bits: int = 16, colour: int = 0, data: bytes =
         _png(2**31 - 1, 2**31 - 1, 16, colour=6),
     ],
 )
-def test_a_picture_bomb_is_refused_by_its_header(tmp_path: Path, content: bytes) -> None:
+def test_a_picture_bomb_is_refused_by_its_header(tmp_path, content):
     """Some bytes that state gigapixels are never decoded; the message gives the size and the limit."""
     path = tmp_path / "0.png"
     path.write_bytes(content)
@@ -71,7 +71,7 @@ def test_a_picture_bomb_is_refused_by_its_header(tmp_path: Path, content: bytes)
         read_digital_numbers(path)
 
 
-def test_hdr_and_exr_bombs_are_refused_by_their_headers(tmp_path: Path) -> None:
+def test_hdr_and_exr_bombs_are_refused_by_their_headers(tmp_path):
     """Whichever way the axes run; what fits is left to its decoder."""
     hdr = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 50000\n"
     window = struct.pack("<4i", -10, -20, 69_989, 59_979)
@@ -84,7 +84,7 @@ def test_hdr_and_exr_bombs_are_refused_by_their_headers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("head", "seen"), [(65_536, True), (65_537, False)])
-def test_a_picture_s_extents_are_sought_in_its_first_64_kib(tmp_path: Path, head: int, seen: bool) -> None:
+def test_a_picture_s_extents_are_sought_in_its_first_64_kib(tmp_path, head, seen):
     """What stands behind that is no header: its decoder says what the file is."""
     start, size = b"#?RADIANCE\n", b"-Y 60000 +X 50000\n"
     content = start + b"#" * (head - len(start) - len(size) - 1) + b"\n" + size
@@ -92,7 +92,7 @@ def test_a_picture_s_extents_are_sought_in_its_first_64_kib(tmp_path: Path, head
         refuse_large_picture(tmp_path / "a", content)
 
 
-def test_a_scene_that_is_no_picture_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_scene_that_is_no_picture_is_refused_in_one_line(tmp_path):
     """An array that states more than it holds, one of another kind, an empty picture, text: never a traceback."""
     np.save(tmp_path / "words.npy", np.array(["a", "b"]))
     with (tmp_path / "huge.npy").open("wb") as stream:
@@ -110,7 +110,7 @@ def test_a_scene_that_is_no_picture_is_refused_in_one_line(tmp_path: Path) -> No
     assert ImageScene(file=tmp_path / "good.npy").render(2, 2).radiance.tolist() == [[0.5, 0.5], [0.5, 0.5]]
 
 
-def test_a_tiff_bomb_is_refused_by_its_header(tmp_path: Path) -> None:
+def test_a_tiff_bomb_is_refused_by_its_header(tmp_path):
     """Little and big endian, width and height as 16 and 32 bits, several samples."""
     for order in "<>":
         tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint16), byteorder=order)
@@ -125,7 +125,7 @@ def test_a_tiff_bomb_is_refused_by_its_header(tmp_path: Path) -> None:
             refuse_large_picture(tmp_path / "a.tif", bytes(content))
 
 
-def test_pictures_of_real_sensors_are_read(tmp_path: Path) -> None:
+def test_pictures_of_real_sensors_are_read(tmp_path):
     """151 million pixels of 16 bits are within the limit, one byte more than the limit is not."""
     refuse_size(tmp_path, (10_652, 14_204), 2)
     refuse_size(tmp_path, (MOST_PICTURE_BYTES,), 1)
@@ -144,7 +144,7 @@ def test_pictures_of_real_sensors_are_read(tmp_path: Path) -> None:
      "\n".join(" " * n + f"k{n}:" for n in range(2000))],
     ids=["lists", "mappings", "sequences", "keys", "indented"],
 )  # fmt: skip
-def test_deep_yaml_is_refused(tmp_path: Path, text: str) -> None:
+def test_deep_yaml_is_refused(tmp_path, text):
     """What would overflow the stack of the parser is refused with its line; the process goes on."""
     path = tmp_path / "deep.yaml"
     path.write_text(text, encoding="utf-8")
@@ -152,7 +152,7 @@ def test_deep_yaml_is_refused(tmp_path: Path, text: str) -> None:
         read_yaml(path)
 
 
-def test_yaml_that_repeats_itself_is_refused(tmp_path: Path) -> None:
+def test_yaml_that_repeats_itself_is_refused(tmp_path):
     """Nine levels of nine repetitions are a billion entries; a few repetitions are none."""
     lines = ["l0: &l0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9)}]" for n in range(1, 9)]
@@ -164,7 +164,7 @@ def test_yaml_that_repeats_itself_is_refused(tmp_path: Path) -> None:
     assert read_yaml(path)["l2"][0][0] == ["x"] * 9
 
 
-def test_nesting_of_real_files_is_fine() -> None:
+def test_nesting_of_real_files_is_fine():
     """Long lists, long texts and 64 levels pass."""
     refuse_deep_yaml("a: [" + "1, " * 100_000 + "1]", "here")
     refuse_deep_yaml("[" * 64 + "]" * 64, "here")
@@ -173,7 +173,7 @@ def test_nesting_of_real_files_is_fine() -> None:
 
 
 @pytest.mark.parametrize("command", ["merge", "response", "measure"])
-def test_commands_live_through_deep_yaml(tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_live_through_deep_yaml(tmp_path, command, capsys):
     """One line and an exit code, where the process ended before."""
     (tmp_path / "set").mkdir()
     deep = tmp_path / "set" / "capture.yaml"
@@ -187,9 +187,7 @@ def test_commands_live_through_deep_yaml(tmp_path: Path, command: str, capsys: p
 
 
 @pytest.mark.parametrize("subject", ["../../x", "/etc/x", "..", ".hidden", "-o", "a/b", "a\\b", "a\0b", "", "x" * 65])
-def test_a_subject_cannot_lead_out_of_the_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], subject: str
-) -> None:
+def test_a_subject_cannot_lead_out_of_the_folder(tmp_path, monkeypatch, capsys, subject):
     """A pseudonym that is a path is misuse; nothing is written anywhere."""
     inside = tmp_path / "a" / "b"
     inside.mkdir(parents=True)
@@ -208,7 +206,7 @@ def test_a_subject_cannot_lead_out_of_the_folder(
 @example("../../etc/passwd").via("FITS INSTRUME")
 @example("\U0001d7d8" * 64).via("four bytes each")
 @example("\ud800").via("half a character")
-def test_any_text_becomes_the_name_of_one_file(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+def test_any_text_becomes_the_name_of_one_file(tmp_path_factory, text):
     """In its own folder, with an ending; a name stays as it is, and one made of it is never another text's."""
     name = safe_file_name(text)
     folder = tmp_path_factory.getbasetemp()
@@ -220,14 +218,14 @@ def test_any_text_becomes_the_name_of_one_file(tmp_path_factory: pytest.TempPath
     assert safe_file_name(name) == name
 
 
-def test_two_texts_never_become_one_name() -> None:
+def test_two_texts_never_become_one_name():
     """However alike they look once their slashes are gone."""
     texts = ["a/b", "a_b", "a\\b", "a b", "a\0b", "x" * 65, "x" * 66, "", " ", ".", "..", "S/1 ", "S/1"]
     assert len({safe_file_name(text) for text in texts}) == len(texts)
 
 
 @given(st.text())
-def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text: str) -> None:
+def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text):
     """No control character but line feed and tab is left, whatever the text; no cell begins a formula."""
     shown, line, cell = printable(text), one_line(text), spreadsheet_cell(text)
     assert not [char for char in shown if unicodedata.category(char) == "Cc" and char not in "\n\t"]
@@ -240,7 +238,7 @@ def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text: str) -> N
     assert cell[:1] not in ("+", "-") or math.isfinite(float(cell))
 
 
-def test_numbers_and_plain_texts_stay_as_they_are() -> None:
+def test_numbers_and_plain_texts_stay_as_they_are():
     """Also negative ones, in a cell as anywhere; what is no text is no formula."""
     assert [spreadsheet_cell(value) for value in ("-1.5e-3", "+2", "a=b", -1.5, None)] == [
         "-1.5e-3",
@@ -253,7 +251,7 @@ def test_numbers_and_plain_texts_stay_as_they_are() -> None:
     assert printable("\x1b]0;x\x07 µ\n") == "\\x1b]0;x\\x07 µ\n"
 
 
-def test_what_can_be_no_file_is_none(tmp_path: Path) -> None:
+def test_what_can_be_no_file_is_none(tmp_path):
     """A file is; a folder, what is not there, a name too long for any disk and one with a zero in it are not."""
     (tmp_path / "a").write_bytes(b"")
     names = ("a", ".", "b", "c" * 5000, "a\0")
@@ -261,7 +259,7 @@ def test_what_can_be_no_file_is_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("repeated", "read"), [(48, True), (50, False)])
-def test_what_is_repeated_counts_as_if_it_were_written_out(repeated: int, read: bool) -> None:
+def test_what_is_repeated_counts_as_if_it_were_written_out(repeated, read):
     """A thousand numbers, a hundred times, 48 times and once: 4.9 million entries are read, 5.1 million not."""
     lines = ["a: &a [" + "1, " * 999 + "1]", "b: &b [" + "*a, " * 99 + "*a]", "c: [" + "*b, " * repeated + "]"]
     if read:
@@ -272,7 +270,7 @@ def test_what_is_repeated_counts_as_if_it_were_written_out(repeated: int, read: 
 
 
 @pytest.mark.parametrize("start", [b"text about ", b"\xff\xd8\xff\xfe\x00\x40", b"v/1\x02"])
-def test_what_stands_in_another_file_is_no_header_of_a_picture(tmp_path: Path, start: bytes) -> None:
+def test_what_stands_in_another_file_is_no_header_of_a_picture(tmp_path, start):
     """A resolution line or a data window counts only in a file that begins as such a picture does."""
     window = struct.pack("<4i", 0, 0, 69_999, 59_999)
     for inside in (b"\n-Y 60000 +X 50000\n", b"dataWindow\0box2i\0" + struct.pack("<i", 16) + window):
@@ -283,7 +281,7 @@ def test_what_stands_in_another_file_is_no_header_of_a_picture(tmp_path: Path, s
     ("bits", "colour", "bytes_each"),
     [(1, 0, 1), (8, 0, 1), (16, 0, 2), (8, 2, 3), (16, 2, 6), (8, 3, 1), (8, 4, 2), (16, 4, 4), (8, 6, 4), (16, 6, 8)],
 )
-def test_a_png_is_as_large_as_its_pixels_are(tmp_path: Path, bits: int, colour: int, bytes_each: int) -> None:
+def test_a_png_is_as_large_as_its_pixels_are(tmp_path, bits, colour, bytes_each):
     """Rows of 1000 pixels of so many channels and bytes fill the limit, and one row more does not fit."""
     rows = MOST_PICTURE_BYTES // (1000 * bytes_each)
     refuse_large_picture(tmp_path / "a", _png(1000, rows, bits, colour))
@@ -291,7 +289,7 @@ def test_a_png_is_as_large_as_its_pixels_are(tmp_path: Path, bits: int, colour: 
         refuse_large_picture(tmp_path / "a", _png(1000, rows + 1, bits, colour))
 
 
-def test_a_tiff_that_states_no_bits_counts_a_byte_for_each_value(tmp_path: Path) -> None:
+def test_a_tiff_that_states_no_bits_counts_a_byte_for_each_value(tmp_path):
     """What says nothing of its depth is not of no size."""
     tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint8), byteorder="<")
     content = bytearray((tmp_path / "a.tif").read_bytes())
@@ -316,7 +314,7 @@ def readers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Callable[[Pat
     return {name: read for name, (_, read) in seeds(tmp_path_factory.mktemp("seeds")).items()}
 
 
-def test_every_reader_refuses_what_has_no_end(readers: dict[str, Callable[[Path], Any]], tmp_path: Path) -> None:
+def test_every_reader_refuses_what_has_no_end(readers, tmp_path):
     """A pipe that is never filled and a file of 3 TB that takes no room on the disk: at once, by name."""
     for name, read in readers.items():
         if name in _BYTES_ONLY:
@@ -334,7 +332,7 @@ def test_every_reader_refuses_what_has_no_end(readers: dict[str, Callable[[Path]
 
 
 @pytest.mark.parametrize("name", list(_BOMBS))
-def test_a_bomb_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+def test_a_bomb_is_refused_in_one_line(name, tmp_path):
     """Unpacking, cycles, nesting, ranges and one wrong byte: no defect of the program, and no gigabytes."""
     content, read = _BOMBS[name]
     (tmp_path / name).write_bytes(content)
@@ -364,9 +362,7 @@ def _by_chance(path: Path) -> object:
     ("read", "reason"),
     [(_all_of_it, "more than 2 GB of memory"), (_for_ever, "processor time"), (_by_chance, "damaged.*KeyError: 'TAG'")],
 )
-def test_whatever_a_library_does_becomes_one_line(
-    read: Callable[[Path], object], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whatever_a_library_does_becomes_one_line(read, reason, tmp_path, monkeypatch):
     """Memory, time, any error; afterwards the process is as free as before."""
     monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
     with pytest.raises(InputError, match=f"a.bin: .*{reason}"):
@@ -385,9 +381,7 @@ def test_whatever_a_library_does_becomes_one_line(
         (faulty_readers.refuse, "gain 50 dB is out of range"),
     ],
 )
-def test_what_a_library_does_in_another_process_ends_that_process_at_most(
-    read: Callable[[Path], object], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_library_does_in_another_process_ends_that_process_at_most(read, reason, tmp_path, monkeypatch):
     """One line each; the next file is read, its numbers to the bit, whatever the library prints."""
     file = tmp_path / "a.bin"
     file.write_bytes(b"abc")
@@ -403,7 +397,7 @@ def test_what_a_library_does_in_another_process_ends_that_process_at_most(
     assert facts == {"a": 3.0}
 
 
-def test_readers_of_several_threads_work_apart_at_the_same_time(tmp_path: Path) -> None:
+def test_readers_of_several_threads_work_apart_at_the_same_time(tmp_path):
     """Each thread gets its own answer."""
     for number in range(8):
         (tmp_path / f"{number}").write_bytes(b"x" * number)
@@ -412,7 +406,7 @@ def test_readers_of_several_threads_work_apart_at_the_same_time(tmp_path: Path) 
     assert found == list(range(8))
 
 
-def test_time_is_limited_in_every_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_is_limited_in_every_thread(tmp_path, monkeypatch):
     """A reader in a thread of a pool ends as one in the main thread does."""
     monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
     with ThreadPoolExecutor(1) as pool, pytest.raises(InputError, match="processor time"):
@@ -420,7 +414,7 @@ def test_time_is_limited_in_every_thread(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.slow
-def test_every_reader_refuses_files_made_to_harm(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_every_reader_refuses_files_made_to_harm(tmp_path_factory):
     """Bombs, loops, nesting and noise under each name, then damaged files: one line of our own, in 10 s each."""
     folder = tmp_path_factory.mktemp("harm")
     for name, seeded in seeds(folder).items():
@@ -434,7 +428,7 @@ def test_every_reader_refuses_files_made_to_harm(tmp_path_factory: pytest.TempPa
 
 
 @pytest.mark.parametrize("name", ["plain.tiff", "tiled.tiff", "map.tiff"])
-def test_a_wrong_byte_of_a_directory_is_refused_or_read(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_wrong_byte_of_a_directory_is_refused_or_read(name, tmp_path_factory):
     """Each byte of a TIFF's first directory as 0, 255 and one more: a picture of another shape is damage, too."""
     folder = tmp_path_factory.mktemp("bytes")
     content, read = seeds(folder)[name]
@@ -448,7 +442,7 @@ def test_a_wrong_byte_of_a_directory_is_refused_or_read(name: str, tmp_path_fact
     assert found.refused > found.count // 10
 
 
-def test_readers_in_several_threads_each_have_their_memory(tmp_path: Path) -> None:
+def test_readers_in_several_threads_each_have_their_memory(tmp_path):
     """Three of them hold 0.5 GB each under a limit of 1 GB for one, at the same time."""
     together = threading.Barrier(3, timeout=60.0)
     sizes = []
@@ -468,7 +462,7 @@ def test_readers_in_several_threads_each_have_their_memory(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("pack", ["gzip", "bz2", "lzma"])
-def test_packed_bytes_come_out_as_they_went_in(pack: str, tmp_path: Path) -> None:
+def test_packed_bytes_come_out_as_they_went_in(pack, tmp_path):
     """Several streams one after the other; up to the limit, and one byte more is refused; a cut stream as well."""
     compress = __import__(pack).compress
     content = compress(b"abc") + compress(b"def")
@@ -479,7 +473,7 @@ def test_packed_bytes_come_out_as_they_went_in(pack: str, tmp_path: Path) -> Non
             unpacked(tmp_path, wrong, most)
 
 
-def test_a_reader_of_another_is_within_its_limits(tmp_path: Path) -> None:
+def test_a_reader_of_another_is_within_its_limits(tmp_path):
     """An error of the inner reader keeps its own words."""
 
     @bounded_reader()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,7 +40,7 @@ END_DATA
 @pytest.mark.parametrize(
     ("sets", "y", "reason"), [("999", "20", "it was cut or edited"), ("2", "-20", "set 2"), ("2", "nan", "set 2")]
 )
-def test_ti3_that_was_cut_or_holds_no_luminance_is_refused(tmp_path: Path, sets: str, y: str, reason: str) -> None:
+def test_ti3_that_was_cut_or_holds_no_luminance_is_refused(tmp_path, sets, y, reason):
     """Fewer sets than it states, and a value that no light has."""
     file = tmp_path / "a.ti3"
     table = f"100 100 100 95 100 108\n50 50 50 20 {y} 21\n"
@@ -52,7 +51,7 @@ def test_ti3_that_was_cut_or_holds_no_luminance_is_refused(tmp_path: Path, sets:
         read_screen_readings(file)
 
 
-def test_ti3_is_scaled_by_its_white_and_repeats_are_kept(tmp_path: Path) -> None:
+def test_ti3_is_scaled_by_its_white_and_repeats_are_kept(tmp_path):
     """Y of 22 at a white of 200 cd/m² is 44; two whites of 200 and 198 give 199; red's three levels are read."""
     file = tmp_path / "a.ti3"
     file.write_text(TI3)
@@ -79,7 +78,7 @@ def test_ti3_is_scaled_by_its_white_and_repeats_are_kept(tmp_path: Path) -> None
         "# x\n0\t0.3\n128\t44\n255\t200\n",
     ],
 )
-def test_tables_of_two_columns(text: str, tmp_path: Path) -> None:
+def test_tables_of_two_columns(text, tmp_path):
     """Levels of 0 to 255, 0 to 1 and per cent give the same curve."""
     file = tmp_path / "a.csv"
     file.write_text(text)
@@ -95,7 +94,7 @@ def test_tables_of_two_columns(text: str, tmp_path: Path) -> None:
         ((0, 50.5, 100.5), "", None), ((0, 128, 256), "", None), ((-1, 50, 100), "", None),
     ],
 )  # fmt: skip
-def test_levels_need_a_unit_unless_they_are_whole_ones_up_to_255(tmp_path, levels, unit, middle) -> None:
+def test_levels_need_a_unit_unless_they_are_whole_ones_up_to_255(tmp_path, levels, unit, middle):
     """What may be per cent, a share or a part of 8 bits is refused until heading or user states which."""
     file = tmp_path / "a.csv"
     rows = "".join(f"{level};{light}\n" for level, light in zip(levels, (0.3, 44.0, 200.0), strict=True))
@@ -110,7 +109,7 @@ def test_levels_need_a_unit_unless_they_are_whole_ones_up_to_255(tmp_path, level
             assert sorted(found.grey)[1] == middle
 
 
-def test_a_primary_of_which_only_the_top_was_read_has_the_shape_of_grey() -> None:
+def test_a_primary_of_which_only_the_top_was_read_has_the_shape_of_grey():
     """A quarter of white's light above black at the top is a quarter of grey's at every level; it is assumed aloud."""
     readings = ScreenReadings("x", {0: [1.0], 128: [41.0], 255: [201.0]}, {"red": {0: [1.0], 255: [51.0]}})
     known = imported(readings, lights("white_led", "led_lcd"), 0.04, "x")
@@ -121,14 +120,14 @@ def test_a_primary_of_which_only_the_top_was_read_has_the_shape_of_grey() -> Non
         imported(falling, lights("white_led", "led_lcd"), 0.04, "y")
 
 
-def test_readings_that_zigzag_by_levels_are_as_doubtful() -> None:
+def test_readings_that_zigzag_by_levels_are_as_doubtful():
     """Five levels ± 4 cd/m² about a straight line in turn: each is 8/√1.5 off the line through its neighbours."""
     values = {min(64 * k, 255): [100.0 + 30.0 * k + 4.0 * (-1) ** k] for k in range(5)}
     curve = imported(ScreenReadings("x", values), lights(), 0.04, "x").channel("grey")
     assert curve.u_independent[2] * curve.photopic_lm_per_w == pytest.approx(8.0 / np.sqrt(1.5), rel=0.05)
 
 
-def test_cal_needs_whites_luminance_and_is_inverted(tmp_path: Path) -> None:
+def test_cal_needs_whites_luminance_and_is_inverted(tmp_path):
     """A panel of gamma 1.8 calibrated to 2.2 has CAL(i) = i^(2.2/1.8): the response comes out as v^1.8."""
     expected = np.linspace(0, 1, 256)
     rows = "\n".join(f"{i:.6f} " + " ".join([f"{i ** (2.2 / 1.8):.6f}"] * 3) for i in expected)
@@ -143,7 +142,7 @@ def test_cal_needs_whites_luminance_and_is_inverted(tmp_path: Path) -> None:
         assert found.grey[level][0] == pytest.approx(100.0 * (level / 255) ** 1.8, rel=2e-3)
 
 
-def test_nothing_is_taken_of_a_real_displays_colours_by_silence() -> None:
+def test_nothing_is_taken_of_a_real_displays_colours_by_silence():
     """Colours of a browser's screen need a type or a file; grey alone needs none; simulated displays say their own."""
     with pytest.raises(UsageError, match="--primaries"):
         primaries_of("browser", ("grey", "blue"), None)
@@ -155,7 +154,7 @@ def test_nothing_is_taken_of_a_real_displays_colours_by_silence() -> None:
         lights("white_led", "plasma")
 
 
-def test_an_assumed_white_is_as_uncertain_as_whites_of_displays_differ(tmp_path: Path) -> None:
+def test_an_assumed_white_is_as_uncertain_as_whites_of_displays_differ(tmp_path):
     """At D65 LCDs give some 310 and 315 lm/W, OLEDs 294, CRTs 259, where white_led has 317: 10 % rms; a CSV is known.
 
     A measured radiance keeps its u, and luminance gets that of the spectrum; of a measured luminance it is the reverse.
@@ -176,7 +175,7 @@ def test_an_assumed_white_is_as_uncertain_as_whites_of_displays_differ(tmp_path:
     assert again.at(255, SCOTOPIC).u_rel == pytest.approx(math.hypot(0.01, white.u_ratio_rel), rel=0.05)
 
 
-def test_given_spectra_are_integrated(tmp_path: Path) -> None:
+def test_given_spectra_are_integrated(tmp_path):
     """A red of a narrow band at 610 nm has 683·V(610) = 344 lm/W."""
     file = tmp_path / "p.csv"
     rows = [
@@ -190,7 +189,7 @@ def test_given_spectra_are_integrated(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("kind", "file"), [("ccfl_lcd", "LCD-Dell"), ("oled", "OLED-Sony")])
-def test_display_types_are_like_measured_displays(kind: str, file: str, shared_data: Path) -> None:
+def test_display_types_are_like_measured_displays(kind, file, shared_data):
     """Efficacies by type lie within 20 % (red 25, blue 45 %) of a measured display's of that kind or near it."""
     table = np.genfromtxt(
         shared_data / "displays" / "isetbio" / f"{file}_spd_W_sr_m2_nm.csv", delimiter=",", names=True
@@ -203,7 +202,7 @@ def test_display_types_are_like_measured_displays(kind: str, file: str, shared_d
 
 
 @pytest.mark.slow
-def test_every_real_file_is_read_without_an_edit(shared_data: Path, tmp_path: Path) -> None:
+def test_every_real_file_is_read_without_an_edit(shared_data, tmp_path):
     """All uLR files of eight displays and the .ti3 become calibrations that can be read back."""
     folder = shared_data / "displays"
     files = [*sorted(folder.glob("pacsdisplay_uLR/*/*uLR_*.txt")), *folder.glob("*.ti3")]
@@ -240,7 +239,7 @@ def coverage(readings: ScreenReadings, step: int, below: float) -> list[bool]:
 @pytest.mark.slow
 @pytest.mark.parametrize("panel", ["L200ME_(8g)", "DELL_3007WFP_(16g)", "HP_LP2065_(2g)", "EA234WMi_(4g+)"])
 @pytest.mark.parametrize("step", [4, 8, 16])
-def test_left_out_levels_near_black_are_met_within_their_uncertainty(panel: str, step: int, shared_data: Path) -> None:
+def test_left_out_levels_near_black_are_met_within_their_uncertainty(panel, step, shared_data):
     """Of real panels' levels below 2 % of white that were left out 93 % or more lie within k = 2."""
     files = sorted((shared_data / "displays" / "pacsdisplay_uLR" / panel).glob("uLR_*.txt"))[:4]
     held = [hit for file in files for hit in coverage(read_screen_readings(file), step, 0.02)]
@@ -256,9 +255,7 @@ def test_left_out_levels_near_black_are_met_within_their_uncertainty(panel: str,
     ],
 )
 @pytest.mark.parametrize("step", [4, 8, 16])
-def test_steps_that_come_back_and_a_wide_gap_above_black_are_in_the_uncertainty(
-    file: str, step: int, shared_data: Path
-) -> None:
+def test_steps_that_come_back_and_a_wide_gap_above_black_are_in_the_uncertainty(file, step, shared_data):
     """A panel whose every fifth step is short, and one that lifts its black: 93 % or more of the left-out levels, too.
 
     With the four nearest levels alone it was 73 and 90 %, with the power law trusted above black 67 %.
@@ -266,7 +263,7 @@ def test_steps_that_come_back_and_a_wide_gap_above_black_are_in_the_uncertainty(
     assert np.mean(coverage(read_screen_readings(shared_data / "displays" / file), step, 0.02)) >= 0.93
 
 
-def test_above_black_the_straight_line_is_as_likely_as_the_power_law() -> None:
+def test_above_black_the_straight_line_is_as_likely_as_the_power_law():
     """Levels 0 and 64 of a gamma of 2.2: halfway up the first gap they are 28 % of its rise apart: u is that by √3."""
     values = {n: [0.1 + 100 * (n / 255) ** 2.2] for n in (0, 64, 128, 192, 255)}
     curve = imported(ScreenReadings("x", values), lights(), 0.04, "x").channel("grey")
@@ -276,7 +273,7 @@ def test_above_black_the_straight_line_is_as_likely_as_the_power_law() -> None:
     assert apart <= u < 2 * apart
 
 
-def test_command_imports_and_says_what_it_took(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_imports_and_says_what_it_took(tmp_path, capsys):
     """The calibration is written; form, meter's scale, spectra are reported; colours without spectra are left out."""
     file, out = tmp_path / "a.ti3", tmp_path / "s.yaml"
     file.write_text(TI3)
@@ -298,7 +295,7 @@ def test_command_imports_and_says_what_it_took(tmp_path: Path, capsys: pytest.Ca
         ((0, 5, 32, 1.94, 64, 90.1, 128, 43.7, 192, 108, 255, 204), "does not rise"),
     ],
 )
-def test_levels_that_no_display_has_are_refused_in_one_line(tmp_path, capsys, rows, why) -> None:
+def test_levels_that_no_display_has_are_refused_in_one_line(tmp_path, capsys, rows, why):
     """Beyond the stated unit's range, and light that falls where the level rises."""
     lines = "".join(f"{level},{light}\n" for level, light in zip(rows[::2], rows[1::2], strict=True))
     (tmp_path / "t.csv").write_text(f"level,Y [cd/m2]\n{lines}")

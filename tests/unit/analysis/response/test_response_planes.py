@@ -61,7 +61,7 @@ def fit(samples: ResponseSamples, **how: object) -> ResponseFit:
     return fit_response(samples, samples.dn, variance, time_spread=0.0, smoothing=1e3, **how)  # type: ignore[arg-type]
 
 
-def test_the_variance_of_every_value_is_its_quadratic_form() -> None:
+def test_the_variance_of_every_value_is_its_quadratic_form():
     """At each digital number that of the basis values there, four of which are not zero."""
     basis = ValueBasis(10, ValueLimits(20, 1000))
     root = np.random.default_rng(3).normal(size=(basis.size, basis.size))
@@ -70,7 +70,7 @@ def test_the_variance_of_every_value_is_its_quadratic_form() -> None:
     assert basis.variances(root @ root.T) == pytest.approx(expected, rel=1e-12)
 
 
-def test_uncertainty_of_frames_is_the_scatter_that_their_errors_make() -> None:
+def test_uncertainty_of_frames_is_the_scatter_that_their_errors_make():
     """Independent frames each off by 1 %: the mean variance stated is that of the curve, unlike that of the groups.
 
     Both are squares of the errors, so that their means are the sums over one frame off at a time.
@@ -89,7 +89,7 @@ def test_uncertainty_of_frames_is_the_scatter_that_their_errors_make() -> None:
     assert np.max(np.abs(np.log(by_groups / true))) > 1.0
 
 
-def test_uncertainty_of_frames_stands_rounding_of_the_inverse() -> None:
+def test_uncertainty_of_frames_stands_rounding_of_the_inverse():
     """A smallest eigenvalue that rounding leaves a little below zero changes no uncertainty."""
     samples = rows_of()
     off = fit(replace(samples, log_time=samples.log_time + SIGMA * (samples.frame == 2)))
@@ -100,7 +100,7 @@ def test_uncertainty_of_frames_stands_rounding_of_the_inverse() -> None:
     assert np.diag(found) == pytest.approx(np.diag(expected), rel=1e-3)
 
 
-def test_a_label_known_from_elsewhere_is_weighed_by_its_uncertainty() -> None:
+def test_a_label_known_from_elsewhere_is_weighed_by_its_uncertainty():
     """What is known exactly stays; what is known as well as the data know it comes out half way."""
     samples = rows_of()
     log_time = samples.frame_log_time - 0.2 * (np.arange(6) == 3)
@@ -112,7 +112,7 @@ def test_a_label_known_from_elsewhere_is_weighed_by_its_uncertainty() -> None:
     assert fit(wrong, free=(3,), known=((0.1, u),)).time_modes[0] == pytest.approx(0.15, abs=2e-3)
 
 
-def test_a_label_that_nothing_determines_is_refused_in_words() -> None:
+def test_a_label_that_nothing_determines_is_refused_in_words():
     """A freed frame without a row, of which other data say nothing either, leaves equations without a solution."""
     samples = rows_of()
     with pytest.raises(MeasurementError, match="do not determine a response"):
@@ -131,9 +131,7 @@ def test_a_label_that_nothing_determines_is_refused_in_words() -> None:
     ],
     ids=["both known", "nearly symmetric", "one exactly", "below zero by rounding", "one not at all", "the difference"],
 )
-def test_information_is_the_inverse_also_where_a_label_is_known_exactly_or_not_at_all(
-    covariance: list[list[float]], inverse: list[list[float]]
-) -> None:
+def test_information_is_the_inverse_also_where_a_label_is_known_exactly_or_not_at_all(covariance, inverse):
     """What is known exactly counts as known to a millionth, what is not known counts nothing."""
     assert information(np.array(covariance)) == pytest.approx(np.array(inverse), rel=1e-9, abs=1e-15)
 
@@ -166,15 +164,13 @@ def last_label_off(*, lowest: int = 0, more: int = 0) -> Plane:
         (3, 0, (0,), False),
     ],
 )
-def test_two_trusted_frames_hold_the_exponent(
-    lowest: int, more: int, freed: tuple[int, ...], informative: bool
-) -> None:
+def test_two_trusted_frames_hold_the_exponent(lowest, more, freed, informative):
     """Four groups of pixels that two trusted frames show, and four of the freed one: fewer may be strays."""
     plane = last_label_off(lowest=lowest, more=more)
     assert determines_labels(fit_with(plane.samples, plane.start, Choices(smoothing=1e3, free=freed))) is informative
 
 
-def test_a_plane_that_cannot_tell_a_label_is_given_it() -> None:
+def test_a_plane_that_cannot_tell_a_label_is_given_it():
     """By itself it takes a flat curve and makes the exposures equal, sure of it; others give it label and slope."""
     bright, dark = last_label_off(), last_label_off(lowest=4)
     deluded = fit_with(dark.samples, dark.start, Choices(free=(5,)))
@@ -188,13 +184,13 @@ def test_a_plane_that_cannot_tell_a_label_is_given_it() -> None:
     assert joint.fits[1].fit.time_modes == pytest.approx(joint.log_ratios)
 
 
-def test_planes_none_of_which_can_tell_a_label_are_left_to_the_judge() -> None:
+def test_planes_none_of_which_can_tell_a_label_are_left_to_the_judge():
     """Where no plane can tell the exposure, the joint one is what they say; left-out pixels judge it."""
     (alone,) = fit_planes([last_label_off(lowest=4)], Choices(free=(5,))).log_ratios
     assert fit_planes([last_label_off(lowest=4)] * 2, Choices(free=(5,))).log_ratios == pytest.approx([alone])
 
 
-def test_a_plane_without_a_row_of_the_freed_frame_says_nothing() -> None:
+def test_a_plane_without_a_row_of_the_freed_frame_says_nothing():
     """The label is what the plane says that shows the frame."""
     bright, blind = last_label_off(), last_label_off()
     blind = replace(blind, samples=blind.samples.kept(blind.samples.frame != 5))
@@ -232,7 +228,7 @@ def lying() -> list[Plane]:
 
 
 @pytest.mark.slow
-def test_colours_together_tell_one_label(lying: list[Plane]) -> None:
+def test_colours_together_tell_one_label(lying):
     """Two tone curves, one wrong label: one frame, its ratio the mean of both by u, widened where they disagree."""
     (label,) = find_wrong_labels(lying)
     assert label.frame == 3
@@ -249,7 +245,7 @@ def test_colours_together_tell_one_label(lying: list[Plane]) -> None:
 
 
 @pytest.mark.slow
-def test_colours_with_right_labels_name_none_and_a_dark_one_says_nothing(lying: list[Plane]) -> None:
+def test_colours_with_right_labels_name_none_and_a_dark_one_says_nothing(lying):
     """Right labels are left alone; a colour without shares neither helps nor hinders."""
     assert find_wrong_labels(planes_of(None)) == ()
     blind = replace(lying[0], samples=replace(lying[0].samples, without_share=(), shares=()))
@@ -257,7 +253,7 @@ def test_colours_with_right_labels_name_none_and_a_dark_one_says_nothing(lying: 
     assert [one.frame for one in find_wrong_labels([blind, lying[1]])] == [3]
 
 
-def test_a_curve_at_given_labels_is_the_fit_with_these_labels_held(lying: list[Plane]) -> None:
+def test_a_curve_at_given_labels_is_the_fit_with_these_labels_held(lying):
     """Moving a freed label within the fit gives the curve of a fit that holds it there."""
     samples = lying[0].samples
     first = fit_with(samples, lying[0].start, Choices(smoothing=1e3, free=(3,), inflation=10.0))
@@ -269,7 +265,7 @@ def test_a_curve_at_given_labels_is_the_fit_with_these_labels_held(lying: list[P
 
 
 @pytest.mark.slow
-def test_shares_are_judged_as_quadrants_are(lying: list[Plane]) -> None:
+def test_shares_are_judged_as_quadrants_are(lying):
     """What is left out is cut in another way; of two planes alike the errors and the rows are twice those of one."""
     plane = lying[0]
     fitted = settle(plane.samples, plane.start)
@@ -285,7 +281,7 @@ def test_shares_are_judged_as_quadrants_are(lying: list[Plane]) -> None:
     assert both.error_dn == pytest.approx(2.0 * left_out.error_dn)
 
 
-def test_errors_are_counted_by_rows_and_without_each_share_that_shows_the_frame() -> None:
+def test_errors_are_counted_by_rows_and_without_each_share_that_shows_the_frame():
     """Two frames in three shares, of which one does not show the second."""
     left_out = LeftOut(np.array([[4.0, 6.0], [2.0, 0.0], [3.0, 1.0]]), np.array([[2.0, 3.0], [1.0, 0.0], [3.0, 1.0]]))
     assert left_out.mean_dn() == pytest.approx(16.0 / 10.0)
@@ -296,7 +292,7 @@ def test_errors_are_counted_by_rows_and_without_each_share_that_shows_the_frame(
 
 
 @pytest.mark.slow
-def test_estimates_of_colours_take_the_label_found_together(lying: list[Plane]) -> None:
+def test_estimates_of_colours_take_the_label_found_together(lying):
     """Each colour's curve comes with the same wrong label, and with the exposure that all of them tell."""
     estimates = solve_colours_auto([plane.samples for plane in lying])
     (together,) = find_wrong_labels(lying)
@@ -308,7 +304,7 @@ def test_estimates_of_colours_take_the_label_found_together(lying: list[Plane]) 
 
 
 @pytest.mark.parametrize("gamma", [0.55, 0.7])
-def test_two_frames_six_stops_apart_tell_the_curve_between_them(gamma: float) -> None:
+def test_two_frames_six_stops_apart_tell_the_curve_between_them(gamma):
     """Hardly a value in both: a curve through every mean would have no error; the smoothest that predicts is right."""
     (estimate,) = solve_colours_auto([gather_samples(colour(gamma, -0.5, None, 1, (0.03, 1.92), 0.8))])
     dn = np.arange(20, 200)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,13 +38,13 @@ def camera(model: CameraModel, limits: CameraCapabilities) -> SimulatedCamera:
     return SimulatedCamera(model, UniformScene(radiance_W_per_sr_m2=0.1), limits=limits, seed=1)
 
 
-def test_it_is_a_camera(camera: SimulatedCamera) -> None:
+def test_it_is_a_camera(camera):
     """It offers everything that the protocol asks for."""
     with camera:
         assert isinstance(camera, Camera)
 
 
-def test_same_seed_gives_the_same_frames(model: CameraModel, limits: CameraCapabilities) -> None:
+def test_same_seed_gives_the_same_frames(model, limits):
     """Two cameras of one seed agree frame by frame; another seed differs; two frames of one camera differ."""
 
     def frames(seed: int) -> list[np.ndarray]:
@@ -59,7 +58,7 @@ def test_same_seed_gives_the_same_frames(model: CameraModel, limits: CameraCapab
     assert not np.array_equal(first[0], first[1])
 
 
-def test_frames_carry_settings_temperature_and_simulated_time(camera: SimulatedCamera) -> None:
+def test_frames_carry_settings_temperature_and_simulated_time(camera):
     """Each frame says what it was taken with; 60 s of exposure pass without waiting."""
     started = time.monotonic()
     with camera:
@@ -87,9 +86,7 @@ def test_frames_carry_settings_temperature_and_simulated_time(camera: SimulatedC
         ({"roi": Roi(0, 99, 8, 8)}, r"ROI top 99 pixels is out of range; allowed is 0 to 47 pixels"),
     ],
 )
-def test_what_is_out_of_range_is_refused_and_nothing_changes(
-    camera: SimulatedCamera, change: dict[str, object], message: str
-) -> None:
+def test_what_is_out_of_range_is_refused_and_nothing_changes(camera, change, message):
     """The message gives value, limits and unit; the settings in force stay."""
     with camera:
         before = camera.configure(SETTINGS)
@@ -98,16 +95,14 @@ def test_what_is_out_of_range_is_refused_and_nothing_changes(
         assert camera.settings == before
 
 
-def test_unknown_pixel_format_is_refused_with_those_that_there_are(camera: SimulatedCamera) -> None:
+def test_unknown_pixel_format_is_refused_with_those_that_there_are(camera):
     """The message lists the formats."""
     with camera, pytest.raises(DeviceError, match=r"no pixel format 'BayerRG8'; it has Mono12, Mono8"):
         camera.configure(replace(SETTINGS, pixel_format="BayerRG8"))
 
 
 @pytest.mark.parametrize(("name", "bits"), [("Mono8", 8), ("Mono10p", 10), ("Mono12p", 12), ("Mono16", 16)])
-def test_each_pixel_format_shows_the_same_light_in_its_own_numbers(
-    camera: SimulatedCamera, name: str, bits: int
-) -> None:
+def test_each_pixel_format_shows_the_same_light_in_its_own_numbers(camera, name, bits):
     """Mean DN over gain and black level, as the description states them, give the same electrons in every format."""
     with camera:
         camera.configure(replace(SETTINGS, pixel_format=name, black_level_dn=64.0 * 2.0 ** (bits - 12)))
@@ -127,7 +122,7 @@ def test_each_pixel_format_shows_the_same_light_in_its_own_numbers(
     assert electrons == pytest.approx(expected, abs=4 * sigma + rounding_e)
 
 
-def test_region_of_interest_is_the_same_part_of_the_whole_frame(model: CameraModel, limits: CameraCapabilities) -> None:
+def test_region_of_interest_is_the_same_part_of_the_whole_frame(model, limits):
     """A region shows what the whole sensor would have shown there."""
     chart = StepChartScene(steps=Steps(count=6, lowest=0.01, highest=1.0))
     roi = Roi(10, 5, 20, 30)
@@ -139,7 +134,7 @@ def test_region_of_interest_is_the_same_part_of_the_whole_frame(model: CameraMod
     assert np.array_equal(frames[1], frames[0][5:35, 10:30])
 
 
-def test_binning_sums_pixels(camera: SimulatedCamera) -> None:
+def test_binning_sums_pixels(camera):
     """2 × 2 binning halves the size and collects four times the electrons."""
     with camera:
         camera.configure(SETTINGS)
@@ -152,7 +147,7 @@ def test_binning_sums_pixels(camera: SimulatedCamera) -> None:
     assert binned.mean() - 64 == pytest.approx(signal, abs=4 * max(sigma, 0.5))
 
 
-def test_closed_shutter_gives_dark_frames(camera: SimulatedCamera) -> None:
+def test_closed_shutter_gives_dark_frames(camera):
     """With the shutter closed the frame is dark and says so."""
     with camera:
         camera.configure(SETTINGS)
@@ -162,14 +157,14 @@ def test_closed_shutter_gives_dark_frames(camera: SimulatedCamera) -> None:
     assert frame.dn.mean() == pytest.approx(64.0, abs=4 * np.sqrt((5.4 / 5.95) ** 2 + 1 / 12) / np.sqrt(frame.dn.size))
 
 
-def test_camera_without_shutter_says_what_to_do(model: CameraModel, limits: CameraCapabilities) -> None:
+def test_camera_without_shutter_says_what_to_do(model, limits):
     """Where there is no shutter the way out is named."""
     camera = SimulatedCamera(model, UniformScene(), limits=replace(limits, has_shutter=False))
     with camera, pytest.raises(DeviceError, match="cover the lens"):
         camera.set_shutter(closed=True)
 
 
-def test_closed_camera_refuses_to_work(camera: SimulatedCamera) -> None:
+def test_closed_camera_refuses_to_work(camera):
     """Without open() each call is refused; opening twice is, too; closing twice is not."""
     with pytest.raises(DeviceError, match="is not open"):
         camera.capture()
@@ -178,14 +173,14 @@ def test_closed_camera_refuses_to_work(camera: SimulatedCamera) -> None:
     camera.close()
 
 
-def test_stream_yields_frames_until_closed(camera: SimulatedCamera) -> None:
+def test_stream_yields_frames_until_closed(camera):
     """Frames come one after the other with rising numbers."""
     with camera:
         frames = list(itertools.islice(camera.stream(), 3))
     assert [frame.frame_id for frame in frames] == [0, 1, 2]
 
 
-def test_unknown_pattern_and_level_are_refused(camera: SimulatedCamera) -> None:
+def test_unknown_pattern_and_level_are_refused(camera):
     """What the bench's source cannot do is stated at once."""
     with pytest.raises(ConfigurationError, match="no pattern 'x'; it shows default"):
         camera.set_source(pattern="x")
@@ -193,7 +188,7 @@ def test_unknown_pattern_and_level_are_refused(camera: SimulatedCamera) -> None:
         camera.set_source(level=2.0)
 
 
-def test_capture_set_of_a_plan_is_read_back_as_believed(model: CameraModel, tmp_path: Path) -> None:
+def test_capture_set_of_a_plan_is_read_back_as_believed(model, tmp_path):
     """Settings, order, patches and the believed camera are in the header; frames hold the simulated numbers."""
     chart = StepChartScene(steps=Steps(count=6, lowest=0.01, highest=1.0), inverted=True)
     plan = [

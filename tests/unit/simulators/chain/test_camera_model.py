@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -61,7 +60,7 @@ class NotFinite(Broken):
         return np.full_like(signal, np.nan)
 
 
-def test_mean_follows_the_equations_from_radiance_to_dn(model: CameraModel) -> None:
+def test_mean_follows_the_equations_from_radiance_to_dn(model):
     """Expected DN of the whole chain equals the figure worked out by hand from the same equations."""
     context = model.context(SETTINGS, FrameGeometry.of_image(4, 3))
     irradiance = np.pi * 0.95 * 0.5 / (4 * 4.0**2)
@@ -71,7 +70,7 @@ def test_mean_follows_the_equations_from_radiance_to_dn(model: CameraModel) -> N
     assert model.mean(np.full((3, 4), 0.5), context) == pytest.approx(np.full((3, 4), expected), rel=1e-12)
 
 
-def test_closed_shutter_leaves_dark_current_and_black_level(model: CameraModel) -> None:
+def test_closed_shutter_leaves_dark_current_and_black_level(model):
     """A dark frame of 30 s at 39 °C holds 30 s · 1 e-/s · 2^(14/7) above black."""
     settings = FrameSettings(exposure_s=30.0, f_number=4.0, shutter="closed", temperature_c=39.0, black_level_dn=64.0)
     expected = 64.0 + 30.0 * 4.0 / 2.6
@@ -83,7 +82,7 @@ def test_closed_shutter_leaves_dark_current_and_black_level(model: CameraModel) 
     ("level_e", "full_well_e"),
     [(0.0, 10_500), (400.0, 10_500), (9000.0, 10_500), (7950.0, 8000), (8100.0, 8000), (10_400.0, 20_000)],
 )
-def test_samples_have_the_predicted_moments(model: CameraModel, level_e: float, full_well_e: float) -> None:
+def test_samples_have_the_predicted_moments(model, level_e, full_well_e):
     """Mean and variance of 160 000 pixels agree with `moments` within 4 standard errors, also on either limit."""
     model = model.with_parameters("full_well_saturation", full_well_e=full_well_e)
     geometry = FrameGeometry.of_image(400, 400)
@@ -102,7 +101,7 @@ def test_samples_have_the_predicted_moments(model: CameraModel, level_e: float, 
     assert pixels.var() == pytest.approx(variance, abs=4 * u_variance + (0.01 * variance if censored else 0.0))
 
 
-def test_same_seed_gives_the_same_frame_and_another_seed_another(model: CameraModel) -> None:
+def test_same_seed_gives_the_same_frame_and_another_seed_another(model):
     """Randomness follows from the seed alone."""
     context = model.context(SETTINGS, FrameGeometry.of_image(32, 32))
     radiance = np.full((32, 32), 0.3)
@@ -111,7 +110,7 @@ def test_same_seed_gives_the_same_frame_and_another_seed_another(model: CameraMo
     assert not np.array_equal(first, other)
 
 
-def test_noise_of_one_effect_does_not_depend_on_another(model: CameraModel) -> None:
+def test_noise_of_one_effect_does_not_depend_on_another(model):
     """With read noise switched off, the shot noise of the frame stays the same."""
     context = model.context(SETTINGS, FrameGeometry.of_image(32, 32))
     radiance = np.full((32, 32), 0.3)
@@ -123,13 +122,13 @@ def test_noise_of_one_effect_does_not_depend_on_another(model: CameraModel) -> N
     assert not np.array_equal(noisy.dn, quiet.dn)
 
 
-def test_missing_stage_is_refused_by_the_name_of_the_effect_that_does_not_fit(model: CameraModel) -> None:
+def test_missing_stage_is_refused_by_the_name_of_the_effect_that_does_not_fit(model):
     """Without the shutter, exposure never comes about: the message names the effect after the hole."""
     with pytest.raises(ConfigurationError, match=r"'photon_conversion'.*takes J m-2.*'lens' before it gives W m-2"):
         model.without_effect("shutter")
 
 
-def test_an_effect_that_fails_or_gives_nan_names_itself(model: CameraModel) -> None:
+def test_an_effect_that_fails_or_gives_nan_names_itself(model):
     """An error and what is not finite reach the user under the name of the effect that made it."""
     context = model.context(SETTINGS, FrameGeometry.of_image(2, 2))
     with pytest.raises(MeasurementError, match=r"effect 'broken' failed: out of coffee"):
@@ -138,13 +137,13 @@ def test_an_effect_that_fails_or_gives_nan_names_itself(model: CameraModel) -> N
         model.with_effect(NotFinite()).mean(np.ones((2, 2)), context)
 
 
-def test_parameter_out_of_bounds_is_refused_with_limits_and_unit() -> None:
+def test_parameter_out_of_bounds_is_refused_with_limits_and_unit():
     """The message gives the value, the limits and the unit."""
     with pytest.raises(ConfigurationError, match=r"transmittance = 1\.5 is out of range; allowed is 0\.01 to 1$"):
         make_effect("lens", {"transmittance": 1.5})
 
 
-def test_unknown_effect_and_parameter_are_refused_with_what_there_is() -> None:
+def test_unknown_effect_and_parameter_are_refused_with_what_there_is():
     """A misspelt name is answered with the known ones."""
     with pytest.raises(ConfigurationError, match=r"no effect 'lense'; known are .*lens"):
         make_effect("lense")
@@ -152,7 +151,7 @@ def test_unknown_effect_and_parameter_are_refused_with_what_there_is() -> None:
         make_effect("lens", {"colour": 1})
 
 
-def test_model_file_gives_the_same_model_back(model: CameraModel, tmp_path: Path) -> None:
+def test_model_file_gives_the_same_model_back(model, tmp_path):
     """Written and read again, every entry, switch and value is there."""
     changed = model.with_effect(make_effect("dark_current", {"rate_e_per_s": 3.0}), notes={"evidence_nats": 41.5})
     changed = changed.without_effect("read_noise")
@@ -162,14 +161,14 @@ def test_model_file_gives_the_same_model_back(model: CameraModel, tmp_path: Path
     assert [e.enabled for e in again.entries if e.effect.name == "read_noise"] == [False]
 
 
-def test_added_dark_current_comes_before_its_shot_noise(model: CameraModel) -> None:
+def test_added_dark_current_comes_before_its_shot_noise(model):
     """An effect with `before` is put in front of the effect that it names."""
     names = [e.effect.name for e in model.with_effect(make_effect("dark_current")).entries]
     assert names.index("shot_noise") == len(names) - 1 - names[::-1].index("dark_current") + 1
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_every_effect_is_registered_under_its_name_with_bounded_sourced_parameters(name: str) -> None:
+def test_every_effect_is_registered_under_its_name_with_bounded_sourced_parameters(name):
     """A registry line and its class agree; each parameter has a unit, a source and a default within bounds."""
     kind = EFFECTS[name]
     assert kind.name == name
@@ -185,7 +184,7 @@ def test_every_effect_is_registered_under_its_name_with_bounded_sourced_paramete
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12, 16])
-def test_output_depth_scales_black_level_and_signal(model: CameraModel, bits: int) -> None:
+def test_output_depth_scales_black_level_and_signal(model, bits):
     """The same light gives 2^(b − 12) times as many DN in an output of b bits."""
     geometry = FrameGeometry.of_image(2, 2)
     native = model.mean(np.full((2, 2), 0.4), model.context(SETTINGS, geometry))
@@ -193,7 +192,7 @@ def test_output_depth_scales_black_level_and_signal(model: CameraModel, bits: in
     assert output == pytest.approx(native * 2.0 ** (bits - 12), rel=1e-12)
 
 
-def test_binned_pixels_collect_four_times_light_and_dark_current(model: CameraModel) -> None:
+def test_binned_pixels_collect_four_times_light_and_dark_current(model):
     """2 × 2 binning sums area, dark current and full well of four pixels."""
     single = model.context(SETTINGS, FrameGeometry.of_image(1, 1))
     binned = model.context(SETTINGS, FrameGeometry.of_image(1, 1, binning=2))
@@ -204,9 +203,7 @@ def test_binned_pixels_collect_four_times_light_and_dark_current(model: CameraMo
 
 
 @pytest.mark.parametrize(("binning", "temperature_c"), [(1, None), (2, None), (2, 39.0), (1, 18.0)])
-def test_declared_dark_charge_is_what_the_chain_collects(
-    model: CameraModel, binning: int, temperature_c: float | None
-) -> None:
+def test_declared_dark_charge_is_what_the_chain_collects(model, binning, temperature_c):
     """What effects take for declared is what a frame without light holds: 1 e⁻/s at 25 °C, twice that every 7 K."""
     settings = replace(SETTINGS, temperature_c=temperature_c)
     context = model.context(settings, FrameGeometry.of_image(1, 1, binning=binning))
@@ -216,7 +213,7 @@ def test_declared_dark_charge_is_what_the_chain_collects(
     assert dark == pytest.approx(0.01 * warmer * binning**2, rel=1e-6)
 
 
-def test_cos4_falls_off_with_the_field_angle() -> None:
+def test_cos4_falls_off_with_the_field_angle():
     """At a field angle of 45° a lens with cos⁴ passes a quarter of the light on its axis."""
     lens = LensDescription(focal_length_mm=4.5, f_number=4.0, vignetting="cos4", principal_point_px=(0.0, 0.0))
     model = CameraModel.ideal(CAMERA, lens)
@@ -225,7 +222,7 @@ def test_cos4_falls_off_with_the_field_angle() -> None:
     assert irradiance[0, 1000] / irradiance[0, 0] == pytest.approx(0.25, rel=1e-12)
 
 
-def test_fitted_figures_stay_within_what_a_camera_can_have() -> None:
+def test_fitted_figures_stay_within_what_a_camera_can_have():
     """A step of a fit by e^30 of the gain or the noise ends at the bound: 1e-4 and 1e4 e⁻/DN, 1e4 e⁻, 1e7 e⁻."""
     camera = CameraDescription(bit_depth=12)
     assert completed(camera, Undeclared(log_gain=30.0)).conversion_gain_e_per_dn == 1e-4
@@ -236,7 +233,7 @@ def test_fitted_figures_stay_within_what_a_camera_can_have() -> None:
     assert near.full_well_e == pytest.approx(4.0 * 4095 * 1.25)
 
 
-def test_declared_figures_are_refused_out_of_their_bounds() -> None:
+def test_declared_figures_are_refused_out_of_their_bounds():
     """They are not moved to the bound without a word."""
     camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2e4)
     with pytest.raises(ConfigurationError, match=r"conversion_gain_e_per_dn = 20000 .* is out of range"):

@@ -64,21 +64,21 @@ def _radiance(context: ExposureContext) -> float:
     return 3000.0 / float(electrons)
 
 
-def test_the_catalogue_is_whole() -> None:
+def test_the_catalogue_is_whole():
     """Every canonical name of the catalogue is an effect that a model file can hold."""
     assert set(NAMES) <= set(EFFECTS)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
-def test_entry_simulates_what_its_moments_say(name: str) -> None:
+def test_entry_simulates_what_its_moments_say(name):
     """Frames through the whole chain have the expected mean: within 5 sigma of the mean over pixels and frames."""
     _check_mean(starts_of(CATALOGUE[name], effect_context())[0])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FLEXIBLE)
-def test_flexible_form_simulates_what_its_moments_say(name: str) -> None:
+def test_flexible_form_simulates_what_its_moments_say(name):
     """The same holds for the forms that an entry takes where its plain one leaves structure."""
     form = starts_of(CATALOGUE[name], effect_context())[0].loosened(effect_context())[0]
     assert len(form.free()) >= len(CATALOGUE[name].fitted)
@@ -104,7 +104,7 @@ def _check_mean(effect: CatalogueEffect) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
-def test_entry_says_what_reconcile_needs(name: str) -> None:
+def test_entry_says_what_reconcile_needs(name):
     """Each names a covariate, a statistic, the capture that settles it, and only parameters that exist."""
     kind = CATALOGUE[name]
     assert kind.where
@@ -116,7 +116,7 @@ def test_entry_says_what_reconcile_needs(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["exposure_time_offset", "veiling_glare", "gamma_enabled", "dsnu", "crosstalk"])
-def test_switched_off_effect_changes_nothing(name: str) -> None:
+def test_switched_off_effect_changes_nothing(name):
     """A model whose added effect is switched off gives the frames of the model without it."""
     context = effect_context()
     plain = CameraModel.ideal(context.camera, context.lens)
@@ -129,7 +129,7 @@ def test_switched_off_effect_changes_nothing(name: str) -> None:
     )
 
 
-def test_area_common_to_two_circles_is_what_points_thrown_at_them_say() -> None:
+def test_area_common_to_two_circles_is_what_points_thrown_at_them_say():
     """The pupil that a barrel leaves free agrees with a million points of a grid to 1e-3 of the pupil."""
     axis = (np.arange(1000) + 0.5) / 500 - 1
     x, y = np.meshgrid(axis, axis)
@@ -139,7 +139,7 @@ def test_area_common_to_two_circles_is_what_points_thrown_at_them_say() -> None:
         assert float(common_area(pupil, barrel, apart)) == pytest.approx(expected, abs=1e-3 * pupil**2)
 
 
-def test_disc_carries_across_an_edge_what_its_image_shows() -> None:
+def test_disc_carries_across_an_edge_what_its_image_shows():
     """The share of a step in the last line before it, of a picture spread over a disc, is the predicted one to 4e-3."""
     step = np.repeat(np.where(np.arange(WIDTH) < WIDTH // 2, 0.0, 1.0)[None, :], HEIGHT, axis=0)
     for radius in (0.4, 0.8, 1.5, 3.0):
@@ -147,7 +147,7 @@ def test_disc_carries_across_an_edge_what_its_image_shows() -> None:
         assert before == pytest.approx(float(disc_edge_share(radius)), abs=4e-3)
 
 
-def test_uneven_exchange_changes_noise_as_its_moments_say() -> None:
+def test_uneven_exchange_changes_noise_as_its_moments_say():
     """White noise mixed by 2 % along rows and 1 % along columns has the variance and covariances of the moments."""
     noise = 100.0 * np.random.default_rng(1).standard_normal((600, 600))
     mixed = exchange_between_neighbours(noise, 0.02, -0.01)
@@ -159,7 +159,7 @@ def test_uneven_exchange_changes_noise_as_its_moments_say() -> None:
     assert down == pytest.approx(float(np.ravel(predicted.neighbour_y)[0]), abs=5 * 1e4 / 600)
 
 
-def test_barrel_spares_a_circle_that_grows_with_the_f_number() -> None:
+def test_barrel_spares_a_circle_that_grows_with_the_f_number():
     """Behind a barrel of radius b the light is whole where s·ρ + 2/N ≤ b, and falls towards the corner."""
     effect = MechanicalVignetting(strength=0.0, barrel=0.5, shift=0.3)
     context = effect_context()
@@ -173,7 +173,7 @@ def test_barrel_spares_a_circle_that_grows_with_the_f_number() -> None:
 
 
 @pytest.mark.parametrize("mean_e", [9300.0, 9450.0, 9700.0])
-def test_uneven_wells_leave_the_moments_of_pixels_that_differ(mean_e: float) -> None:
+def test_uneven_wells_leave_the_moments_of_pixels_that_differ(mean_e):
     """Pixels with wells of their own, drawn one by one: mean, noise and fixed pattern are those that are predicted."""
     rng, pixels, frames = np.random.default_rng(3), 20_000, 12
     wells = 9450.0 * (1.0 + 0.01 * rng.standard_normal(pixels))
@@ -191,9 +191,7 @@ def test_uneven_wells_leave_the_moments_of_pixels_that_differ(mean_e: float) -> 
 
 @pytest.mark.parametrize(("step", "kept", "added"), [(4, 1, 0), (4, 1, 2), (5, 1, 2), (4, 3, 0), (16, 15, 0)])
 @pytest.mark.parametrize("mean_dn", [240.3, 241.9])
-def test_missing_codes_leave_the_moments_of_the_codes_that_occur(
-    step: int, kept: int, added: int, mean_dn: float
-) -> None:
+def test_missing_codes_leave_the_moments_of_the_codes_that_occur(step, kept, added, mean_dn):
     """Rounded normal values, drawn one by one and freed of the missing codes, have the mean and noise predicted."""
     rng, count, sigma = np.random.default_rng(4), 400_000, 1.1
     effect = MissingCodes(float(step), float(kept), float(added))
@@ -207,7 +205,7 @@ def test_missing_codes_leave_the_moments_of_the_codes_that_occur(
     assert float(square.mean()) == pytest.approx(float(expected.variance[0]), abs=5 * square.std() / count**0.5)
 
 
-def test_dead_time_spares_the_first_frame() -> None:
+def test_dead_time_spares_the_first_frame():
     """Frame 0 of a run has its whole exposure, the next one is shorter by the dead time."""
     effect = EFFECTS["shutter_dead_time"](dead_time_s=1e-4)  # type: ignore[call-arg]
     signal = np.ones((HEIGHT, WIDTH))
@@ -216,14 +214,14 @@ def test_dead_time_spares_the_first_frame() -> None:
     assert second == pytest.approx(1 - 1e-4 * 60)
 
 
-def test_dead_time_beyond_the_exposure_leaves_nothing() -> None:
+def test_dead_time_beyond_the_exposure_leaves_nothing():
     """No frame loses more than its light: 20 ms of 1/60 s are all of it, for one frame and for the mean of a run."""
     effect = EFFECTS["shutter_dead_time"](dead_time_s=0.01)  # type: ignore[call-arg]
     short = replace(effect_context(), settings=replace(effect_context().settings, exposure_s=1e-3), frame_index=1)
     assert effect.mean(np.ones((HEIGHT, WIDTH)), short).max() == 0.0
 
 
-def test_lag_of_traps_fills_up_and_no_pixel_leaves_more_than_its_well() -> None:
+def test_lag_of_traps_fills_up_and_no_pixel_leaves_more_than_its_well():
     """Traps of 20 electrons release 20·(1 − exp(−l·S/20)); a frame beyond full well leaves what the well held."""
     well = effect_context().camera.full_well_e
     assert well is not None
@@ -241,7 +239,7 @@ def _at(exposure_s: float, timestamp_s: float) -> ExposureContext:
     return replace(base, settings=replace(base.settings, exposure_s=exposure_s, timestamp_s=timestamp_s))
 
 
-def test_label_is_wrong_for_the_captures_that_are_meant() -> None:
+def test_label_is_wrong_for_the_captures_that_are_meant():
     """A label may lie for one capture and tell the truth for another of the same exposure; wrong labels add up."""
     single = ExposureLabelError(0.01, 1.25, from_s=50.0, to_s=70.0)
     assert float(single.factor(_at(0.01, 60.0))) == 1.25
@@ -253,7 +251,7 @@ def test_label_is_wrong_for_the_captures_that_are_meant() -> None:
 
 
 @pytest.mark.parametrize("form", [{"hardness": 1.0}, {"hardness": 2.0}, {"charging": 1.0}])
-def test_soft_saturation_is_never_a_clip(form: dict[str, float]) -> None:
+def test_soft_saturation_is_never_a_clip(form):
     """Wherever the ceiling is put, light one percent of the full well above the knee still counts for a part."""
     effect = SoftSaturation(knee=0.8, ceiling=0.5, **form)
     above = np.array([0.80, 0.81]) * 10_500.0
@@ -264,7 +262,7 @@ def test_soft_saturation_is_never_a_clip(form: dict[str, float]) -> None:
     assert 0.2 < rise[1] < kept
 
 
-def test_looser_knee_follows_a_law_that_no_plain_one_follows() -> None:
+def test_looser_knee_follows_a_law_that_no_plain_one_follows():
     """Of a knee of hardness 1.4 one of a free hardness leaves nothing, one of 2 leaves 0.2 % of the well."""
     light = np.linspace(0.5, 1.3, 81) * 10_500.0
     true = np.asarray(SoftSaturation(0.67, 1.05, 1.4).mean(light, effect_context()))
@@ -286,7 +284,7 @@ def test_looser_knee_follows_a_law_that_no_plain_one_follows() -> None:
     assert [form.free() for form in charging.loosened(effect_context())] == [("knee", "ceiling", "hardness")]
 
 
-def test_amplified_offset_may_bend_with_the_gain() -> None:
+def test_amplified_offset_may_bend_with_the_gain():
     """An offset of 0.5 DN with a bend of −0.02 adds 0.5·(9 − 0.02·81) DN at a gain of ten, and nothing at 0 dB."""
     base = effect_context()
     gains: Any = np.array([0.0, 20.0])
@@ -311,7 +309,7 @@ def _grown(effect: CatalogueEffect, field: str) -> Any:
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
-def test_no_form_is_loosened_to_itself(name: str) -> None:
+def test_no_form_is_loosened_to_itself(name):
     """From every size that is tried, and once more from what comes of it: each looser form is another one."""
     context = effect_context()
     for start in starts_of(CATALOGUE[name], context):
@@ -320,7 +318,7 @@ def test_no_form_is_loosened_to_itself(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE.keys() - APART - NEEDS_A_PICTURE))
-def test_noise_from_before_passes_by_the_slope(name: str) -> None:
+def test_noise_from_before_passes_by_the_slope(name):
     """Variances and covariances by its square, differences of means by itself, shares and counts as they are."""
     effect = starts_of(CATALOGUE[name], effect_context())[0]
     slope = np.asarray(effect.slope(np.full((1, 1, 1), 900.0), effect_context()))
@@ -332,7 +330,7 @@ def test_noise_from_before_passes_by_the_slope(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE.keys() - NEEDS_A_PICTURE - {"missing_codes", "veiling_glare"}))
-def test_the_slope_is_that_of_the_mean(name: str) -> None:
+def test_the_slope_is_that_of_the_mean(name):
     """The derivative of what an effect makes of an even signal, by differences, over all pixels.
 
     Glare goes by the mean of the frame, and what is reported of it is one pixel's part.

@@ -56,9 +56,7 @@ def _reported(light_e: float, context: ExposureContext, effect: DarkFrameSubtrac
 @pytest.mark.parametrize("count", [1, 9])
 @pytest.mark.parametrize(("pedestal", "dark_e"), [(0.0, 0.4), (32.0, 20.0)])
 @pytest.mark.parametrize(("light_e", "gain_db"), [(0.0, 0.0), (4.0, 0.0), (500.0, 0.0), (4.0, 12.0)])
-def test_moments_are_those_of_frames_less_a_drawn_dark(
-    count: int, pedestal: float, dark_e: float, light_e: float, gain_db: float
-) -> None:
+def test_moments_are_those_of_frames_less_a_drawn_dark(count, pedestal, dark_e, light_e, gain_db):
     """Mean, noise and pattern within five sigmas of the draws and two percent of their size.
 
     What is cut holds to a tenth and 0.05 DN: counts of few electrons and codes of one sigma are not normal. Tiles
@@ -81,7 +79,7 @@ def test_moments_are_those_of_frames_less_a_drawn_dark(
     assert not np.any(reported.limit_variance)
 
 
-def test_the_highest_code_comes_down_and_shows_the_dark_s_noise() -> None:
+def test_the_highest_code_comes_down_and_shows_the_dark_s_noise():
     """Where the converter is full all pixels show its highest code less their own dark."""
     context, effect = _setting(), DarkFrameSubtracted(1.0, 10.0)
     seen, noise = _by_hand(15_000.0, 20.0, 1.0, 1, 10.0)
@@ -92,7 +90,7 @@ def test_the_highest_code_comes_down_and_shows_the_dark_s_noise() -> None:
     assert float(np.ravel(reported.spatial_variance)[0]) == pytest.approx(seen.var(), rel=0.05)
 
 
-def test_frames_of_one_setting_share_their_dark() -> None:
+def test_frames_of_one_setting_share_their_dark():
     """Two frames of one exposure differ by noise alone; the pattern of another exposure is another one."""
     effect = DarkFrameSubtracted(1.0, 32.0)
     dice = np.random.default_rng(1)
@@ -103,7 +101,7 @@ def test_frames_of_one_setting_share_their_dark() -> None:
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 5.0 / np.sqrt(signal.size)
 
 
-def test_a_model_s_frames_are_those_of_its_moments() -> None:
+def test_a_model_s_frames_are_those_of_its_moments():
     """A chain with the effect, drawn: mean, noise and pattern of its frames without light."""
     context, effect = _setting(), DarkFrameSubtracted(0.2, 32.0)
     model = CameraModel.ideal(context.camera, context.lens).with_effect(effect)
@@ -117,7 +115,7 @@ def test_a_model_s_frames_are_those_of_its_moments() -> None:
 
 
 @pytest.mark.parametrize("lacking", ["conversion_gain_e_per_dn", "read_noise_e", "black_level_dn"])
-def test_what_a_dark_holds_must_be_stated(lacking: str) -> None:
+def test_what_a_dark_holds_must_be_stated(lacking):
     """Without gain, read noise or black level no one says what a dark frame holds."""
     context = _setting()
     assert DarkFrameSubtracted.usable(context)
@@ -129,7 +127,7 @@ def test_what_a_dark_holds_must_be_stated(lacking: str) -> None:
         assert not DarkFrameSubtracted.usable(replace(context, camera=camera))
 
 
-def test_a_search_starts_from_nothing_half_and_all_of_the_black_level() -> None:
+def test_a_search_starts_from_nothing_half_and_all_of_the_black_level():
     """With the noise of one dark and that of ten."""
     starts = {(start.pedestal_dn, start.share) for start in DarkFrameSubtracted.starts(_setting())}
     assert starts == {(kept, share) for kept in (0.0, 32.0, 64.0) for share in (1.0, 0.1)}

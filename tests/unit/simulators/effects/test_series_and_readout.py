@@ -50,13 +50,13 @@ def _tiles(**more: Any) -> TileContext:
     return TileContext(**({"settings": plain.settings, "geometry": plain.geometry, "camera": plain.camera} | more))
 
 
-def test_a_lamp_jumps_at_its_moment() -> None:
+def test_a_lamp_jumps_at_its_moment():
     """Frames until the moment have their light, those after it 2 % more."""
     factor = LampStep(step_rel=0.02, time_s=100.0).factor(_series(np.array([0.0, 100.0, 100.1])))
     assert np.asarray(factor).tolist() == [1.0, 1.0, 1.02]
 
 
-def test_a_jump_is_looked_for_between_any_two_of_many_captures() -> None:
+def test_a_jump_is_looked_for_between_any_two_of_many_captures():
     """Of ten captures a jump may lie after the fourth to the sixth, halfway to the next; of seven nowhere."""
     times = [start.time_s for start in LampStep.starts(_series(10.0 * np.arange(10)))]
     assert times == [35.0, 45.0, 55.0]
@@ -64,13 +64,13 @@ def test_a_jump_is_looked_for_between_any_two_of_many_captures() -> None:
     assert not LampStep.usable(_series(np.arange(7.0)))
 
 
-def test_an_event_lifts_black_and_is_forgotten() -> None:
+def test_an_event_lifts_black_and_is_forgotten():
     """None before it, 6 DN at it, 6/e a time constant later."""
     lift = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0).offset(_series(np.array([0.0, 99.9, 100.0, 120.0])))
     assert np.asarray(lift) == pytest.approx([0.0, 0.0, 6.0, 6.0 / math.e])
 
 
-def test_an_event_within_a_series_is_in_the_frames_behind_it() -> None:
+def test_an_event_within_a_series_is_in_the_frames_behind_it():
     """The first of four frames lies before it, the others on average half a time constant behind."""
     first, later = _series(np.array(90.0)), _series(np.array(110.0))
     series = _tiles(frames=4.0, first_frame=first, later_frames=later, settings=later.settings)
@@ -81,7 +81,7 @@ def test_an_event_within_a_series_is_in_the_frames_behind_it() -> None:
     assert float(np.ravel(after.first_excess)[0]) == pytest.approx(-6.0 * math.exp(-0.5))
 
 
-def test_an_event_is_looked_for_in_front_of_captures() -> None:
+def test_an_event_is_looked_for_in_front_of_captures():
     """Of eight captures 10 s apart it may lie in front of the fourth and fifth, short and long, up and down."""
     starts = EventOffset.starts(_series(10.0 * np.arange(8)))
     tried = {(s.event_s, s.tau_s, s.offset_dn) for s in starts}
@@ -91,7 +91,7 @@ def test_an_event_is_looked_for_in_front_of_captures() -> None:
     assert not EventOffset.usable(_series(np.arange(5.0)))
 
 
-def test_the_first_frame_alone_is_off() -> None:
+def test_the_first_frame_alone_is_off():
     """Of four frames the mean is off by a quarter of what the first is; a second frame is not off at all."""
     effect, signal = FirstFrameOffset(offset_dn=4.0), np.full((5, 8), 100.0)
     assert float(effect.mean(signal, _context())[0, 0]) == 104.0
@@ -103,7 +103,7 @@ def test_the_first_frame_alone_is_off() -> None:
     assert float(np.ravel(after.first_excess)[0]) == 4.0
 
 
-def test_charge_gathers_until_a_row_is_read() -> None:
+def test_charge_gathers_until_a_row_is_read():
     """Of five rows the first has none and the last all; 7 K more double it; exposure does not count."""
     effect = ReadoutDarkCharge(charge_e=8.0, reference_C=20.0, doubling_K=7.0)
     for exposure_s in (1e-6, 10.0):
@@ -111,13 +111,13 @@ def test_charge_gathers_until_a_row_is_read() -> None:
         assert column == pytest.approx([0.0, 4.0, 8.0, 12.0, 16.0])
 
 
-def test_rows_may_be_read_from_below() -> None:
+def test_rows_may_be_read_from_below():
     """Where the last row is read first, the first one gathers most."""
     effect = ReadoutDarkCharge(charge_e=8.0, from_below=1.0)
     assert np.ravel(effect.offset(_context())) == pytest.approx([8.0, 6.0, 4.0, 2.0, 0.0])
 
 
-def test_all_rows_wait_before_the_first_is_read() -> None:
+def test_all_rows_wait_before_the_first_is_read():
     """A wait of half the readout adds half its charge to every row; only the loosened form fits it."""
     effect = ReadoutDarkCharge(charge_e=8.0, wait_share=0.5)
     assert np.ravel(effect.offset(_context())) == pytest.approx([4.0, 6.0, 8.0, 10.0, 12.0])
@@ -132,7 +132,7 @@ def test_all_rows_wait_before_the_first_is_read() -> None:
     ("warm_c", "stated_c"),
     [((-10.2, -4.8), -5.0), ((41.0, 45.3), 41.0), ((34.9, 45.0), 25.0), ((np.nan, 10.2), 10.2), ((np.nan,), 25.0)],
 )
-def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, ...], stated_c: float) -> None:
+def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c, stated_c):
     """25 °C where a dark frame is within 10 K of it, else the nearest whole °C that they have, or the only one."""
     session = _context(temperature_c=np.array(warm_c))
     for kind in (DarkCurrent, DarkCurrentClamped, DarkCurrentNonuniformity, HotPixels, ReadoutDarkCharge):
@@ -142,14 +142,14 @@ def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, .
         assert ratio == pytest.approx(2.0 ** ((stated_c - 25.0) / starts[0].doubling_K), rel=0.15)  # the same leak
 
 
-def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
+def test_a_rate_is_stated_at_a_temperature_of_darks():
     """Light at 25 and 45 °C next to darks at 40.2 °C alone: their very temperature, where no doubling matters."""
     session = _context(temperature_c=np.array([25.0, 40.2, 45.0]), shutter=np.array(["open", "closed", "open"]))
     assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.2}
     assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
 
 
-def test_leaks_bring_their_own_doubling_where_temperatures_differ() -> None:
+def test_leaks_bring_their_own_doubling_where_temperatures_differ():
     """Readings within 2 K tell no law: the doubling is the usual one and stays."""
     for warm_c, free in (((20.0, 45.0), True), ((24.9, 25.1), False), ((np.nan,), False)):
         session = _context(temperature_c=np.array(warm_c))
@@ -157,7 +157,7 @@ def test_leaks_bring_their_own_doubling_where_temperatures_differ() -> None:
             assert ("doubling_K" in start.free()) is free
 
 
-def test_leaks_below_nothing_and_those_left_out_move_the_mean() -> None:
+def test_leaks_below_nothing_and_those_left_out_move_the_mean():
     """Of 4 million leaks the mean is of those that hold no less than nothing and do not stand out by 6 sigma."""
     effect = DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=0.6)
     leak = np.exp(0.6 * np.random.default_rng(3).standard_normal(4_000_000))
@@ -181,7 +181,7 @@ def test_leaks_below_nothing_and_those_left_out_move_the_mean() -> None:
     assert left == pytest.approx([kept.var(), 0.01 * kept.var()], rel=0.01)
 
 
-def test_leaks_that_differ_act_on_all_that_leaks() -> None:
+def test_leaks_that_differ_act_on_all_that_leaks():
     """A dark current that is added behind them in time still stands in front of them in the chain."""
     figures = {"pixel_pitch_um": 4.5, "conversion_gain_e_per_dn": 2.0, "read_noise_e": 3.0, "quantum_efficiency": 0.5}
     camera = CameraDescription(bit_depth=12, full_well_e=8000.0, **figures)
@@ -196,7 +196,7 @@ def test_leaks_that_differ_act_on_all_that_leaks() -> None:
         ]
 
 
-def test_a_line_begins_high_and_settles() -> None:
+def test_a_line_begins_high_and_settles():
     """Of 8 columns the first, a sixteenth into its line, is up by 10·exp(−1/4) DN; exposure and rows do not count."""
     effect = LineStartOffset(offset_dn=10.0, decay_share=0.25)
     for exposure_s in (1e-6, 10.0):
@@ -206,7 +206,7 @@ def test_a_line_begins_high_and_settles() -> None:
     assert np.ravel(low.offset(_context())) == pytest.approx(-line[::-1])
 
 
-def test_a_slow_part_of_a_settling_adds_to_the_quick_one() -> None:
+def test_a_slow_part_of_a_settling_adds_to_the_quick_one():
     """A quick −8 DN and a slow 2 DN: −8·exp(−x/0.1) + 2·exp(−x/0.5), above nothing from ln(4)/8 of the line on."""
     effect = LineStartOffset(-8.0, 0.1, slow_dn=2.0, slow_share=0.5)
     place = (np.arange(8) + 0.5) / 8.0
@@ -215,7 +215,7 @@ def test_a_slow_part_of_a_settling_adds_to_the_quick_one() -> None:
     assert (line > 0.0).tolist() == (place > math.log(4.0) / 8.0).tolist()
 
 
-def test_a_slow_part_is_tried_next_to_a_quick_one_only() -> None:
+def test_a_slow_part_is_tried_next_to_a_quick_one_only():
     """The plain form has two parameters and two looser ones, which have four and none."""
     plain = LineStartOffset(-8.0, 0.1)
     looser = plain.loosened(_context())
@@ -228,7 +228,7 @@ def test_a_slow_part_is_tried_next_to_a_quick_one_only() -> None:
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_successive_pixels_share_read_noise(sign: float) -> None:
+def test_successive_pixels_share_read_noise(sign):
     """Frames of 2 e- have the variance 4 e-², neighbours in a line the covariance ±2 e-², others none: as reported."""
     effect = CorrelatedReadNoise(sigma_e=2.0, sign=sign)
     drawn = effect.sample(np.zeros((1000, 1000)), _context(), np.random.default_rng(4))
@@ -245,9 +245,7 @@ def test_successive_pixels_share_read_noise(sign: float) -> None:
 @pytest.mark.parametrize("decay_share", [0.02, 0.3])
 @pytest.mark.parametrize("from_right", [0.0, 1.0])
 @pytest.mark.parametrize("slow_dn", [0.0, -4.0])
-def test_tiles_have_mean_slope_and_columns_of_their_pixels(
-    decay_share: float, from_right: float, slow_dn: float
-) -> None:
+def test_tiles_have_mean_slope_and_columns_of_their_pixels(decay_share, from_right, slow_dn):
     """Two tiles of 512 columns: mean, rise and what a parabola leaves are those of the line's 1024 pixels to 1 %."""
     effect = LineStartOffset(10.0, decay_share, from_right, slow_dn)
     line = np.ravel(effect.offset(replace(_context(), geometry=FrameGeometry.of_image(1024, 1)))).reshape(2, 512)
@@ -267,7 +265,7 @@ def test_tiles_have_mean_slope_and_columns_of_their_pixels(
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 5])
-def test_a_source_settles_within_each_series(frames: int) -> None:
+def test_a_source_settles_within_each_series(frames):
     """Mean, first frame and scatter of a series are those of its frames, worked out one by one."""
     effect = SeriesSettling(excess_rel=0.02, ratio=0.5)
     one = [float(effect.mean(np.full((1, 1), 100.0), replace(_context(), frame_index=k))[0, 0]) for k in range(frames)]
@@ -283,7 +281,7 @@ def test_a_source_settles_within_each_series(frames: int) -> None:
     assert float(np.ravel(after.common_variance)[0]) == pytest.approx(scatter, abs=1e-12)
 
 
-def test_a_gamma_above_black_bends_noise_too() -> None:
+def test_a_gamma_above_black_bends_noise_too():
     """Means and variances of normal noise about a curve that begins at the black level, against a million draws."""
     effect = GammaEnabled(1.25, above_black=1.0)
     context = _context(black_level_dn=100.0)
@@ -300,7 +298,7 @@ def test_a_gamma_above_black_bends_noise_too() -> None:
 
 @pytest.mark.parametrize("dn", [40.0, 64.0, 83.0, 120.0, 180.0, 3000.0])
 @pytest.mark.parametrize("toe", [0.0, 0.03])
-def test_moments_of_a_gamma_are_integrals_over_the_noise(dn: float, toe: float) -> None:
+def test_moments_of_a_gamma_are_integrals_over_the_noise(dn, toe):
     """Close to the corners of the curve, on both sides of black, and far off: mean and variance of 4 DN of noise."""
     effect = GammaEnabled(1.4, toe=toe, above_black=1.0)
     context = _context(black_level_dn=64.0)
@@ -316,7 +314,7 @@ def test_moments_of_a_gamma_are_integrals_over_the_noise(dn: float, toe: float) 
     assert float(predicted.variance[0, 0]) == pytest.approx(float(chance @ (bent - mean) ** 2), rel=0.02)
 
 
-def test_wings_of_one_width_are_the_kernel() -> None:
+def test_wings_of_one_width_are_the_kernel():
     """A sum of Gaussians in which one has all is that Gaussian; what it scatters is taken from the light itself."""
     picture = np.zeros((20, 40))
     picture[8:12, 10:20] = 1000.0
@@ -328,7 +326,7 @@ def test_wings_of_one_width_are_the_kernel() -> None:
 
 
 @pytest.mark.parametrize("k", range(5))
-def test_free_wings_begin_at_the_width_that_was_found(k: int) -> None:
+def test_free_wings_begin_at_the_width_that_was_found(k):
     """Of 0.02, 0.04 … 0.32 the width nearest in octaves gets six tenths of the share, each of the others a tenth."""
     for away in (1.0, 1.3, 1.0 / 1.3):
         kernel = StrayLightKernel(0.05, max(0.02 * 2.0**k * away, 0.02))
@@ -338,7 +336,7 @@ def test_free_wings_begin_at_the_width_that_was_found(k: int) -> None:
 
 
 @pytest.mark.parametrize("beyond", [1.0, 0.5, 0.0])
-def test_light_beyond_the_border_is_scattered_in(beyond: float) -> None:
+def test_light_beyond_the_border_is_scattered_in(beyond):
     """Of an even picture a bell brings what lies inside, the normal integral, and its share of what lies beyond."""
     picture, width_px = np.full((64, 64), 1000.0), 0.08 * 64
     context = replace(_context(), geometry=FrameGeometry.of_image(64, 64))
@@ -350,7 +348,7 @@ def test_light_beyond_the_border_is_scattered_in(beyond: float) -> None:
     assert scattered[0, 0] == pytest.approx(inside**2 + beyond * (1.0 - inside**2), abs=2e-3)
 
 
-def test_what_lies_beyond_the_border_is_asked_before_and_after_wings() -> None:
+def test_what_lies_beyond_the_border_is_asked_before_and_after_wings():
     """The bell itself may end at the border, or take wings, in either order."""
     bell = StrayLightKernel(0.03, 0.08)
     ended, *winged = bell.loosened(_context())
@@ -364,7 +362,7 @@ def test_what_lies_beyond_the_border_is_asked_before_and_after_wings() -> None:
     assert further.loosened(_context()) == ()
 
 
-def test_what_was_fitted_is_fitted_on_where_the_axis_is_free() -> None:
+def test_what_was_fitted_is_fitted_on_where_the_axis_is_free():
     """About an axis of its own the plain law has three parameters, with the k₄ that was found four; none is held."""
     plain, bent = NaturalVignetting(0.05, 0.03).loosened(_context())
     assert (plain.strength, plain.k4, plain.free()) == (0.05, 0.0, ("strength", "axis_x", "axis_y"))
@@ -374,14 +372,14 @@ def test_what_was_fitted_is_fitted_on_where_the_axis_is_free() -> None:
     assert further.loosened(_context()) == ()
 
 
-def test_a_table_does_not_stand_on_a_law_that_was_fitted() -> None:
+def test_a_table_does_not_stand_on_a_law_that_was_fitted():
     """What a looser form does not fit it does not hold either: the table over the gains begins at the exact gain."""
     (table,) = GainStepError(error_rel=0.02).loosened(_context(gain_db=np.array([0.0, 6.0, 12.0])))
     assert table.error_rel == 0.0
     assert table.free() == ("errors_rel[1]", "errors_rel[2]")
 
 
-def test_a_gain_error_says_what_was_stated_and_what_the_noise_shows() -> None:
+def test_a_gain_error_says_what_was_stated_and_what_the_noise_shows():
     """2.06 e-/DN, with 6.64 ± 0.17 % more DN for each electron, are 1.932 ± 0.0031; unknown figures tell nothing."""
     camera = CameraDescription(bit_depth=16, conversion_gain_e_per_dn=2.06)
     found = ConversionGainError(error_rel=0.0664)
@@ -393,7 +391,7 @@ def test_a_gain_error_says_what_was_stated_and_what_the_noise_shows() -> None:
 
 @pytest.mark.parametrize("stretch", [0.6, 1.0, 2.0, 4.0])
 @pytest.mark.parametrize("exposure_s", [0.0002, 0.001, 0.02])
-def test_light_of_a_sagging_lamp_is_its_mean_over_the_exposure(stretch: float, exposure_s: float) -> None:
+def test_light_of_a_sagging_lamp_is_its_mean_over_the_exposure(stretch, exposure_s):
     """A lamp that sags as 1 − a·(1 − exp(−(t/τ)^β)) gives its mean over the exposure, here summed in small steps."""
     effect = SourceNotProportionalToExposure(0.05, 0.001, stretch)
     times = (np.arange(200_000) + 0.5) / 200_000 * exposure_s
@@ -401,7 +399,7 @@ def test_light_of_a_sagging_lamp_is_its_mean_over_the_exposure(stretch: float, e
     assert effect.factor(_context(exposure_s=exposure_s)) == pytest.approx(float(light.mean()), abs=1e-7)
 
 
-def test_a_sag_is_freed_to_either_side_of_an_exponential() -> None:
+def test_a_sag_is_freed_to_either_side_of_an_exponential():
     """A straight sag and a slow one, with the size and time that were fitted and one parameter more to pay for."""
     plain = SourceNotProportionalToExposure(0.03, 0.002)
     forms = plain.loosened(_context())
@@ -412,7 +410,7 @@ def test_a_sag_is_freed_to_either_side_of_an_exponential() -> None:
     assert forms[0].loosened(_context()) == ()
 
 
-def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted() -> None:
+def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted():
     """A row's light over random phases: (m·L·sinc(f·t))²/2 of 100 Hz in 2 ms, as frames and tiles have it."""
     effect = RollingShutterBanding(modulation=0.1, frequency_hz=100.0, row_time_s=2e-5)
     context, rng = _context(exposure_s=2e-3), np.random.default_rng(6)
