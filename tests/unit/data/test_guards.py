@@ -1,30 +1,54 @@
-"""Guards against files that would take all memory or time."""
+"""Guards against files that take all memory or time, TIFF of every layout, and values that cannot be."""
 
 from __future__ import annotations
 
 import contextlib
+import copy
+import functools
+import importlib
+import itertools
 import math
+import operator
 import os
+import pkgutil
+import random
+import re
+import resource
 import struct
 import threading
 import time
 import unicodedata
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
+import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
+from PIL import Image
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
+import radiometer
+import radiometer as rm
+from radiometer.adaptation.protocol import Fixation, FixationCheck, SteadyBleach, read_protocol
+from radiometer.bench.boxes import read_preset
 from radiometer.cli.main import run
-from radiometer.data import reader_limits
-from radiometer.data.capture_set import read_digital_numbers
+from radiometer.data import (
+    Calibration,
+    CameraDescription,
+    FoundEffects,
+    LensDescription,
+    Scale,
+    SourceDescription,
+    reader_limits,
+)
+from radiometer.data.capture_set import FrameEntry, read_digital_numbers
 from radiometer.data.guards import (
     MOST_PICTURE_BYTES,
     is_file,
@@ -34,10 +58,16 @@ from radiometer.data.guards import (
     safe_file_name,
     safe_name,
 )
+from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.reader_limits import bounded_reader, unpacked
 from radiometer.data.storage import read_yaml
+from radiometer.data.validation import ConfigSection, FileSection, validate
+from radiometer.devices import CameraPreset
 from radiometer.errors import CaptureError, ConfigurationError, InputError, MissingLibrary, RadiometerError, UsageError
+from radiometer.importing.photograph_pixels import read_photograph
+from radiometer.importing.tiff_files import read_tiff_pixels
 from radiometer.reporting.plain_text import one_line, printable, spreadsheet_cell
+from simulators.effects.lens import Lens
 from simulators.scenes.image_file import ImageScene
 from testing import faulty_readers
 from testing.reader_fuzz import Fuzzed, bombs, fuzz, hostile, seeds
@@ -482,3 +512,363 @@ def test_a_reader_of_another_is_within_its_limits(tmp_path):
 
     with pytest.raises(CaptureError, match=r"^the inner one$"):
         bounded_reader()(lambda path: inner(path))(tmp_path)
+
+
+# TIFF files of every layout: as photographs and as frames they hold what was written, or are refused in one line.
+
+
+ROWS, COLUMNS = 40, 48
+_ALPHA = {2: "minisblack", 4: "rgb"}
+
+
+def picture(dtype, samples=1):
+    """Return a picture of which no two samples are alike, the values of the type's whole range."""
+    top = np.iinfo(dtype).max
+    values = np.random.default_rng(samples).integers(0, top, (ROWS, COLUMNS, samples), dtype, endpoint=True)
+    return values[..., 0] if samples == 1 else values
+
+
+def write(path, values, *, planes_apart=False, alpha="unassalpha", **layout):
+    """Write a TIFF of grey values or colours, with a transparency where there are two or four samples."""
+    samples = 1 if values.ndim == 2 else values.shape[2]
+    if samples > 1:
+        layout |= {"planarconfig": "separate" if planes_apart else "contig"}
+        layout |= {"extrasamples": [alpha]} if samples in _ALPHA else {}
+        values = np.moveaxis(values, -1, 0) if planes_apart else values
+    tifffile.imwrite(path, values, photometric="rgb" if samples > 2 else "minisblack", metadata=None, **layout)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("samples", [1, 2, 3, 4])
+@pytest.mark.parametrize("planes_apart", [False, True], ids=["together", "planes apart"])
+def test_a_photograph_of_any_layout_is_as_written(dtype, samples, planes_apart, tmp_path):
+    """Byte order, tiles, compression, predictor and both kinds of transparency, which is left out."""
+    values = picture(dtype, samples)
+    expected = values if samples == 1 else values[..., 0] if samples == 2 else values[..., :3]
+    packings = ({}, {"compression": "zlib"}, {"compression": "zlib", "predictor": True})
+    for order, tile, packing, alpha in itertools.product(
+        "<>", (None, (16, 16)), packings, ("unassalpha", "assocalpha")
+    ):
+        layout = {"byteorder": order, "tile": tile, **packing}
+        write(tmp_path / "a.tif", values, planes_apart=planes_apart, alpha=alpha, **layout)
+        found = read_photograph(tmp_path / "a.tif")
+        assert found.bit_depth == 8 * np.dtype(dtype).itemsize
+        assert np.array_equal(found.values, expected), layout
+        if samples == 1:
+            assert np.array_equal(read_digital_numbers(tmp_path / "a.tif"), expected), layout
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("samples", [1, 3, 4])
+def test_lzw_is_as_written(dtype, samples, tmp_path):
+    """The compression that OpenCV and most programs write; a transparency is left out."""
+    values = picture(dtype, samples)
+    cv2.imwrite(str(tmp_path / "a.tif"), values if samples == 1 else values[..., [2, 1, 0, 3][:samples]])
+    found = read_photograph(tmp_path / "a.tif").values
+    assert np.array_equal(found, values if samples == 1 else values[..., :3])
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+@pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_deflate", None])
+def test_no_orientation_is_applied(samples, compression, tmp_path):
+    """Pixels count as stored, in TIFF and JPEG alike: a patch is at one place of the sensor, however it was held."""
+    values = np.zeros((ROWS, COLUMNS, samples), np.uint8)
+    values[: ROWS // 2, : COLUMNS // 2] = 200
+    image = Image.fromarray(values[..., 0] if samples == 1 else values)
+    for turned in range(1, 9):
+        exif = Image.Exif()
+        exif[274] = turned
+        image.save(tmp_path / "a.tif", compression=compression, tiffinfo={274: turned})
+        image.save(tmp_path / "a.jpg", quality=100, subsampling=0, exif=exif)
+        of_tiff, of_jpeg = (read_photograph(tmp_path / name).values for name in ("a.tif", "a.jpg"))
+        assert np.array_equal(of_tiff, np.asarray(image)), turned
+        assert of_jpeg.shape == of_tiff.shape
+        assert np.abs(of_jpeg.astype(int) - of_tiff).max() < 20
+        if samples == 1:
+            assert np.array_equal(read_digital_numbers(tmp_path / "a.tif"), values[..., 0]), turned
+            assert np.array_equal(read_tiff_pixels(tmp_path / "a.tif", 0), values[..., 0]), turned
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_a_reduced_picture_is_not_the_picture(samples, tmp_path):
+    """Before or after the picture, a smaller copy of it (NewSubfileType 1) is left alone; two pictures are refused."""
+    values = picture(np.uint16, samples)
+    smaller = np.ascontiguousarray(values[::2, ::2])
+    for kinds, refused in (((1, 0), False), ((0, 1), False), ((0, 0), True)):
+        with tifffile.TiffWriter(tmp_path / "a.tif") as tiff:
+            for kind in kinds:
+                tiff.write(smaller if kind else values, subfiletype=kind, metadata=None)
+        if refused:
+            with pytest.raises(CaptureError, match="a TIFF of 2 pages"):
+                read_photograph(tmp_path / "a.tif")
+        else:
+            assert np.array_equal(read_photograph(tmp_path / "a.tif").values, values)
+
+
+def test_a_stack_in_one_directory_is_refused(tmp_path):
+    """ImageJ writes all pictures of a large stack behind one directory: none of them is taken as the photograph."""
+    tifffile.imwrite(tmp_path / "a.tif", np.stack([picture(np.uint16)] * 3), imagej=True)
+    for read in (read_photograph, read_digital_numbers):
+        with pytest.raises(CaptureError, match="a TIFF of 3 pages"):
+            read(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize(
+    ("values", "layout", "message"),
+    [
+        (picture(np.uint16), {"photometric": "miniswhite"}, "0 is white"),
+        (picture(np.uint8, 4), {"photometric": "separated"}, "neither grey values nor red, green and blue"),
+        (picture(np.uint8, 3), {"photometric": "minisblack", "planarconfig": "contig"}, "3 samples per pixel"),
+        (picture(np.uint16), {"photometric": 32803}, "a mosaic of colours"),
+        (picture(np.uint16).astype(np.float32), {"photometric": "minisblack"}, "holds float32 values"),
+        (picture(np.uint8, 3).astype(np.float16), {"photometric": "rgb"}, "holds float16 values"),
+        (picture(np.uint16).astype(np.int16), {"photometric": "minisblack"}, "holds int16 values"),
+        (picture(np.uint16).astype(np.uint32), {"photometric": "minisblack"}, "holds uint32 values"),
+        (picture(np.uint8) > 9, {"photometric": "minisblack"}, "holds bool values"),
+    ],
+    ids=["white", "inks", "three greys", "mosaic", "float", "half", "signed", "32 bits", "1 bit"],
+)
+def test_other_numbers_are_refused_in_one_line(values, layout, message, tmp_path):
+    """What is neither grey values nor colours of 8 or 16 bits is not guessed."""
+    tifffile.imwrite(tmp_path / "a.tif", values, metadata=None, **layout)
+    with pytest.raises(CaptureError, match=message) as refusal:
+        read_photograph(tmp_path / "a.tif")
+    assert "\n" not in str(refusal.value)
+
+
+def test_samples_that_no_decoder_reads_whole_are_refused(tmp_path):
+    """16 bits in planes apart under LZW, and grey with a transparency: decoders mix them up or cut them to 8 bits."""
+    for samples in (2, 3):
+        write(tmp_path / "a.tif", picture(np.uint16, samples), planes_apart=samples == 3)
+        with tifffile.TiffFile(tmp_path / "a.tif", mode="r+b") as tiff:
+            tiff.pages[0].tags["Compression"].overwrite(5)
+        with pytest.raises(CaptureError, match="save it without compression"):
+            read_photograph(tmp_path / "a.tif")
+
+
+def test_a_mosaic_is_a_frame(tmp_path):
+    """A frame may hold pixels under filters of several colours, which capture.yaml describes."""
+    values = picture(np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric=32803, metadata=None)
+    assert np.array_equal(read_digital_numbers(tmp_path / "a.tif"), values)
+
+
+# Fields of files, requests and options take what exists in the world, and refuse what their quantity cannot be.
+
+
+for part in ("adaptation", "bench", "data", "devices"):
+    folder = importlib.import_module(f"{radiometer.__name__}.{part}")
+    for one in pkgutil.iter_modules(folder.__path__):
+        importlib.import_module(f"{folder.__name__}.{one.name}")
+
+
+def models(kind: type[BaseModel]) -> list[type[BaseModel]]:
+    """Return all kinds of section that are declared, of any depth."""
+    return [found for sub in kind.__subclasses__() for found in (sub, *models(sub))]
+
+
+def named(pattern: str) -> list[pytest.param]:
+    """Return the numeric fields whose names match a pattern, as (what takes its values)."""
+    found = []
+    for model in {*models(FileSection), *models(ConfigSection)}:
+        if not model.__module__.startswith(("radiometer.", "simulators.")):
+            continue
+        for name, field in model.model_fields.items():
+            if re.search(pattern, name) and field.annotation in (float, float | None):
+                takes = TypeAdapter(Annotated[field.annotation, *field.metadata])
+                found.append(pytest.param(takes, id=f"{model.__name__}.{name}"))
+    return sorted(found, key=lambda one: str(one.id))
+
+
+def is_taken(takes: TypeAdapter[float], value: float) -> bool:
+    """Tell whether a field takes a value."""
+    try:
+        takes.validate_python(value)
+    except ValidationError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("takes", named(r"(^|_)u_(rel|dn|s)(_|$)|^u$|^glare_u$"))
+def test_an_uncertainty_may_be_nothing_but_not_less(takes):
+    """0 is what is known exactly; −1e-9 is no standard uncertainty."""
+    assert is_taken(takes, 0.0)
+    assert not is_taken(takes, -1e-9)
+
+
+@pytest.mark.parametrize(
+    "takes", named(r"^(f_number|focal_length_\w+|wavelength_nm|pixel_\w+|full_well_e|validity_days)$")
+)
+def test_a_length_or_capacity_is_above_nothing(takes):
+    """A lens of 0 mm or f/0, a wavelength or pixel of 0 and a validity of no time are mistakes."""
+    assert not is_taken(takes, 0.0)
+    assert not is_taken(takes, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("model", "fields"),
+    [
+        (LensDescription, {"f_number": 0.95, "transmittance": 1.0}),  # f/0.95 lenses are sold for C-mount
+        (LensDescription, {"f_number": 128.0, "focal_length_mm": 1.2, "transmittance": 0.015}),  # with a grey filter
+        (LensDescription, {"magnification": 5.0, "pupil_magnification": 0.25}),
+        (Scale, {"value": 1e-12, "u_rel": 0.0, "method": "known_radiance", "f_number": 0.95, "iso": 12_800.0}),
+        (CameraDescription, {"bit_depth": 1}),
+        (
+            CameraDescription,
+            {"bit_depth": 16, "read_noise_e": 0.0, "quantum_efficiency": 1.0, "dark_current_e_per_s": 0},
+        ),
+        (SourceDescription, {"wavelength_nm": 254.0, "reproducibility_u_rel": 0.0, "flicker_hz": 0.1}),
+        (FrameEntry, {"file": "a.png", "exposure_s": 7200.0, "gain_db": -6.0, "source_level": 0.0}),
+        (FrameEntry, {"file": "a.png", "exposure_s": 1e-6, "temperature_C": -100.0}),
+        (FixationCheck, {"size_deg": 2.0, "temporal_deg": 13.5, "share": 0.3}),
+        (Fixation, {"size_deg": 2.0, "luminance_cd_m2": 10.0}),
+        (SteadyBleach, {"channel": "bleach", "luminance_cd_m2": 10_000.0, "duration_s": 600.0, "pupil_mm": 9.0}),
+    ],
+)
+def test_what_exists_is_taken(model, fields):
+    """Fast and slow lenses, one and sixteen bits, germicidal lamps, hours of exposure, cooled sensors: as stated."""
+    made = model.model_validate(fields)
+    assert {name: getattr(made, name) for name in fields} == fields
+
+
+GOOD = {"file": "a.png", "exposure_s": 1.0}
+SCALE = {"value": 1e-6, "u_rel": 0.01, "method": "known_radiance"}
+
+
+@pytest.mark.parametrize(
+    ("model", "fields", "shown"),
+    [
+        (FrameEntry, GOOD | {"exposure_s": 1e30}, "exposure_s.*1e\\+30 s is outside 0 to 1e\\+09 s"),
+        (FrameEntry, GOOD | {"gain_db": 1e9}, "gain_db.*-200 to 200 dB"),
+        (FrameEntry, GOOD | {"temperature_C": 1e6}, "temperature_C.*to 150 °C"),
+        (FrameEntry, GOOD | {"black_level_dn": 1e300}, "black_level_dn.*-65536 to 65536 DN"),
+        (Scale, SCALE | {"value": 1e300}, "value.*1e-15 to 1e\\+06"),
+        (Scale, SCALE | {"value": 1e-300}, "value.*1e-15 to 1e\\+06"),
+        (Scale, SCALE | {"unit": "mJ m-2"}, "unit = 'mJ m-2': input should be 'J m-2 per unit of signal'"),
+        (FoundEffects, {"gains_db": (0.0, 1e9), "gain_errors_rel": (0.0, 0.1)}, "gains_db.*-200 to 200 dB"),
+        (CameraDescription, {"bit_depth": 12, "full_well_e": 1e-300}, "full_well_e = 1e-300"),
+    ],
+)
+def test_what_cannot_exist_is_refused_with_place_and_range(model, fields, shown):
+    """A mistake of unit or power of ten: file, key, number and what is plausible."""
+    with pytest.raises(InputError, match=f"^a.yaml: {shown}"):
+        validate(model, fields, "a.yaml", InputError)
+
+
+@pytest.mark.parametrize(
+    "model", sorted({*models(FileSection), *models(ConfigSection)}, key=lambda one: one.__qualname__)
+)
+def test_true_is_no_number(model):
+    """A level, bound or share that a file states as `true` is refused by its key: it would be 1."""
+    for name, field in model.model_fields.items():
+        if field.annotation in (int, float, int | None, float | None):
+            with pytest.raises(ValidationError, match=rf"{name} = True: true and false are no numbers"):
+                model.model_validate({name: True})
+
+
+@pytest.mark.parametrize("number", [10**11, 10**20, "1" + "0" * 20, [10**11]], ids=["1e11", "1e20", "text", "list"])
+@pytest.mark.parametrize(
+    "model", sorted({*models(FileSection), *models(ConfigSection)}, key=lambda one: one.__qualname__)
+)
+def test_no_count_of_a_file_sizes_an_array_without_bound(model, number):
+    """Bits, pixels, counts, seeds: each field that takes a whole number refuses what memory could not hold."""
+    for name, field in model.model_fields.items():
+        if re.search(r"\bint\b", str(field.annotation)):
+            with pytest.raises(ValidationError, match=rf"{name} = .*: no count has this size; at most"):
+                model.model_validate({name: number})
+
+
+FILES = {
+    "radiometer-bench/1": lambda path: rm.open(path, uncalibrated=True).close(),
+    "radiometer-calibration/1": Calibration.read,
+    "radiometer-camera/1": CameraPreset.read,
+    "radiometer-light-box/1": read_preset,
+    "radiometer-light-calibration/1": LightCalibration.read,
+    "radiometer-protocol/1": read_protocol,
+    "radiometer-screen/1": lambda path: rm.screen_level(path, 50.0),
+}
+SCREEN = """\
+format: radiometer-screen/1
+channels:
+  grey: {levels: [0, 128, 255], bits: 8, radiance_W_per_sr_m2: [0, 0.1, 0.4], u_independent: [0.001, 0.001, 0.004],
+    u_common_rel: 0.02, photopic_lm_per_W: 320, scotopic_lm_per_W: 700, spectrum: white_led}
+"""
+
+
+SELF: list[object] = []
+SELF.append(SELF)
+ODD = (None, [], {}, "text", "", math.nan, math.inf, -1, 0, 1e-300, 1e300, True, [1, [2]], {"a": {"b": []}}, SELF)
+
+
+def places(content: object, path: tuple[object, ...] = ()) -> Iterator[tuple[tuple[object, ...], object]]:
+    """Yield the path to each key and entry of a file, and what stands there."""
+    items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, inside in items:
+        yield (*path, key), inside
+        yield from places(inside, (*path, key))
+
+
+def changed(content: object, place: tuple[object, ...], value: object) -> str:
+    """Return a file with another value at a place."""
+    new = copy.deepcopy(content)
+    functools.reduce(operator.getitem, place[:-1], new)[place[-1]] = value
+    return yaml.safe_dump(new)
+
+
+def shipped(root: Path) -> list[dict[str, Any]]:
+    """Return the content of a file of each form: those of the package, and a screen's calibration."""
+    texts = [path.read_text() for path in sorted((root / "configs").rglob("*.yaml"))]
+    return [content for content in map(yaml.safe_load, (*texts, SCREEN)) if content.get("format") in FILES]
+
+
+def test_no_odd_value_of_a_file_is_a_defect_of_the_program(project_root, tmp_path):
+    """Null, lists, mappings, text, NaN, nothing, a list that holds itself: at places by chance, refused in a line."""
+    rng, file, printed = random.Random(20261127), tmp_path / "changed.yaml", list[str]()
+    every = [(one, place) for one in shipped(project_root) for place, _ in places(one) if len(place) < 5]
+    tried = [(*one, SELF) for one in every[::20]] + [(*rng.choice(every), rng.choice(ODD)) for _ in range(300)]
+    for content, place, value in tried:
+        file.write_text(changed(content, place, value))
+        try:
+            FILES[content["format"]](file)
+        except rm.RadiometerError as error:
+            printed.append(str(error))
+    assert len(printed) > 100
+    assert all(line.strip() and "\n" not in line for line in printed)
+
+
+def test_no_whole_number_of_a_file_takes_memory_or_time(project_root, tmp_path):
+    """Every number of every shipped form, as 10¹¹ and 10²⁰: refused in a line, or at least read at once."""
+    at_first, seen = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, set()
+    file = tmp_path / "changed.yaml"
+    every = shipped(project_root)
+    for content in (*every[::2], every[-1]):
+        for place in (place for place, value in places(content) if type(value) is int):
+            seen.add(content["format"])
+            for number in (10**11, 10**20):
+                file.write_text(changed(content, place, number))
+                began = time.monotonic()
+                with contextlib.suppress(rm.RadiometerError):
+                    FILES[content["format"]](file)
+                assert time.monotonic() - began < 5.0, place
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - at_first < 1_000_000  # kB
+    assert {"radiometer-bench/1", "radiometer-screen/1", "radiometer-protocol/1"} <= seen
+
+
+def test_a_simulated_lens_may_be_nearly_opaque():
+    """1 % is a lens behind a grey filter of density 2, for the sun."""
+    assert Lens(transmittance=0.01).transmittance == 0.01
+    assert not math.isclose(Lens().transmittance, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("gains_db", "errors", "taken"),
+    [((), (), True), ((0.0, 6.0), (0.01, 0.02), True), ((0.0, 6.0), (0.01,), False), ((0.0,), (0.01, 0.02), False),
+     ((6.0, 0.0), (0.01, 0.02), False), ((0.0, 0.0), (0.01, 0.02), False)],
+)  # fmt: skip
+def test_a_table_of_gains_has_one_error_for_each(gains_db, errors, taken):
+    """Gains rise, and none lacks its error."""
+    if taken:
+        assert FoundEffects(gains_db=gains_db, gain_errors_rel=errors).gain_errors_rel == errors
+    else:
+        with pytest.raises(ValidationError, match="one error per gain, gains rising"):
+            FoundEffects(gains_db=gains_db, gain_errors_rel=errors)
