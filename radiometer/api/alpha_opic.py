@@ -56,15 +56,10 @@ class AlphaOpicQuantities(Drawn):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        return {
-            "source": self.source.to_mapping(),
-            "spectrum": self.spectrum,
-            "quantities": {
-                one.receptor: {name: getattr(one, field).to_mapping() for name, field in _IN_JSON.items()}
-                for one in self.quantities
-            },
-            "assumptions": list(self.assumptions),
+        found = {
+            one.receptor: {name: getattr(one, field) for name, field in _IN_JSON.items()} for one in self.quantities
         }
+        return self.plain("source", "spectrum", "assumptions", quantities=found)
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the α-opic daylight efficacy ratios with their expanded uncertainty (k = 2)."""

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -28,7 +28,7 @@ from radiometer.analysis.signal.situation import contradicted, same_light
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import Radiance, quantity_in_words
-from radiometer.api.result import Drawn, or_null
+from radiometer.api.result import Drawn
 from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.drawing import new_axes
 from radiometer.data.storage import write_text_atomic
@@ -80,23 +80,14 @@ class MapAnalysis(Drawn):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        line = {} if self.profile is None else {"profile": {k: v.tolist() for k, v in self.profile._asdict().items()}}
-        return {
-            "map": self.origin,
-            "unit": self.map.unit,
-            "regions": {
-                one.name: {
-                    "patch": [one.patch.x, one.patch.y, one.patch.width, one.patch.height],
-                    **{name: getattr(one, name).to_mapping() for name in _FIGURES},
-                    "good_share": one.good_share,
-                    "flags": list(one.flags),
-                }
-                for one in self.regions
-            },
-            **{name: or_null(getattr(self, name)) for name in ("contrast", "illuminance", "ugr", "dgp")},
-            "assumptions": list(self.assumptions),
-            **line,
+        line = {} if self.profile is None else {"profile": self.profile._asdict()}
+        names = (*_FIGURES, "good_share", "flags")
+        regions = {
+            one.name: {"patch": astuple(one.patch), **{name: getattr(one, name) for name in names}}
+            for one in self.regions
         }
+        asked = ("contrast", "illuminance", "ugr", "dgp", "assumptions")
+        return self.plain(*asked, map=self.origin, unit=self.map.unit, regions=regions, **line)
 
     @property
     def of_picture(self) -> dict[str, Quantity]:
@@ -275,7 +266,7 @@ def analyse(
         raise UsageError("--fisheye and --field-of-view need each other")
     if glare and fisheye is None:
         raise UsageError("--glare needs a fisheye picture: --fisheye and --field-of-view")
-    found, origin = _map_of(source, spectrum)
+    found, origin, taken = _map_of(source, spectrum)
     named = {name: as_patch(one) for name, one in (regions or {}).items()}
     patches = named or {"all": Patch(0, 0, found.shape[1], found.shape[0])}
     figures = {name: region_figures(found, name, one, box) for name, one in patches.items() if one is not None}
@@ -297,6 +288,7 @@ def analyse(
     along = None if line is None else profile(found, line[:2], line[2:], line_width)
     if spectrum is not None:
         assumptions += _of_light(spectrum, found.provenance.parameters.get("origin", {}))
+    assumptions += [*taken, *found.not_in_u]
     return MapAnalysis(origin, found, tuple(figures.values()), ratio, along, line, lux, ugr, dgp, tuple(assumptions))
 
 
@@ -316,7 +308,8 @@ def _or_limit(one: Quantity, noise_u: float, apart: float = math.inf) -> str:
     return one.text(_COVERAGE, bare=True, apart=apart)
 
 
-def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[RadianceMap, str]:
+def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[RadianceMap, str, list[str]]:
+    """Return the map that is analysed, where it is from, and which one of several it is."""
     if isinstance(source, Radiance):
         picture_of, origin = source.picture, repr(source)
     else:
@@ -324,7 +317,9 @@ def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[Radiance
         if path.suffix.lower() not in (".tif", ".tiff"):
             raise UsageError(f"{path}: give the map as TIFF, which holds its u: radiometer merge -o FILE.tiff")
         picture_of, origin = read_tiff(path), str(path)
-    found = MapPicture(picture_of.maps).first
+    picture_of = MapPicture(picture_of.maps)
+    found, names = picture_of.first, ", ".join(picture_of.maps)
+    taken = [f"all figures are of {picture_of.first_name}; the map holds {names}"] if len(picture_of.maps) > 1 else []
     if spectrum is not None:
         found = in_luminance(found, spectrum_of(spectrum))
-    return replace(found, radiance=np.asarray(found.radiance)), origin
+    return replace(found, radiance=np.asarray(found.radiance)), origin, taken

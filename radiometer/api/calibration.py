@@ -516,7 +516,12 @@ def _base(
         levels = {frame.settings.black_level_dn for frame in seen.bracket.light} - {None}
         stated = levels.pop() if len(levels) == 1 else None
     base = make.unscaled_calibration(camera, lens, curve, spectrum, stated, validity_days)
-    if seen is None or stated is not None or camera.black_level_dn is not None:
+    if seen is None:
+        return base, ()
+    # Other captures state what this one does: a measured gain is in the noise model.
+    as_stated = {"conversion_gain_e_per_dn": seen.camera.conversion_gain_e_per_dn}
+    base = replace(base, camera=camera.model_copy(update=as_stated))
+    if stated is not None or camera.black_level_dn is not None:
         return base, ()
     measured = black_from_darks(seen.bracket.dark, base)
     if measured is not None:

@@ -86,14 +86,10 @@ class Certificate(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        return {
-            "identifier": self.content.identifier,
-            "item": self.content.item.model_dump(mode="json"),
-            "date": self.content.date,
-            "results": {name: {**one.to_mapping(), "coverage_factor": k} for name, one, k in self.content.results},
-            "file": None if self.file is None else str(self.file),
-            "page": None if self.page is None else str(self.page),
-        }
+        known = self.content
+        results = {name: {**one.to_mapping(), "coverage_factor": k} for name, one, k in known.results}
+        item = known.item.model_dump(mode="json")
+        return self.plain("file", "page", identifier=known.identifier, item=item, date=known.date, results=results)
 
     def __str__(self) -> str:
         """Return number, item and first result in one line."""

@@ -6,7 +6,7 @@ import datetime as dt
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -25,7 +25,7 @@ from radiometer.analysis.regions.figures import LOST, region_figures
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import ResponseLike, merge
-from radiometer.api.result import Drawn, Notice, Progress, Result, or_null, unheard
+from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
 from radiometer.bench.sources import is_photographs, open_source
 from radiometer.data import (
     Calibration,
@@ -78,7 +78,7 @@ class CalibratedColour(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form: that of the file."""
-        return {**self.calibration.to_mapping(), "file": None if self.out is None else str(self.out)}
+        return self.plain(**self.calibration.to_mapping(), file=self.out)
 
     def u_rel(self, kind: str | None) -> float:
         """Return the relative standard uncertainty of the luminance of white light from the matrix."""
@@ -129,18 +129,11 @@ class ColourReading(Drawn):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        return {
-            "source": self.source,
-            "patch": [self.patch.x, self.patch.y, self.patch.width, self.patch.height],
-            "kind": self.kind,
-            **{name: or_null(one) for name, one in self.quantities.items()},
-            "covariance_xy": self.coordinates.xy_covariance.tolist(),
-            "coverage_factor": 2,
-            "signals": {name: one.to_mapping() for name, one in self.signals.items()},
-            "flags": list(self.flags),
-            "assumptions": list(self.assumptions),
-            "calibrated": self.calibration.created.isoformat(),
-        }
+        return self.plain(
+            "source", "kind", "signals", "flags", "assumptions", **self.quantities, patch=astuple(self.patch),
+            covariance_xy=self.coordinates.xy_covariance, coverage_factor=2,
+            calibrated=self.calibration.created.isoformat(),
+        )  # fmt: skip
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the chromaticity diagram: spectral and Planckian locus, training set, the reading with its ellipse."""

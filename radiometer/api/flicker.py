@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from radiometer.analysis.flicker.measures import Flicker, measure_flicker
 from radiometer.analysis.flicker.waveform import Waveform, find_period, read_waveform, waveform_of_rows
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.result import Drawn, Notice, or_null, unheard
+from radiometer.api.result import Drawn, Notice, unheard
 from radiometer.bench.assembly import open_bench_camera
 from radiometer.bench.instrument import central_patch, refuse_outside
 from radiometer.data import Patch, Quantity
@@ -50,19 +50,9 @@ class FlickerReport(Drawn):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        found = self.measures
-        names = ("frequency", "modulation_depth", "flicker_index", "svm", "pst_lm")
-        return {
-            "source": self.waveform.origin,
-            "rate_Hz": self.waveform.rate_hz,
-            "duration_s": self.waveform.duration_s,
-            "periods": found.periods,
-            "coverage_factor": found.coverage_factor,
-            **{name: or_null(getattr(found, name)) for name in names},
-            "row_time": or_null(self.row_time),
-            "assumptions": list(found.assumptions),
-            "warnings": list(found.warnings),
-        }
+        measures = {one.name: getattr(self.measures, one.name) for one in fields(self.measures)}
+        source, rate_hz, duration_s = self.waveform.origin, self.waveform.rate_hz, self.waveform.duration_s
+        return self.plain("row_time", source=source, rate_Hz=rate_hz, duration_s=duration_s, **measures)
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw some periods of the light over its mean."""

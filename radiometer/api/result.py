@@ -18,8 +18,6 @@ from radiometer.progress import Progress as Progress
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from radiometer.data import Quantity
-
 # Callbacks that functions take, besides `Progress`. An ask returns once somebody has done what it asks for. A notice is
 # one line for the user.
 Ask = Callable[[str], None]
@@ -51,11 +49,6 @@ def unheard(line: str) -> None:
     """Drop a notice."""
 
 
-def or_null(quantity: Quantity | None) -> dict[str, Any] | None:
-    """Return the JSON form of a quantity; None, which JSON writes as null, where there is none."""
-    return None if quantity is None else quantity.to_mapping()
-
-
 class Result:
     """Base of what the functions return.
 
@@ -70,6 +63,10 @@ class Result:
     def to_mapping(self) -> dict[str, Any]:
         """Return the result as plain values."""
         raise NotImplementedError
+
+    def plain(self, *names: str, **further: Any) -> dict[str, Any]:
+        """Return attributes by name, and further entries, as plain values: what `to_mapping` is made of."""
+        return {name: finite_or_null(one) for name, one in {**{n: getattr(self, n) for n in names}, **further}.items()}
 
     def to_json(self) -> str:
         """Return the documented JSON form in one line; what is not finite is null."""

@@ -60,31 +60,19 @@ class DisplayReport(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        return {
-            "screen": self.screen,
-            "created": self.created,
-            "measured_with": dict(self.measured_with),
-            "geometry": self.geometry,
-            "conditions": list(self.conditions),
-            "methods": {
-                one.method: {
-                    "title": one.title,
-                    "conditions": list(one.conditions),
-                    "figures": {
-                        each.name: {**each.quantity.to_mapping(), "bound": each.bound or None} for each in one.figures
-                    },
-                    "table": [
-                        {
-                            name: cell.to_mapping() if isinstance(cell, Quantity) else cell
-                            for name, cell in zip(one.columns, row, strict=True)
-                        }
-                        for row in one.rows
-                    ],
-                    "notes": list(one.notes),
-                }
-                for one in self.sections
-            },
+        methods = {
+            one.method: {
+                "title": one.title,
+                "conditions": one.conditions,
+                "figures": {
+                    each.name: {**each.quantity.to_mapping(), "bound": each.bound or None} for each in one.figures
+                },
+                "table": [dict(zip(one.columns, row, strict=True)) for row in one.rows],
+                "notes": one.notes,
+            }
+            for one in self.sections
         }
+        return self.plain("screen", "created", "measured_with", "geometry", "conditions", methods=methods)
 
     def write_report(self, path: PathLike) -> None:
         """Write a self-contained page. Raises OutputError if it cannot be written."""

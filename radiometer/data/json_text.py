@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from pathlib import PurePath
 from typing import Any
 
 
@@ -58,7 +59,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def finite_or_null(value: Any) -> Any:
-    """Return a JSON value with every number that is not finite replaced by None, and numpy's numbers by Python's."""
+    """Return a JSON value of plain ones: None for a number that is not finite, the documented form of an object."""
     if isinstance(value, str | bool | int | None):
         return value
     if isinstance(value, float):
@@ -69,4 +70,6 @@ def finite_or_null(value: Any) -> Any:
         return [finite_or_null(entry) for entry in value]
     if hasattr(value, "tolist"):  # arrays and numbers of numpy
         return finite_or_null(value.tolist())
-    return value
+    if hasattr(value, "to_mapping"):
+        return finite_or_null(value.to_mapping())
+    return str(value) if isinstance(value, PurePath) else value

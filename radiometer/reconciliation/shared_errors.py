@@ -556,6 +556,8 @@ _EDGES: Final = 5.0  # √(number of edges that average out), few to be safe
 _LEAST_STEP: Final = 0.1  # of the brightest light, where all patches are alike
 _TREND_TERMS: Final = 3  # of a tile's lines: constant, slope and curvature are taken out
 _SMALLEST_SHARE: Final = 1e-6
+ANSCOMBE: Final = 0.375  # added to a count before its root
+_SMALL_SHARE: Final = 0.01  # of the variance of twice the root of a count, which is 1
 _FIXED: Final = ("spatial", "columns", "rows")
 
 
@@ -638,6 +640,23 @@ def renewed_patterns(design: Design, seen: CaptureStatistics, prediction: Predic
         "slope_y": sigma / lengths[1],
         "spatial": share * np.sqrt(2.0 * (alike - 1.0) / np.maximum(seen.spatial_dof, 1.0)),
     }
+
+
+def errors_of_counts(prediction: Prediction, usable: Mapping[str, Mask]) -> tuple[FixedError, ...]:
+    """Return the chance number of the pixels that count, which are the same in all captures.
+
+    Two captures share the pixels of that in which fewer count: numbers n and m have the covariance min(n, m).
+    """
+    found = []
+    for name in ("outliers", "unsteady"):
+        count = np.where(usable[name], getattr(prediction, name), 0.0)
+        scale = np.sqrt(count + ANSCOMBE)  # of what twice the root moves by
+        values, vectors = np.linalg.eigh(np.minimum.outer(count, count) / np.outer(scale, scale))
+        kept = values > _SMALL_SHARE
+        if kept.any():
+            part = {name: _of_captures(vectors[:, kept] * np.sqrt(values[kept]))}
+            found.append(FixedError(f"number: {name}", lambda prediction, part=part: part, np.ones(kept.sum())))
+    return tuple(found)
 
 
 def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:

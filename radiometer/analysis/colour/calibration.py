@@ -30,7 +30,7 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.storage import read_yaml, write_yaml_atomic
-from radiometer.data.validation import FileArray, FileSection, validate
+from radiometer.data.validation import ConfigSection, FileArray, validate
 from radiometer.errors import CalibrationError, UsageError
 from radiometer.typing import Array
 
@@ -50,7 +50,7 @@ _OfDisplays = Annotated[
 ]
 
 
-class ColourCalibration(FileSection):
+class ColourCalibration(ConfigSection):
     """What turns the channels of one camera into X, Y, Z."""
 
     created: AwareDatetime = Field(default_factory=lambda: dt.datetime.now(dt.UTC))
@@ -166,7 +166,7 @@ class ColourCalibration(FileSection):
         mapping = read_yaml(path)
         if mapping.get("format") != FORMAT:
             raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
-        return validate(cls, mapping, str(path), CalibrationError)
+        return validate(cls, {k: v for k, v in mapping.items() if k != "format"}, str(path), CalibrationError)
 
 
 def reference(

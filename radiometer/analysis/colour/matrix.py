@@ -17,7 +17,7 @@ from scipy.stats import t as student_t
 from radiometer.analysis.colour.plausible import plausible_cameras, plausible_lights
 from radiometer.analysis.photometry.displays import display_primaries, tristimulus_of
 from radiometer.analysis.photometry.photometry import DISPLAY_TYPES
-from radiometer.data.validation import FileArray, FileSection
+from radiometer.data.validation import ConfigSection, FileArray
 from radiometer.errors import CalibrationError
 from radiometer.statistics.least_squares import solve
 from radiometer.typing import Array
@@ -62,7 +62,7 @@ def of_rows(rows: Any) -> Any:
     return rows if columns is None else dict(zip(Training.__slots__, columns, strict=True)) if rows else None
 
 
-class Fit(FileSection):
+class Fit(ConfigSection):
     """A matrix and what is known of its error.
 
     Errors are covariances of X, Y, Z over the square of X + Y + Z, shape (3, 3).

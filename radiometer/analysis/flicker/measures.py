@@ -20,6 +20,7 @@ from radiometer.analysis.flicker.shape import LEAST_KEPT, ShapeMeasures, measure
 from radiometer.analysis.flicker.waveform import Period, Waveform, find_period, whole_periods
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
+from radiometer.statistics.scale import jackknife_u
 from radiometer.typing import Array
 
 # SVM: exponent of the sum and band of its Fourier components (IEC TR 63158, clause 4; CIE TN 006:2016).
@@ -164,10 +165,7 @@ def _with_noise(pst: Quantity, part: Waveform, period: Period | None) -> tuple[Q
 def _shape(waveform: Waveform, period: Period | None) -> tuple[ShapeMeasures, str]:
     """Return the shape of the period, or of the whole record where a period does not describe it, with a remark."""
     if period is None:
-        line = other_line(waveform)
-        return measure_record(waveform, 0.0 if line is None else line[0]), (
-            "no repetition was found beyond noise: the measures are of the whole record"
-        )
+        return measure_record(waveform), ("no repetition was found beyond noise: the measures are of the whole record")
     shape = measure_shape(waveform, period)
     line = other_line(waveform, period, shape)
     if line is None:
@@ -180,7 +178,7 @@ def _shape(waveform: Waveform, period: Period | None) -> tuple[ShapeMeasures, st
         f"light of {other_hz:.4g} Hz, {100 * amplitude:.2g} % of the mean, does not repeat with "
         f"{period.frequency_hz:.4g} Hz: "
     )
-    record = measure_record(waveform, max(other_hz, period.frequency_hz))
+    record = measure_record(waveform)
     widened = [
         Quantity(one.value, math.hypot(one.u, amplitude), "1") for one in (shape.modulation_depth, shape.flicker_index)
     ]
@@ -288,14 +286,12 @@ def _jackknife(
     of: Callable[[Waveform, Period | None], float], part: Waveform, period: Period | None, blocks: int, periods: int
 ) -> float:
     """Return the standard uncertainty of a measure by leaving out one block of whole periods at a time."""
-    if blocks < 2:
-        return 0.0
     edges = np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / periods
     values = []
     for first, last in zip(edges[:-1].round().astype(int), edges[1:].round().astype(int), strict=True):
         left = np.concatenate([part.light[:first], part.light[last:]])
         values.append(of(Waveform(left, part.rate_hz, part.origin, averaged_s=part.averaged_s), period))
-    return float(np.sqrt((blocks - 1) * np.var(values)))
+    return float(jackknife_u(values).item())
 
 
 def _sampling_warnings(waveform: Waveform) -> list[str]:

@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from radiometer.analysis.flicker.waveform import Period, Waveform, harmonic_columns
 from radiometer.data import Quantity
+from radiometer.statistics.scale import jackknife_u
 from radiometer.typing import Array
 
 _MOST_POINTS: Final = 4096  # phases that are kept apart: a mean over one keeps 1 − 1e-7 of a sinusoid
@@ -57,35 +58,29 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     larger. Between neighbouring phases it also covers what noise adds to extremes, and an extreme between two samples.
     """
     whole, parts = _folds(waveform, period)
-    order = _supported_order(whole)
-    kept = _kept(period.frequency_hz * waveform.averaged_s, order or 1)
+    orders = _supported_orders(whole)
+    kept = _kept(period.frequency_hz * waveform.averaged_s, orders[1] if orders else 1)
 
     def of(fold: _Fold) -> tuple[Array, Array]:
-        return _of_series(fold, order, kept) if order is not None else _of_phases(fold)
+        return _of_series(fold, *orders, kept) if orders else _of_phases(fold)
 
     values, u = of(whole)
-    if parts:
-        scatter = np.sqrt((len(parts) - 1) * np.var([of(part)[0] for part in parts], axis=0))
-        u = np.maximum(u, scatter)
+    u = np.maximum(u, jackknife_u([of(part)[0] for part in parts]))
     phase, light = whole.phase, whole.light
-    if order is not None:
+    if orders:
         phase = np.arange(_GRID) / _GRID
-        light = harmonic_columns(phase, order) @ _Equations(whole, order).series(order).factors
-    return _measures(values, u, len(parts), order is not None, phase, light)
+        light = harmonic_columns(phase, orders[1]) @ _Equations(whole, orders[1]).series(orders[1]).factors
+    return _measures(values, u, len(parts), bool(orders), phase, light)
 
 
-def measure_record(waveform: Waveform, fastest_hz: float) -> ShapeMeasures:
-    """Return modulation depth and flicker index of a whole record that no period describes.
-
-    The highest frequency at which it is modulated (0 where there is none beyond noise) limits what an extreme between
-    two samples can be.
-    """
+def measure_record(waveform: Waveform) -> ShapeMeasures:
+    """Return modulation depth and flicker index of a whole record that no period describes."""
     size = waveform.light.size
     fold = _Fold(np.arange(size) / size, waveform.light, np.ones(size))
     power = _spectrum(waveform.light, waveform.rate_hz)[1] ** 2
     # The amplitude of a line of noise has the mean square 4σ²·Σw²/(Σw)²; for a Hann window Σw²/(Σw)² is 1.5/n.
     sigma = math.sqrt(float(np.median(power)) / math.log(2.0) * size / 6.0)
-    values, u = _of_neighbours(fold, sigma, 1, fastest_hz / waveform.rate_hz)
+    values, u = _of_neighbours(fold, sigma, 1, 3)
     return _measures(values, u, 0, False, fold.phase, fold.light)
 
 
@@ -209,43 +204,37 @@ class _Equations:
         return _Series(factors, inverse * (float(self.fold.count @ residual**2) / freedom), residual)
 
     def determine(self, order: int) -> bool:
-        """Return whether the phases determine a series and leave two of them to check it by."""
+        """Return whether the phases determine a series."""
         if order > self.most:
-            return False
-        unknowns = 2 * order + 1
-        apart = 1.0 / (4 * unknowns)
-        distinct, at, phase = 0, 0, self.fold.phase
-        while at < phase.size and phase[at] < phase[0] + 1.0 - apart / 2.0:
-            distinct += 1
-            at = int(np.searchsorted(phase, phase[at] + apart))
-        if distinct < unknowns + 2:
             return False
         own = self._of(order)
         sizes = np.linalg.eigvalsh(self._products[np.ix_(own, own)])
         return bool(sizes[0] * _WORST_CONDITION > sizes[-1])
 
 
-def _supported_order(fold: _Fold) -> int | None:
-    """Return the order of the series that describes the light within its noise; None where none does.
+def _supported_orders(fold: _Fold) -> tuple[int, int] | None:
+    """Return the order of the series that describes the light within its noise, and that which it is checked by.
 
-    Harmonics above the light's own must be insignificant, and the residuals must not follow the phase.
+    The second is about twice the first. Harmonics above the light's own must be insignificant, and the residuals must
+    not follow the phase. None where no series fits.
     """
     noise = _noise(fold)
     enough = int((float(fold.count.sum()) / _SAMPLES_PER_FACTOR - 1.0) / 2.0)
-    equations = _Equations(fold, min(_ORDERS[-1] + _TAIL, max(enough, 1)))
+    equations = _Equations(fold, min(2 * _ORDERS[-1], max(enough, 1)))
     for order in _ORDERS:
-        if not equations.determine(order):
+        # Light may have odd harmonics alone.
+        twice = next((n for n in (max(2 * order, order + _TAIL), 2 * order) if equations.determine(n)), None)
+        if twice is None:
             return None
-        last = max(one for one in range(order, order + _TAIL + 1) if equations.determine(one))
-        series = equations.series(last)
-        least = _NEGLIGIBLE * max(series.amplitude(n) for n in range(1, last + 1))
-        above = range(order + 1, last + 1)
+        series = equations.series(twice)
+        least = _NEGLIGIBLE * max(series.amplitude(n) for n in range(1, twice + 1))
+        above = range(order + 1, min(order + _TAIL, twice) + 1)
         ends = all(series.amplitude(n) < max(least, math.sqrt(_SIGNIFICANT * series.variance(n))) for n in above)
         residual, negligible = series.residual * np.sqrt(fold.count), least * math.sqrt(fold.count.mean())
         # A series rings at steps: there the residuals are larger than the noise between neighbours.
         small = math.sqrt(float(np.mean(residual**2))) < _MOST_OF_NOISE * max(noise, negligible)
         if ends and small and _is_unstructured(residual, negligible):
-            return last
+            return order, twice
     return None
 
 
@@ -265,8 +254,12 @@ def _kept(averaged_periods: float, order: int) -> Array:
     return np.concatenate([[1.0], harmonics, harmonics])
 
 
-def _of_series(fold: _Fold, order: int, kept: Array) -> tuple[Array, Array]:
-    """Return modulation depth and flicker index of a series, and their standard uncertainties."""
+def _of_series(fold: _Fold, enough: int, order: int, kept: Array) -> tuple[Array, Array]:
+    """Return modulation depth and flicker index of a series, and their standard uncertainties.
+
+    A bend needs all harmonics: those above an order add to an extreme as 1/order. So what the orders from `enough` to
+    twice that add is also what is still missing.
+    """
     series = _Equations(fold, order).series(order)
     factors, covariance = series.factors / kept, series.covariance / np.outer(kept, kept)
     columns = harmonic_columns(np.arange(_GRID) / _GRID, order)
@@ -274,6 +267,9 @@ def _of_series(fold: _Fold, order: int, kept: Array) -> tuple[Array, Array]:
     top, bottom = int(np.argmax(light)), int(np.argmin(light))
     high, low, mean = float(light[top]), float(light[bottom]), float(factors[0])
     depth = (high - low) / (high + low)
+    n = np.arange(factors.size)
+    first = columns @ np.where(n - order * (n > order) <= enough, factors, 0.0)
+    missing = abs(depth - np.ptp(first) / (first.max() + first.min()))
     towards_depth = 2.0 * (low * columns[top] - high * columns[bottom]) / (high + low) ** 2
     above = light > mean
     own = np.eye(factors.size)[0]
@@ -283,27 +279,26 @@ def _of_series(fold: _Fold, order: int, kept: Array) -> tuple[Array, Array]:
     u = [math.sqrt(max(float(g @ covariance @ g), 0.0)) for g in (towards_depth, towards_index)]
     # Residuals that do not look like noise but are negligible may all be at an extreme.
     left = 0.0 if _is_unstructured(series.residual, 0.0) else float(np.std(series.residual)) / mean
-    return np.array([depth, index]), np.hypot(u, abs(depth) * between + left)
+    return np.array([depth, index]), np.hypot(np.hypot(u, abs(depth) * between + left), [missing, 0.0])
 
 
 def _of_phases(fold: _Fold) -> tuple[Array, Array]:
     """Return modulation depth and flicker index of a period in steps, and their standard uncertainties."""
     sigma = _noise(fold)
     wide = max(1, round(fold.phase.size * _WINDOW)) if sigma > _NOISELESS * float(np.ptp(fold.light)) else 1
-    widest_gap = float(np.diff(fold.phase, append=fold.phase[0] + 1.0).max())
-    return _of_neighbours(fold, sigma, wide, widest_gap + (wide - 1) / fold.phase.size)
+    # Phases of few periods may be bunched: a mean reaches from bunch to bunch.
+    bunch = float(np.diff(fold.phase, append=fold.phase[0] + 1.0).max()) * fold.phase.size
+    return _of_neighbours(fold, sigma, wide, 2 * (wide - 1) + round(3.0 * bunch))
 
 
-def _of_neighbours(fold: _Fold, sigma: float, wide: int, gap: float) -> tuple[Array, Array]:
+def _of_neighbours(fold: _Fold, sigma: float, wide: int, wider: int) -> tuple[Array, Array]:
     """Return modulation depth and flicker index from means of neighbouring points, and their standard uncertainties.
 
-    A sample has the standard deviation `sigma`, a mean `wide` points; an extreme may be between samples `gap` periods
-    apart.
+    A sample has the standard deviation `sigma`, a mean `wide` points. Means flatten an extreme, and it may be between
+    two samples: what `wider` means flatten it by counts.
     """
     depth, middle, slopes, added, sigma_mean = _depth(fold, sigma, wide)
-    # A sinusoid's extreme between two samples; k = 2 covers all of it.
-    missed = abs(depth) * (1.0 - math.cos(math.pi * min(gap, 1.0))) / 2.0
-    flattened = abs(depth - _depth(fold, sigma, 2 * wide)[0]) if wide > 1 else 0.0
+    flattened = abs(depth - _depth(fold, sigma, min(wider, fold.phase.size))[0])
     gaps = np.diff(fold.phase, append=fold.phase[0] + 1.0)
     share = (gaps + np.roll(gaps, 1)) / 2.0
     mean = float(share @ fold.light)
@@ -314,7 +309,7 @@ def _of_neighbours(fold: _Fold, sigma: float, wide: int, gap: float) -> tuple[Ar
         float(np.linalg.norm(steps)) / math.sqrt(12.0), 0.4 * near * sigma,
         sigma / math.sqrt(float(fold.count.sum())),
     ]  # fmt: skip
-    u_depth = [missed, added / math.sqrt(12.0) / middle, sigma_mean * slopes, flattened]
+    u_depth = [added / math.sqrt(12.0) / middle, sigma_mean * slopes, flattened]
     return np.array([depth, index]), np.array([math.hypot(*u_depth), math.hypot(*u_index) / mean])
 
 

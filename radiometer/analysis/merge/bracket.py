@@ -63,6 +63,7 @@ _PARTS_PER_CORE: Final = (
     4  # few, because each costs the interpreter's lock; several, because cores are not equally fast
 )
 MOST_FRAMES = 64  # the bits of the largest integer that marks the frames of a pixel
+_ROUNDED_DN = 1.0  # the standard uncertainty of a black level counts as one of ±1 DN where nothing states it
 _REPORTED_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
 
 
@@ -203,6 +204,7 @@ class StreamingMerge:
         self._pending: list[MergeSample] = []
         self._finished = False
         self._copies = Copies()
+        self._darkest = math.inf  # signal x of the darkest pixels of all frames; 0 where masked pixels show the black
 
     def add(self, frame: Frame) -> None:
         """Take a frame in; its pixels are read now or with one of the next frames, and must stay as they are.
@@ -422,6 +424,7 @@ class StreamingMerge:
             frame = self._taps.levelled(frame)
         few = some_lit_pixels(frame, None if self._taps is None else self._taps.lit)
         darkest = darkest_signal(few, self._situation.model)
+        self._darkest = min(self._darkest, darkest if frame.masked_dn is None else 0.0)
         terms = frame_terms(
             frame.settings,
             self._situation,
@@ -665,6 +668,18 @@ class StreamingMerge:
             f"the response bends by {100 * share:.2g} % at full scale, as found: the map keeps it, u does not hold it",
         )
 
+    def _black(self) -> tuple[str, ...]:
+        """Return how bright pixels without light may be where nothing states it: as bright as the darkest of all."""
+        calibration, camera = self._calibration, self._camera
+        unstated = camera.black_level_dn is None and not self._dark and not (calibration and calibration.absolute)
+        unstated &= all(terms.settings.black_level_dn is None for terms in self._terms)
+        if not unstated or not self._situation.model.linear or self._darkest < _ROUNDED_DN:
+            return ()
+        return (
+            "no black level is stated and no dark frame was taken: without light the numbers may be about "
+            f"{self._darkest:.2g} DN, as in the darkest pixels, which u does not hold",
+        )
+
     def _fall_off(self) -> tuple[str, ...]:
         """Return what the lens may lose towards the corners, where nothing says how much."""
         flat = None if self._calibration is None else self._calibration.flat_field
@@ -696,7 +711,7 @@ class StreamingMerge:
         in_u = of_time if self._exposures_in_u else ()
         of_light = self._stray_light(images[0])
         of_time = () if self._exposures_in_u else of_time
-        not_in_u = (*of_light, *of_time, *self._bend(), *self._light(), *self._fall_off(), *doubtful)
+        not_in_u = (*of_light, *of_time, *self._black(), *self._bend(), *self._light(), *self._fall_off(), *doubtful)
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,

@@ -40,6 +40,10 @@ VALUES = {
     "pixel pitch": (4.5, 9.0),
     "mosaic": ("RGGB", "BGGR"),
     "mode": ("GAIN 0", "GAIN 300"),
+    "filter": ("V", "R"),
+    "band": ("Red", "Green"),
+    "binning": ("1", "2"),
+    "conversion gain": (2.6, 1.3),
     "focal length": (16.0, 25.0),
     "f-number": (4.0, 5.6),
     "ISO speed": (100.0, 200.0),
@@ -58,7 +62,10 @@ def test_every_quantity_of_the_table_is_tried():
 
 
 # What a camera's description states, by its name in the table.
-MARKS = {name: name for name in ("model", "serial", "mosaic", "mode")} | {"pixel pitch": "pixel_pitch_um"}
+MARKS = {name: name for name in ("model", "serial", "mosaic", *CameraDescription.SETTINGS)} | {
+    "pixel pitch": "pixel_pitch_um",
+    "conversion gain": "conversion_gain_e_per_dn",
+}
 
 
 def calibration(quantity: str, there: object) -> Calibration:

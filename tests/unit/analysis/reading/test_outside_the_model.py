@@ -241,14 +241,17 @@ def test_the_data_sheet_s_dark_current_may_be_three_times_as_much(rig):
     assert Flag.DARK_ASSUMED in found.flags
 
 
-def test_an_unknown_dark_current_is_in_doubt(rig):
-    """A camera whose data sheet says nothing may have 1 nA/cm²: 62 e⁻/s in a pixel of 1 µm, k = 2."""
+@pytest.mark.parametrize(("light_e", "flag"), [(240.0, "dark_assumed"), (50.0, "dark_assumed"), (0.0, "below_noise")])
+def test_an_unknown_dark_current_is_in_doubt(rig, light_e, flag):
+    """A camera whose data sheet says nothing may have 1 nA/cm²: 62 e⁻/s in a pixel of 1 µm, k = 2: no noise."""
     camera = rig.description.model_copy(update={"dark_current_e_per_s": None, "pixel_pitch_um": 1.0})
     base = calibrated(rig, black_level=BlackLevel(dn=64.0, u_dn=0.0))
-    scene = np.full((12, 12), 0.01 * rig.radiance_of_full_scale(1.0))
+    scene = np.full((12, 12), light_e / (4031 * rig.gain_e_per_dn) * rig.radiance_of_full_scale(1.0))
     frames = rig.frames(scene, np.random.default_rng(1), (1.0,) * 3)
     found = read(rig, replace(base, camera=camera, noise=SensorNoise.of(camera)), frames=frames, camera=camera)
-    assert line(found, "dark and black level") == pytest.approx(31.2 / (0.01 * 4031 * rig.gain_e_per_dn), rel=0.06)
+    if light_e > 62.0:
+        assert line(found, "dark and black level") == pytest.approx(31.2 / light_e, rel=0.06)
+    assert {"dark_assumed", "below_noise"} & set(found.flags) == {flag}
 
 
 def test_what_calibration_and_reading_share_drops_out(rig):
