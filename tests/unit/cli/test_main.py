@@ -107,9 +107,8 @@ def test_a_standard_stream_that_takes_nothing(words, streams, code):
         assert ended.stderr.count("error:") == 1
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
 @pytest.mark.parametrize("words", [[], ["--json"]], ids=["text", "JSON"])
-def test_a_result_is_printed_whatever_the_encoding(encoding, words, tmp_path):
+def test_a_result_is_printed_whatever_the_encoding(words, tmp_path):
     """Signs that the encoding of the output does not have are escaped, as JSON does it: no reading is lost."""
     for number in (1, 2):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((40, 40), 20_000 * number, np.uint16))
@@ -117,16 +116,17 @@ def test_a_result_is_printed_whatever_the_encoding(encoding, words, tmp_path):
     call = [sys.executable, "-m", "radiometer", "measure", "--photographs", str(tmp_path), "--linear"]
     call += ["--uncalibrated", "--patch", "9,9,9,9", *words]
     printed = []
-    for one in (encoding, "utf-8"):
+    for one in ("utf-8", "ascii", "latin-1"):
         ended = subprocess.run(call, capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": one})
         assert (ended.returncode, b"defect" in ended.stderr) == (0, False)
         printed.append(ended.stdout.decode(one))
-    escaped, whole = printed
-    if words:
-        assert json.loads(escaped).keys() == json.loads(whole).keys()
-    else:
-        assert "±" in whole
-        assert len(re.sub(r"\\u[0-9a-f]{4}", "?", escaped)) == len(whole)
+    whole, *others = printed
+    for escaped in others:
+        if words:
+            assert json.loads(escaped).keys() == json.loads(whole).keys()
+        else:
+            assert "±" in whole
+            assert len(re.sub(r"\\u[0-9a-f]{4}", "?", escaped)) == len(whole)
 
 
 def test_version_is_reported(capsys):

@@ -493,7 +493,7 @@ async def test_a_jump_is_in_journal_and_state(station, eventually, monkeypatch):
 
 
 async def test_a_jump_before_the_first_look_is_counted_once(instrument, tmp_path, make_reading, monkeypatch):
-    """Set forward by 400 d as the daemon starts: it is an event, and what was measured before is a day old a day later."""
+    """Set forward by 400 d as the daemon starts: an event, and what was measured before is a day old a day later."""
     journal, right = Journal(tmp_path / "j.sqlite"), time.time_ns
     with journal:
         journal.append([make_reading(time=iso_time(right() // 1000))] * 2)

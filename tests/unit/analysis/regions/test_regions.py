@@ -212,7 +212,7 @@ def test_a_luminance_is_compared_with_the_light_that_the_map_states(tmp_path, li
     assert any(said in one for one in doubts) if said else doubts == ()
 
 
-def test_an_analysis_states_its_colour_and_what_the_map_leaves_out_of_u(tmp_path: Path) -> None:
+def test_an_analysis_states_its_colour_and_what_the_map_leaves_out_of_u(tmp_path):
     """Of a map of three colours the green one is measured; text, JSON and page say so, and what no u holds."""
     grey = replace(map_of(np.ones((20, 20)), unit="relative"), not_in_u=("no black level is stated",))
     write_tiff(tmp_path / "map.tiff", MapPicture({"red": grey, "green": grey.scaled(2.0, "relative"), "blue": grey}))
