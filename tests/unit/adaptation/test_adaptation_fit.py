@@ -593,21 +593,21 @@ def test_no_name_of_a_subject_is_markup():
 # Bleach: kinetics, pupil, trolands against worked numbers.
 
 
-def test_half_bleach_illuminance_bleaches_half_in_the_end() -> None:
-    """At I0 = Q/τ (rods: 25 000 td) the steady state is one half."""
+@pytest.mark.parametrize(
+    ("light_td", "seconds", "kind", "before", "bleached"),
+    [
+        (25_000, 1e5, "rods", 0.0, 0.5),  # at I0 = Q/τ the steady state is one half
+        (1e7 / 1e-3, 1e-3, "rods", 0.0, 1 - 1 / math.e),  # a flash of Q, too short for regeneration
+        (0.0, 400.0, "rods", 0.9, 0.9 / math.e),
+        (0.0, 120.0, "cones", 0.9, 0.9 / math.e),
+    ],
+)
+def test_pigment_bleaches_and_regenerates_by_its_two_constants(light_td, seconds, kind, before, bleached):
+    """Q of 10⁷ and 2.4·10⁶ td·s, τ of 400 and 120 s; cones are half bleached at 4.3 log td (Rushton and Henry 1968)."""
+    assert bleached_fraction(light_td, seconds, kind, before=before) == pytest.approx(bleached, rel=1e-5)
     assert KINETICS["rods"].half_bleach_td == 25_000
-    assert bleached_fraction(25_000, 1e5) == pytest.approx(0.5)
-
-
-def test_short_flash_of_one_q_leaves_one_over_e() -> None:
-    """A flash too short for regeneration with 10^7 td·s leaves 1/e of rhodopsin."""
-    assert bleached_fraction(1e7 / 1e-3, 1e-3) == pytest.approx(1 - 1 / math.e, rel=1e-5)
-
-
-def test_dark_regenerates_with_the_time_constant() -> None:
-    """400 s of darkness leave 1/e of what was bleached in rods, 120 s in cones."""
-    assert bleached_fraction(0.0, 400.0, "rods", before=0.9) == pytest.approx(0.9 / math.e)
-    assert bleached_fraction(0.0, 120.0, "cones", before=0.9) == pytest.approx(0.9 / math.e)
+    assert KINETICS["cones"].half_bleach_td == pytest.approx(10**4.3, rel=0.01)
+    assert KINETICS["cones"].td_s == pytest.approx(2.4e6)
 
 
 def test_trolands_are_luminance_times_pupil_area() -> None:
@@ -621,12 +621,6 @@ def test_pupil_spans_its_known_range_and_shrinks_with_light() -> None:
     assert 2.0 < pupil_diameter_mm(1e6) < 2.3
     assert pupil_diameter_mm(100.0) < pupil_diameter_mm(1.0)
     assert pupil_diameter_mm(0.0, age_years=70) < 6
-
-
-def test_cones_are_half_bleached_at_twenty_thousand_trolands() -> None:
-    """Rushton and Henry 1968 as given by CVRL: 4.3 log td; 120 s of regeneration make it 2.4·10⁶ td·s."""
-    assert KINETICS["cones"].half_bleach_td == pytest.approx(10**4.3, rel=0.01)
-    assert KINETICS["cones"].td_s == pytest.approx(2.4e6)
 
 
 def test_range_spans_the_published_constants() -> None:
