@@ -142,24 +142,8 @@ def test_without_references_there_is_no_curve() -> None:
 
 
 def test_camera_that_looks_elsewhere_is_found_out_at_once() -> None:
-    """White and black that read alike end the measurement after these two, with the way out."""
+    """White and black that read alike end the measurement after these two and before any wait, with the way out."""
     shown: list[DisplayPatch] = []
-
-    class Elsewhere:
-        def show(self, patch: DisplayPatch) -> None:
-            shown.append(patch)
-
-        def read(self) -> ScreenReading:
-            return _reading(0.3)
-
-    looked, plan = Elsewhere(), make_plan((0, 128, 255), ("grey",), np.random.default_rng(1))
-    with pytest.raises(MeasurementError, match="does not see the patches"):
-        measure_steps(looked, looked, plan)  # type: ignore[arg-type]
-    assert len(shown) == 2
-
-
-def test_impossible_screen_is_refused_before_it_warms_up() -> None:
-    """White that is no brighter than black ends the calibration without any wait."""
     waits: list[float] = []
 
     class Elsewhere:
@@ -167,14 +151,20 @@ def test_impossible_screen_is_refused_before_it_warms_up() -> None:
         sleep = property(lambda self: waits.append)
 
         def show(self, patch: DisplayPatch) -> None:
-            """Show nothing that is seen."""
+            shown.append(patch)
 
         def read(self) -> ScreenReading:
             return _reading(0.3)
 
-    with pytest.raises(MeasurementError, match="does not see the patches"):
-        calibrate_screen(Elsewhere(), Options("x", (0, 128, 255)), {})  # type: ignore[arg-type]
-    assert waits == []
+    looked, plan = Elsewhere(), make_plan((0, 128, 255), ("grey",), np.random.default_rng(1))
+    for measure in (
+        lambda: measure_steps(looked, looked, plan),  # type: ignore[arg-type]
+        lambda: calibrate_screen(looked, Options("x", (0, 128, 255)), {}),  # type: ignore[arg-type]
+    ):
+        shown.clear()
+        with pytest.raises(MeasurementError, match="does not see the patches"):
+            measure()
+        assert (len(shown), waits) == (2, [])
 
 
 def test_value_at_a_measured_level_has_its_own_and_the_common_uncertainty(grey: ChannelCurve) -> None:
