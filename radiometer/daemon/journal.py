@@ -295,12 +295,14 @@ class Journal:
         """
         taken, journal = list[tuple[str, Path | None]](), self.path.resolve()
         for path in sorted(journal.parent.glob(f"{glob.escape(journal.name)}{_WAITING}*.jsonl")):
+            content, reason = b"", f"it is no file of at most {MOST_FILE_BYTES / 1e6:g} MB"
             try:
-                if not path.is_file() or path.stat().st_size > MOST_FILE_BYTES:
-                    raise OSError(f"it is no file of at most {MOST_FILE_BYTES / 1e6:g} MB")
-                content = path.read_bytes()
+                if path.is_file() and path.stat().st_size <= MOST_FILE_BYTES:
+                    content, reason = path.read_bytes(), ""
             except OSError as error:
-                taken.append((f"the readings that wait in {path.name} were not taken in: {error}", path))
+                reason = str(error)
+            if reason:
+                taken.append((f"the readings that wait in {path.name} were not taken in: {reason}", path))
                 continue
             rows, rest, fault = _waiting_rows(content)
             fresh = bool(rows) and self._take_in(hashlib.sha256(content).hexdigest(), rows)

@@ -118,6 +118,11 @@ class LensDescription(FileSection):
         (), description="What was done to it since the camera was calibrated; each adds to the uncertainty."
     )
 
+    @property
+    def extension(self) -> float:
+        """Return the image distance, as rays of the pupil's middle see it, over the focal length: 1 + m/p."""
+        return 1.0 + self.magnification / self.pupil_magnification
+
     def in_words(self, f_numbers: Iterable[float | None] = ()) -> str:
         """Return focal length and f-number in one line; "" where neither is stated.
 

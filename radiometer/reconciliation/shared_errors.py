@@ -655,8 +655,13 @@ def errors_of_counts(prediction: Prediction, usable: Mapping[str, Mask]) -> tupl
         kept = values > _SMALL_SHARE
         if kept.any():
             part = {name: _of_captures(vectors[:, kept] * np.sqrt(values[kept]))}
-            found.append(FixedError(f"number: {name}", lambda prediction, part=part: part, np.ones(kept.sum())))
+            found.append(FixedError(f"number: {name}", _whatever(part), np.ones(kept.sum())))
     return tuple(found)
+
+
+def _whatever(part: Mapping[str, Part]) -> Callable[[Prediction], Mapping[str, Part]]:
+    """Return the parts of a source of error that are the same whatever is predicted."""
+    return lambda prediction: part
 
 
 def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:
@@ -666,7 +671,7 @@ def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:
         usable: (captures,) whether a capture's borders carry information.
     """
     part = {"edge": _of_captures(np.ones((usable.size, 1)))}
-    return (FixedError("borders", lambda prediction: part, np.array([SHARPEST])),) if usable.any() else ()
+    return (FixedError("borders", _whatever(part), np.array([SHARPEST])),) if usable.any() else ()
 
 
 def error_of_histograms(honest: Array, usable: Mask) -> tuple[FixedError, ...]:
@@ -680,7 +685,7 @@ def error_of_histograms(honest: Array, usable: Mask) -> tuple[FixedError, ...]:
         return ()
     periods = honest.shape[1]
     part = {"comb": Part(honest, np.eye(periods))}
-    return (FixedError("histogram of the scene", lambda prediction: part, np.ones(periods)),)
+    return (FixedError("histogram of the scene", _whatever(part), np.ones(periods)),)
 
 
 def _of_captures(columns: Array) -> Part:

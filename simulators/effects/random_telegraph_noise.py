@@ -27,7 +27,7 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
     dark are left out of all later captures, so that high jumps leave the noise of tiles.
 
     Source: traps of the source follower are the main noise of dim pictures (Zhang et al. 2016, Chinese Physics B 25,
-    070503), and part of the tail of its distribution (Chao et al. 2019, Sensors 19, 5447). That their heights are
+    070503). They are part of the tail of its distribution (Chao et al. 2019, Sensors 19, 5447). That their heights are
     exponentially distributed is an assumption. Jumps of the dark charge (Hopkins and Hopkinson 1993, IEEE Trans. Nucl.
     Sci. 40, 1567; Bogaerts et al. 2002, ibid. 49, 249) grow with the exposure instead.
     """

@@ -130,6 +130,24 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
         State.CALIBRATION_SILENT: _AS_CALIBRATED,
         State.BOTH_SILENT: _NOT_COMPARED,
     },
+    # Of a flat field alone: the rest of the optics is corrected for them.
+    "focus of a flat field": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: _refused(
+            "its lens has a magnification of {here}, at calibration {there}: the fall-off changes with the focus; "
+            "take the flat field at the focus of the calibration, or correct lens.magnification"
+        ),
+    },
+    "place of a flat field": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: _refused(
+            "the flat field holds for frames whose optical axis is at {there} px, these have it at {here} px: another "
+            "part of the sensor; read the same part, calibrate with it, or correct lens.principal_point_px"
+        ),
+        State.READING_SILENT: _AS_CALIBRATED,
+        State.CALIBRATION_SILENT: _AS_CALIBRATED,
+        State.BOTH_SILENT: _NOT_COMPARED,
+    },
     "f-number": {
         State.EQUAL: _KEPT,
         State.DIFFERENT: Rule(Handling.CORRECTED, "the light of a lens goes as 1/N²", "f-number"),
@@ -275,6 +293,35 @@ def require_lens(calibration: OfCamera, lens: LensDescription) -> None:
     """
     mine, theirs = calibration.lens.focal_length_mm, lens.focal_length_mm
     settle("focal length", mine, theirs, equal=_is_near(mine, theirs))
+
+
+def require_place(calibration: OfCamera, lens: LensDescription) -> None:
+    """Refuse frames of another part of the sensor than a flat field.
+
+    Raises:
+        CalibrationError: If both state where the optical axis meets the frames, and not to the same half pixel.
+    """
+    mine, theirs = calibration.lens.principal_point_px, lens.principal_point_px
+    near = None not in (mine, theirs) and all(abs(a - b) <= 0.5 for a, b in zip(mine or (), theirs or (), strict=True))
+    settle("place of a flat field", mine, theirs, equal=near)
+
+
+def is_focused_alike(calibration: OfCamera, lens: LensDescription) -> bool:
+    """Return whether a lens's image distance is that at calibration, within 1 %."""
+    return _is_near(calibration.lens.extension, lens.extension)
+
+
+def require_flat_field(base: OfCamera, camera: CameraDescription, lens: LensDescription) -> None:
+    """Refuse a flat field of another camera, lens, focus or part of the sensor than the calibration that it is for.
+
+    Raises:
+        CalibrationError: If they differ.
+    """
+    require_camera(base, camera)
+    require_lens(base, lens)
+    require_place(base, lens)
+    mine, theirs = base.lens.magnification, lens.magnification
+    settle("focus of a flat field", mine, theirs, equal=is_focused_alike(base, lens))
 
 
 def _is_near(there: float | None, here: float | None) -> bool:

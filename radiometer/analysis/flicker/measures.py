@@ -71,8 +71,12 @@ class Flicker:
     warnings: tuple[str, ...]  # what makes a figure doubtful, a sentence each
 
 
-def measure_flicker(waveform: Waveform) -> Flicker:
+def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Flicker:
     """Return the measures of a waveform with their standard uncertainty.
+
+    Args:
+        waveform: Light over time.
+        u_clock_rel: Relative standard uncertainty of its rate; None where nothing states it, which is named.
 
     The scatter between blocks of whole periods gives the statistical part, by leaving out one block at a time. Where
     the light is rounded to steps, each value may be any light within half a step (rectangular, GUM 4.3.7). The
@@ -136,7 +140,12 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
-    frequency = None if period is None else Quantity(period.frequency_hz, period.u_hz, "Hz")
+    frequency = None
+    if period is not None:
+        u_hz = math.hypot(period.u_hz, period.frequency_hz * (u_clock_rel or 0.0))
+        frequency = Quantity(period.frequency_hz, u_hz, "Hz")
+        if u_clock_rel is None:
+            assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
     k = float(student_t.ppf(0.5 + _COVERAGE / 2.0, blocks - 1)) if blocks else 2.0
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
 

@@ -32,7 +32,13 @@ from radiometer.analysis.merge.sums import (
 )
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
-from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.lens import (
+    falloff_known,
+    flat_doubt,
+    known_f_number,
+    lens_factor_sr,
+    relative_sensitivity,
+)
 from radiometer.analysis.signal.model import (
     corrected_settings,
     darkest_signal,
@@ -558,14 +564,21 @@ class StreamingMerge:
         on_all_cores(self._known_shape(), work)
 
     def _doubt_falloff(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
-        """Add to what pixels share that of a fall-off neither declared nor measured; return whether there is."""
+        """Add to what pixels share that of a fall-off that is not declared nor measured so; return whether there is."""
         calibration, lens = self._calibration, self._situation.lens
-        if calibration is None or calibration.flat_field is not None or falloff_known(self._camera, lens) != "assumed":
+        if calibration is None:
+            return False
+        flat = calibration.flat_field
+        if flat is None:
+            part = calibration.uncertainties.falloff_u_rel * (falloff_known(self._camera, lens) == "assumed")
+        else:
+            part = flat_doubt(calibration, lens, self._numbers())
+        if part == 0.0:
             return False
         rows, columns = np.ogrid[: radiance.shape[0], : radiance.shape[1]]
-        place = relative_sensitivity(self._camera, lens, None, (radiance.shape[0], radiance.shape[1]), columns, rows)
-        lost = np.abs(place - calibration.scale.conditions.sensitivity) / place
-        doubt = calibration.uncertainties.falloff_u_rel * lost * radiance
+        place = relative_sensitivity(self._camera, lens, flat, (radiance.shape[0], radiance.shape[1]), columns, rows)
+        lost = np.abs(place - calibration.scale.conditions.sensitivity) / place if flat is None else np.abs(1.0 - place)
+        doubt = part * lost * radiance
         np.hypot(shared, doubt.astype(np.float32), out=shared)
         return True
 
@@ -699,11 +712,14 @@ class StreamingMerge:
         note = f"light of another spectrum than {calibration.spectrum} may be off: {100 * off:.2g} % (k = 1)"
         return (f"{note} over {', '.join(KINDS)}, which u does not hold",) if off >= _REPORTED_REL else ()
 
+    def _numbers(self) -> set[float | None]:
+        """Return the f-numbers of the frames."""
+        return {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
+
     def _map(self, flat: Images) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration
         images = flat[0].reshape(shape), flat[1].reshape(shape), flat[2].reshape(shape)
         repair_defects(*images, calibration.defects if calibration else ())
-        numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
         used, doubtful = self._of_taps(images[0], images[2])
         shared = self._share(*images[:2])
@@ -715,7 +731,7 @@ class StreamingMerge:
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,
-            u_rel_common=math.hypot(common_u_rel(self._situation), self._frames_u_rel(numbers)),
+            u_rel_common=math.hypot(common_u_rel(self._situation), self._frames_u_rel(self._numbers())),
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",

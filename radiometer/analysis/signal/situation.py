@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.calibration.shared import require_camera, require_lens
+from radiometer.analysis.calibration.shared import require_camera, require_lens, require_place
 from radiometer.analysis.photometry.photometry import (
     spectral_mismatch_factor,
     spectrum,
@@ -65,6 +65,8 @@ def situation_of(setup: Setup) -> Situation:
         return Situation(setup, model, black, stated, 1.0, lens, assumed)
     settings = require_camera(calibration, camera)
     require_lens(calibration, lens)
+    if calibration.flat_field is not None:
+        require_place(calibration, lens)
     black, stated = calibration.black_level, calibration.uncertainties
     model = signal_model(calibration.camera, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
     of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()

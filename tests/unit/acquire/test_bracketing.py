@@ -233,16 +233,6 @@ def test_dark_frames_without_any_shutter_are_refused():
         list(take_plan(camera, ExposurePlan((0.01,)), BracketRequest(dark_frames=1)))
 
 
-def test_the_deadline_stops_before_a_frame_that_would_be_late():
-    """At the deadline the frames taken so far stand, the rest is left."""
-    camera = camera_before(CHART)
-    now = iter([0.0, 5.0, 9.5, 20.0])
-    frames = take_plan(
-        camera, ExposurePlan((1.0, 1.0, 1.0, 1.0)), BracketRequest(), deadline_s=10.0, clock=lambda: next(now)
-    )
-    assert len(list(frames)) == 2
-
-
 @pytest.mark.parametrize(("at_s", "taken"), [((0.0, 8.9), 2), ((0.0, 9.1), 1), ((0.0, 5.0), 2)])
 def test_an_exposure_must_end_before_the_deadline(at_s, taken):
     """Of 10 s: one of 1 s is begun at 8.9 s and not at 9.1 s; the first is taken however late it is."""

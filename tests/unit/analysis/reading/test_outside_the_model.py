@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
+from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.budget import conditions_of, frame_u_rel, local_scatter, stray_light
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
@@ -189,17 +190,22 @@ def test_a_corner_of_an_unknown_lens_is_in_doubt(rig):
     assert Flag.FALLOFF_ASSUMED in found.flags
 
 
-def test_a_flat_field_of_another_stop_is_in_doubt(rig):
-    """Made at f/8 and used at f/4: half of the fall-off that it holds joins its own uncertainty."""
+@pytest.mark.parametrize(("f_number", "magnification"), [(8.0, 0.0), (4.0, 0.5)])
+def test_a_flat_field_of_another_stop_or_focus_is_in_doubt(rig, f_number, magnification):
+    """Made at f/8 and used at f/4, or focused nearer: half of the fall-off that it holds joins its own uncertainty."""
     flat = FlatField(
         principal_point_px=(5.5, 5.5), radius_px=math.hypot(5.5, 5.5), coefficients=(-0.2, 0.0, 0.0), shape=(12, 12),
-        u_rel=0.003, f_number=8.0,
+        u_rel=0.003, f_number=f_number,
     )  # fmt: skip
     corner = Patch(11, 11, 1, 1)
-    other = read(rig, calibrated(rig, flat_field=flat), patch=corner)
+    lens = rig.lens.model_copy(update={"magnification": magnification})
+    other = read(rig, calibrated(rig, flat_field=flat), patch=corner, lens=lens)
     same = read(rig, calibrated(rig, flat_field=flat.model_copy(update={"f_number": 4.0})), patch=corner)
     assert line(other, "flat field") == pytest.approx(math.hypot(0.003, 0.5 * 0.2), rel=1e-6)
     assert line(same, "flat field") == pytest.approx(0.003)
+    frames = rig.frames(np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(3), STEADY)
+    mapped = merge(frames, Setup(rig.description, lens, calibrated(rig, flat_field=flat)))
+    assert mapped.u_radiance[11, 11] / mapped.radiance[11, 11] == pytest.approx(0.5 * 0.2, rel=0.05)
 
 
 @pytest.mark.parametrize(("part", "flag"), [(0.8, Flag.NONUNIFORM), (1.2, Flag.SATURATED)])
