@@ -104,7 +104,7 @@ def test_a_final_threshold_is_not_extrapolated():
     times = np.arange(0.5, 35.0, 0.5)
     level = MODELS[-1].threshold(times, EYE)
     noisy = ThresholdSeries(times, level + np.random.default_rng(11).normal(0, 0.1, times.size))
-    found = fit_adaptation(noisy, FitRequest(bootstrap_draws=60), np.random.default_rng(0))
+    found = fit_adaptation(noisy, FitRequest(bootstrap_draws=30), np.random.default_rng(0))
     for name, truth in (("final_threshold", level[-1]), ("area_log10_min", np.trapezoid(level - level[-1], times))):
         assert found.estimates[name].bootstrap.holds(truth)
 
@@ -199,7 +199,7 @@ def test_the_bias_of_the_method_is_removed_and_its_uncertainty_counts(tmp_path):
     rows = "".join(f"{t},{level}\n" for t, level in zip(data.time_min, data.log_threshold, strict=True))
     for name, facts in (("bare", ""), ("run", "# method_bias_log10: -0.08\n# u_method_bias_log10: 0.036\n")):
         (tmp_path / f"{name}.csv").write_text(f"{facts}time_min,log10_threshold\n{rows}")
-        found.append(rm.adapt_fit(tmp_path / f"{name}.csv", bootstrap=20).fit.estimates)
+        found.append(rm.adapt_fit(tmp_path / f"{name}.csv", bootstrap=5).fit.estimates)
     bare, run = found
     for name, shift, u in (("plateau", 0.08, 0.036), ("final_threshold", 0.08, 0.036), ("break_min", 0.0, 0.0)):
         assert run[name].value == pytest.approx(bare[name].value + shift, abs=2e-3)
