@@ -1,7 +1,5 @@
 """What only the firmware has: pins, interrupts, timing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from zlib import crc32

@@ -1,7 +1,5 @@
 """The whole test through the simulated box: the subject sees its LEDs and presses its button, as on hardware."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

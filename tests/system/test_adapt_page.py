@@ -1,7 +1,5 @@
 """The page of a running test in a real browser: points grow, pause reaches the run, nothing is green or blue."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections.abc import AsyncIterator, Iterator

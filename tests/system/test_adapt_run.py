@@ -1,7 +1,5 @@
 """`radiometer adapt run` as a program: killed and taken up, and its verdicts."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

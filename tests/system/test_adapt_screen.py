@@ -1,7 +1,5 @@
 """The whole test on a screen: a simulated one with a simulated subject, and a real browser with a real key."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

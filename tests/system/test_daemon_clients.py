@@ -1,7 +1,5 @@
 """The daemon in a process of its own, used by real clients: PyVISA, lxi, curl, a browser."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import http.server

@@ -1,7 +1,5 @@
 """Devices that come and go: the camera on the wire, and the light box on a pseudo-terminal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Many daemons report into one MQTT broker: Debian's mosquitto on loopback."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

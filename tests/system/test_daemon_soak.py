@@ -1,7 +1,5 @@
 """The soaks with losses: a piece of the simulated day, and that their judge sees what is false, missing or unheard."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path

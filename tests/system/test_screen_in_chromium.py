@@ -1,7 +1,5 @@
 """A real browser shows the patches: every level is acknowledged and on its screen as asked."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """Brackets taken from a simulated camera: metered, planned, captured, judged."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

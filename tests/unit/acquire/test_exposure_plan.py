@@ -1,7 +1,5 @@
 """Plans of exposures, of captures and of a characterisation."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Series of light levels and of exposures that the light stays steady for."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

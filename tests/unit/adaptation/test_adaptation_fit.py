@@ -1,7 +1,5 @@
 """Fits of dark adaptation: branches, the break between them, the report, and bleach by worked numbers."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Setting up a test on the light box from its protocol."""
 
-from __future__ import annotations
-
 import datetime as dt
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The state of a running test, in a terminal and on the page that browsers see."""
 
-from __future__ import annotations
-
 import json
 import re
 import urllib.error

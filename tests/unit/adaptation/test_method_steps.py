@@ -1,7 +1,5 @@
 """Steps of the threshold methods on a simulated stage."""
 
-from __future__ import annotations
-
 import math
 import os
 import sys

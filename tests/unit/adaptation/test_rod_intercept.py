@@ -1,7 +1,5 @@
 """The rod intercept: when the criterion is met, by whose rules, and which protocols report one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import t as student

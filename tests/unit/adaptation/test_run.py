@@ -1,7 +1,5 @@
 """Running a test: thresholds, catches, absence, crashes, pauses, and checks of fixation."""
 
-from __future__ import annotations
-
 import math
 import os
 import resource

@@ -1,7 +1,5 @@
 """A screen as the stage: which levels it has, what is shown where, whose presses count."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Files of thresholds: tables, R and OPI."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import math

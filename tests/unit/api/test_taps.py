@@ -1,7 +1,5 @@
 """Sensors with several output amplifiers in merge, readings and calibrations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

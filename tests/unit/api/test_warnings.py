@@ -1,7 +1,5 @@
 """No command shows a warning of a numerical library: each has a cause, which is found or refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

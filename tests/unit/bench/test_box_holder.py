@@ -1,7 +1,5 @@
 """Light boxes: ports, and who holds them."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty

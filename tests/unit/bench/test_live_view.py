@@ -1,7 +1,5 @@
 """Live view, and devices that are opened again."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import io

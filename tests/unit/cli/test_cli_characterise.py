@@ -1,7 +1,5 @@
 """`radiometer characterise`, `flux`, `quality`, `screen` and `adapt`: files, JSON, exit codes."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command line itself: arguments, keys, completion, outputs, logging, exit codes."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import inspect

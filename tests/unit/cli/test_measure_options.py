@@ -1,7 +1,5 @@
 """Options of `radiometer measure`: f-number, ISO and what else it is given."""
 
-from __future__ import annotations
-
 import json
 import math
 

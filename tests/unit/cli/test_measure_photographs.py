@@ -1,7 +1,5 @@
 """`radiometer measure --photographs` without a calibration: through the response that they tell themselves."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """Linear photographs merged as they are: the values of a raw file, and 16-bit pictures that are stated as linear."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

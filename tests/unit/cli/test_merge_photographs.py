@@ -1,7 +1,5 @@
 """Merging photographs, and the report of a merge."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

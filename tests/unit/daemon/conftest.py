@@ -1,7 +1,5 @@
 """A running station on a fake instrument and light box, its servers and clients."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Alarms go up by their cause and down by its end; the light shown is the light that the box confirms."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

@@ -1,7 +1,5 @@
 """The line of the health report that shows whether a daemon runs."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import threading

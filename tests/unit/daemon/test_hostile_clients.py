@@ -1,7 +1,5 @@
 """Clients that take no replies, drip their requests or never read: what they hold is bounded, and others are served."""
 
-from __future__ import annotations
-
 import asyncio
 import tracemalloc
 from contextlib import suppress

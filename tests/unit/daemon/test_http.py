@@ -1,7 +1,5 @@
 """HTTP: history, stream, picture, settings, description, each rule of access, and who is refused."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

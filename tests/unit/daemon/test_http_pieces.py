@@ -1,7 +1,5 @@
 """What HTTP makes of queries, bodies, events and pictures: each piece by itself, without a server."""
 
-from __future__ import annotations
-
 import asyncio
 import io
 import math

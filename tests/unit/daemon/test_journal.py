@@ -1,7 +1,5 @@
 """The journal keeps every reading, numbered without holes, whatever writes over its files, and says why it cannot."""
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import io

@@ -1,7 +1,5 @@
 """What a kept device leaves behind when a call to it fails, and when a late one is called late."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

@@ -1,7 +1,5 @@
 """What a broker is given: each patch as long as it is measured; and what happens where it acknowledges nothing."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable

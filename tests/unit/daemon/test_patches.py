@@ -1,7 +1,5 @@
 """Patches with names: measured in every period, limited without flapping, drawn with their gaps, and logged."""
 
-from __future__ import annotations
-
 import datetime as dt
 import json
 import logging

@@ -1,7 +1,5 @@
 """Slow, idle and noisy clients lock no client out."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable

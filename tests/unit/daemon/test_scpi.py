@@ -1,7 +1,5 @@
 """The SCPI server: parsing, errors, status, and every example of the manual."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

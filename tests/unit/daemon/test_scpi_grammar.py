@@ -1,7 +1,5 @@
 """The grammar of SCPI messages, status registers, and what one session sees of the instrument; without a socket."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import math

@@ -1,7 +1,5 @@
 """What speaks HTTP or TLS to the SCPI port is hung up on before anything is executed."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable

@@ -1,7 +1,5 @@
 """The daemon's watch over its parts, and over a clock that is set."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """The core measures, commits before it shows, and survives the loss of devices and journal."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import sqlite3

@@ -1,7 +1,5 @@
 """The watch on a camera knows by when a call should be over."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

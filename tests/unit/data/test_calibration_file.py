@@ -1,7 +1,5 @@
 """Calibrations, response curves, levels of a light box: whole round trips, and refusals that name the key."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Guards against files that take all memory or time, TIFF of every layout, and values that cannot be."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import functools

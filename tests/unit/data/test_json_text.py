@@ -1,7 +1,5 @@
 """JSON and pictures as they are decoded."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

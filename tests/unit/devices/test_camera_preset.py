@@ -1,7 +1,5 @@
 """Presets of a camera, and settings out of range."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The account of retinal exposure: adds up over programs, starts and clocks; what is not known counts as used up."""
 
-from __future__ import annotations
-
 import fcntl
 import math
 import multiprocessing

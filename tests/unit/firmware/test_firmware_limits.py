@@ -1,7 +1,5 @@
 """What the firmware must not let through, in numbers of docs/reference/light-box-protocol.md and of the circuit."""
 
-from __future__ import annotations
-
 from zlib import crc32
 
 import pytest

@@ -1,7 +1,5 @@
 """Camera raw files: the sensor's own values, linear, per colour."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

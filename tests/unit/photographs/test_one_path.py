@@ -1,7 +1,5 @@
 """Photographs give the same physics by the command line and in Python: radiances against those of the scene."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

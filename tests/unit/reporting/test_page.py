@@ -1,7 +1,5 @@
 """Pages of a report and of a reading."""
 
-from __future__ import annotations
-
 import base64
 import re
 import xml.etree.ElementTree as ElementTree

@@ -4,8 +4,6 @@ What is right is a value, a doubt that names the cause, or a refusal that names 
 with.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path

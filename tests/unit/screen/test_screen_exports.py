@@ -1,7 +1,5 @@
 """Exports have the forms that the other programs read."""
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Characterisation of capture sets, of CCDs as well."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """EMVA 1288 figures from statistics worked out by hand: each factor, each term of u, each limit of a range."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Sensors with several output amplifiers: figures of each, borders found in frames, and sections of FITS headers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

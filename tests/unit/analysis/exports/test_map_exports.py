@@ -1,7 +1,5 @@
 """Exports of maps and of curves, as other programs read them."""
 
-from __future__ import annotations
-
 import getpass
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Flicker measures compared with waveforms whose values are known by hand, and with published formulas."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

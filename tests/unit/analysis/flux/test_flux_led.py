@@ -1,7 +1,5 @@
 """Flux of LEDs, steady and patterned."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Merged radiance by hand calculation, and what must hold of any merge: order, scale, clipped frames, u."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

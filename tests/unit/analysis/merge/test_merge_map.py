@@ -1,7 +1,5 @@
 """The merge: at the limit of what can be known, however frames arrive and whatever moved in the scene."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 import tracemalloc

@@ -1,7 +1,5 @@
 """Parts of a merge: tables of a curve, defects, the climb to the likeliest radiance, how photographs lie."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Photometric quantities against standards, a peer and hand calculations; light of another or unknown colour."""
 
-from __future__ import annotations
-
 import json
 import math
 import warnings

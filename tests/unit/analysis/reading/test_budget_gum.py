@@ -1,7 +1,5 @@
 """Uncertainty budgets by the Guide: its examples, a peer, and the law of propagation."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Readings in situations that a calibration does not share: wider by as much as is stated, flagged, and true."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Readings of a patch: lens, scaling, order, clipping, copies, and each line of the budget by known values."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Figures of regions of a map, and the glare indices UGR and DGP by their own figures."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Methods that recover a response: by their definitions, against one another and against certified values."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

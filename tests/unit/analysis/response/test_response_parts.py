@@ -1,7 +1,5 @@
 """Parts that the response methods share: limits, groups, noise, gauges, ratios, and what is stated of a fit."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The shutter's offset: a known time comes back with its uncertainty, none comes of none, and a wrong label is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Calls of a library in a thread, and their release in the background."""
 
-from __future__ import annotations
-
 import gc
 import sys
 import threading

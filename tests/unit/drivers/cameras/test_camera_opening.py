@@ -1,7 +1,5 @@
 """Opening a camera: checks, quirks, features and access to settings."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Checks of the host and of the network before a camera is opened."""
 
-from __future__ import annotations
-
 import socket
 import struct
 import threading

@@ -1,7 +1,5 @@
 """No sequence of commands, crashes, restarts, cables and clocks gives an eye more than the promised share."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Callable

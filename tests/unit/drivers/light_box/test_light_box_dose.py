@@ -1,7 +1,5 @@
 """The driver's account of what the eye is given: every verb, every channel, every way in which light ends."""
 
-from __future__ import annotations
-
 import math
 import threading
 

@@ -1,7 +1,5 @@
 """The link to a light box: answers, events, clock, and the second version of its protocol."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections import deque

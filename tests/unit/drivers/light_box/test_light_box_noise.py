@@ -1,7 +1,5 @@
 """The driver on a bad line in simulated time; parser, driver and box on arbitrary bytes: no crash, no hang."""
 
-from __future__ import annotations
-
 from collections import deque
 from itertools import pairwise
 from zlib import crc32

@@ -1,7 +1,5 @@
 """The simulated camera, in simulated time, and the simulated Blackfly: features, pictures, packed pixels."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import time

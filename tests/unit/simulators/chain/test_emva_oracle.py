@@ -1,7 +1,5 @@
 """The simulator against the `emva1288` package: see emva_oracle.md."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The simulated chain against theory, its stages, its checks, and what its header does not declare."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

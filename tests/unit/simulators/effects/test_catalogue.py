@@ -1,7 +1,5 @@
 """Every entry of the catalogue as an effect of the forward model; free laws; effects drawn by hand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The simulated light box and the physics of its LEDs."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from pathlib import Path
