@@ -2,8 +2,6 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,19 +10,18 @@ import pytest
 from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.live_page import LivePage
-from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.outcome import Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.simulated_stage import simulated_stage
-from radiometer.data.event_journal import Event
-from testing.chromium import Browser, headless
+from testing.chromium import headless
 from testing.scripted_adaptation import SubjectCurve
 
 PHONE = (390, 844)
 
 
 @pytest.fixture
-async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
+async def browser(tmp_path):
     """Return a headless browser of a phone's size."""
     async with headless(tmp_path / "profile") as driver:
         await driver.be_a_phone(*PHONE)
@@ -32,7 +29,7 @@ async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
 
 
 @pytest.fixture
-def served() -> Iterator[tuple[LivePage, Controls]]:
+def served():
     """Return the open page of a test that has begun, and its controls."""
     controls = Controls()
     with LivePage(read_protocol("classic"), controls, audio=True, health=lambda: {"supply": "5.02 V"}) as page:
@@ -43,7 +40,7 @@ def served() -> Iterator[tuple[LivePage, Controls]]:
         yield page, controls
 
 
-def _tell_trials(page: LivePage, first: int, count: int) -> None:
+def _tell_trials(page, first, count):
     """Tell trials every half minute: thresholds of a healthy curve, one catch that was pressed for every ten."""
     for number in range(first, first + count):
         minutes = 0.5 * (number + 1)
@@ -56,11 +53,11 @@ def _tell_trials(page: LivePage, first: int, count: int) -> None:
         page.publish({**event, "sequence": 11 + 2 * number, "kind": "trial", **trial})
 
 
-async def _text(browser: Browser, name: str) -> str:
+async def _text(browser, name):
     return str(await browser.evaluate(f"document.getElementById('{name}').textContent"))
 
 
-async def _wait_for_text(browser: Browser, name: str, text: str) -> None:
+async def _wait_for_text(browser, name, text):
     await browser.wait_for(f"document.getElementById('{name}').textContent === {text!r}")
 
 
@@ -168,11 +165,11 @@ async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path, browser
     stage = simulated_stage(protocol, "steady", seed=3)
     with LivePage(protocol, controls) as page:
 
-        def watch(event: Event) -> None:
+        def watch(event):
             page.publish(event)
             time.sleep(0.1 if event["kind"] == "trial" else 0.0)
 
-        def run() -> Outcome:
+        def run():
             with RunJournal(tmp_path / "j") as journal:
                 return run_test(protocol, stage, journal, subject="S1", watch=watch, controls=controls)
 

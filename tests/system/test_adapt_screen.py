@@ -9,20 +9,17 @@ import queue
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.outcome import Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.screen_setup import ScreenStage, SpotLevels, open_screen_stage, within_reach
 from radiometer.bench.screen import lights, open_screen_bench
-from radiometer.data.event_journal import Event
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, UsageError
 from radiometer.screen.browser_page import BrowserStimulus
 from radiometer.screen.calibration import ScreenCalibration
@@ -30,14 +27,14 @@ from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.stimulus import ScreenPicture, Viewing
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
 from simulators.observers.observer import PRIMARY_NM, Habits, Observer
-from testing.chromium import Browser, headless
+from testing.chromium import headless
 from testing.patience import within
 
 LEVELS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 192, 255)
 
 
 @pytest.fixture(scope="module")
-def oled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def oled(tmp_path_factory):
     """Return the calibration of a simulated OLED by the simulated camera."""
     file = tmp_path_factory.mktemp("screen") / "oled.yaml"
     with open_screen_bench("oled", seed=2) as bench:
@@ -45,10 +42,10 @@ def oled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def _run(file: Path, journal: Path, *, subject: str = "steady", dies_after: int | None = None) -> Outcome:
+def _run(file, journal, *, subject="steady", dies_after=None):
     """Return the outcome of a run; one that dies does so after a number of events."""
 
-    def watch(event: Event) -> None:
+    def watch(event):
         if dies_after is not None and event["sequence"] >= dies_after:
             raise DeviceLost("the power failed")
 
@@ -62,7 +59,7 @@ def _run(file: Path, journal: Path, *, subject: str = "steady", dies_after: int 
         return run_test(stage.protocol, stage, open_journal, subject="S1", seed=7, watch=watch)
 
 
-def _by_limits(rng: np.random.Generator) -> float:
+def _by_limits(rng):
     """Return the error of one ascent: from 0.4 below the threshold up by 0.1 until seen, once it was missed."""
     observer, missed, level = Observer(Eye(), Habits(), rng), False, -0.4 + float(rng.uniform(-0.05, 0.05))
     truth = Eye().threshold_log10(30.0, 450.0)
@@ -158,7 +155,7 @@ def test_what_does_not_go_together_is_refused(oled, tmp_path):
 
 
 @pytest.fixture
-async def shown(tmp_path: Path) -> AsyncIterator[tuple[BrowserStimulus, Browser]]:
+async def shown(tmp_path):
     """Return the test's page in headless Chromium, its Start pressed."""
     addresses: queue.SimpleQueue[str] = queue.SimpleQueue()
     screen = BrowserStimulus(announce=addresses.put, page_timeout_s=60, start_timeout_s=60)
@@ -201,7 +198,7 @@ async def test_browser_shows_exactly_the_codes_asked_for(shown):
     assert screen.size == (width, height)
 
 
-async def _tapping(browser: Browser) -> None:
+async def _tapping(browser):
     """Press and release the space bar until cancelled."""
     while True:
         await browser.key("keyDown")
@@ -250,7 +247,7 @@ async def test_short_run_in_a_browser_is_journalled_with_its_presses(oled, tmp_p
     protocol = within_reach(read_protocol(tmp_path / "brief.yaml"), SpotLevels.of(known, "blue"))
     stage = ScreenStage(screen, known, protocol, VIEWING, time.monotonic, wall_clock=time.time)
 
-    def run() -> Outcome:
+    def run():
         with RunJournal(tmp_path / "j") as journal:
             return run_test(protocol, stage, journal, subject="S1")
 

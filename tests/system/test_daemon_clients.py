@@ -8,14 +8,12 @@ import json
 import shutil
 import subprocess
 import threading
-from collections.abc import AsyncIterator, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from testing.chromium import Browser, headless
+from testing.chromium import headless
 from testing.daemon_process import DaemonProcess
 from testing.patience import within
 
@@ -23,7 +21,7 @@ BRIGHT, DIM = 0.918, 0.1997  # radiance of the two patches of the small bench, W
 
 
 @pytest.fixture(scope="module")
-def shared_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
+def shared_daemon(tmp_path_factory):
     """Return a daemon that measures five times a second and has a light box."""
     with DaemonProcess(tmp_path_factory.mktemp("daemon"), "--every", "0.2", "--box", "sim") as running:
         running.wait_for_reading()
@@ -31,14 +29,14 @@ def shared_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonPr
 
 
 @pytest.fixture
-def daemon(shared_daemon: DaemonProcess) -> DaemonProcess:
+def daemon(shared_daemon):
     """Return the shared daemon as it was started: its settings reset, its newest readings those of the bright patch."""
     shared_daemon.ask("*RST;*OPC?")
     shared_daemon.post("/measure", {})
     return shared_daemon
 
 
-def _need(program: str) -> str:
+def _need(program):
     path = shutil.which(program)
     if path is None:
         pytest.skip(f"{program} is not installed")
@@ -111,7 +109,7 @@ def test_curl_posts_a_measurement(daemon):
 
 
 @pytest.fixture
-async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
+async def browser(tmp_path):
     """Return a headless browser with an empty profile."""
     async with headless(tmp_path / "profile") as driver:
         yield driver
@@ -162,17 +160,17 @@ async def test_the_red_theme_lights_the_red_channel_only(daemon, browser):
 
 
 @pytest.fixture
-def foreign_page() -> Iterator[str]:
+def foreign_page():
     """Return the address of an empty page of another origin."""
 
     class Page(http.server.BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
+        def do_GET(self):
             self.send_response(200)
             self.send_header("Content-Type", "text/html")
             self.end_headers()
             self.wfile.write(b"<title>foreign</title>")
 
-        def log_message(self, *_: object) -> None:
+        def log_message(self, *_):
             """Say nothing."""
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:

@@ -4,7 +4,6 @@ import json
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ import radiometer as rm
 from radiometer.adaptation import adaptation_fit as rules
 from radiometer.adaptation.adaptation_fit import (
     LEAST_DEVIANCE,
-    AdaptationFit,
     FitRequest,
     convex_sum_of_squares,
     earliest_visible_break,
@@ -47,7 +45,7 @@ TIMES = np.arange(0.5, 30.0, 0.5)
 QUICK = FitRequest(bootstrap_draws=0)
 
 
-def curve(times: np.ndarray, rod_rod: float = 1e9) -> np.ndarray:
+def curve(times, rod_rod=1000000000.0):
     """Return an eye's thresholds: cones to -1 (amplitude 2, 1.6 min), break at 9 min, S2 -0.24, S3 -0.03 per min."""
     found = []
     for time in times:
@@ -60,7 +58,7 @@ def curve(times: np.ndarray, rod_rod: float = 1e9) -> np.ndarray:
     return np.array(found)
 
 
-def series(sigma: float, seed: int = 1, rod_rod: float = 1e9, times: np.ndarray = TIMES) -> ThresholdSeries:
+def series(sigma, seed=1, rod_rod=1000000000.0, times=TIMES):
     """Return that eye's thresholds with noise."""
     return ThresholdSeries(times, curve(times, rod_rod) + np.random.default_rng(seed).normal(0, sigma, times.size))
 
@@ -403,7 +401,7 @@ def test_quantities_that_follow_from_a_fit():
 BREAK_TIMES = np.arange(0.25, 25.0, 0.25)
 
 
-def rods_alone(times: np.ndarray) -> np.ndarray:
+def rods_alone(times):
     """Return rods after a weak bleach: S2 −0.24 for 6 min, S3 −0.04 for 8 min, then their final level."""
     return -0.24 * np.minimum(times, 6.0) - 0.04 * np.clip(times - 6.0, 0.0, 8.0)
 
@@ -464,7 +462,7 @@ REPORTED_MIN = np.linspace(0.5, 25.0, 45)
 TRUE_BREAK_MIN, TRUE_S2 = 9.0, -0.23
 
 
-def _fit(*, rods: bool = True, facts: dict[str, str] | None = None, **request: object) -> AdaptationFit:
+def _fit(*, rods=True, facts=None, **request):
     noise = np.random.default_rng(3).normal(0.0, 0.08, REPORTED_MIN.size)
     cones = -1.0 + 2.5 * np.exp(-np.minimum(REPORTED_MIN, TRUE_BREAK_MIN) / 1.6)
     curve = (
@@ -478,7 +476,7 @@ def _fit(*, rods: bool = True, facts: dict[str, str] | None = None, **request: o
 
 
 @pytest.fixture(scope="module")
-def broken() -> AdaptationFit:
+def broken():
     """Return the fit of a curve with a break at 9 min."""
     return _fit()
 
@@ -608,12 +606,12 @@ def test_pigment_bleaches_and_regenerates_by_its_two_constants(light_td, seconds
     assert KINETICS["cones"].td_s == pytest.approx(2.4e6)
 
 
-def test_trolands_are_luminance_times_pupil_area() -> None:
+def test_trolands_are_luminance_times_pupil_area():
     """300 cd/m² through 4 mm are 3770 td."""
     assert retinal_illuminance_td(300.0, 4.0) == pytest.approx(3769.9, rel=1e-4)
 
 
-def test_pupil_spans_its_known_range_and_shrinks_with_light() -> None:
+def test_pupil_spans_its_known_range_and_shrinks_with_light():
     """Dark 7.75 mm, 10^6 cd/m² near 2 mm at the reference age; the old have smaller pupils in the dark."""
     assert pupil_diameter_mm(0.0) == pytest.approx(7.75)
     assert 2.0 < pupil_diameter_mm(1e6) < 2.3
@@ -621,7 +619,7 @@ def test_pupil_spans_its_known_range_and_shrinks_with_light() -> None:
     assert pupil_diameter_mm(0.0, age_years=70) < 6
 
 
-def test_range_spans_the_published_constants() -> None:
+def test_range_spans_the_published_constants():
     """10⁵ td for 600 s: rods lie between those of 1.6·10⁷ td·s with 360 s and of 10⁷ td·s with 450 s."""
     low, high = bleached_range(1e5, 600.0)
     least, most = 1e5 / 1.6e7, 1e5 / 1e7
@@ -630,7 +628,7 @@ def test_range_spans_the_published_constants() -> None:
     assert low < bleached_fraction(1e5, 600.0) <= high
 
 
-def test_calculator_eye_and_docs_share_one_table(project_root: Path) -> None:
+def test_calculator_eye_and_docs_share_one_table(project_root):
     """Each value of the table stands in the docs with its spread; the simulated eye bleaches by the same ones."""
     page = (project_root / "docs" / "reference" / "adaptation-test.md").read_text(encoding="utf-8")
     for constant in CONSTANTS:
@@ -640,7 +638,7 @@ def test_calculator_eye_and_docs_share_one_table(project_root: Path) -> None:
     assert KINETICS["rods"].td_s == eye_kinetics.ROD_EXPOSURE_TD_S
 
 
-def test_range_of_cones_spans_their_own_constants() -> None:
+def test_range_of_cones_spans_their_own_constants():
     """I0 and τ of cones are published apart: the extremes are those of I0 with τ, whatever Q they make together."""
     half, back = CONE_HALF_BLEACH, CONE_REGENERATION
     ends = []

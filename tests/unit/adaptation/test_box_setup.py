@@ -1,30 +1,26 @@
 """Setting up a test on the light box from its protocol."""
 
 import datetime as dt
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 import radiometer as rm
 from radiometer.adaptation.box_setup import SIMULATED_CALIBRATION, BoxLights, BoxStage, open_box_stage
-from radiometer.adaptation.checks import Finding, judge_age, judge_room
-from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, FlashBleach, read_protocol
+from radiometer.adaptation.checks import judge_age, judge_room
+from radiometer.adaptation.protocol import SHIPPED, FlashBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.bench.boxes import open_light_box
 from radiometer.bench.served_box import served_box
 from radiometer.data.config_files import shipped_config
-from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
+from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.provenance import utc_now
-from radiometer.devices.light_box import ButtonEvent, ChannelMode, ChannelState, DriveLevel, Radiance
+from radiometer.devices.light_box import ButtonEvent, ChannelMode, ChannelState, DriveLevel
 from radiometer.errors import (
     CalibrationError,
     ConfigurationError,
     DeviceError,
     MeasurementError,
-    RadiometerError,
     SettingOutOfRange,
     UnsafeStimulus,
     UsageError,
@@ -34,27 +30,27 @@ NOW = dt.datetime(2026, 11, 21, tzinfo=dt.UTC)
 
 
 @pytest.fixture
-def quick() -> AdaptationProtocol:
+def quick():
     return read_protocol("quick")
 
 
-def before_box(protocol: AdaptationProtocol, **asked: Any) -> RunRequest:
+def before_box(protocol, **asked):
     """Return the request of a run before the simulated box."""
     return RunRequest(protocol, box="sim", **asked)
 
 
-def findings(protocol: AdaptationProtocol, **asked: Any) -> list[Finding]:
+def findings(protocol, **asked):
     """Return what the checks of a simulated box find."""
     with open_box_stage(before_box(protocol, **asked)) as (_, checks):
         return [check() for check in checks]
 
 
-def changed(protocol: AdaptationProtocol, section: str, **values: Any) -> AdaptationProtocol:
+def changed(protocol, section, **values):
     """Return a protocol with other values in a section."""
     return protocol.model_copy(update={section: getattr(protocol, section).model_copy(update=values)})
 
 
-def refusal(protocol: AdaptationProtocol, **asked: Any) -> RadiometerError:
+def refusal(protocol, **asked):
     """Return why a test would not begin."""
     refused = [f.refusal for f in findings(protocol, **asked) if f.refusal is not None]
     assert refused
@@ -104,7 +100,7 @@ def test_a_calibration_that_belies_box_or_preset_gives_no_light(tmp_path, factor
     """By radiances a million times too low, the account of the exposure would count as much less."""
     known = LightCalibration.read(shipped_config(SIMULATED_CALIBRATION))
 
-    def changed(one: ChannelCalibration) -> ChannelCalibration:
+    def changed(one):
         points = tuple(
             p.model_copy(update={"radiance_W_per_sr_m2": factor * p.radiance_W_per_sr_m2}) for p in one.points
         )
@@ -218,7 +214,7 @@ def test_light_in_the_blind_spot_beyond_the_channel_is_refused(quick):
     assert "fixation_check.luminance_cd_m2" in str(refusal(dim))
 
 
-def _preset(path: Path, text: str) -> Path:
+def _preset(path, text):
     """Write the reference preset with another place of its red channel."""
     whole = shipped_config("light_boxes/reference.yaml").read_text(encoding="utf-8")
     stated = "place: {temporal_deg: 15.5, below_deg: 1.5}"
@@ -286,26 +282,26 @@ def test_unknown_protocol_lists_the_shipped_ones():
 class RecordingBox:
     """A box that notes what it is asked and hands out presses that were laid down."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.asked: list[tuple[object, ...]] = []
         self.presses: list[float] = []
         self.held: list[tuple[float, float]] = []
         self.time = 100.0
         self.level = 1000
 
-    def pulse(self, channel: str, level: Radiance, duration_s: float) -> None:
+    def pulse(self, channel, level, duration_s):
         self.asked.append((channel, level.radiance_w_sr_m2, duration_s))
 
-    def set_level(self, channel: str, level: Radiance) -> None:
+    def set_level(self, channel, level):
         self.asked.append((channel, level.radiance_w_sr_m2))
 
-    def read_channel(self, channel: str) -> ChannelState:
+    def read_channel(self, channel):
         return ChannelState(channel, ChannelMode.PULSE, DriveLevel(self.level), 0, 1.0)
 
-    def off(self, channel: str) -> None:
+    def off(self, channel):
         self.asked.append((channel, "off"))
 
-    def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
+    def buttons(self, timeout_s):
         self.time += timeout_s
         for number, time_s in enumerate(self.presses):
             yield ButtonEvent(True, time_s, 1e-4, time_s, number)
@@ -317,13 +313,13 @@ class RecordingBox:
 
 
 @pytest.fixture
-def box() -> RecordingBox:
+def box():
     return RecordingBox()
 
 
 @pytest.fixture
-def stage(box: RecordingBox) -> BoxStage:
-    def sleep(seconds: float) -> None:
+def stage(box):
+    def sleep(seconds):
         box.time += seconds
 
     lights = BoxLights(read_protocol("led-only"), 300.0, 600.0, 900.0, fixation_w_sr_m2=1e-4)
@@ -340,7 +336,7 @@ def test_bleach_is_the_protocols_light_and_then_the_mark(stage, box):
 def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage, box):
     """In the bleach: it is over within a quarter of a second, and neither mark nor spot follows."""
 
-    def sleep(seconds: float) -> None:
+    def sleep(seconds):
         box.time += seconds
         box.switched_off = box.time >= 102.0  # type: ignore[attr-defined]
 
@@ -356,7 +352,7 @@ def test_a_bleach_that_the_box_ends_by_itself_is_no_bleach(stage, box):
 
     dark_s = [102.0, 100.0 + 0.99 * 150.0]  # then a box whose clock is 1 % fast
 
-    def sleep(seconds: float) -> None:
+    def sleep(seconds):
         box.time += seconds + 0.01  # what reading back takes
         box.level = 0 if box.time >= dark_s[0] else 1000
 

@@ -3,7 +3,6 @@
 import math
 import os
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +11,8 @@ from scipy.stats import chi2
 import radiometer as rm
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.methods import Ascent, QuestPlusSearch, Staircase
-from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.outcome import Verdict
 from radiometer.adaptation.protocol import (
-    AdaptationProtocol,
     LimitsMethod,
     QuestPlusMethod,
     Spot,
@@ -29,7 +27,7 @@ from testing.scripted_adaptation import ScriptedStage, eye, threshold
 SPOT = Spot(device="light_box", channel="spot", peak_nm=453, lowest_log10=-3.0, highest_log10=1.0)
 
 
-def levels_of(method: Ascent | Staircase, answers: str) -> list[float]:
+def levels_of(method, answers):
     """Return the levels asked for, by answers: y for seen, n for not."""
     asked = []
     for answer in answers:
@@ -81,7 +79,7 @@ def test_a_spot_whose_levels_are_reversed_is_refused():
 
 
 @pytest.fixture(scope="module")
-def classic(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def classic(tmp_path_factory):
     """Return the journal of a whole run of the classic protocol by the steady observer, its thresholds next to it."""
     journal = tmp_path_factory.mktemp("classic") / "run.jsonl"
     rm.adapt_run("classic", "S1", journal, simulate="steady")
@@ -116,7 +114,7 @@ QUEST_SPOT = Spot(device="light_box", channel="spot", peak_nm=453)
 METHOD = QuestPlusMethod(kind="questplus")
 
 
-def seen_probability(level: float, alpha: float) -> float:
+def seen_probability(level, alpha):
     """Return the chance of an answer: Weibull of exponent 3.5, 1 % false alarms, 2 % lapses."""
     return 0.01 + 0.97 * (1 - math.exp(-(10 ** (3.5 * (level - alpha)))))
 
@@ -164,7 +162,7 @@ def test_absent_library_is_named_with_the_way_to_get_it(monkeypatch):
 
 
 @pytest.fixture
-def protocol(monkeypatch: pytest.MonkeyPatch) -> AdaptationProtocol:
+def protocol(monkeypatch):
     """Return the shipped protocol, cut to 2 min, with the disk's waiting left out."""
     monkeypatch.setattr(os, "fsync", lambda handle: None)
     whole = read_protocol("questplus")
@@ -175,7 +173,7 @@ def protocol(monkeypatch: pytest.MonkeyPatch) -> AdaptationProtocol:
     return whole.model_copy(update={"end": end, "watch": watch})
 
 
-def _run(path: Path, stage: ScriptedStage) -> Outcome:
+def _run(path, stage):
     with RunJournal(path) as journal:
         return run_test(stage.protocol, stage, journal, subject="A1", seed=3)
 

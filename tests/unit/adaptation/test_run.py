@@ -3,9 +3,7 @@
 import math
 import os
 import resource
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,18 +13,18 @@ from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Verdict
-from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
+from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.session import prompts_after
 from radiometer.data.config_files import shipped_config
-from radiometer.data.event_journal import Event, read_events
+from radiometer.data.event_journal import read_events
 from radiometer.errors import ConfigurationError, DeviceLost, InputError, MeasurementError, OutputError, UsageError
 from testing.scripted_adaptation import ScriptedStage, eye, threshold
 
 
 @pytest.fixture(autouse=True)
-def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_waiting_for_the_disk(monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
@@ -45,7 +43,7 @@ def _begun(path, stage, **changes):
 
 
 @pytest.fixture
-def classic() -> AdaptationProtocol:
+def classic():
     return read_protocol("classic")
 
 
@@ -134,10 +132,10 @@ class _Described(ScriptedStage):
 
     calibrated = "2026-01-01"
 
-    def facts(self) -> dict[str, str]:
+    def facts(self):
         return {"screen": "desk", "calibrated": self.calibrated, "warnings": self.calibrated}
 
-    def health(self) -> dict[str, str]:
+    def health(self):
         return {}
 
 
@@ -218,7 +216,7 @@ def test_pause_stops_the_blinks_and_the_eye_adapts_on(tmp_path, stage):
     assert 39 < outcome.times_min[-1] < 40.5
 
 
-def _undisturbed(path: Path, stage: ScriptedStage, number: int) -> Event:
+def _undisturbed(path, stage, number):
     """Return a trial of an undisturbed run: the first that is no catch from a number on."""
     _, journal = _run(path, ScriptedStage(eye, stage.protocol))
     return next(trial for trial in journal.of_kind("trial")[number:] if not trial["catch"])
@@ -309,7 +307,7 @@ def test_a_test_whose_lights_were_switched_off_ends(tmp_path, stage, when):
 def test_restart_ends_a_pause_that_a_crash_met(tmp_path, classic):
     """Whoever starts the program again wants to go on; the time away has passed for the eye too."""
 
-    def crash() -> None:
+    def crash():
         raise KeyboardInterrupt
 
     first, controls = ScriptedStage(eye, classic), Controls()
@@ -385,18 +383,18 @@ def test_stop_during_the_bleach_lets_nothing_blink(tmp_path, stage):
 class StageWithBlindSpot(ScriptedStage):
     """A scripted stage with a light in the blind spot."""
 
-    def __init__(self, sees: Callable[[int], bool], protocol: AdaptationProtocol, *, has_one: bool = True) -> None:
+    def __init__(self, sees, protocol, *, has_one=True):
         super().__init__(eye, protocol)
         self.sees, self.checks_fixation, self.shown_min = sees, has_one, list[float]()
         self.dies_at_check = -1
 
-    def blink_blind_spot(self, trial: int, number: int) -> list[float]:
+    def blink_blind_spot(self, trial, number):
         self.shown_min.append((self.time - self.dark_since) / 60)
         seen = self.sees(len(self.shown_min))
         self.pass_time(self.protocol.spot.cycle_s)
         return [0.4] if seen else []
 
-    def long_press(self, at_least_s: float) -> float | None:
+    def long_press(self, at_least_s):
         if len(self.shown_min) == self.dies_at_check:
             self.dies_at_check = -1
             raise DeviceLost("the box went away")

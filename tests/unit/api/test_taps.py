@@ -21,7 +21,7 @@ OVERSCAN = [(48, 0), (56, 0), (48, 32), (56, 32)]
 PATCHES = [(x + 8, y + 4, 24, 24) for x, y in PLACES]
 
 
-def described(*, overscan: bool = True) -> tuple[TapDescription, ...]:
+def described(*, overscan=True):
     """Return the taps as a capture set describes them."""
     return tuple(
         TapDescription(
@@ -31,9 +31,7 @@ def described(*, overscan: bool = True) -> tuple[TapDescription, ...]:
     )  # fmt: skip
 
 
-def frame(
-    rng: np.random.Generator, time_s: float, light_e: np.ndarray | float, *, ramp_dn: float = 0.0, dark: bool = False
-) -> Frame:
+def frame(rng, time_s, light_e, *, ramp_dn=0.0, dark=False):
     """Return a frame whose black level rises by a ramp along the rows of every tap."""
     x = np.arange(112)
     right, lit = x >= 56, (x < 48) | (x >= 64)
@@ -56,14 +54,14 @@ def write(
     return folder
 
 
-def bracket(seed: int, dark_times_s: Sequence[float], **ramp: float) -> list[Frame]:
+def bracket(seed, dark_times_s, **ramp):
     """Return pairs of even light of every exposure, and of dark frames."""
     rng = np.random.default_rng(seed)
     darks = [frame(rng, t, 0.0, dark=True, **ramp) for t in dark_times_s for _ in range(2)]
     return darks + [frame(rng, t, E_PER_S * t, **ramp) for t in TIMES_S for _ in range(2)]
 
 
-def camera_file(tmp_path: Path, *, overscan: bool) -> Path:
+def camera_file(tmp_path, *, overscan):
     """Return the camera file of a characterisation of the camera with its taps."""
     flats = write(tmp_path / "flats", described(overscan=overscan), bracket(4701, TIMES_S))
     found = rm.characterise(flats)

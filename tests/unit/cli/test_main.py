@@ -13,9 +13,7 @@ import subprocess
 import sys
 import termios
 import threading
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -171,11 +169,11 @@ def test_names_of_files_stay_in_one_line(name, tmp_path, monkeypatch):
 class _Terminal(io.StringIO):
     """Standard error as a terminal."""
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
-def _given_options(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _given_options(command, *path):
     """Yield each option of a command and of those below it, after the words of its command."""
     for option in command.params:
         if option.param_type_name == "option" and option.name != "help":
@@ -263,7 +261,7 @@ def test_what_is_implausible_is_misuse(words, way_out, capsys, tmp_path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
-def _options(command: Any, *path: str) -> Iterator[tuple[str, ...]]:
+def _options(command, *path):
     """Yield each option of a command and of those below it, after the words of its command."""
     yield from ((*path, option.opts[0]) for option in command.params)
     for name, inner in getattr(command, "commands", {}).items():
@@ -282,7 +280,7 @@ def test_a_relative_quantity_of_five_is_misuse(name, capsys, tmp_path, monkeypat
 
 
 @pytest.fixture
-def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+def keyboard(monkeypatch):
     """Return the other end of a terminal that is standard input."""
     outer, inner = pty.openpty()
     with os.fdopen(inner, "r") as stream:
@@ -291,7 +289,7 @@ def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     os.close(outer)
 
 
-def test_keys_call_their_actions_without_enter(keyboard: int) -> None:
+def test_keys_call_their_actions_without_enter(keyboard):
     """Other keys do nothing; echo and line mode are back after the block."""
     heard, paused, stopped = [], threading.Event(), threading.Event()
     before = termios.tcgetattr(sys.stdin.fileno())
@@ -305,7 +303,7 @@ def test_keys_call_their_actions_without_enter(keyboard: int) -> None:
     assert termios.tcgetattr(sys.stdin.fileno()) == before
 
 
-def test_nothing_is_read_where_input_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_read_where_input_is_no_terminal(monkeypatch):
     """A pipe belongs to whoever wrote into it."""
     monkeypatch.setattr(sys, "stdin", io.StringIO("ppp"))
     with listening({"p": pytest.fail}):  # type: ignore[dict-item]
@@ -317,7 +315,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture
-def scripts(tmp_path: Path) -> Path:
+def scripts(tmp_path):
     """Return a folder with a program `radiometer` that is this checkout."""
     program = tmp_path / "radiometer"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m radiometer "$@"\n', encoding="utf-8")
@@ -325,7 +323,7 @@ def scripts(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def environment(scripts: Path, **more: str) -> dict[str, str]:
+def environment(scripts, **more):
     """Return the environment of a shell that finds the program."""
     found = {**os.environ, **more, "PATH": f"{scripts}:{os.environ['PATH']}"}
     return found | {"PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}"}
@@ -378,7 +376,7 @@ def test_another_shell_is_misuse(capsys):
     assert "choose one of bash, zsh, fish" in capsys.readouterr().err
 
 
-def _failed(message: str) -> None:
+def _failed(message):
     secret_table = list(range(50_000))  # what a traceback with its variables would print
     try:
         raise ZeroDivisionError(message, len(secret_table))
@@ -405,7 +403,7 @@ def test_who_asks_for_everything_gets_the_traceback_without_its_variables(capsys
     assert "49999" not in printed
 
 
-def _numbers(command: Any, *path: str) -> Iterator[tuple[str, ...]]:
+def _numbers(command, *path):
     """Yield each option of a command and of those below it that takes a number, after the words of its command."""
     for option in command.params:
         if option.param_type_name == "option" and option.type_descriptor.annotation is float:
@@ -471,7 +469,7 @@ _SERVED = {"ask", "announce", "notice", "progress"}  # by the terminal
 
 
 @pytest.mark.parametrize("path", MADE, ids=" ".join)
-def test_a_command_has_the_parameters_of_its_function_and_its_words(path: tuple[str, ...]) -> None:
+def test_a_command_has_the_parameters_of_its_function_and_its_words(path):
     """One entry per parameter, defaults and text alike; besides those only files of the result, --json and --force."""
     function = getattr(rm, MADE[path])
     found = next(one for one in command_tree() if one.path == path)
@@ -488,7 +486,7 @@ def test_a_command_has_the_parameters_of_its_function_and_its_words(path: tuple[
     assert all(f"[default: {number}" in shown for number in numbers if not isinstance(number, bool))
 
 
-def test_the_help_of_a_command_imports_no_library_of_arrays() -> None:
+def test_the_help_of_a_command_imports_no_library_of_arrays():
     """Help and completion answer at once: the function is imported when it is called."""
     code = (
         "import sys; from radiometer.cli.main import run; run(['flicker', '--help']); "
@@ -505,7 +503,7 @@ _WRITES = re.compile(r"\b(write|written(?! by)|draw|drawn|create|keep the frames
 _JOURNALS = {("batch", "out"), ("adapt run", "out"), ("serve", "journal")}  # taken up where they end, never replaced
 
 
-def _leaves(path: tuple[str, ...], found: Any) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _leaves(path, found):
     inner = getattr(found, "commands", None)
     if not inner:
         yield path, found
@@ -513,7 +511,7 @@ def _leaves(path: tuple[str, ...], found: Any) -> Iterator[tuple[tuple[str, ...]
         yield from _leaves((*path, name), single)
 
 
-def _commands() -> Iterator[tuple[tuple[str, ...], Any]]:
+def _commands():
     for name, entry in COMMANDS.items():
         module = importlib.import_module(entry.module)
         if hasattr(module, "command"):
@@ -535,7 +533,7 @@ _OUTPUTS = [
 ]
 
 
-def _words(path: tuple[str, ...], command: Any, name: str, target: Path) -> list[str]:
+def _words(path, command, name, target):
     """Return a call in which everything required is given, and one output."""
     words = list(path)
     for one in command.params:

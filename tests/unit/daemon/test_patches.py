@@ -7,8 +7,6 @@ import math
 import sqlite3
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +17,6 @@ from hypothesis import strategies as st
 import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.daemon.http.patches import trend_columns
-from radiometer.daemon.instrument import Measurement
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.mqtt import topic_level
@@ -27,7 +24,7 @@ from radiometer.daemon.patches import NamedPatch, PatchLimits, PatchWatch, check
 from radiometer.daemon.serving import LogThrottle
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import iso_time, microseconds
-from radiometer.data import Flag, Patch, Quantity, Reading
+from radiometer.data import Flag, Patch, Quantity
 from radiometer.errors import UsageError
 
 Eventually = Callable[..., Awaitable[None]]
@@ -166,7 +163,7 @@ async def test_a_limit_is_compared_with_its_own_unit_only(instrument, tmp_path, 
             assert limits.breach(reading, standing=False) == limits.breach(reading, standing=True) == "unseen"
 
 
-def _in_unit(measurement: Measurement, unit: str) -> Measurement:
+def _in_unit(measurement, unit):
     reading = measurement.reading
     return replace(measurement, reading=replace(reading, radiance=replace(reading.radiance, unit=unit)))
 
@@ -176,7 +173,7 @@ async def test_a_patch_that_is_saturated_everywhere_is_an_alarm(station, instrum
     """What every frame clips is a lower bound, not measured; the alarm ends with the first reading that is none."""
     whole, clipped = instrument.measure, [True]
 
-    def measure(settings: Any) -> Measurement:
+    def measure(settings):
         found = whole(settings)
         flags = (Flag.SATURATED,) if clipped[0] and settings.patch == patch else ()
         return replace(found, reading=replace(found.reading, flags=flags))
@@ -209,7 +206,7 @@ def test_an_alarm_does_not_flap(make_reading):
     """Noise about the limit puts it up once; it goes only where two readings are inside by the hysteresis."""
     watch = PatchWatch(PatchLimits(high=1.0, hysteresis_rel=0.05))
 
-    def course(*values: float) -> list[str]:
+    def course(*values):
         changes = []
         for value in values:
             if watch.take(make_reading(radiance=Quantity(value, 0.01, "W sr-1 m-2"))):
@@ -320,7 +317,7 @@ async def test_wrong_patches_are_refused(station):
     assert len(station.acquisition.named) == 12
 
 
-def _journal_of_a_day(path: Path, make_reading: Callable[..., Reading]) -> None:
+def _journal_of_a_day(path, make_reading):
     """Two readings a minute for a day, with 38 minutes missing, rising by one an hour."""
     times = [START_US + k * 30_000_000 for k in range(2880) if not 600 * 2 <= k < 638 * 2]
     with Journal(path) as journal:
@@ -463,7 +460,7 @@ def test_no_two_patches_share_a_topic(names):
 
 
 @pytest.fixture
-def journal(tmp_path: Path, make_reading: Callable[..., Reading]) -> Path:
+def journal(tmp_path, make_reading):
     """Return a journal of a wall at 0.30 and, read once in between, a lamp at 0.90."""
     places = [(0.300, Patch(1, 2, 3, 4)), (0.90, Patch(50, 60, 7, 8)), (0.303, Patch(1, 2, 3, 4))]
     with Journal(tmp_path / "j.sqlite") as written:
@@ -493,7 +490,7 @@ def test_each_place_is_a_line_of_its_own_in_the_picture(journal, tmp_path):
         rm.log(journal).write_plot(tmp_path / "log.txt")
 
 
-def hours(make_reading: Callable[..., Reading], *minutes: float, **how: object) -> list[Reading]:
+def hours(make_reading, *minutes, **how):
     """Return readings of 0.3 W·sr⁻¹·m⁻² at minutes of one day."""
     start = dt.datetime(2026, 11, 20, 8, tzinfo=dt.UTC)
     times = [(start + dt.timedelta(minutes=m)).isoformat(timespec="milliseconds") for m in minutes]
@@ -588,13 +585,13 @@ def test_dates_units_and_numbers_stay_whole_in_80_columns(tmp_path, make_reading
 
 
 @pytest.mark.parametrize("library", [False, True])
-def test_a_flood_is_ten_lines_a_minute_and_a_count(library: bool) -> None:
+def test_a_flood_is_ten_lines_a_minute_and_a_count(library):
     """61 000 equal lines in a minute become 20 and a count; each different line is written."""
     now = [0.0]
     throttle = LogThrottle(clock=lambda: now[0])
     lines: list[str] = []
 
-    def say(text: str) -> None:
+    def say(text):
         if library:
             record = logging.LogRecord("asyncio", logging.WARNING, "", 0, text, None, None)
             lines.extend([record.getMessage()] if throttle.filter(record) else [])
@@ -614,7 +611,7 @@ def test_a_flood_is_ten_lines_a_minute_and_a_count(library: bool) -> None:
     assert sum("alarm" in line for line in lines) == 61
 
 
-def test_an_installed_throttle_bounds_what_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_installed_throttle_bounds_what_is_written(capsys):
     """Of a hundred equal events ten lines reach standard error; what differs does too."""
     before = structlog.get_config()["processors"]
     try:

@@ -3,13 +3,11 @@
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable
-from typing import Any
 
 import pytest
 
-from radiometer.daemon.scpi.server import ScpiServer, is_other_protocol
+from radiometer.daemon.scpi.server import is_other_protocol
 from radiometer.daemon.scpi.table import command_table
-from radiometer.daemon.station import Station
 from testing.fake_station import PORTS
 from testing.patience import within
 
@@ -17,7 +15,7 @@ Eventually = Callable[..., Awaitable[None]]
 LIGHTING = b"SOUR:LED1:LEV 0.9\nSENS:EXP 0.002\nSENS:PATC 1,2,3,4\nINIT:CONT ON\n"
 
 
-async def _throw(server: ScpiServer, *parts: bytes) -> bytes:
+async def _throw(server, *parts):
     """Send parts one after the other and return what comes back until the server hangs up."""
     reader, writer = await asyncio.open_connection("127.0.0.1", PORTS[server])
     try:
@@ -35,7 +33,7 @@ async def _throw(server: ScpiServer, *parts: bytes) -> bytes:
             await writer.wait_closed()
 
 
-def _unchanged(station: Station, box: Any) -> bool:
+def _unchanged(station, box):
     settings = station.settings
     dark = set(box.levels.values()) == {0.0}
     return dark and settings.auto_exposure and settings.patch is None and station.acquisition.every_s is None

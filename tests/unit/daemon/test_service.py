@@ -14,7 +14,6 @@ import time
 from collections.abc import Awaitable, Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,6 @@ from radiometer.daemon.limits import parse_networks
 from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import iso_time, microseconds
-from radiometer.data import Reading
 from radiometer.errors import CalibrationError, OutputError, RadiometerError
 from testing.fake_station import QUICK, FakeBox, FakeInstrument
 from testing.patience import within
@@ -45,22 +43,22 @@ class Told:
 
     watchdog_period_s = 0.005
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.fed, self.lines = 0, list[str]()
 
-    def alive(self) -> None:
+    def alive(self):
         self.fed += 1
 
-    def ready(self, status: str) -> None:
+    def ready(self, status):
         self.lines.append(f"ready {status}")
 
-    def reloading(self) -> None:
+    def reloading(self):
         self.lines.append("reloading")
 
-    def stopping(self) -> None:
+    def stopping(self):
         self.lines.append("stopping")
 
-    def status(self, text: str) -> None:
+    def status(self, text):
         self.lines.append(f"status {text}")
 
 
@@ -75,7 +73,7 @@ class Daemon:
     systemd: Told
 
 
-def fresh(tmp_path: Path, **options: Any) -> Daemon:
+def fresh(tmp_path, **options):
     """Return a service on free ports, with other options as given."""
     instrument, announced, systemd = FakeInstrument(), list[str](), Told()
     station = Station(instrument, Journal(tmp_path / "journal.sqlite"), box=FakeBox(), times=QUICK)
@@ -83,7 +81,7 @@ def fresh(tmp_path: Path, **options: Any) -> Daemon:
     return Daemon(Service(station, chosen, announced.append, systemd), station, instrument, announced, systemd)  # type: ignore[arg-type]
 
 
-async def ended(running: asyncio.Task[None]) -> None:
+async def ended(running):
     """End a daemon as systemd does."""
     os.kill(os.getpid(), signal.SIGTERM)
     await running
@@ -142,7 +140,7 @@ async def test_start_and_stop_are_events_of_the_journal(tmp_path, monkeypatch, e
     ]  # fmt: skip
 
 
-async def asked(path: Path, message: bytes) -> bytes:
+async def asked(path, message):
     """Return the line that a Unix socket replies."""
     reader, writer = await asyncio.open_unix_connection(path)
     writer.write(message + b"\n")
@@ -180,7 +178,7 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path, event
     await eventually(lambda: systemd.lines[-1] == "ready ready")
     assert "reloading" in systemd.lines
 
-    def broken() -> str:
+    def broken():
         raise CalibrationError("calibration.yaml: no scale")
 
     instrument.reload_calibration = broken  # type: ignore[method-assign]
@@ -273,13 +271,13 @@ async def test_no_descriptors_are_one_alarm_and_a_few_tries_a_second():
     descriptors = Descriptors(Alarms(lambda kind, name, message: changes.append(f"{kind} {name}")))
     loop, tries, served = asyncio.get_running_loop(), 0, 0
 
-    def take(failed: asyncio.AbstractEventLoop, context: dict[str, object]) -> None:
+    def take(failed, context):
         nonlocal tries
         tries += 1
         descriptors.take_error(failed, context)
 
     class Client(asyncio.Protocol):
-        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        def connection_made(self, transport):
             nonlocal served
             served += 1
 
@@ -320,15 +318,15 @@ START_US = microseconds("2026-06-01T00:00:00Z")
 class Clocks:
     """A wall clock that can be set and a steady one that cannot."""
 
-    def __init__(self, wall_us: int = START_US) -> None:
+    def __init__(self, wall_us=START_US):
         self.wall, self.steady = wall_us, 0
 
-    def go(self, us: int) -> None:
+    def go(self, us):
         self.wall += us
         self.steady += us
 
     @property
-    def both(self) -> tuple[Callable[[], int], Callable[[], int]]:
+    def both(self):
         return lambda: self.wall, lambda: self.steady
 
 
@@ -388,7 +386,7 @@ async def test_the_clock_is_looked_at_every_second():
     clocks, reported, pauses = Clocks(), list[Jump](), list[float]()
     watch = ClockWatch(reported.append, *clocks.both)
 
-    async def sleep(seconds: float) -> None:
+    async def sleep(seconds):
         pauses.append(seconds)
         clocks.go(round(seconds * 1e6))
         if len(pauses) == 3:
@@ -429,7 +427,7 @@ def test_whatever_the_clock_did_what_is_young_stays_and_what_is_old_goes(seed, t
     true_us, off_us, stamps = START_US, 0, list[int]()
     keep_us = 30 * DAY_US
 
-    def drop(journal: Journal) -> None:
+    def drop(journal):
         journal.drop_older(true_us + off_us - keep_us)
         left = [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())]
         assert set(left) >= {n + 1 for n, made_us in enumerate(stamps) if true_us - made_us <= keep_us}
@@ -520,7 +518,7 @@ def test_the_age_is_counted_by_a_clock_that_cannot_be_set():
     assert retention.now_us() == START_US - DAY_US
 
 
-async def kept_after_start(path: Path, keep_days: float, young: Reading) -> list[int]:
+async def kept_after_start(path, keep_days, young):
     """Run a writer with a retention over a journal, and return the numbers that are left but for its own two."""
     writer = JournalWriter(Journal(path), Alarms(lambda *_: None), lambda *_: None, keep_days=keep_days)
     await writer.open()
@@ -552,7 +550,7 @@ async def test_old_readings_go_at_the_start_and_every_hour(tmp_path, monkeypatch
         perf_counter = staticmethod(time.perf_counter)
 
         @classmethod
-        def monotonic(cls) -> float:
+        def monotonic(cls):
             return cls.s + 500.0
 
     monkeypatch.setattr(journal_writer, "time", Steady)
@@ -596,7 +594,7 @@ async def test_a_journal_error_is_told_not_swallowed(tmp_path, make_reading, eve
     await writer.open()
     whole = journal.append
 
-    def broken(readings: Any) -> Any:
+    def broken(readings):
         raise JournalError("disk full")
 
     journal.append = broken

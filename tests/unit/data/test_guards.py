@@ -17,10 +17,8 @@ import threading
 import time
 import unicodedata
 import zlib
-from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -30,7 +28,7 @@ import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
 from PIL import Image
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 import radiometer
 import radiometer as rm
@@ -71,10 +69,10 @@ from testing import faulty_readers
 from testing.reader_fuzz import Fuzzed, bombs, fuzz, hostile, seeds
 
 
-def _png(width: int, height: int, bits: int = 16, colour: int = 0, data: bytes = b"") -> bytes:
+def _png(width, height, bits=16, colour=0, data=b""):
     """Return a PNG with the header stated and data that need not fit it."""
 
-    def chunk(kind: bytes, content: bytes) -> bytes:
+    def chunk(kind, content):
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
     header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
@@ -337,7 +335,7 @@ _BOMBS = bombs()
 
 
 @pytest.fixture(scope="module")
-def readers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Callable[[Path], Any]]:
+def readers(tmp_path_factory):
     """Return every reader of the fuzz by the name of a file that it reads."""
     return {name: read for name, (_, read) in seeds(tmp_path_factory.mktemp("seeds")).items()}
 
@@ -372,17 +370,17 @@ def test_a_bomb_is_refused_in_one_line(name, tmp_path):
     assert "\n" not in str(refusal.value)
 
 
-def _all_of_it(path: Path) -> object:
+def _all_of_it(path):
     return np.empty(4_000_000_000, np.uint8)
 
 
-def _for_ever(path: Path) -> object:
+def _for_ever(path):
     while True:
         with contextlib.suppress(Exception):  # as libraries do
             time.process_time()
 
 
-def _by_chance(path: Path) -> object:
+def _by_chance(path):
     raise KeyError("TAG")
 
 
@@ -476,7 +474,7 @@ def test_readers_in_several_threads_each_have_their_memory(tmp_path):
     sizes = []
 
     @bounded_reader(1_000_000_000)
-    def read(path: Path) -> None:
+    def read(path):
         held = np.ones(500_000_000, np.uint8)
         together.wait()
         sizes.append(held.nbytes)
@@ -505,7 +503,7 @@ def test_a_reader_of_another_is_within_its_limits(tmp_path):
     """An error of the inner reader keeps its own words."""
 
     @bounded_reader()
-    def inner(path: Path) -> None:
+    def inner(path):
         raise CaptureError("the inner one")
 
     with pytest.raises(CaptureError, match=r"^the inner one$"):
@@ -660,12 +658,12 @@ for part in ("adaptation", "bench", "data", "devices"):
         importlib.import_module(f"{folder.__name__}.{one.name}")
 
 
-def models(kind: type[BaseModel]) -> list[type[BaseModel]]:
+def models(kind):
     """Return all kinds of section that are declared, of any depth."""
     return [found for sub in kind.__subclasses__() for found in (sub, *models(sub))]
 
 
-def named(pattern: str) -> list[pytest.param]:
+def named(pattern):
     """Return the numeric fields whose names match a pattern, as (what takes its values)."""
     found = []
     for model in {*models(FileSection), *models(ConfigSection)}:
@@ -678,7 +676,7 @@ def named(pattern: str) -> list[pytest.param]:
     return sorted(found, key=lambda one: str(one.id))
 
 
-def is_taken(takes: TypeAdapter[float], value: float) -> bool:
+def is_taken(takes, value):
     """Tell whether a field takes a value."""
     try:
         takes.validate_python(value)
@@ -798,7 +796,7 @@ SELF.append(SELF)
 ODD = (None, [], {}, "text", "", math.nan, math.inf, -1, 0, 1e-300, 1e300, True, [1, [2]], {"a": {"b": []}}, SELF)
 
 
-def places(content: object, path: tuple[object, ...] = ()) -> Iterator[tuple[tuple[object, ...], object]]:
+def places(content, path=()):
     """Yield the path to each key and entry of a file, and what stands there."""
     items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
     for key, inside in items:
@@ -806,14 +804,14 @@ def places(content: object, path: tuple[object, ...] = ()) -> Iterator[tuple[tup
         yield from places(inside, (*path, key))
 
 
-def changed(content: object, place: tuple[object, ...], value: object) -> str:
+def changed(content, place, value):
     """Return a file with another value at a place."""
     new = copy.deepcopy(content)
     functools.reduce(operator.getitem, place[:-1], new)[place[-1]] = value
     return yaml.safe_dump(new)
 
 
-def shipped(root: Path) -> list[dict[str, Any]]:
+def shipped(root):
     """Return the content of a file of each form: those of the package, and a screen's calibration."""
     texts = [path.read_text() for path in sorted((root / "configs").rglob("*.yaml"))]
     return [content for content in map(yaml.safe_load, (*texts, SCREEN)) if content.get("format") in FILES]

@@ -3,14 +3,12 @@
 import re
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import radiometer as rm
 from radiometer.analysis.characterise import (
-    Characterisation,
     EmvaDescriptor,
     characterise,
     read_subject,
@@ -49,14 +47,12 @@ BELIEVED = CameraDescription(bit_depth=12, model="BFS-U3-19S4M", pixel_pitch_um=
 EXPOSURES = np.linspace(0.002, 0.05, 16)
 
 
-def _plan(gain_db: float = 0.0, darks: bool = True, top: float = 1.0) -> list[FrameSettings]:
+def _plan(gain_db=0.0, darks=True, top=1.0):
     bright = [FrameSettings(float(t) * top / 10 ** (gain_db / 20), gain_db) for t in EXPOSURES]
     return bright + ([replace(one, shutter="closed") for one in bright] if darks else [])
 
 
-def _capture(
-    path: Path, plan: list[FrameSettings], frames: int = 2, scene: UniformScene | StepChartScene | None = None
-) -> CaptureSet:
+def _capture(path, plan, frames=2, scene=None):
     model = CameraModel.ideal(CAMERA, LensDescription(focal_length_mm=16, f_number=4.0))
     lit = scene or UniformScene(radiance_W_per_sr_m2=0.14)
     return simulate_capture(
@@ -65,12 +61,12 @@ def _capture(
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     return _capture(tmp_path_factory.mktemp("made") / "set", _plan()).path
 
 
 @pytest.fixture
-def capture(made: Path, tmp_path: Path) -> CaptureSet:
+def capture(made, tmp_path):
     """Return a copy of one capture: tests write into it."""
     return CaptureSet.read(shutil.copytree(made, tmp_path / "set"))
 
@@ -364,12 +360,12 @@ def test_no_name_of_a_camera_is_markup(capture):
 
 
 @pytest.fixture(scope="module")
-def folder(shared_data: Path) -> Path:
+def folder(shared_data):
     return shared_data / "emva" / "ref001_ccd_12bit"
 
 
 @pytest.fixture(scope="module")
-def ccd(folder: Path) -> Characterisation:
+def ccd(folder):
     return characterise(read_subject(folder))
 
 

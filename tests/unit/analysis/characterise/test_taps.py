@@ -1,7 +1,5 @@
 """Sensors with several output amplifiers: figures of each, borders found in frames, and sections of FITS headers."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from testing.tap_camera import EXPOSURES_S, Taps
 fits = pytest.importorskip("astropy.io.fits")
 
 
-def write_frames(folder: Path, seed: int, taps: Taps, shape: tuple[int, int] = (128, 192)) -> Path:
+def write_frames(folder, seed, taps, shape=(128, 192)):
     """Write pairs of flats and of darks as FITS files."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
@@ -22,7 +20,7 @@ def write_frames(folder: Path, seed: int, taps: Taps, shape: tuple[int, int] = (
     return folder
 
 
-def write(path: Path, data: np.ndarray, header: dict[str, object]) -> None:
+def write(path, data, header):
     """Write one picture with its header."""
     unit = fits.PrimaryHDU(data)
     unit.header.update(header)

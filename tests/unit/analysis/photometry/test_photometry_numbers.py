@@ -5,7 +5,6 @@ import math
 import warnings
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,7 +35,6 @@ from radiometer.analysis.signal.situation import spectral_correction
 from radiometer.data import BlackLevel, Patch, Quantity, SpectralResponse, StatedUncertainties
 from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.errors import InputError, UsageError
-from radiometer.typing import Array
 from testing.golden import cie, thesis
 
 NAMES = ["equal_energy", "planck:2856", "cie_d65", "white_led", "display_red", "line:600", "line:450"]
@@ -651,7 +649,7 @@ def test_relative_readings_have_no_spectrum(rig):
 FINE_NM = np.arange(200.0, 1100.1, 0.25)
 
 
-def bands(rng: np.random.Generator) -> Array:
+def bands(rng):
     """Return the power of some coloured lights over the fine grid."""
     power = np.zeros_like(FINE_NM)
     for peak, width in zip(rng.uniform(450.0, 650.0, 3), rng.uniform(15.0, 80.0, 3), strict=True):
@@ -659,13 +657,13 @@ def bands(rng: np.random.Generator) -> Array:
     return np.where(power < 1e-9, 0.0, power)
 
 
-def figures(light: Spectrum) -> list[Quantity]:
+def figures(light):
     """Return the luminous efficacy and the α-opic quantities of a luminance."""
     made = alpha_opic_quantities(Quantity(100.0, 0.0, "cd m-2"), light)
     return [luminous_efficacy(light), *(one.quantity for one in made)]
 
 
-def as_csv(path: Path, nm: Array, power: Array) -> Spectrum:
+def as_csv(path, nm, power):
     """Return the light as a file of it is read."""
     np.savetxt(path, np.column_stack([nm, power]), "%.9g", ",", header="wavelength_nm,power", comments="")
     return spectrum_from_csv(path)
@@ -699,7 +697,7 @@ def test_a_light_in_coarse_steps_is_right_within_u_or_refused(tmp_path, step_nm)
 
 @pytest.mark.parametrize("part", [1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 0.9])
 @pytest.mark.parametrize("peak_nm", [450.0, 550.0, 620.0])
-def test_a_light_that_is_cut_off_is_right_within_u_or_refused(tmp_path: Path, part: float, peak_nm: float) -> None:
+def test_a_light_that_is_cut_off_is_right_within_u_or_refused(tmp_path, part, peak_nm):
     """Where the table ends at some part of the peak: whatever was cut off is covered."""
     power = np.round(0.5 ** (4.0 * ((FINE_NM - peak_nm) / 60.0) ** 2), 9)
     true = figures(Spectrum("true", FINE_NM, power))
@@ -715,7 +713,7 @@ def test_a_light_that_is_cut_off_is_right_within_u_or_refused(tmp_path: Path, pa
 
 
 @pytest.mark.parametrize("name", ["band:370,10", "band:375,12", "band:380,10", "band:790,10", "band:800,30"])
-def test_light_beyond_the_tables_is_not_none(name: str) -> None:
+def test_light_beyond_the_tables_is_not_none(name):
     """Each receptor may answer to light that its table does not reach as it does at the end: u holds that."""
     for one in rm.alpha_opic(100.0, spectrum=name).quantities:
         assert one.quantity.u > 0.1 * one.quantity.value
@@ -723,7 +721,7 @@ def test_light_beyond_the_tables_is_not_none(name: str) -> None:
     assert [one.quantity.u for one in inside] == pytest.approx([0.0] * 5, abs=1e-9)
 
 
-def test_a_reading_of_too_little_known_light_has_no_luminance(tmp_path: Path) -> None:
+def test_a_reading_of_too_little_known_light_has_no_luminance(tmp_path):
     """A light that is stated to 495 nm alone has a radiance; a map or a value of it has no luminance either."""
     nm = np.arange(380.0, 496.0, 5.0)
     light = as_csv(tmp_path / "part.csv", nm, 0.5 ** (4.0 * ((nm - 480.0) / 30.0) ** 2))
@@ -747,7 +745,7 @@ DAYLIGHT = {
 
 
 @pytest.mark.parametrize("receptor", RECEPTORS)
-def test_daylight_is_its_own_equivalent_and_has_the_efficacy_of_the_standard(receptor: str) -> None:
+def test_daylight_is_its_own_equivalent_and_has_the_efficacy_of_the_standard(receptor):
     """Daylight is its own equivalent and has the efficacy of the standard."""
     one = rm.alpha_opic(250.0, "lx", spectrum="cie_d65")[receptor]
     assert one.efficacy_mw_lm.value == pytest.approx(DAYLIGHT[receptor], abs=5e-5)
@@ -767,13 +765,13 @@ def test_daylight_is_its_own_equivalent_and_has_the_efficacy_of_the_standard(rec
         ("equal_energy", (0.75640, 1.3968, 1.6389, 1.3301, 1.2013)),
     ],
 )
-def test_the_efficacies_of_common_lights_are_those_of_a_peer(name: str, efficacies: tuple[float, ...]) -> None:
+def test_the_efficacies_of_common_lights_are_those_of_a_peer(name, efficacies):
     """The efficacies of common lights are those of a peer."""
     found = rm.alpha_opic(1.0, spectrum=name)
     assert [one.efficacy_mw_lm.value for one in found.quantities] == pytest.approx(efficacies, rel=3e-4)
 
 
-def test_a_line_excites_by_its_action_spectrum() -> None:
+def test_a_line_excites_by_its_action_spectrum():
     """A line excites by its action spectrum."""
     wavelength, columns = table("alpha_opic.csv")
     at_490 = columns["melanopic"][wavelength == 490.0][0]
@@ -782,7 +780,7 @@ def test_a_line_excites_by_its_action_spectrum() -> None:
     assert at_490 == pytest.approx(1.0, abs=1e-3)  # its peak is at 490 nm
 
 
-def test_radiance_and_luminance_of_one_light_give_the_same() -> None:
+def test_radiance_and_luminance_of_one_light_give_the_same():
     """Radiance and luminance of one light give the same."""
     from radiometer.analysis.photometry.photometry import luminance_cd_m2
 
@@ -796,7 +794,7 @@ def test_radiance_and_luminance_of_one_light_give_the_same() -> None:
 
 
 @pytest.mark.parametrize("unit", ["cd m-2", "W sr-1 m-2"])
-def test_the_uncertainty_of_the_spectrum_is_that_of_drawn_spectra(unit: str) -> None:
+def test_the_uncertainty_of_the_spectrum_is_that_of_drawn_spectra(unit):
     """The uncertainty of the spectrum is that of drawn spectra."""
     light, rng = spectrum("white_led"), np.random.default_rng(46_002)
     stated = alpha_opic_quantities(Quantity(100.0, 0.0, unit), light, 0.05, 0.8)
@@ -809,7 +807,7 @@ def test_the_uncertainty_of_the_spectrum_is_that_of_drawn_spectra(unit: str) -> 
         assert one.quantity.u == pytest.approx(spread, rel=0.2)
 
 
-def test_a_level_of_a_screen_and_a_reading_are_sources(tmp_path: Path) -> None:
+def test_a_level_of_a_screen_and_a_reading_are_sources(tmp_path):
     """A level of a screen and a reading are sources."""
     screen = rm.screen_calibrate(display="lcd", quick=True).calibration
     luminance = screen.channel("grey").at(200, "cd m-2")
@@ -820,7 +818,7 @@ def test_a_level_of_a_screen_and_a_reading_are_sources(tmp_path: Path) -> None:
     assert of_file["rhodopic"] == of_level["rhodopic"]
 
 
-def test_a_source_of_known_size_and_distance_gives_the_illuminance_at_the_eye() -> None:
+def test_a_source_of_known_size_and_distance_gives_the_illuminance_at_the_eye():
     """Small: L·A/d². A disc of 45° half angle: half of πL. A wide wall: πL. A rectangle: the sum of its parts."""
     small = rm.alpha_opic(100.0, u=1.0, spectrum="cie_d65", size_m=(0.02, 0.01), distance_m=2.0, u_distance_m=0.02)
     assert small.source.value == pytest.approx(100.0 * 2e-4 / 4.0, rel=1e-4)
@@ -855,13 +853,13 @@ def test_a_source_of_known_size_and_distance_gives_the_illuminance_at_the_eye() 
         ({"value": 1.0, "unit": "lx", "spectrum": "cie_a", "size_m": (0.1,), "distance_m": 1.0}, UsageError),
     ],
 )
-def test_what_gives_no_quantity_is_refused(given: dict[str, object], error: type[Exception]) -> None:
+def test_what_gives_no_quantity_is_refused(given, error):
     """What gives no quantity is refused."""
     with pytest.raises(error):
         rm.alpha_opic(**given)  # type: ignore[arg-type]
 
 
-def test_a_reading_counts_for_the_spectrum_that_it_was_made_for(tmp_path: Path) -> None:
+def test_a_reading_counts_for_the_spectrum_that_it_was_made_for(tmp_path):
     """Its luminance is that of such light; its flags go on, and a relative reading has no such quantities."""
     stated = {
         "radiance": {"value": 1.5, "u": 0.01, "unit": "W sr-1 m-2"},

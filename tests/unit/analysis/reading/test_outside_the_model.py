@@ -4,11 +4,9 @@ import datetime as dt
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
 from radiometer.analysis.merge.bracket import merge
@@ -508,13 +506,13 @@ CHART = np.array([[0.4, 2.0, 9.0], [30.0, 120.0, 400.0]])
 MIDDLE, DARKEST, BRIGHTEST = Patch(11, 13, 8, 9), Patch(1, 1, 7, 9), Patch(21, 13, 8, 9)
 
 
-def scene() -> NDArray[np.float64]:
+def scene():
     """Return the chart's radiances in W·sr⁻¹·m⁻², SIZE."""
     rows, columns = np.indices(SIZE)
     return CHART[rows * 2 // SIZE[0], columns * 3 // SIZE[1]]
 
 
-def frame(number: int, exposure_s: float, bits: int = 12, light: float = 1.0, **changes: Any) -> Frame:
+def frame(number, exposure_s, bits=12, light=1.0, **changes):
     """Return one frame; its noise is drawn by `number`."""
     settings = FrameSettings(
         exposure_s, **{"f_number": 4.0, "black_level_dn": BLACK_DN, "temperature_c": 31.0, **changes}
@@ -531,12 +529,12 @@ def frame(number: int, exposure_s: float, bits: int = 12, light: float = 1.0, **
     return Frame(stored, bits, settings)
 
 
-def ladder(first: int = 0, count: int = 8, **changes: Any) -> list[Frame]:
+def ladder(first=0, count=8, **changes):
     """Return exposures from 10 µs on, each four times the one before."""
     return [frame(first + k, 1e-5 * 4.0**k, **changes) for k in range(count)]
 
 
-def calibration(**changes: Any) -> Calibration:
+def calibration(**changes):
     """Return the calibration that is right: H = DN·e⁻/DN over electrons per J·m⁻² of this lens."""
     conditions = ScaleConditions(inverse_exposure_per_s=200.0, temperature_c=31.0, level=0.5, surround=1.0)
     exposure_per_dn = E_PER_DN / PER_RADIANCE * math.pi / 4.0 / 4.0**2 * 0.92
@@ -548,7 +546,7 @@ def calibration(**changes: Any) -> Calibration:
     return Calibration(**{**made, **changes})
 
 
-def gamma_calibration() -> Calibration:
+def gamma_calibration():
     """Return that of the eight-bit frames: x = (M/255)^2.2 of full scale."""
     with np.errstate(divide="ignore"):
         log_exposure = 2.2 * np.log(np.arange(256.0) / 255.0)
@@ -561,13 +559,13 @@ def gamma_calibration() -> Calibration:
     )
 
 
-def read_chart(frames: list[Frame], patch: Patch = MIDDLE, given: Calibration | None = None, **options: Any) -> Reading:
+def read_chart(frames, patch=MIDDLE, given=None, **options):
     given = given or calibration()
     lens = options.pop("lens", LENS)
     return read_patch(Bracket.from_frames(frames), patch, Setup(given.camera, lens, given), now=NOW, **options)
 
 
-def lens(**changes: Any) -> LensDescription:
+def lens(**changes):
     return LENS.model_copy(update=changes)
 
 
@@ -605,7 +603,7 @@ SITUATIONS: dict[str, tuple[Callable[[], Reading], float, float]] = {
 
 
 @pytest.mark.parametrize("name", SITUATIONS)
-def test_the_truth_lies_within_what_is_stated(name: str) -> None:
+def test_the_truth_lies_within_what_is_stated(name):
     """Within 3 u; the lines of the budget add up in squares to u; nothing is called saturated, dark or uneven.
 
     Stray light of the bright fields is most of the u of the darkest.
@@ -628,12 +626,12 @@ def test_the_truth_lies_within_what_is_stated(name: str) -> None:
         (lambda: read_chart(ladder(), given=calibration(created="2020-01-01T00:00:00Z")), Flag.STALE_CALIBRATION),
     ],
 )  # fmt: skip
-def test_what_a_reading_cannot_stand_for_is_flagged(make: Callable[[], Reading], flag: Flag) -> None:
+def test_what_a_reading_cannot_stand_for_is_flagged(make, flag):
     """Clipped everywhere, over an edge, without light, flickering or too old."""
     assert flag in make().flags
 
 
-def test_the_u_of_many_readings_is_what_they_scatter_by() -> None:
+def test_the_u_of_many_readings_is_what_they_scatter_by():
     """Without what all share, 60 readings of one patch scatter by their own u, to 30 % (√(1/120) is 9 %)."""
     values = [read_chart(ladder(1000 + 10 * k)) for k in range(60)]
     own = [

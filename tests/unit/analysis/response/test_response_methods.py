@@ -17,7 +17,7 @@ from radiometer.analysis.response.curves import black_of_curve, finished_curve, 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997, recover_response_debevec1997
 from radiometer.analysis.response.dynamic_range import RangePoint, dynamic_range, with_dynamic_range
 from radiometer.analysis.response.estimate import inner_range, median_uncertainty, spread_rms
-from radiometer.analysis.response.fit import ResponseFit, eliminate_groups, fit_response, information, solve_penalised
+from radiometer.analysis.response.fit import eliminate_groups, fit_response, information, solve_penalised
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.linear_spline import recover_response_linear_spline
 from radiometer.analysis.response.methods import METHODS, compare_methods
@@ -266,18 +266,18 @@ def test_brackets_of_different_bit_depths_are_refused(make_stack):
 REFERENCE_DN, REFERENCE_S = 127.0, 1 / 125
 
 
-def exposure_of(dn: float) -> float:
+def exposure_of(dn):
     """Return H over that of white of the simulated camera, M = 255·H^(1/2.2)."""
     return float((dn / 255.0) ** 2.2)
 
 
-def point(dn: float) -> RangePoint:
+def point(dn):
     """Return the region at `dn` with the time that puts it on the reference value."""
     return RangePoint(dn, REFERENCE_S * exposure_of(REFERENCE_DN) / exposure_of(dn))
 
 
 @pytest.fixture(scope="module")
-def stretched(make_stack) -> ResponseCurve:
+def stretched(make_stack):
     """Return a Mitsunaga–Nayar curve from frames two-fold apart whose times were stated as 2.3-fold apart."""
     frames = [
         replace(frame, settings=replace(frame.settings, exposure_s=1e-3 * 2.3**index))
@@ -402,7 +402,7 @@ SIGMA = 0.01
 TIMES = tuple(0.25 * 1.7**k for k in range(6))
 
 
-def rows_of(groups: int = 40, frames: int = 6) -> ResponseSamples:
+def rows_of(groups=40, frames=6):
     """Return rows of a linear camera without noise, frames half a doubling apart."""
     log_time = 0.7 * np.arange(frames)
     dn = np.exp(np.linspace(0.5, 5.0, groups)[:, None] + log_time[None, :] - 1.0)
@@ -425,7 +425,7 @@ def rows_of(groups: int = 40, frames: int = 6) -> ResponseSamples:
     )
 
 
-def fit(samples: ResponseSamples, **how: object) -> ResponseFit:
+def fit(samples, **how):
     variance = np.full(samples.dn.size, SIGMA**2)
     return fit_response(samples, samples.dn, variance, time_spread=0.0, smoothing=1e3, **how)  # type: ignore[arg-type]
 
@@ -506,7 +506,7 @@ def test_information_is_the_inverse_also_where_a_label_is_known_exactly_or_not_a
     assert information(np.array(covariance)) == pytest.approx(np.array(inverse), rel=1e-9, abs=1e-15)
 
 
-def last_label_off(*, lowest: int = 0, more: int = 0) -> Plane:
+def last_label_off(*, lowest=0, more=0):
     """Return a linear plane whose last exposure was 0.2 in ln longer than its label.
 
     Args:
@@ -569,14 +569,12 @@ def test_a_plane_without_a_row_of_the_freed_frame_says_nothing():
     assert joint.u_log_ratios == pytest.approx(alone.u_log_ratios)
 
 
-def scene() -> Array:
+def scene():
     tones = np.random.default_rng(11).permutation(np.linspace(-5.0, 1.5, 140)).reshape(10, 14)
     return np.asarray(np.kron(tones, np.ones((12, 12))))
 
 
-def colour(
-    gamma: float, tint: float, wrong: int | None, seed: int, times: tuple[float, ...] = TIMES, contrast: float = 1.0
-) -> Bracket:
+def colour(gamma, tint, wrong, seed, times=TIMES, contrast=1.0):
     """Return photographs of the scene through a tone curve, the label of one frame too long by a third of a stop."""
     rng, frames = np.random.default_rng(seed), []
     for number, seconds in enumerate(times):
@@ -587,13 +585,13 @@ def colour(
     return Bracket.from_frames(frames)
 
 
-def planes_of(wrong: int | None, colours: int = 2) -> list[Plane]:
+def planes_of(wrong, colours=2):
     samples = [gather_samples(colour(0.45 + 0.1 * k, -0.7 * k, wrong, k)) for k in range(colours)]
     return [Plane(one, curve_debevec1997(one).log_exposure) for one in samples]
 
 
 @pytest.fixture(scope="module")
-def lying() -> list[Plane]:
+def lying():
     return planes_of(3)
 
 

@@ -3,8 +3,6 @@
 import importlib.util
 import json
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ K_TRUE = 1 / 5.95
 
 
 @pytest.fixture(scope="module")
-def script() -> ModuleType:
+def script():
     spec = importlib.util.spec_from_file_location("make_emva_oracle", HERE / "make_emva_oracle.py")
     assert spec is not None
     assert spec.loader is not None
@@ -30,22 +28,22 @@ def script() -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def oracle() -> dict[str, Any]:
+def oracle():
     return json.loads((HERE / "emva_oracle.json").read_text())
 
 
 @pytest.fixture(scope="module")
-def model(script: ModuleType) -> CameraModel:
+def model(script):
     return CameraModel.ideal(CameraDescription(**script.CAMERA), LensDescription(**script.LENS), script.WAVELENGTH_NM)
 
 
 @pytest.fixture(scope="module")
-def temporal(oracle: dict[str, Any]) -> dict[str, np.ndarray]:
+def temporal(oracle):
     return {key: np.array(values) for key, values in oracle["temporal"].items()}
 
 
 @pytest.fixture(scope="module")
-def pixels(script: ModuleType) -> int:
+def pixels(script):
     return int(script.WIDTH * script.HEIGHT)
 
 

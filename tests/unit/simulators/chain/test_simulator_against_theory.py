@@ -14,7 +14,7 @@ from simulators.chain.camera_model import CameraModel
 from simulators.chain.undeclared import Undeclared, completed, undeclared_chain
 from simulators.effects.base import ELECTRONS, Effect, Stage, parameter
 from simulators.effects.catalogue import declared_dark_e
-from simulators.effects.context import ExposureContext, FrameGeometry, Signal
+from simulators.effects.context import FrameGeometry
 from simulators.effects.registry import EFFECTS, make_effect
 
 GEOMETRY = FrameGeometry.of_image(300, 200)
@@ -36,11 +36,11 @@ CAMERA = CameraDescription(
 
 
 @pytest.fixture
-def model() -> CameraModel:
+def model():
     return CameraModel.ideal(CAMERA, LensDescription(f_number=4.0))
 
 
-def _pair(model: CameraModel, settings: FrameSettings, radiance: float, seed: int) -> tuple[float, float]:
+def _pair(model, settings, radiance, seed):
     """Return mean and temporal variance of two frames by the pair method."""
     context = model.context(settings, GEOMETRY)
     scene = np.full(GEOMETRY.shape, radiance)
@@ -50,7 +50,7 @@ def _pair(model: CameraModel, settings: FrameSettings, radiance: float, seed: in
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 6.0, 12.0])
-def test_slope_of_the_photon_transfer_is_the_system_gain(model: CameraModel, gain_db: float) -> None:
+def test_slope_of_the_photon_transfer_is_the_system_gain(model, gain_db):
     """Weighted fit of variance over mean at 12 levels: K = 10^(g/20)/2.6 within 4 predicted standard deviations."""
     gain = gain_factor(gain_db) / 2.6
     dark_settings = FrameSettings(0.01, gain_db, 4.0, 64.0, shutter="closed")
@@ -65,14 +65,14 @@ def test_slope_of_the_photon_transfer_is_the_system_gain(model: CameraModel, gai
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 12.0, 24.0])
-def test_read_noise_is_constant_in_electrons_and_rounding_in_dn(model: CameraModel, gain_db: float) -> None:
+def test_read_noise_is_constant_in_electrons_and_rounding_in_dn(model, gain_db):
     """Variance of dark frames is (K·3)² + 1/12 at every gain."""
     _, variance = _pair(model, FrameSettings(1e-5, gain_db, 4.0, 64.0, shutter="closed"), 0.0, 2)
     expected = (3.0 * gain_factor(gain_db) / 2.6) ** 2 + 1 / 12
     assert variance == pytest.approx(expected, abs=4 * expected * np.sqrt(2 / N))
 
 
-def test_shot_noise_is_poisson_in_its_third_moment(model: CameraModel) -> None:
+def test_shot_noise_is_poisson_in_its_third_moment(model):
     """Skewness of electrons at 25 e- is 1/√25, which no normal approximation has (4 standard deviations)."""
     context = model.context(FrameSettings(0.01, 0.0, 4.0, 64.0), GEOMETRY)
     rise_dn = model.mean(np.full((1, 1), 0.1), context) - model.mean(np.zeros((1, 1)), context)
@@ -82,30 +82,28 @@ def test_shot_noise_is_poisson_in_its_third_moment(model: CameraModel) -> None:
     assert skewness == pytest.approx(1 / np.sqrt(25.02), abs=4 * np.sqrt(6 / N))
 
 
-def test_switching_dark_current_off_takes_just_its_electrons_away(model: CameraModel) -> None:
+def test_switching_dark_current_off_takes_just_its_electrons_away(model):
     """The mean without dark current differs from the mean with it by just its electrons."""
     context = model.context(FrameSettings(30.0, 0.0, 4.0, 64.0, shutter="closed"), FrameGeometry.of_image(1, 1))
     without = model.without_effect("dark_current").mean(np.zeros((1, 1)), context)
     assert model.mean(np.zeros((1, 1)), context) - without == pytest.approx(np.full((1, 1), 60.0 / 2.6))
 
 
-def moments(
-    middle: float, sigma: float, power: float, toe: float = 0.0, lift: float = 1.0, black: float = 0.0
-) -> tuple[float, ...]:
+def moments(middle, sigma, power, toe=0.0, lift=1.0, black=0.0):
     """Return mean, variance and slope over a range of 1000."""
     columns = (np.array([value]) for value in (middle, sigma, black, 1000.0))
     return tuple(float(values[0]) for values in bent_normal(*columns, power, toe, lift))
 
 
 @pytest.mark.parametrize(("middle", "sigma"), [(3.0, 2.0), (30.0, 2.0), (300.0, 2.0), (-300.0, 5.0)])
-def test_a_straight_curve_changes_nothing(middle: float, sigma: float) -> None:
+def test_a_straight_curve_changes_nothing(middle, sigma):
     """Power 1: mean, variance and slope stay, whichever nodes are used; black and range drop out."""
     for black in (0.0, 2.5):
         assert moments(middle, sigma, 1.0, black=black) == pytest.approx((middle, sigma**2, 1.0), rel=1e-6)
 
 
 @pytest.mark.parametrize(("middle", "sigma"), [(200.0, 10.0), (200.0, 2.0), (50.0, 1.0)])
-def test_a_square_has_the_moments_of_a_squared_normal_value(middle: float, sigma: float) -> None:
+def test_a_square_has_the_moments_of_a_squared_normal_value(middle, sigma):
     """y = x²/1000: mean (m² + σ²)/1000, variance (4m²σ² + 2σ⁴)/1000², slope 2m/1000."""
     expected = ((middle**2 + sigma**2) / 1e3, (4.0 * middle**2 * sigma**2 + 2.0 * sigma**4) / 1e6, 2.0 * middle / 1e3)
     assert moments(middle, sigma, 2.0) == pytest.approx(expected, rel=1e-9)
@@ -113,7 +111,7 @@ def test_a_square_has_the_moments_of_a_squared_normal_value(middle: float, sigma
     assert mirrored == pytest.approx((-expected[0], expected[1], expected[2]), rel=1e-9)
 
 
-def test_about_the_corner_a_root_is_that_of_draws() -> None:
+def test_about_the_corner_a_root_is_that_of_draws():
     """Mean, variance and slope E[z·g]/σ of a power 0.8 within a sigma of its beginning, to half a per cent."""
     z = np.random.default_rng(4).standard_normal(2_000_000)
     for middle in (0.0, 4.0, 12.0):
@@ -125,7 +123,7 @@ def test_about_the_corner_a_root_is_that_of_draws() -> None:
         assert slope == pytest.approx(np.mean(z * bent) / 6.0, rel=0.005)
 
 
-def test_the_straight_beginning_is_exact() -> None:
+def test_the_straight_beginning_is_exact():
     """Within the toe, all nodes included, y = lift·x: mean, variance lift²σ² and slope lift to rounding."""
     toe, power = 0.05, 0.5
     lift = toe ** (power - 1.0)
@@ -133,7 +131,7 @@ def test_the_straight_beginning_is_exact() -> None:
         assert moments(middle, 3.0, power, toe, lift) == pytest.approx((lift * middle, 9.0 * lift**2, lift), rel=1e-12)
 
 
-def test_at_the_end_of_the_toe_curve_and_line_meet_by_shares() -> None:
+def test_at_the_end_of_the_toe_curve_and_line_meet_by_shares():
     """A value at the toe itself is half line, half root: its mean lies below the root's own by the bend's share."""
     toe, power, sigma = 0.05, 0.5, 2.0
     lift = toe ** (power - 1.0)
@@ -143,7 +141,7 @@ def test_at_the_end_of_the_toe_curve_and_line_meet_by_shares() -> None:
     assert slope == pytest.approx(0.5 * (lift + power * toe ** (power - 1.0)), rel=0.02)
 
 
-def test_many_values_are_each_reported_as_if_alone() -> None:
+def test_many_values_are_each_reported_as_if_alone():
     """More than are worked on at once, near and far mixed."""
     rng = np.random.default_rng(1)
     middle, sigma = rng.uniform(-20.0, 900.0, 1500), rng.uniform(0.5, 20.0, 1500)
@@ -174,7 +172,7 @@ SETTINGS = FrameSettings(exposure_s=0.01, f_number=4.0, black_level_dn=64.0)
 
 
 @pytest.fixture
-def staged() -> CameraModel:
+def staged():
     return CameraModel.ideal(STAGED, LENS)
 
 
@@ -187,7 +185,7 @@ class Broken(Effect):
     unit_in = unit_out = ELECTRONS
     depth: float = parameter(0.5, "1", 0.0, 1.0, source="test")
 
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+    def mean(self, signal, context):
         raise ValueError("out of coffee")
 
 
@@ -197,7 +195,7 @@ class NotFinite(Broken):
 
     name = "not_finite"
 
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+    def mean(self, signal, context):
         return np.full_like(signal, np.nan)
 
 

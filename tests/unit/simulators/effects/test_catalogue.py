@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,13 @@ from simulators.effects.base import Moments, Stage
 from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.brighter_fatter import BrighterFatter, push_of
-from simulators.effects.catalogue import CatalogueEffect, well_e
+from simulators.effects.catalogue import well_e
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
 from simulators.effects.excess_read_noise import ExcessReadNoise
 from simulators.effects.exposure_label_error import ExposureLabelError
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
-from simulators.effects.free_law import FreeLaw, axis_values, freed
+from simulators.effects.free_law import axis_values, freed
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.image_lag import ImageLag
@@ -70,7 +69,7 @@ black_level_gain_slope
 """.split()  # noqa: SIM905
 
 
-def _radiance(context: ExposureContext) -> float:
+def _radiance(context):
     model = CameraModel.ideal(context.camera, context.lens)
     flat = np.ones((HEIGHT, WIDTH))
     electrons = model.mean(flat, context, until=Stage.WELL).mean()
@@ -98,7 +97,7 @@ def test_flexible_form_simulates_what_its_moments_say(name):
     _check_mean(form)
 
 
-def _check_mean(effect: CatalogueEffect) -> None:
+def _check_mean(effect):
     name, context = effect.name, effect_context()
     model = CameraModel.ideal(context.camera, context.lens).with_effect(effect)
     scene = np.full((HEIGHT, WIDTH), _radiance(context))
@@ -247,7 +246,7 @@ def test_lag_of_traps_fills_up_and_no_pixel_leaves_more_than_its_well():
     np.testing.assert_allclose(filling, 20.0 * (1.0 - np.exp(-plain / 20.0)))
 
 
-def _at(exposure_s: float, timestamp_s: float) -> ExposureContext:
+def _at(exposure_s, timestamp_s):
     base = effect_context()
     return replace(base, settings=replace(base.settings, exposure_s=exposure_s, timestamp_s=timestamp_s))
 
@@ -280,8 +279,8 @@ def test_looser_knee_follows_a_law_that_no_plain_one_follows():
     light = np.linspace(0.5, 1.3, 81) * 10_500.0
     true = np.asarray(SoftSaturation(0.67, 1.05, 1.4).mean(light, effect_context()))
 
-    def misfit(form: SoftSaturation) -> float:
-        def left(values: Any) -> Any:
+    def misfit(form):
+        def left(values):
             moved = form.with_parameters(**dict(zip(form.free(), values.tolist(), strict=True)))
             return (np.asarray(moved.mean(light, effect_context())) - true) / 10_500.0
 
@@ -312,7 +311,7 @@ APART = {"brighter_fatter", "charge_transfer_inefficiency", "crosstalk", "conver
 NEEDS_A_PICTURE = {"ghost", "stray_light_kernel"}
 
 
-def _grown(effect: CatalogueEffect, field: str) -> Any:
+def _grown(effect, field):
     """Return by how much of 7 units more of a kind of noise more of it is left behind an effect."""
     amounts = {name: np.full((1, 1, 1), 50.0 + 4.0 * n) for n, name in enumerate(TileMoments.squared)}
     before = replace(TileMoments.exactly(np.full((1, 1, 1), 900.0)), first_excess=np.full((1, 1, 1), 3.0), **amounts)
@@ -359,18 +358,18 @@ def test_the_slope_is_that_of_the_mean(name):
 # Free laws, and samples of one effect.
 
 
-def _context(**settings: Any) -> ExposureContext:
+def _context(**settings):
     own = FrameSettings(**({"exposure_s": 0.01, "gain_db": 0.0, "black_level_dn": 100.0} | settings))
     camera = CameraDescription(bit_depth=12, full_well_e=10_000.0)
     return ExposureContext(own, FrameGeometry.of_image(8, 6), camera)
 
 
-def _free(plain: Any, law: tuple[float, ...], **knots: tuple[float, ...]) -> FreeLaw:
+def _free(plain, law, **knots):
     kind = freed(type(plain), tuple(knots))
     return kind(**plain.values(), law=law, **{f"at_{axis}": at for axis, at in knots.items()})
 
 
-def test_a_law_of_ones_is_the_effects_own() -> None:
+def test_a_law_of_ones_is_the_effects_own():
     """Mean and every variance are those of the plain effect; the name is its name."""
     plain = ResponseNonlinearity(0.02)
     free = _free(plain, (1.0, 1.0, 1.0), signal=(10.0, 1000.0, 10_000.0))
@@ -382,7 +381,7 @@ def test_a_law_of_ones_is_the_effects_own() -> None:
     assert free.name == "response_nonlinearity"
 
 
-def test_the_factor_goes_through_its_knots() -> None:
+def test_the_factor_goes_through_its_knots():
     """Half of the lost exposure at 1 ms, twice at 10 ms; beyond the knots as at the last; between them between."""
     free = _free(ExposureTimeOffset(1e-4), (0.5, 2.0), exposure_s=(1e-3, 1e-2))
     lost = {}
@@ -392,7 +391,7 @@ def test_the_factor_goes_through_its_knots() -> None:
     assert list(lost.values()) == pytest.approx([0.5e-4, 0.5e-4, 1.25e-4, 2e-4, 2e-4], rel=1e-9)
 
 
-def test_a_table_holds_two_covariates() -> None:
+def test_a_table_holds_two_covariates():
     """Along radius and stop each knot has its own factor; halfway between two stops it is their mean (in octaves)."""
     plain = MechanicalVignetting(0.2, 2.0)
     free = _free(plain, (1.0, 3.0, 1.0, 3.0), field_radius=(0.0, 1.0), f_number=(2.0, 8.0))
@@ -403,7 +402,7 @@ def test_a_table_holds_two_covariates() -> None:
         assert free.mean(signal, context) - signal == pytest.approx(factor * change)
 
 
-def test_noise_is_carried_by_the_laws_own_slope() -> None:
+def test_noise_is_carried_by_the_laws_own_slope():
     """Where the law goes with the signal its derivative has the curve's part too: held against small steps."""
     free = _free(ResponseNonlinearity(0.1), (0.0, 1.0, 3.0), signal=(10.0, 1000.0, 10_000.0))
     signal = np.array([300.0, 2000.0, 7000.0])
@@ -412,7 +411,7 @@ def test_noise_is_carried_by_the_laws_own_slope() -> None:
     assert free.moments(before, _context()).variance == pytest.approx(rise**2, rel=1e-3)
 
 
-def test_what_acts_by_its_square_scatters_by_the_root() -> None:
+def test_what_acts_by_its_square_scatters_by_the_root():
     """A factor of 4 on an added noise is four times its variance, in the moments and in pictures."""
     plain = ExcessReadNoise(3.0)
     free = _free(plain, (4.0, 4.0), gain_db=(0.0, 12.0))
@@ -422,13 +421,13 @@ def test_what_acts_by_its_square_scatters_by_the_root() -> None:
     assert np.max(free.moments(Moments.exactly(signal), _context()).variance) == pytest.approx(36.0)
 
 
-def test_a_signal_counts_from_black() -> None:
+def test_a_signal_counts_from_black():
     """Digital numbers along which a law is free begin at the black level, a thousandth of the range added."""
     values = axis_values(GammaEnabled(1.2), "signal", np.array([100.0, 1100.0]), _context())
     assert values == pytest.approx([4.095, 1004.095])
 
 
-def test_model_files_hold_the_law() -> None:
+def test_model_files_hold_the_law():
     """What is written is read again: the same kind, law and knots."""
     free = _free(ExposureTimeOffset(1e-4), (0.5, 2.0), exposure_s=(1e-3, 1e-2))
     again = EffectEntry.from_mapping(EffectEntry(free).to_mapping(), "here").effect
@@ -445,7 +444,7 @@ def test_model_files_hold_the_law() -> None:
         (GammaEnabled(2.0), 4.0),  # from 1, which does nothing, to 5
     ],
 )
-def test_no_law_goes_beyond_the_entrys_own_bounds(plain: CatalogueEffect, highest: float) -> None:
+def test_no_law_goes_beyond_the_entrys_own_bounds(plain, highest):
     """The factor ends where the plain effect's first parameter would."""
     free = _free(plain, (1.0, 1.0), signal=(10.0, 1000.0))
     assert free.reach("law", 4095.0) == (0.0, pytest.approx(highest))
@@ -455,7 +454,7 @@ def test_no_law_goes_beyond_the_entrys_own_bounds(plain: CatalogueEffect, highes
 @pytest.mark.parametrize(("unit", "well_e", "added"), [
     ("e-", 10_000.0, 10.0), ("e-", 50_000.0, 50.0), ("e-", None, 10.0), ("DN", None, 4.095), ("W m-2", None, 0.0),
 ])  # fmt: skip
-def test_a_signal_counts_from_black_on_with_a_thousandth_of_its_range(unit: str, well_e: Any, added: float) -> None:
+def test_a_signal_counts_from_black_on_with_a_thousandth_of_its_range(unit, well_e, added):
     """Of the full well, 10 000 e⁻ where not stated, or of full scale; black is taken off digital numbers only."""
     context = replace(_context(), camera=CameraDescription(bit_depth=12, full_well_e=well_e))
     kinds = {"e-": ImageLag, "DN": BlackLevelOffset, "W m-2": NaturalVignetting}
@@ -479,14 +478,14 @@ NO_FREE_LAW = {
 SPREAD_OVER_CODES = {"missing_codes"}  # what lies between two codes is noise in its moments: an even signal has none
 
 
-def forms(kind: type[CatalogueEffect], context: ExposureContext) -> list[CatalogueEffect]:
+def forms(kind, context):
     """Return the first start of an entry and its last, what it loosens to, and what it covers."""
     starts = starts_of(kind, context)
     return [starts[0], starts[-1], *starts[0].loosened(context)[:3], *kind.covers(context)[:2]]
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE.keys() - NO_FREE_LAW))
-def test_samples_have_the_moments_that_are_predicted(name: str) -> None:
+def test_samples_have_the_moments_that_are_predicted(name):
     """Mean, noise from frame to frame and fixed pattern of 16 frames of an even signal, within 5 standard errors."""
     context, pixels = effect_context(), HEIGHT * WIDTH
     for effect in forms(CATALOGUE[name], context):
@@ -525,12 +524,12 @@ def test_samples_have_the_moments_that_are_predicted(name: str) -> None:
 FAR = BrighterFatter(share=0.01, reach_px=8.0, height_x_px=0.6, height_y_px=0.4)
 
 
-def border(x: float, y: float, height: float) -> float:
+def border(x, y, height):
     """Return the integral of x/(x² + y² + h²)² over a border of one pixel, by quadrature."""
     return float(quad(lambda along: x / (x * x + along * along + height * height) ** 2, y - 0.5, y + 0.5)[0])
 
 
-def test_borders_move_by_the_field_over_them() -> None:
+def test_borders_move_by_the_field_over_them():
     """Each border takes the field's integral over it; the four nearest get four times the share together."""
     push = push_of(3, 0.6, 0.4)
     nearest = 0.5 * (border(0.5, 0.0, 0.6) + border(0.5, 0.0, 0.4))
@@ -546,7 +545,7 @@ def test_borders_move_by_the_field_over_them() -> None:
     assert push.below[0] == pytest.approx(2.0 * push.kernel[4, 3], rel=1e-4)
 
 
-def test_four_neighbours_share_where_only_the_nearest_borders_move() -> None:
+def test_four_neighbours_share_where_only_the_nearest_borders_move():
     """By the plain form each neighbour of a lone full pixel gets b·z/2·S, no other gets anything, and none is lost."""
     well = well_e(effect_context())
     spot = np.zeros((9, 9))
@@ -558,7 +557,7 @@ def test_four_neighbours_share_where_only_the_nearest_borders_move() -> None:
     np.testing.assert_allclose(moved, expected, atol=1e-11 * well)  # what is pushed again goes with the square
 
 
-def test_no_charge_is_lost_however_far_it_pushes() -> None:
+def test_no_charge_is_lost_however_far_it_pushes():
     """The sum over a picture stays to rounding, and so does an even field."""
     picture = np.random.default_rng(3).uniform(0.0, 9000.0, (40, 50))
     after = FAR.sample(picture, effect_context(), np.random.default_rng(0))
@@ -568,7 +567,7 @@ def test_no_charge_is_lost_however_far_it_pushes() -> None:
     np.testing.assert_allclose(FAR.sample(even, effect_context(), np.random.default_rng(0)), even, rtol=1e-12)
 
 
-def test_noise_of_flats_has_the_moments_that_are_predicted() -> None:
+def test_noise_of_flats_has_the_moments_that_are_predicted():
     """Variance and covariances of neighbours of 40 flats, within 5 standard errors; beyond, what the kernel says."""
     context, size, level, frames, strong = effect_context(), 200, 6000.0, 40, replace(FAR, share=0.1)
     rng = np.random.default_rng(11)
@@ -595,7 +594,7 @@ def test_noise_of_flats_has_the_moments_that_are_predicted() -> None:
     assert lags[1, 1] > 10 * u  # beyond the nearest
 
 
-def _of_gathered_noise(effect: BrighterFatter, level: float, terms: int = 16) -> np.ndarray:
+def _of_gathered_noise(effect, level, terms=16):
     """Return covariances over shot noise by lag: Σ (2aμ)ⁿ/(n+1)! of Astier et al. (2019), powers by convolution."""
     a = effect.slopes_per_e(well_e(effect_context())) * level
     total = np.zeros((97, 97))
@@ -607,7 +606,7 @@ def _of_gathered_noise(effect: BrighterFatter, level: float, terms: int = 16) ->
     return total
 
 
-def test_sums_over_farther_pixels_are_those_of_all_covariances() -> None:
+def test_sums_over_farther_pixels_are_those_of_all_covariances():
     """Along a row, a column, and over all rows below; all lags together sum to the shot noise: no charge is lost."""
     level, strong = 6000.0, replace(FAR, share=0.08)
     one = np.full((1, 1, 1), level)
@@ -624,7 +623,7 @@ def test_sums_over_farther_pixels_are_those_of_all_covariances() -> None:
     assert predicted.variance.item() + 2.0 * sides == pytest.approx(level, rel=1e-6)
 
 
-def test_the_nearest_borders_alone_leave_little_beyond() -> None:
+def test_the_nearest_borders_alone_leave_little_beyond():
     """The plain form gives four neighbours all to first order: farther ones have what is pushed again."""
     level = 6000.0
     one = np.full((1, 1, 1), level)
@@ -634,7 +633,7 @@ def test_the_nearest_borders_alone_leave_little_beyond() -> None:
 
 
 @pytest.mark.slow
-def test_noise_gathers_while_borders_move() -> None:
+def test_noise_gathers_while_borders_move():
     """Charge that comes in 150 steps, each moved by what has come, has the variance that is reported, to 5 sigma.
 
     A push of all charge at the end would leave 5 % less.
@@ -663,7 +662,7 @@ def test_noise_gathers_while_borders_move() -> None:
     assert variance > level * np.sum(np.square(kernel)) + 8 * u
 
 
-def test_a_step_between_patches_loses_what_its_last_line_does() -> None:
+def test_a_step_between_patches_loses_what_its_last_line_does():
     """The share of a step that the last line inside a patch loses is the predicted one, by a picture of two halves."""
     well = well_e(effect_context())
     low, step = 0.5 * well, 1e-3 * well
@@ -676,7 +675,7 @@ def test_a_step_between_patches_loses_what_its_last_line_does() -> None:
     assert lost > 1.2 * 1e-4 * 0.5  # more than the nearest border alone
 
 
-def test_a_fit_may_take_the_far_form() -> None:
+def test_a_fit_may_take_the_far_form():
     """The plain form loosens to one with heights, once."""
     plain = BrighterFatter(0.005)
     (far,) = plain.loosened(effect_context())
@@ -687,7 +686,7 @@ def test_a_fit_may_take_the_far_form() -> None:
 
 
 @pytest.mark.parametrize("sensor", ["e2v", "itl"])
-def test_two_ccds_are_followed_from_variance_and_neighbours(sensor: str, shared_data: Path) -> None:
+def test_two_ccds_are_followed_from_variance_and_neighbours(sensor, shared_data):
     """Of what LSST's sensors show, variance and nearest neighbours tell share and heights; those predict lag 2.
 
     Measured slopes of covariance over mean, to lag 8 (C. Lage, Poisson_CCD). The sum over all lags is nothing, the
@@ -702,7 +701,7 @@ def test_two_ccds_are_followed_from_variance_and_neighbours(sensor: str, shared_
             table[int(cells[0]), int(cells[1])], spread[int(cells[0]), int(cells[1])] = map(float, cells[2:])
     context, mean = effect_context(), np.array([2000.0, 4000.0]).reshape(-1, 1, 1)
 
-    def slopes(p: np.ndarray) -> np.ndarray:
+    def slopes(p):
         effect = BrighterFatter(p[0] / 100, reach_px=8.0, height_x_px=p[1], height_y_px=p[2])
         after = effect.moments(replace(TileMoments.exactly(mean), variance=mean), context)
         excess = [(after.variance - mean) / mean**2, after.neighbour_x / mean**2, after.neighbour_y / mean**2]
@@ -728,7 +727,7 @@ ROWS, COLUMNS, DARK_FRAMES = 150, 200, 16
 READ_E, E_PER_DN, BLACK_DN = 2.4, 2.6, 64.0
 
 
-def _setting(exposure_s: float = 0.1, gain_db: float = 0.0, dark_e: float = 20.0) -> ExposureContext:
+def _setting(exposure_s=0.1, gain_db=0.0, dark_e=20.0):
     """Return a camera whose pixels gather so many dark electrons in 0.1 s."""
     base = effect_context()
     camera = base.camera.model_copy(update={"dark_current_e_per_s": dark_e / 0.1})
@@ -736,13 +735,11 @@ def _setting(exposure_s: float = 0.1, gain_db: float = 0.0, dark_e: float = 20.0
     return replace(base, camera=camera, settings=settings, geometry=FrameGeometry.of_image(COLUMNS, ROWS), code=None)
 
 
-def _by_hand(
-    light_e: float, dark_e: float, gain: float, count: int, pedestal: float, top: float = 4095.0
-) -> tuple[np.ndarray, np.ndarray]:
+def _by_hand(light_e, dark_e, gain, count, pedestal, top=4095.0):
     """Return mean and temporal variance of each pixel of frames less the whole codes of a mean of darks."""
     dice, shape = np.random.default_rng(7), (ROWS, COLUMNS)
 
-    def frame(electrons: float) -> np.ndarray:
+    def frame(electrons):
         held = dice.poisson(electrons, shape) + READ_E * dice.standard_normal(shape)
         return np.clip(np.rint(held * gain / E_PER_DN + BLACK_DN), 0.0, top)
 
@@ -751,7 +748,7 @@ def _by_hand(
     return left.mean(axis=0), left.var(axis=0, ddof=1)
 
 
-def _reported(light_e: float, context: ExposureContext, effect: DarkFrameSubtracted) -> Moments:
+def _reported(light_e, context, effect):
     """Return the moments of the same: charge, its noise and that of reading, rounded, and the effect."""
     gain = 10.0 ** ((context.settings.gain_db or 0.0) / 20.0) / E_PER_DN
     dark_e = (context.camera.dark_current_e_per_s or 0.0) * context.settings.exposure_s
