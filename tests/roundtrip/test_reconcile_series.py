@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.result import Verdict
+from testing.reconciled import reconcile
 
 PARAMETERS = {
     "lamp_step": ("step_rel", "step"),

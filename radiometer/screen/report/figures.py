@@ -51,6 +51,11 @@ class Figure:
         return f"{'>' if self.bound == 'above' else '<'} {value}"
 
 
+def relative(name: str, share: Quantity) -> Figure:
+    """Return a figure that is 0 for an ideal display, such as an excess, in %."""
+    return Figure(name, share.scaled(100.0, "%"))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
     """Results of one method."""

@@ -20,7 +20,7 @@ from radiometer.data import Quantity, Reading
 from radiometer.devices import DisplayPatch
 from radiometer.numbers import upper_limit
 from radiometer.screen.checks import WarmUp
-from radiometer.screen.report.figures import BLACK, WHITE, Examined, Figure, Section, contrast_of, derived
+from radiometer.screen.report.figures import BLACK, WHITE, Examined, Figure, Section, contrast_of, derived, relative
 from radiometer.screen.report.geometry import CENTRE, POINTS
 from radiometer.screen.report.mura import COARSE_SHARE, FINE_SHARE, mura_of
 from radiometer.typing import Array
@@ -48,10 +48,10 @@ def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
     u_excess = math.hypot(own_u[0] / values[0], own_u[-1] / values[-1])
     excess, notes = Quantity(float(values[0] / values[-1] - 1.0), u_excess, "1"), list[str]()
     fitted = _relaxation(times, values, own_u) if abs(excess.value) > 3.0 * u_excess else None
-    figures = [Figure("excess_at_start", fitted[0] if fitted else excess), *(_times(*fitted) if fitted else ())]
+    figures = [relative("excess_at_start", fitted[0] if fitted else excess), *(_times(*fitted) if fitted else ())]
     if fitted is None:
         notes.append("the change is too small, or was watched for too short, for the time constant")
-    figures.append(Figure("drift_at_end", Quantity(outcome.drift_rel, u_excess, "1")))
+    figures.append(relative("drift_at_end", Quantity(outcome.drift_rel, u_excess, "1")))
     if not outcome.steady:
         notes.append("not steady when the time was up: later figures hold the change of white in their uncertainty")
     rows = tuple(
@@ -233,7 +233,7 @@ def _additivity(examined: Examined) -> Section:
     return Section(
         "additivity", "Additivity of the primaries",
         ("full-screen red, green, blue, white and black, centre; radiance of the sum over white, less 1",),
-        (Figure("additivity_error", error),),
+        (relative("additivity_error", error),),
         notes=("colours are compared in radiance, so no spectrum is assumed beyond the calibration's",),
     )  # fmt: skip
 
@@ -265,7 +265,7 @@ def _uniformity(examined: Examined) -> Section:
     )
     figures = (
         Figure("uniformity", Quantity(value, u, "1")),
-        Figure("nonuniformity", Quantity(1.0 - value, u, "1")),
+        relative("nonuniformity", Quantity(1.0 - value, u, "1")),
         Figure("mean_luminance", examined.luminance(derived(readings, lambda v: float(v.mean()), "W sr-1 m-2"))),
     )
     return Section(
@@ -279,8 +279,8 @@ def _mura(examined: Examined) -> Section:
     examined.bench.display.show(WHITE)
     found = mura_of(examined.bench.map_of(examined.area))
     figures = (
-        Figure("largest_spot", found.spot), Figure("largest_spot_x", found.x), Figure("largest_spot_y", found.y),
-        Figure("rms", found.rms),
+        relative("largest_spot", found.spot), Figure("largest_spot_x", found.x), Figure("largest_spot_y", found.y),
+        relative("rms", found.rms),
     )  # fmt: skip
     notes = ["the pattern of the camera's own pixels is in the map unless its calibration holds a flat field"]
     if abs(found.spot.value) < found.detection_limit:
@@ -290,6 +290,7 @@ def _mura(examined: Examined) -> Section:
         (
             "full-screen white, every pixel of the camera's picture",
             f"band-pass: Gaussians of {100 * FINE_SHARE:g} % and {100 * COARSE_SHARE:g} % of the height, no shading",
+            "x and y count from the top left corner, as shares of width and height",
         ),
         figures, notes=tuple(notes), picture=100.0 * found.relative,
     )  # fmt: skip
