@@ -175,9 +175,9 @@ def _strings(values: list[str]) -> list[str]:
     return ["16", str(len(values)), *(word for value in values for word in ("262153", str(len(value)), value))]
 
 
-def _dark(time: list[float], thrs: list[float]) -> list[str]:
+def _dark(time: list[float], thrs: list[float], names: tuple[str, str] = ("time", "thrs")) -> list[str]:
     """Return a list of class "dark" as R serialises it: R Internals, section 1.8 (a list with attributes: 787)."""
-    attributes = ["1026", *_symbol("names"), *_strings(["time", "thrs"])]
+    attributes = ["1026", *_symbol("names"), *_strings([*names])]
     attributes += ["1026", *_symbol("class"), *_strings(["dark"]), NIL]
     return ["787", "2", *_reals(time), *_reals(thrs), *attributes]
 
@@ -213,7 +213,7 @@ def test_dark_object_that_r_saved_is_read(tmp_path, form, packed):
     ("raw", "message"),
     [
         (_rda({"a": _dark(MINUTES, LEVELS), "b": _dark(MINUTES, LEVELS)}), "several objects: a, b"),
-        (_rda({"a": _reals(LEVELS)}), "no object with time and thrs"),
+        (_rda({"a": _reals(LEVELS)}), "no object with time or Time or t and thrs"),
         (_rds(_dark(MINUTES, LEVELS[:2])), "3 times and 2 thresholds"),
         (b"RDX3\nX\n\x00\x00", "cannot be read"),
         (gzip.compress(b"no R at all", mtime=0), "cannot be read"),
@@ -225,6 +225,17 @@ def test_r_file_without_one_curve_is_refused_with_the_way_out(tmp_path, raw, mes
     with pytest.raises(InputError, match=r"x\.rda") as refused:
         read_table(tmp_path / "x.rda")
     assert message in str(refused.value)
+
+
+@pytest.mark.parametrize("names", [("time", "thrs"), ("when", "lum")])
+def test_columns_and_units_of_an_r_object_are_those_that_the_user_states(tmp_path, names):
+    """Seconds and natural logarithms, under any names, as of any other table; a name that is not there is refused."""
+    file = tmp_path / "x.rds"
+    file.write_bytes(_rds(_dark([60.0 * one for one in MINUTES], [math.log(10.0) * one for one in LEVELS], names)))
+    stated = StatementMap.parse([f"time={names[0]}:s", f"threshold={names[1]}:ln cd/m2"])
+    np.testing.assert_allclose(read_table(file, stated).rows, np.column_stack([MINUTES, LEVELS]))
+    with pytest.raises(InputError, match="nowhere"):
+        read_table(file, StatementMap.parse(["time=nowhere:s"]))
 
 
 def test_without_its_reader_the_line_for_r_is_reported(tmp_path, monkeypatch):
