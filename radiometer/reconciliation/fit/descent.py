@@ -19,7 +19,6 @@ from scipy.linalg import solve_triangular
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
-from radiometer.reconciliation.fit.linear import descended
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, rough_log_responsivity
 from radiometer.reconciliation.fit.state import FitState, reweighted, value_of, weighted, with_effects
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
@@ -105,15 +104,7 @@ def refit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = 
 
     With `early_stop` it ends once it creeps. A name's fit goes on: that it leads to the end of a range is a finding.
     """
-    fixed, pace = _fixed(state), _Pace()
-
-    def trials(at: FitState) -> Iterator[FitState]:
-        if early_stop and pace.creeps(at):
-            return
-        for trial in _trials(at):
-            yield _held_at_bounds(_glided(at, trial, at.cost - trial.cost)[0], fixed) if trial.cost < at.cost else trial
-
-    return descended(_held_at_bounds(state, fixed), trials, lambda at: _CONVERGED * at.misfit, iterations)
+    return _held_at_bounds(coarse_fit(state, iterations, early_stop=early_stop), _fixed(state))
 
 
 class _Pace:
@@ -134,14 +125,13 @@ class _Pace:
         return self._slow >= _PATIENCE
 
 
-def coarse_fit(state: FitState, *, early_stop: bool = False) -> FitState:
-    """Return the state near the least χ², for weights that will be brought up to date there.
+def coarse_fit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = False) -> FitState:
+    """Return the same, for weights that will be brought up to date there: parameters at bounds are not held yet.
 
-    As `refit`, but the end is where derivatives of one point lead, if they hold all the way: none are taken there to
-    confirm it. Parameters at bounds are not held yet.
+    The end is where derivatives of one point lead, if they hold all the way: none are taken there to confirm it.
     """
     fixed, pace = _fixed(state), _Pace()
-    for _ in range(_ITERATIONS):
+    for _ in range(iterations):
         state = _held_at_bounds(state, fixed)
         if early_stop and pace.creeps(state):
             break

@@ -1,7 +1,5 @@
 """What a calibration and a reading must share: every state of every quantity is handled as the table says."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
