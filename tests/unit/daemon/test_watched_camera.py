@@ -189,7 +189,7 @@ def test_a_measurement_is_taken_at_its_own_gain_and_exposure(tmp_path):
 )
 def test_a_calibration_that_no_reading_could_use_is_refused_at_once(of_camera, of_lens, tmp_path):
     """Read again, one of another camera or lens is refused, and the old one goes on."""
-    camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.4, black_level_dn=64.0)
+    camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=5.95, read_noise_e=2.4, black_level_dn=64.0)
     lens = LensDescription(f_number=4.0, transmittance=0.95)
     scale = Scale(value=1e-6, u_rel=0.01, method="known_radiance", f_number=4.0)
     path = tmp_path / "cal.yaml"
