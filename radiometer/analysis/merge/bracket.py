@@ -602,6 +602,25 @@ class StreamingMerge:
         np.hypot(shared, u_rel * radiance, out=shared)
         return True
 
+    def _doubt_pattern(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> tuple[str, ...]:
+        """Add to the uncertainty of every pixel, in place, what pixels differ by; return what to say if it is unknown.
+
+        It is one error of all frames of a pixel, and another one of the next pixel. Only a calibration states it.
+        """
+        u_rel = self._situation.stated.prnu_u_rel
+        if self._calibration is None or not self._calibration.absolute:
+            usual = f"pixels differ in responsivity: {100 * u_rel:.2g} % (k = 1) are usual"
+            return (f"{usual}, which u does not hold",) if u_rel else ()
+        values, own = radiance.ravel(), u_radiance.ravel()
+
+        def work(start: int, stop: int) -> None:
+            for begin, end in blocks(start, stop, radiance.shape[1]):
+                np.hypot(own[begin:end], np.float32(u_rel) * values[begin:end], out=own[begin:end])
+
+        if u_rel:
+            on_all_cores(self._known_shape(), work)
+        return ()
+
     def _of_taps(
         self, radiance: NDArray[np.float32], mask: NDArray[np.uint8]
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -722,12 +741,14 @@ class StreamingMerge:
         repair_defects(*images, calibration.defects if calibration else ())
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
         used, doubtful = self._of_taps(images[0], images[2])
+        of_pattern = self._doubt_pattern(*images[:2])
         shared = self._share(*images[:2])
         of_time = self._exposure_offset()
         in_u = of_time if self._exposures_in_u else ()
         of_light = self._stray_light(images[0])
         of_time = () if self._exposures_in_u else of_time
         not_in_u = (*of_light, *of_time, *self._black(), *self._bend(), *self._light(), *self._fall_off(), *doubtful)
+        not_in_u += of_pattern
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,

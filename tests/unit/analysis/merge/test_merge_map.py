@@ -31,7 +31,7 @@ from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 
 EXACT = {
-    "uncertainties": StatedUncertainties(exposure_u_rel=0.0, linearity_u_rel=0.0),
+    "uncertainties": StatedUncertainties(exposure_u_rel=0.0, linearity_u_rel=0.0, prnu_u_rel=0.0),
     "black_level": BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0),
 }
 LADDER_S = tuple(20e-6 * 2.0**k for k in range(14))
@@ -330,6 +330,17 @@ def test_a_map_says_what_an_offset_of_short_exposures_may_do(rig):
     noise = merge(bright, Setup(rig.description, rig.lens, known))
     added = np.sqrt(own.u_radiance**2 - noise.u_radiance**2) / own.radiance
     assert np.median(added) == pytest.approx(3e-6 * (1 / 50e-6 - 1000.0), rel=0.01)
+
+
+def test_the_pattern_of_the_pixels_is_in_their_uncertainty(rig):
+    """Pixels that differ by 1 %, in 24 frames: each u holds it as noise of the pixel; unknown, it is named."""
+    rng, truth = np.random.default_rng(1), scene(rig, size=40)
+    frames = rig.frames(truth * (1.0 + rng.normal(0.0, 0.01, truth.shape)), rng, (2.5e-4, 5e-4, 1e-3) * 8)
+    found = merged(rig, frames)
+    assert 0.9 < np.std((found.radiance - truth) / found.parts_of_u(np.s_[:, :])[0]) < 1.1
+    unknown = merge(frames, Setup(rig.description, rig.lens))
+    assert np.median(unknown.u_radiance / unknown.radiance) < 0.005
+    assert [any("pixels differ" in one for one in each.not_in_u) for each in (found, unknown)] == [False, True]
 
 
 def test_masked_pixels_take_the_place_of_the_stated_black_level(rig):
