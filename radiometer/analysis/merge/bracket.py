@@ -21,7 +21,7 @@ from radiometer.analysis.merge.displaced import (
     with_shift,
 )
 from radiometer.analysis.merge.finish import AtLevels, finish, merge_tables
-from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_taps
+from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_excess, with_taps
 from radiometer.analysis.merge.sums import (
     MANY,
     Images,
@@ -63,6 +63,7 @@ from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 from radiometer.numbers import unit_text
 from radiometer.reporting.origin import moment, span_of
+from radiometer.typing import Array
 
 BLOCK_PIXELS: Final = 1 << 15  # a block's sums stay in a core's second-level cache
 _PARTS_PER_CORE: Final = (
@@ -70,6 +71,9 @@ _PARTS_PER_CORE: Final = (
 )
 MOST_FRAMES = 64  # the bits of the largest integer that marks the frames of a pixel
 _ROUNDED_DN = 1.0  # the standard uncertainty of a black level counts as one of ±1 DN where nothing states it
+_NOISE: Final = frozenset({"conversion_gain_e_per_dn", "read_noise_e"})
+_PIXELS_OF_NOISE: Final = 4096  # evenly over the picture: noise is then known to some per cent
+_REPORTED_EXCESS: Final = 1.2  # of a variance
 _REPORTED_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
 
 
@@ -200,8 +204,13 @@ class StreamingMerge:
     def __init__(self, setup: Setup, *, doubt_exposures: bool = False) -> None:
         self._exposures_in_u = doubt_exposures
         self._situation = situation_of(setup)
+        self._model = self._situation.model  # with the noise that the frames show where it is not stated
+        self._shown: list[
+            tuple[Array, Array]
+        ] = []  # of frames with assumed noise: x of some pixels, rounding's variance
         self._calibration, self._camera = setup.calibration, setup.camera
         self._through_lens = setup.calibration is None or setup.calibration.scale.f_number is not None
+        self._of_noise: tuple[str, ...] = ()
         self._terms: list[FrameTerms] = []
         self._dark: list[Frame] = []
         self._shape: tuple[int, int] | None = None
@@ -237,12 +246,50 @@ class StreamingMerge:
         Raises:
             MeasurementError: If there was no light frame.
         """
+        return self._map(self._merged(self._last_batch()))
+
+    def _last_batch(self) -> list[MergeSample]:
+        """Return the frames not yet summed; noise that nothing states is widened to what all frames show."""
         batch, self._pending = self._pending, []
-        return self._map(self._merged(batch))
+        if not self._shown:
+            return batch
+        from radiometer.analysis.response.pixel_noise import excess_noise
+
+        x, rounding = (np.array(each) for each in zip(*self._shown, strict=True))
+        exposure, dark = (np.array([getattr(one, name) for one in self._terms]) for name in ("exposure", "variance"))
+        shot = 1.0 / self._model.electrons_per_unit
+        try:
+            excess = excess_noise(x, exposure, shot, dark, rounding)
+        except MeasurementError as error:
+            self._of_noise = (f"{error}; u rests on typical noise",)
+            return batch
+        if excess.max() > _REPORTED_EXCESS:
+            light, dark_too = np.sqrt(excess)
+            self._of_noise = (
+                f"the frames scatter more than is typical: u holds {light:.2g} times the shot noise and {dark_too:.2g} "
+                "times the noise without light",
+            )
+        self._model = replace(self._model, electrons_per_unit=float(self._model.electrons_per_unit / excess[0]))
+        self._terms = [with_excess(one, excess, shot) for one in self._terms]
+        return [replace(one, terms=self._terms[one.index]) for one in batch]
+
+    def _show(self, sample: MergeSample) -> None:
+        """Keep what some pixels show of the noise where neither camera nor calibration states it."""
+        model, (height, width), lit = self._model, self._known_shape(), None if self._taps is None else self._taps.lit
+        if not _NOISE.intersection(model.noise.assumed):
+            return
+        step = max(1, math.isqrt(height * width // _PIXELS_OF_NOISE))
+        pixels = (np.arange(0, height, step)[:, None] * width + np.arange(0, width, step)).ravel()
+        pixels = pixels if lit is None else pixels[lit.ravel()[pixels]]
+        dn, settings = sample.dn[pixels], sample.terms.settings
+        low, top = sample.limits
+        x = np.where((dn >= low) & (dn < top), sample.signal_at(pixels), np.nan)
+        slope = model.at_dn(model.slope, dn - model.black_of(settings) + model.black_dn) / sample.terms.gain
+        self._shown.append((x, np.zeros(x.size) if model.linear else slope**2 * model.noise.code_variance_dn2))
 
     def _merged(self, batch: list[MergeSample]) -> Images:
         """Return radiance, uncertainty and mask, flat, from the sums so far and a last batch."""
-        (height, width), tables = self._known_shape(), merge_tables(self._terms, self._situation.model)
+        (height, width), tables = self._known_shape(), merge_tables(self._terms, self._model)
         passes, sums = merge_passes(batch, self._terms), self._sums
         if sums is not None or self._finished:
             sums = self._known_sums()
@@ -299,7 +346,7 @@ class StreamingMerge:
             frame = self._corrected(bracket.light[n])
             self._refuse_misfit(frame)
             self._pending.append(self._sample(frame))
-        batch, self._pending = self._pending, []
+        batch = self._last_batch()
         images = self._merged(batch)
         self._leave_out_absent(batch, images, absent)
         excused = _Excused.none()
@@ -309,7 +356,7 @@ class StreamingMerge:
             self._leave_out_strays(batch, images, absent, excused.shift)
         if displacement_px:
             shift = self._shift(images, displacement_px)
-            mean = MeanDisplacement.of(merge_tables(self._terms, self._situation.model))
+            mean = MeanDisplacement.of(merge_tables(self._terms, self._model))
             with_shift(images[0], images[1], shift, self._factor(0, shift.size), mean)
             images[1][excused.pixels] *= np.sqrt(np.maximum(excused.excess, 1.0)).astype(np.float32)
         found = self._map(images)
@@ -328,7 +375,7 @@ class StreamingMerge:
         displacement_px: float,
     ) -> _Excused:
         """Take the flag off pixels where displacement explains how the frames disagree."""
-        shift, tables = self._shift(images, displacement_px), merge_tables(self._terms, self._situation.model)
+        shift, tables = self._shift(images, displacement_px), merge_tables(self._terms, self._model)
         doubtful = np.flatnonzero(images[2] & PixelMask.INCONSISTENT)
         excess = np.empty(doubtful.size)
         for start in range(0, doubtful.size, BLOCK_PIXELS):
@@ -360,7 +407,7 @@ class StreamingMerge:
     ) -> None:
         """Merge pixels anew, in place, without the frames that contradict the others there."""
         mask, shape = images[2], self._known_shape()
-        tables = merge_tables(self._terms, self._situation.model)
+        tables = merge_tables(self._terms, self._model)
         doubtful = (mask & PixelMask.INCONSISTENT > 0).reshape(shape)
         strays = find_strays(batch, tables, doubtful, absent, shift)
         self._merge_parts(batch, strays.pixels, strays.left_out, images)
@@ -391,7 +438,7 @@ class StreamingMerge:
         sums.make_room(terms)
         sums.add(merge_passes(samples, terms), 0)
         sums.take_lowest(terms)
-        tables = merge_tables(terms, self._situation.model)
+        tables = merge_tables(terms, self._model)
         place = self._factor_at(pixels)
         place = place * np.float32(self._terms[0].exposure / terms[0].exposure)
         image = place, sums.first, sums.second
@@ -446,7 +493,9 @@ class StreamingMerge:
         self._terms.append(terms)
         model = self._situation.model
         table = None if model.linear and terms.dark.size == 1 else model.table(frame.settings).astype(np.float32)
-        return MergeSample.of(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
+        sample = MergeSample.of(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
+        self._show(sample)
+        return sample
 
     def _refuse_foreign_darks(self, frame: Frame, terms: FrameTerms) -> None:
         """Refuse dark frames that are brighter than a light frame."""
@@ -536,7 +585,7 @@ class StreamingMerge:
             uncertainty held already.
         """
         shared = np.zeros_like(radiance)
-        levels = merge_tables(self._terms, self._situation.model).at_levels()
+        levels = merge_tables(self._terms, self._model).at_levels()
         bends, darkens = bool(levels.curve_u_rel.any()), bool(levels.dark_u.any())
         if bends:
             self._by_level(levels, radiance, shared, curve=True)
@@ -756,7 +805,15 @@ class StreamingMerge:
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
-                assumptions=(*self._situation.assumptions, *white, *self._copies.notes, *used, *in_u, *not_in_u),
+                assumptions=(
+                    *self._situation.assumptions,
+                    *white,
+                    *self._of_noise,
+                    *self._copies.notes,
+                    *used,
+                    *in_u,
+                    *not_in_u,
+                ),
                 parameters={
                     "frames": len(self._terms),
                     "dark_frames": len(self._dark),

@@ -13,6 +13,7 @@ from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.analysis.signal.model import SignalModel, dark_levels, matching_darks, signal_of
 from radiometer.analysis.signal.situation import Situation
 from radiometer.data import Frame, FrameSettings
+from radiometer.typing import Array
 from radiometer.units import gain_factor
 
 # Below this many sigma of read noise above zero the black level cuts noise off, and the number 0 says little.
@@ -94,6 +95,26 @@ def with_taps(terms: FrameTerms, frame: Frame, model: SignalModel) -> FrameTerms
     slope = float(model.at_dn(model.slope, model.black_dn)) / terms.gain
     dark = np.asarray(terms.dark + slope * frame.black_offset_dn.ravel(), dtype=np.float32)
     return replace(terms, dark=dark, variance=terms.variance + (slope * frame.black_u_dn) ** 2)
+
+
+def with_excess(terms: FrameTerms, excess: Array, shot: float) -> FrameTerms:
+    """Return a frame's constants with variances that are larger by two factors: with light, and without.
+
+    Args:
+        excess: The factors.
+        shot: Variance of shot noise per unit of x, without the factor.
+    """
+    light, dark = excess
+
+    def widened(sigma: float, signal: float) -> float:
+        return math.sqrt(dark * sigma**2 + (light - dark) * shot * max(signal, 0.0))
+
+    return replace(
+        terms,
+        variance=dark * terms.variance,
+        sigma_clip=widened(terms.sigma_clip, terms.clips_at),
+        sigma_cut=widened(terms.sigma_cut, terms.cut_at),
+    )
 
 
 def _dark_variance(model: SignalModel, settings: FrameSettings, gain: float) -> float:

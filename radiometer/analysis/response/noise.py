@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from radiometer.analysis.response.basis import hat_weight
@@ -153,11 +154,21 @@ def group_residual(samples: ResponseSamples, log_exposure: Array, weight: Array)
         log_exposure: ln H of every row, shape (rows,).
         weight: Weight of every row, shape (rows,).
     """
-    starts = np.flatnonzero(np.diff(samples.group, prepend=-1))
+    return group_deviation(log_exposure - samples.log_time, samples.group, weight)
+
+
+def group_deviation(values: Array, group: NDArray[np.intp], weight: Array) -> tuple[Array, Array]:
+    """Return how far every row is from the weighted mean of its group, and its share in that mean.
+
+    Args:
+        values: Shape (rows,).
+        group: Index of every row's group, ascending.
+        weight: Weight of every row.
+    """
+    starts = np.flatnonzero(np.diff(group, prepend=-1))
     total = np.add.reduceat(weight, starts)
-    log_radiance = log_exposure - samples.log_time
-    mean = np.add.reduceat(weight * log_radiance, starts) / total
-    return log_radiance - mean[samples.group], weight / total[samples.group]
+    mean = np.add.reduceat(weight * values, starts) / total
+    return values - mean[group], weight / total[group]
 
 
 def row_variance(samples: ResponseSamples, dn: Array, log_exposure: Array, noise: LogNoise) -> Array:

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 from radiometer.analysis.response.basis import hat_weight
 from radiometer.analysis.response.limits import ValueLimits
-from radiometer.analysis.response.noise import LogNoise, group_residual, slope_at, value_at
+from radiometer.analysis.response.noise import LogNoise, group_deviation, slope_at, value_at
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
@@ -28,6 +28,7 @@ _ROUNDING_DN2: Final = 1.0 / 12.0
 _MOST_ELECTRONS: Final = 1e7
 # Square of the length at which two separable unit columns differ, beyond what sums in double precision lose.
 _ALIKE: Final = 1e-13
+_TOO_FEW: Final = "hardly a pixel is unclipped in two frames: the noise of the stack cannot be measured"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,40 +111,82 @@ def fit_terms(pixels: SinglePixels, terms: Array) -> TermsFit:
         pixels: The pixels.
         terms: What a unit amplitude of each makes of the variance of every row; the third is noise in DN².
     """
-    terms = np.asfortranarray(terms)  # few columns of many rows: each in one piece
-    samples, rounding = pixels.samples, _ROUNDING_DN2 * pixels.slope**2
+    samples = pixels.samples
     hat = hat_weight(samples.dn, samples.limits) ** 2 + 1e-6
-    amplitudes = np.zeros(terms.shape[1])
-    amplitudes[2] = 1.0
+    start = np.zeros(terms.shape[1])
+    start[2] = 1.0
+    values, rounding = pixels.log_h - samples.log_time, _ROUNDING_DN2 * pixels.slope**2
+    return _fit_variance(values, samples.group, terms, rounding, hat, start)
+
+
+def excess_noise(x: Array, exposure: Array, shot: float, dark: Array, rounding: Array) -> Array:
+    """Return the factors, 1 at least, by which variances of frames exceed assumed ones: with light, and without.
+
+    Args:
+        x: Signal of some pixels in every frame, shape (frames, pixels); nan where it clips.
+        exposure: Of every frame, shape (frames,).
+        shot: Assumed variance of shot noise per unit of x.
+        dark: Assumed variance of x without light, shape (frames,).
+        rounding: Variance of x that `dark` does not hold and that is known, of the shape of x.
+
+    Raises:
+        MeasurementError: If hardly a pixel is unclipped in two frames.
+    """
+    counts = np.isfinite(x)
+    pixel, frame = np.nonzero((counts & (counts.sum(axis=0) >= 2)).T)
+    if pixel.size < _FEWEST_ROWS:
+        raise MeasurementError(_TOO_FEW)
+    group = np.unique(pixel, return_inverse=True)[1].astype(np.intp)
+    t, signal = exposure[frame], x[frame, pixel]
+    rate = np.bincount(group, signal) / np.bincount(group, t)
+    terms = np.column_stack([shot * np.maximum(rate[group], 0.0) / t, dark[frame] / t**2])
+    fit = _fit_variance(signal / t, group, terms, rounding[frame, pixel] / t**2, np.ones(t.size), np.ones(2))
+    return np.maximum(fit.amplitudes, 1.0)
+
+
+def _fit_variance(
+    values: Array, group: NDArray[np.intp], terms: Array, known: Array, trust: Array, start: Array
+) -> TermsFit:
+    """Return the amplitudes of terms of the variance of rows, from how far they are from the mean of their group.
+
+    Args:
+        values: Of the rows, shape (rows,).
+        group: Of every row, ascending.
+        terms: What a unit amplitude of each makes of the variance of every row, shape (rows, terms).
+        known: Variance that every row has besides.
+        trust: Weight of every row besides its variance.
+        start: First amplitudes.
+    """
+    terms = np.asfortranarray(terms)  # few columns of many rows: each in one piece
+    parts, amplitudes = np.column_stack([terms, known]), start
     for _ in range(_ROUNDS):
-        weight = hat / (terms @ amplitudes + rounding)
-        residual, share = group_residual(samples, pixels.log_h, weight)
-        fit = _fitted(residual, _of_residuals(samples, terms, share), amplitudes)
+        residual, share = group_deviation(values, group, trust / (terms @ amplitudes + known))
+        fit = _fitted(residual, _of_residuals(group, parts, share), amplitudes)
         amplitudes = fit.amplitudes
     return fit
 
 
-def _of_residuals(samples: ResponseSamples, terms: Array, share: Array) -> Array:
-    """Return what unit amplitudes make of the variance of each residual about the mean of its pixel.
+def _of_residuals(group: NDArray[np.intp], terms: Array, share: Array) -> Array:
+    """Return what unit amplitudes make of the variance of each residual about the mean of its group.
 
     With shares p the residual e_i − Σ p_j e_j has the variance (1 − 2 p_i) σ_i² + Σ p_j² σ_j².
     """
-    starts = np.flatnonzero(np.diff(samples.group, prepend=-1))
+    starts = np.flatnonzero(np.diff(group, prepend=-1))
     of_mean = np.add.reduceat(share[:, None] ** 2 * terms, starts, axis=0)
-    return np.asarray((1.0 - 2.0 * share)[:, None] * terms + of_mean[samples.group])
+    return np.asarray((1.0 - 2.0 * share)[:, None] * terms + of_mean[group])
 
 
-def _fitted(residual: Array, terms: Array, start: Array) -> TermsFit:
-    """Return the amplitudes, at or above 0, that make the squared residuals; rounding is known.
+def _fitted(residual: Array, parts: Array, start: Array) -> TermsFit:
+    """Return the amplitudes, at or above 0, that make the squared residuals; the last part of the variance is known.
 
     Source: Var(r²) = 2σ⁴ for Gaussian residuals, so that 1/σ⁴ weights a regression of r² on its expectation.
     """
-    square, rounding = residual**2, _ROUNDING_DN2 * terms[:, 2]
+    square, terms, known = residual**2, parts[:, :-1], parts[:, -1]
     found = start
     for _ in range(_ROUNDS):
-        expected = np.maximum(terms @ found + rounding, 1e-300)
+        expected = np.maximum(terms @ found + known, 1e-300)
         # A wild residual (movement, a defect) counts as five standard deviations, not more.
-        target = (np.minimum(square, 25.0 * expected) - rounding) / expected
+        target = (np.minimum(square, 25.0 * expected) - known) / expected
         weighted = terms / expected[:, None]
         found = _least_squares_above_zero(weighted, target)
     left = target - weighted @ found
@@ -211,7 +254,7 @@ def _samples(bracket: Bracket, curve: ResponseCurve, dn: Array) -> tuple[Respons
     inside &= (inside.sum(axis=1) >= 2)[:, None]
     pixel, frame = np.nonzero(inside)
     if pixel.size < _FEWEST_ROWS:
-        raise MeasurementError("hardly a pixel is unclipped in two frames: the noise of the stack cannot be measured")
+        raise MeasurementError(_TOO_FEW)
     log_time = np.log(bracket.effective_exposures_s)
     seen, group = np.unique(pixel, return_inverse=True)
     samples = ResponseSamples(

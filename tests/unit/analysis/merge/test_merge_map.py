@@ -217,7 +217,7 @@ def test_a_flat_field_evens_the_picture_out(rig):
     flat = FlatField(principal_point_px=(0.0, 0.0), radius_px=30.0, coefficients=(-0.3, 0.0, 0.0), shape=(24, 24))
     y, x = np.mgrid[:24, :24]
     uneven = scene(rig) * (1.0 - 0.3 * (x**2 + y**2) / 900.0)
-    found = merged(rig, rig.frames(uneven, np.random.default_rng(1), (1e-3,)), flat_field=flat)
+    found = merged(rig, rig.frames(uneven, np.random.default_rng(1), (1e-3,)), flat_field=flat, **EXACT)
     pull = (found.radiance - scene(rig)) / found.u_radiance
     assert abs(pull.mean()) < 4.0 / 24
     assert 0.9 < pull.std() < 1.1
@@ -343,6 +343,23 @@ def test_the_pattern_of_the_pixels_is_in_their_uncertainty(rig):
     assert [any("pixels differ" in one for one in each.not_in_u) for each in (found, unknown)] == [False, True]
 
 
+@pytest.mark.parametrize("gain_e_per_dn", [0.25, 1.0, 4.0])
+def test_noise_that_nothing_states_is_taken_from_the_frames(rig, gain_e_per_dn):
+    """One frame of each exposure: no decade's pull is wider than 1.15. One frame alone shows no noise: the map says so."""
+    rig = rig.but(gain_e_per_dn=gain_e_per_dn, full_well_e=1e6)
+    camera = CameraDescription(bit_depth=12, model="generated", serial="1", black_level_dn=64.0, dark_current_e_per_s=0)
+    top = rig.radiance_of_full_scale(1e-3)
+    truth = np.tile(np.geomspace(1e-3 * top, 0.9 * top, 120), (60, 1))
+    frames = rig.frames(truth, np.random.default_rng(3), (1e-3, 4e-3, 1.6e-2, 6.4e-2))
+    found = merge(iter(frames), Setup(camera, rig.lens))
+    off = (found.radiance / (truth / top * (4095 - 64) / 1e-3) - 1.0) * found.radiance / found.u_radiance
+    assert not found.mask.any()
+    assert max(part.std() for part in np.split(off, 3, axis=1)) < 1.15
+    one = merge(frames[:1], Setup(camera, rig.lens)).provenance.assumptions
+    typical = [any("rests on typical noise" in text for text in each) for each in (found.provenance.assumptions, one)]
+    assert typical == [False, True]
+
+
 def test_masked_pixels_take_the_place_of_the_stated_black_level(rig):
     """Frames 20 DN above the stated black level, whose masked pixels say so: the map is right, its dark u smaller."""
     level, rng = 20.0, np.random.default_rng(1)
@@ -377,9 +394,9 @@ def test_a_map_says_what_light_of_another_spectrum_may_be_off_by(rig):
 def test_more_than_thirty_two_frames(rig):
     """Forty repeats average down by √40."""
     frames = rig.frames(scene(rig), np.random.default_rng(1), (1e-3,) * 40)
-    one, many = merged(rig, frames[:1]), merged(rig, frames)
+    one, many = merged(rig, frames[:1], **EXACT), merged(rig, frames, **EXACT)
     assert np.mean(one.u_radiance) / np.mean(many.u_radiance) == pytest.approx(np.sqrt(40), rel=0.02)
-    streamed = merged(rig, iter(frames))
+    streamed = merged(rig, iter(frames), **EXACT)
     np.testing.assert_array_equal(streamed.radiance, many.radiance)
 
 
@@ -430,8 +447,7 @@ def test_without_a_place_for_compiled_code_it_is_compiled_anew(monkeypatch):
 def test_a_pixel_s_uncertainty_is_that_of_its_electrons(rig, dark_e):
     """One frame: the root of light, dark, reading (squared) and rounding, over the light; no term may be missing."""
     camera = CameraDescription(**{**rig.description.model_dump(), "dark_current_e_per_s": dark_e / 1e-3})
-    black = BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0)
-    calibration = replace(rig.calibration(black_level=black), camera=camera, noise=SensorNoise.of(camera))
+    calibration = replace(rig.calibration(**EXACT), camera=camera, noise=SensorNoise.of(camera))
     light_dn = 20.0
     number = round(64.0 + light_dn + dark_e / rig.gain_e_per_dn)
     frame = Frame(np.full((4, 4), number, np.uint16), 12, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0))
