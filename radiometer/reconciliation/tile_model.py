@@ -594,9 +594,8 @@ class TileModel:
         def everywhere(values: Signal | float) -> Array:
             return tiles(np.broadcast_to(values, final.mean.shape))
 
-        mean, variance = tiles(final.mean), tiles(final.variance)
+        mean, variance, n = tiles(final.mean), tiles(final.variance), self.design.frame_count[:, None]
         if not self.design.uniform:  # a scene's noise is that of the later frames, without the first one's own light
-            n = self.design.frame_count[:, None]
             variance = variance - np.where(n > 2, gain[..., None] * tiles(final.first_excess) / n, 0.0)
         lines, columns, rows = map(tiles, (final.row_variance, final.fixed_column_variance, final.fixed_row_variance))
         # A frame's mean is taken out of each tile, and with it what its rows have in common.
@@ -606,12 +605,7 @@ class TileModel:
         total = np.maximum(variance + within + band * left.within, _SMALLEST_VARIANCE_DN2)
         white = np.maximum(variance + lines * self.design.rough_rows + band * left.rough, _SMALLEST_VARIANCE_DN2)
         fixed = tiles(final.spatial_variance)
-        spatial = (
-            white / self.design.frame_count[:, None]
-            + fixed
-            + columns * self.design.rough_columns
-            + rows * self.design.rough_rows
-        )
+        spatial = white / n + fixed + columns * self.design.rough_columns + rows * self.design.rough_rows
         fixed = fixed + columns + rows
         rise_x, rise_y = rise_of(final.mean)
         safe = np.maximum(total, 1e-30)
