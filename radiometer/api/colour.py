@@ -17,7 +17,7 @@ from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectr
 from radiometer.analysis.colour.chromaticity import QUANTITIES, Coordinates, coordinates, locus_points, tristimulus
 from radiometer.analysis.colour.matrix import Training
 from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
-from radiometer.analysis.exports.maps import MapPicture, write_exr, write_tiff
+from radiometer.analysis.exports.maps import MapPicture, writer_for
 from radiometer.analysis.photometry.displays import GRID_NM, on_grid
 from radiometer.analysis.photometry.photometry import luminous_efficacy, spectral_columns
 from radiometer.analysis.reading.budget import carried, frame_conditions
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 
 TrainedOn = Literal["chart", "responsivities"]
 _UNSTATED: Final = "light"  # kind of lights whose kind no chart and no option states
-_WRITERS: Final = {".exr": write_exr, ".tif": write_tiff, ".tiff": write_tiff}
+_FORMS: Final = (".exr", ".tif", ".tiff")  # of maps of several quantities
 _SYMBOLS: Final = {"u_prime": "u′", "v_prime": "v′", "cct": "CCT", "duv": "Duv"}
 _ELLIPSE_K: Final = 2.4477  # radius that holds 95 % of a normal distribution in two dimensions
 _ROWS: Final = 64  # of a picture that are converted at a time
@@ -249,8 +249,7 @@ def colour_calibrate(
         raise UsageError("the known lights need frames: give a capture set, photographs, or --filter NAME=FOLDER")
     training, powers, known = None, None, ColourCamera(tuple(filters) if filters else COLOURS)
     if with_lights:
-        seen = _lights(source, chart, spectra, kind, frames)
-        training, powers, known = seen
+        training, powers, known = _lights(source, chart, spectra, kind, frames)
     files = [Path(one) for one in (chart, spectra, responsivities) if one is not None]
     known = replace(known, inputs=tuple(f"{one.name} sha256:{_digest(one)}" for one in files))
     if responsivities is not None:
@@ -310,8 +309,8 @@ def colour_measure(
     """
     files = [Path(one) for one in (maps, report) if one is not None]
     check_outputs(*files, force=True)
-    if maps is not None:
-        _writer(Path(maps))
+    if maps is not None and Path(maps).suffix.lower() not in _FORMS:
+        raise UsageError(f"{maps}: quantities of every pixel are written as {', '.join(_FORMS)}")
     known = calibration if isinstance(calibration, ColourCalibration) else ColourCalibration.read(Path(calibration))
     known.fit(kind)
     seen = _Frames(filters, linear, f_number, response, notice, progress).channels(source)
@@ -342,7 +341,7 @@ def colour_measure(
         next(iter(seen.maps.values())).provenance.parameters.get("origin", {}),
     )  # fmt: skip
     if maps is not None and reading.maps is not None:
-        _writer(Path(maps))(Path(maps), reading.maps)
+        writer_for(Path(maps))(Path(maps), reading.maps)
     if report is not None:
         reading.write_report(report)
     return reading
@@ -546,13 +545,6 @@ def _flags(known: ColourCalibration, found: Coordinates, kind: str | None, taken
     if is_out_of_date(known.created.isoformat(), DEFAULT_VALIDITY_DAYS, taken or dt.datetime.now(dt.UTC)):
         flags.append(Flag.STALE_CALIBRATION.value)
     return flags
-
-
-def _writer(path: Path) -> Any:
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise UsageError(f"{path}: quantities of every pixel are written as {', '.join(_WRITERS)}")
-    return writer
 
 
 def _units(unit: str) -> dict[str, str]:

@@ -2,22 +2,35 @@
 
 Source: CIE TN 012:2021 and IEEE 1789-2015 (modulation depth, flicker index), IEC TR 63158:2018 (SVM), IEC TR
 61547-1:2020 (PstLM).
+
+Samples of many periods, sorted by phase, show the period more finely than one period of them does. Where a Fourier
+series describes them within their noise, its extremes are those of the light between the samples as well. Steps need
+more harmonics than samples support, so there the extremes are those of neighbouring phases.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import reduce
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, resample_poly
 from scipy.stats import t as student_t
 
-from radiometer.analysis.flicker.shape import LEAST_KEPT, ShapeMeasures, measure_record, measure_shape, other_line
-from radiometer.analysis.flicker.waveform import Period, Waveform, find_period, whole_periods
+from radiometer.analysis.flicker.waveform import (
+    Period,
+    Waveform,
+    find_period,
+    harmonic_columns,
+    line_noise,
+    spectrum,
+    whole_periods,
+)
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 from radiometer.statistics.scale import jackknife_u
@@ -53,6 +66,23 @@ _LATTICE: Final = 1e-4  # of a step, to which differences of rounded values are 
 _NO_STEP: Final = 1e-4  # of the range: what finer steps move is nothing
 _SAME_REL: Final = 1e-9  # of the range: values that are written alike
 _COVERAGE: Final = 0.9545  # of the expanded uncertainty
+# Shape of a period.
+_MOST_POINTS: Final = 4096  # phases that are kept apart: a mean over one keeps 1 − 1e-7 of a sinusoid
+_GRID: Final = 2880  # phases at which a series is evaluated
+_ORDERS: Final = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
+_TAIL: Final = 2  # harmonics above those of the light: they show that the series ends, and their u counts
+_SIGNIFICANT: Final = 12.0  # of χ² with two degrees of freedom: 0.25 % by chance
+_STRUCTURED_SIGMAS: Final = 3.0
+_MOST_OF_NOISE: Final = 1.5  # the trimmed noise of 32 points scatters by 18 %
+_SAMPLES_PER_FACTOR: Final = 4  # of a series: fewer leave too few residuals to judge it by
+_NEGLIGIBLE: Final = 1e-4  # of the fundamental's amplitude
+_WORST_CONDITION: Final = 100.0  # of the normal equations: beyond it phases do not separate harmonics
+_LEAST_KEPT: Final = 0.2  # of an amplitude that an exposure keeps; below, the correction would amplify noise
+_WINDOW: Final = 1 / 200  # of a period: mean over it before extremes of noisy phases are taken
+_NOISELESS: Final = 1e-3  # of the range: noise below it needs no means
+# Differences of neighbours: a tenth of them may be steps. The rest of a normal distribution has this variance.
+_TRIMMED_SHARE, _TRIMMED_VARIANCE = 0.9, 0.623
+_OTHER_LINE_BELOW_HZ: Final = 2000.0  # the band of the stroboscopic effect (IEC TR 63158)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,34 +121,32 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     assumptions, warnings = list(waveform.assumptions), list[str]()
     shape, remark = _shape(waveform, period if periods else None)
     (assumptions if shape.blocks else warnings).append(remark.format(periods=periods))
-    u_dark_rel = waveform.u_dark / mean
+    rounded, doubted = _rounded(part), [(one, find_period(one)) for one in waveform.others]
 
-    def with_dark(one: Quantity) -> Quantity:
-        return Quantity(one.value, math.hypot(one.u, abs(one.value) * u_dark_rel), "1")
+    def with_u(values: Array, own_u: Array, of: Callable[[Waveform, Period | None], Array]) -> list[Quantity]:
+        drawn = [of(one, period) for one in rounded]
+        doubts = [of(one, again) - values for one, again in doubted]
+        spread = np.std(drawn, axis=0, ddof=1) if drawn else 0.0
+        u = reduce(np.hypot, [own_u, spread, *doubts, np.abs(values) * waveform.u_dark / mean])
+        return [Quantity(float(value), float(one), "1") for value, one in zip(values, u, strict=True)]
 
-    def with_u(of: Callable[[Waveform, Period | None], float]) -> Quantity:
-        value = of(part, period)
-        doubts = [of(one, again) - value for one, again in doubted]
-        u = math.hypot(_jackknife(of, part, period, blocks, periods), _spread([of(one, period) for one in rounded]))
-        return with_dark(Quantity(value, math.hypot(u, *doubts), "1"))
+    def of_blocks(of: Callable[[Waveform, Period | None], float]) -> Quantity:
+        own_u = _jackknife(of, part, period, blocks, periods)
+        return with_u(np.array([of(part, period)]), own_u, lambda one, again: np.array([of(one, again)]))[0]
 
-    rounded = _rounded(part)
-    warnings += _sampling_warnings(part)
-    doubted = [(one, find_period(one)) for one in waveform.others]
-    shapes = [_shape(one, period if periods else None)[0] for one in rounded]
-    off = [_shape(one, again if periods else None)[0] for one, again in doubted]
-
-    depth, index = (with_dark(_doubted(name, shape, shapes, off)) for name in ("modulation_depth", "flicker_index"))
+    depth, index = with_u(shape.values, shape.u, lambda one, again: _shape(one, again if periods else None)[0].values)
+    if np.unique(part.light).size == _FEWEST_CODES - 1:
+        warnings.append("the light takes three values only: if they are rounded, no uncertainty covers that")
     if depth.value - 2.0 * depth.u > 1.0:
         warnings.append("the light falls below the value of darkness: state that value by --dark")
     svm = pst = None
     if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
         warnings.append(
-            f"SVM is not determined: it needs {2.0 * _SVM_BAND_HZ[1]:g} samples per s, the record has "
-            f"{waveform.rate_hz:.4g}"
+            f"modulation above {waveform.rate_hz / 2.0:.4g} Hz shows at a wrong frequency, a lower one, and SVM is not "
+            f"determined: it needs {2.0 * _SVM_BAND_HZ[1]:g} samples per s, the record has {waveform.rate_hz:.4g}"
         )
     else:
-        svm = with_u(stroboscopic_visibility)
+        svm = of_blocks(stroboscopic_visibility)
         other = stroboscopic_visibility(part, period, power_law_threshold)
         assumptions.append(f"SVM: thresholds of CIE TN 006:2016; those of Perz et al. 2018 give {other:.3g}")
         if waveform.duration_s < 1.0:
@@ -130,7 +158,7 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     elif waveform.duration_s < 3 * _PST_TRANSIENT_S and not periods:
         warnings.append(f"PstLM is not determined: the record has {waveform.duration_s:.3g} s and no repetition")
     else:
-        pst = with_u(short_term_severity)
+        pst = of_blocks(short_term_severity)
         pst, doubts = _with_noise(pst, part, period)
         warnings += doubts
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
@@ -139,15 +167,6 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     frequency = None if period is None else Quantity(period.frequency_hz, period.u_hz, "Hz")
     k = float(student_t.ppf(0.5 + _COVERAGE / 2.0, blocks - 1)) if blocks else 2.0
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
-
-
-def _doubted(name: str, shape: ShapeMeasures, drawn: Sequence[ShapeMeasures], off: Sequence[ShapeMeasures]) -> Quantity:
-    """Return a measure of a shape, with what shapes that were drawn spread, and those one u off differ, in u."""
-    one: Quantity = getattr(shape, name)
-    doubts = [getattr(other, name).value - one.value for other in off]
-    return Quantity(
-        one.value, math.hypot(one.u, _spread([getattr(other, name).value for other in drawn]), *doubts), "1"
-    )
 
 
 def _with_noise(pst: Quantity, part: Waveform, period: Period | None) -> tuple[Quantity, list[str]]:
@@ -179,12 +198,10 @@ def _shape(waveform: Waveform, period: Period | None) -> tuple[ShapeMeasures, st
         f"{period.frequency_hz:.4g} Hz: "
     )
     record = measure_record(waveform)
-    widened = [
-        Quantity(one.value, math.hypot(one.u, amplitude), "1") for one in (shape.modulation_depth, shape.flicker_index)
-    ]
-    if record.modulation_depth.u < widened[0].u:
+    widened = np.hypot(shape.u, amplitude)
+    if record.u[0] < widened[0]:
         return record, f"{found}modulation depth and flicker index are of the whole record"
-    return replace(shape, modulation_depth=widened[0], flicker_index=widened[1]), (
+    return replace(shape, u=widened), (
         f"{found}modulation depth and flicker index are of the mean of {{periods}} periods, and their u covers it"
     )
 
@@ -225,7 +242,7 @@ def stroboscopic_visibility(
         frequency_hz *= period.frequency_hz * part.duration_s / periods
     within = (frequency_hz >= _SVM_BAND_HZ[0]) & (frequency_hz <= _SVM_BAND_HZ[1])
     kept = np.abs(np.sinc(frequency_hz[within] * part.averaged_s))  # numpy's sinc holds the π
-    seen = amplitude[within] / np.where(kept < LEAST_KEPT, 1.0, kept)
+    seen = amplitude[within] / np.where(kept < _LEAST_KEPT, 1.0, kept)
     return float(np.sum((seen / threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
 
 
@@ -254,16 +271,14 @@ def short_term_severity(waveform: Waveform, period: Period | None = None) -> flo
 def noise_severity(waveform: Waveform, period: Period | None = None) -> float:
     """Return the PstLM that white noise has at most (k = 2), of the density that the record has between its lines.
 
-    Noise of that density is drawn and measured. The density is the median of the periodogram above the band of the
-    measure (exponential distribution, mean = median/ln 2), with a Hann window against leakage of the lines.
+    Noise of the density above the band of the measure is drawn and measured.
     """
     light, rate_hz, _ = _for_severity(waveform, period)
-    frequency_hz, window = rfftfreq(light.size, 1.0 / rate_hz), np.hanning(light.size)
-    power = np.abs(rfft((light / light.mean() - 1.0) * window)) ** 2 / np.mean(window**2)
-    between = power[(frequency_hz > _PST_BAND_HZ[1]) & (frequency_hz < rate_hz / 4.0)]
+    frequency_hz, amplitude = spectrum(light / light.mean(), rate_hz)
+    between = amplitude[(frequency_hz > _PST_BAND_HZ[1]) & (frequency_hz < rate_hz / 4.0)]
     if between.size < _FEWEST_LINES:
         return 0.0
-    sigma, rng = math.sqrt(float(np.median(between)) / math.log(2.0) / light.size), np.random.default_rng(0)
+    sigma, rng = line_noise(between, light.size), np.random.default_rng(0)
     drawn = [
         short_term_severity(Waveform(1.0 + rng.normal(0.0, sigma, light.size), rate_hz, waveform.origin)) ** 2
         for _ in range(_MOST_BLOCKS)
@@ -284,27 +299,14 @@ def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, flo
 
 def _jackknife(
     of: Callable[[Waveform, Period | None], float], part: Waveform, period: Period | None, blocks: int, periods: int
-) -> float:
+) -> Array:
     """Return the standard uncertainty of a measure by leaving out one block of whole periods at a time."""
-    edges = np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / periods
+    edges = np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / max(periods, 1)
     values = []
     for first, last in zip(edges[:-1].round().astype(int), edges[1:].round().astype(int), strict=True):
         left = np.concatenate([part.light[:first], part.light[last:]])
         values.append(of(Waveform(left, part.rate_hz, part.origin, averaged_s=part.averaged_s), period))
-    return float(jackknife_u(values).item())
-
-
-def _sampling_warnings(waveform: Waveform) -> list[str]:
-    """Return what slow samples or few values hide."""
-    found = []
-    if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
-        found.append(
-            f"modulation above {waveform.rate_hz / 2.0:.4g} Hz shows at a wrong frequency, a lower one: the record has "
-            f"{waveform.rate_hz:.4g} samples per s"
-        )
-    if np.unique(waveform.light).size == _FEWEST_CODES - 1:
-        found.append("the light takes three values only: if they are rounded, no uncertainty covers that")
-    return found
+    return jackknife_u(values)
 
 
 def _rounded(waveform: Waveform) -> list[Waveform]:
@@ -323,10 +325,6 @@ def _rounded(waveform: Waveform) -> list[Waveform]:
     return [replace(waveform, light=light + rng.uniform(-0.5, 0.5, codes.size)[which] * step) for _ in range(_DRAWS)]
 
 
-def _spread(values: list[float]) -> float:
-    return float(np.std(values, ddof=1)) if values else 0.0
-
-
 def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeMeasures) -> list[str]:
     """Return what averaging over the exposure of each sample hides."""
     if period is None or waveform.averaged_s <= 0.0:
@@ -338,10 +336,256 @@ def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeM
         f"each sample averages over {1e3 * waveform.averaged_s:.3g} ms and keeps {100 * kept:.0f} % of the amplitude "
         f"at {period.frequency_hz:.4g} Hz: "
     )
-    if shape.is_series and kept >= LEAST_KEPT:
+    if shape.is_series and kept >= _LEAST_KEPT:
         return [
             f"{averaged}modulation depth, flicker index and SVM are corrected for it; faster light may be "
             "hidden, so take a shorter exposure"
         ]
-    bounded = "modulation depth and flicker index" if kept >= LEAST_KEPT else "modulation depth, flicker index and SVM"
+    bounded = "modulation depth and flicker index" if kept >= _LEAST_KEPT else "modulation depth, flicker index and SVM"
     return [f"{averaged}{bounded} are lower bounds; take a shorter exposure"]
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeMeasures:
+    """What a period's shape gives."""
+
+    values: Array  # modulation depth (max − min)/(max + min), flicker index (area above the mean over the whole)
+    u: Array  # their standard uncertainties
+    blocks: int  # blocks of periods whose scatter was taken; 0 where it was not
+    is_series: bool  # whether a Fourier series describes the shape; the loss by exposure is then corrected
+    phase: Array  # phases of the shape in periods, rising, shape (n,)
+    light: Array  # light there, as it was sampled, shape (n,)
+
+
+def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
+    """Return modulation depth and flicker index of a period, with their standard uncertainty.
+
+    The uncertainty of a series is that of its least squares, or the scatter between blocks of periods where that is
+    larger. Between neighbouring phases it also covers what noise adds to extremes, and an extreme between two samples.
+    """
+    whole, parts = _folds(waveform, period)
+    orders = _supported_orders(whole)
+    kept = _kept(period.frequency_hz * waveform.averaged_s, orders[1] if orders else 1)
+
+    def of(fold: _Fold) -> tuple[Array, Array]:
+        return _of_series(fold, *orders, kept) if orders else _of_phases(fold)
+
+    values, u = of(whole)
+    u = np.maximum(u, jackknife_u([of(part)[0] for part in parts]))
+    phase, light = whole.phase, whole.light
+    if orders:
+        phase = np.arange(_GRID) / _GRID
+        light = harmonic_columns(phase, orders[1]) @ _Series.of(whole, orders[1]).factors
+    return ShapeMeasures(values, u, len(parts), bool(orders), phase, light)
+
+
+def measure_record(waveform: Waveform) -> ShapeMeasures:
+    """Return modulation depth and flicker index of a whole record that no period describes."""
+    size = waveform.light.size
+    fold = _Fold(np.arange(size) / size, waveform.light, np.ones(size))
+    values, u = _of_neighbours(fold, line_noise(spectrum(waveform.light, waveform.rate_hz)[1], size), 1, 3)
+    return ShapeMeasures(values, u, 0, False, fold.phase, fold.light)
+
+
+def other_line(
+    waveform: Waveform, period: Period | None = None, shape: ShapeMeasures | None = None
+) -> tuple[float, float] | None:
+    """Return frequency in Hz and amplitude of the strongest line below 2 kHz that no period explains; None in noise."""
+    left = waveform.light
+    if period is not None and shape is not None:
+        phase = np.arange(left.size) * period.frequency_hz / waveform.rate_hz % 1.0
+        left = left - np.interp(phase, shape.phase, shape.light, period=1.0)
+    frequency_hz, amplitude = spectrum(left, waveform.rate_hz)
+    looked_at = (frequency_hz * waveform.duration_s >= 1.5) & (frequency_hz <= _OTHER_LINE_BELOW_HZ)
+    least = 0.0
+    if period is not None and shape is not None:
+        cycles = frequency_hz / period.frequency_hz
+        # A Hann window spreads a line over two bins on either side.
+        looked_at &= np.abs(cycles - np.round(cycles)) * period.frequency_hz * waveform.duration_s > 2.5
+        least = float(np.ptp(shape.light)) * _NOISELESS
+    if not looked_at.any():
+        return None
+    power = amplitude[looked_at] ** 2
+    strongest = int(np.argmax(power))
+    # The power of noise has an exponential distribution: ln n + 10 means are reached once in 20,000 records.
+    by_chance = float(np.median(power)) / math.log(2.0) * (math.log(power.size) + 10.0)
+    if power[strongest] <= max(by_chance, least**2):
+        return None
+    return float(frequency_hz[looked_at][strongest]), math.sqrt(float(power[strongest]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Fold:
+    """Samples by phase: rising phases in periods, mean light and number of samples there."""
+
+    phase: Array
+    light: Array
+    count: Array
+
+
+def _folds(waveform: Waveform, period: Period) -> tuple[_Fold, list[_Fold]]:
+    """Return all samples by phase, and those without one block of periods at a time."""
+    cycles = np.arange(waveform.light.size) * period.frequency_hz / waveform.rate_hz
+    periods = int(waveform.duration_s * period.frequency_hz + 1e-6)
+    blocks = min(_MOST_BLOCKS, periods) if periods > 1 else 0
+    block = np.minimum((cycles * blocks / max(periods, 1)).astype(np.intp), blocks - 1)
+    parts = [_fold(cycles[block != n], waveform.light[block != n]) for n in range(blocks)]
+    return _fold(cycles, waveform.light), parts
+
+
+def _fold(cycles: Array, light: Array) -> _Fold:
+    """Return samples by the phase of their place in periods; phases that are nearly the same are one."""
+    phase = cycles % 1.0
+    point = (phase * _MOST_POINTS).astype(np.intp) if phase.size > _MOST_POINTS else np.argsort(np.argsort(phase))
+    count = np.bincount(point).astype(np.float64)
+    seen = count > 0.0
+    phase, light = (np.bincount(point, one)[seen] / count[seen] for one in (phase, light))
+    return _Fold(phase, light, count[seen])
+
+
+class _Series(NamedTuple):
+    """A Fourier series: mean, cosines, sines; their covariance; what it leaves of every phase."""
+
+    factors: Array
+    covariance: Array
+    residual: Array
+    is_determined: bool  # whether its phases and samples suffice
+
+    @classmethod
+    def of(cls, fold: _Fold, order: int) -> _Series:
+        """Return the series of an order by least squares."""
+        columns = harmonic_columns(fold.phase, order)
+        weighted = columns * fold.count[:, None]
+        products = columns.T @ weighted
+        sizes, inverse = np.linalg.eigvalsh(products), np.linalg.pinv(products)
+        factors = inverse @ (weighted.T @ fold.light)
+        residual = fold.light - columns @ factors
+        freedom = max(fold.phase.size - factors.size, 1)
+        covariance = inverse * (float(fold.count @ residual**2) / freedom)
+        suffice = sizes[0] * _WORST_CONDITION > sizes[-1] and factors.size * _SAMPLES_PER_FACTOR <= fold.count.sum()
+        return cls(factors, covariance, residual, bool(suffice))
+
+
+def _supported_orders(fold: _Fold) -> tuple[int, int] | None:
+    """Return the order of the series that describes the light within its noise, and that which it is checked by.
+
+    The second is about twice the first. Harmonics above the light's own must be insignificant, and the residuals must
+    not follow the phase. None where no series fits.
+    """
+    noise = _noise(fold)
+    for order in _ORDERS:
+        # Light may have odd harmonics alone: the third shows whether it is a sinusoid.
+        both = (max(2 * order, order + _TAIL), 2 * order)
+        twice = next((n for n in both if _Series.of(fold, n).is_determined), None)
+        if twice is None:
+            return None
+        series = _Series.of(fold, twice)
+        amplitude = np.hypot(*series.factors[1:].reshape(2, -1))
+        variance = np.diag(series.covariance)[1:].reshape(2, -1).mean(axis=0)
+        least = _NEGLIGIBLE * float(amplitude.max())
+        above = slice(order, order + _TAIL)
+        ends = bool(np.all(amplitude[above] < np.maximum(least, np.sqrt(_SIGNIFICANT * variance[above]))))
+        residual, negligible = series.residual * np.sqrt(fold.count), least * math.sqrt(fold.count.mean())
+        # A series rings at steps: there the residuals are larger than the noise between neighbours.
+        small = math.sqrt(float(np.mean(residual**2))) < _MOST_OF_NOISE * max(noise, negligible)
+        if ends and small and _is_unstructured(residual, negligible):
+            return order, twice
+    return None
+
+
+def _is_unstructured(residual: Array, negligible: float) -> bool:
+    """Return whether neighbours differ as much as independent noise does (von Neumann 1941)."""
+    squares = float(np.mean(residual**2))
+    if squares <= negligible**2:
+        return True
+    ratio = float(np.mean((residual - np.roll(residual, 1)) ** 2)) / (2.0 * squares)
+    return (1.0 - ratio) * math.sqrt(residual.size) < _STRUCTURED_SIGMAS
+
+
+def _kept(averaged_periods: float, order: int) -> Array:
+    """Return by how much an exposure scales each factor of a series; 1 where the loss cannot be corrected."""
+    harmonics = np.sinc(averaged_periods * np.arange(1, order + 1))  # numpy's sinc holds the π
+    harmonics[np.abs(harmonics) < _LEAST_KEPT] = 1.0
+    return np.concatenate([[1.0], harmonics, harmonics])
+
+
+def _of_series(fold: _Fold, enough: int, order: int, kept: Array) -> tuple[Array, Array]:
+    """Return modulation depth and flicker index of a series, and their standard uncertainties.
+
+    A bend needs all harmonics: those above an order add to an extreme as 1/order. So what the orders from `enough` to
+    twice that add is also what is still missing.
+    """
+    series = _Series.of(fold, order)
+    factors, covariance = series.factors / kept, series.covariance / np.outer(kept, kept)
+    columns = harmonic_columns(np.arange(_GRID) / _GRID, order)
+    light = columns @ factors
+    top, bottom = int(np.argmax(light)), int(np.argmin(light))
+    high, low, mean = float(light[top]), float(light[bottom]), float(factors[0])
+    depth = (high - low) / (high + low)
+    n = np.arange(factors.size)
+    first = columns @ np.where(n - order * (n > order) <= enough, factors, 0.0)
+    missing = abs(depth - np.ptp(first) / (first.max() + first.min()))
+    towards_depth = 2.0 * (low * columns[top] - high * columns[bottom]) / (high + low) ** 2
+    above = light > mean
+    own = np.eye(factors.size)[0]
+    index = float(np.mean(np.maximum(light - mean, 0.0))) / mean
+    towards_index = ((columns - own) * above[:, None]).mean(axis=0) / mean - index / mean * own
+    between = 1.0 - math.cos(math.pi * order / _GRID)  # of the amplitude, between two phases of the grid
+    u = [math.sqrt(max(float(g @ covariance @ g), 0.0)) for g in (towards_depth, towards_index)]
+    missing = math.hypot(missing, u[0] * math.sqrt(1.0 - enough / order))  # it is as noisy as its harmonics are
+    # Residuals that do not look like noise but are negligible may all be at an extreme.
+    left = 0.0 if _is_unstructured(series.residual, 0.0) else float(np.std(series.residual)) / mean
+    return np.array([depth, index]), np.hypot(np.hypot(u, abs(depth) * between + left), [missing, 0.0])
+
+
+def _of_phases(fold: _Fold) -> tuple[Array, Array]:
+    """Return modulation depth and flicker index of a period in steps, and their standard uncertainties."""
+    sigma = _noise(fold)
+    wide = max(1, round(fold.phase.size * _WINDOW)) if sigma > _NOISELESS * float(np.ptp(fold.light)) else 1
+    # Phases of few periods may be bunched: a mean reaches from bunch to bunch.
+    bunch = float(np.diff(fold.phase, append=fold.phase[0] + 1.0).max()) * fold.phase.size
+    return _of_neighbours(fold, sigma, wide, 2 * (wide - 1) + round(3.0 * bunch))
+
+
+def _of_neighbours(fold: _Fold, sigma: float, wide: int, wider: int) -> tuple[Array, Array]:
+    """Return modulation depth and flicker index from means of neighbouring points, and their standard uncertainties.
+
+    A sample has the standard deviation `sigma`, a mean `wide` points. Means flatten an extreme, and it may be between
+    two samples: what `wider` means flatten it by counts.
+    """
+    depth, middle, slopes, added, sigma_mean = _depth(fold, sigma, wide)
+    flattened = abs(depth - _depth(fold, sigma, min(wider, fold.phase.size))[0])
+    gaps = np.diff(fold.phase, append=fold.phase[0] + 1.0)
+    share = (gaps + np.roll(gaps, 1)) / 2.0
+    mean = float(share @ fold.light)
+    index = float(share @ np.maximum(fold.light - mean, 0.0)) / mean
+    steps = np.diff(fold.light, append=fold.light[0]) * gaps  # a step may be anywhere between two samples
+    near = float(share[np.abs(fold.light - mean) < 2.0 * sigma].sum())  # noise is rectified where light is the mean
+    u_index = [
+        float(np.linalg.norm(steps)) / math.sqrt(12.0), 0.4 * near * sigma,
+        sigma / math.sqrt(float(fold.count.sum())),
+    ]  # fmt: skip
+    u_depth = [added / math.sqrt(12.0) / middle, sigma_mean * slopes, flattened]
+    return np.array([depth, index]), np.array([math.hypot(*u_depth), math.hypot(*u_index) / mean])
+
+
+def _depth(fold: _Fold, sigma: float, wide: int) -> tuple[float, float, float, float, float]:
+    """Return the modulation depth of running means, the middle between the extremes, and the depth's slope over noise.
+
+    Noise adds between nothing (sharp extremes) and √(2·ln n) standard deviations (flat ones): half is taken off. That
+    most and the standard deviation of a mean come last. The means go around the period's end.
+    """
+    above, count = (uniform_filter1d(one, wide, mode="wrap") for one in (fold.light * fold.count, fold.count))
+    light, sigma_mean = above / count, sigma / math.sqrt(wide * float(np.median(count)))
+    added = sigma_mean * math.sqrt(2.0 * math.log(max(light.size / wide, 2.0)))
+    high, low = float(light.max()) - added / 2.0, float(light.min()) + added / 2.0
+    slopes = 2.0 * math.hypot(high, low) / (high + low) ** 2
+    return (high - low) / (high + low), (high + low) / 2.0, slopes, added, sigma_mean
+
+
+def _noise(fold: _Fold) -> float:
+    """Return the standard deviation of a sample, from the differences of neighbouring phases; few of them are steps."""
+    after = np.roll(fold.count, -1)
+    differences = (np.roll(fold.light, -1) - fold.light) * np.sqrt(fold.count * after / (fold.count + after))
+    squares = np.sort(differences**2)[: max(1, int(_TRIMMED_SHARE * differences.size))]
+    return math.sqrt(float(squares.mean()) / _TRIMMED_VARIANCE)

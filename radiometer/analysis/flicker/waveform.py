@@ -279,10 +279,10 @@ def _strong_lines_hz(waveform: Waveform) -> list[float]:
 
     Frequencies in Hz hold to about a tenth of a line's width.
     """
-    light = (waveform.light - waveform.light.mean()) * np.hanning(waveform.light.size)
-    padded = next_fast_len(4 * light.size, real=True)
-    power = np.abs(rfft(light, padded)) ** 2
-    frequency_hz = rfftfreq(padded, 1.0 / waveform.rate_hz)
+    frequency_hz, amplitude = spectrum(
+        waveform.light, waveform.rate_hz, next_fast_len(4 * waveform.light.size, real=True)
+    )
+    power = amplitude**2
     power[frequency_hz * waveform.duration_s < 1.5] = 0.0  # the width of the window's own line
     if not power.any():
         return []
@@ -291,6 +291,21 @@ def _strong_lines_hz(waveform: Waveform) -> list[float]:
     while lowest < strongest and power[lowest + 1] > power[lowest]:
         lowest += 1
     return [float(frequency_hz[at]) for at in dict.fromkeys((strongest, lowest))]
+
+
+def spectrum(light: Array, rate_hz: float, padded: int | None = None) -> tuple[Array, Array]:
+    """Return frequencies in Hz and amplitudes behind a Hann window, of light that zeros may pad to a length."""
+    window = np.hanning(light.size)
+    amplitude = 2.0 * np.abs(rfft((light - light.mean()) * window, padded)) / window.sum()
+    return rfftfreq(padded or light.size, 1.0 / rate_hz), amplitude
+
+
+def line_noise(amplitude: Array, samples: int) -> float:
+    """Return the standard deviation of a sample of white noise, from the amplitudes of its `spectrum`.
+
+    Behind a Hann window their mean square is 6σ²/n; the median of their squares is ln 2 of that (exponential).
+    """
+    return math.sqrt(float(np.median(amplitude**2)) / math.log(2.0) * samples / 6.0)
 
 
 def _excerpt(waveform: Waveform, line_hz: float) -> tuple[float, Array]:
