@@ -23,9 +23,8 @@ from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
 from radiometer.data.capture_set import refuse_inputs
-from radiometer.data.json_text import parsed_json
-from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
-from radiometer.data.storage import check_outputs, read_text, write_text_atomic
+from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, of_reading
+from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, UsageError
 from radiometer.moments import moment_of
 from radiometer.plausible import PLAUSIBLE
@@ -146,15 +145,9 @@ def certificate(
 def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory, identifier: str) -> Certified:
     if isinstance(source, Calibration):
         return _of_calibration(source, laboratory, identifier)
-    if isinstance(source, Reading):
-        return _of_reading({**source.to_mapping(), "budget": source.budget_lines}, laboratory, identifier)
-    path = Path(source)
-    if path.suffix.lower() in (".yaml", ".yml"):
-        return _of_calibration(Calibration.read(path), laboratory, identifier)
-    try:
-        return _of_reading(parsed_json(read_text(path)), laboratory, identifier)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path}: is neither the JSON of a reading nor the YAML of a calibration ({error})") from error
+    if not isinstance(source, Reading) and Path(source).suffix.lower() in (".yaml", ".yml"):
+        return _of_calibration(Calibration.read(Path(source)), laboratory, identifier)
+    return of_reading(source, lambda content: _of_reading(content, laboratory, identifier))
 
 
 def _calibration_of(content: dict[str, Any]) -> list[tuple[str, str]]:

@@ -27,21 +27,12 @@ from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import ResponseLike, merge
 from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
 from radiometer.bench.sources import is_photographs, open_source
-from radiometer.data import (
-    Calibration,
-    CaptureSet,
-    Flag,
-    FrameSettings,
-    LensDescription,
-    Patch,
-    PixelMask,
-    Quantity,
-    RadianceMap,
-)
+from radiometer.data import Calibration, CaptureSet, FrameSettings, LensDescription, PixelMask, RadianceMap
 from radiometer.data.calibration import DEFAULT_VALIDITY_DAYS
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.mosaic import COLOURS
 from radiometer.data.provenance import is_out_of_date
+from radiometer.data.reading import Flag, Patch, Quantity
 from radiometer.data.setup import Setup
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, MeasurementError, UsageError
@@ -250,10 +241,11 @@ def colour_calibrate(
     training, powers, known = None, None, ColourCamera(tuple(filters) if filters else COLOURS)
     if with_lights:
         training, powers, known = _lights(source, chart, spectra, kind, frames)
-    files = [Path(one) for one in (chart, spectra, responsivities) if one is not None]
-    known = replace(known, inputs=tuple(f"{one.name} sha256:{_digest(one)}" for one in files))
     if responsivities is not None:
         known = replace(known, responsivities=_responsivities(Path(responsivities), known.channels))
+    hashes = {one: hashlib.sha256(Path(one).read_bytes()) for one in (chart, spectra, responsivities) if one}
+    inputs = tuple(f"{Path(one).name} sha256:{digest.hexdigest()[:16]}" for one, digest in hashes.items())
+    known = replace(known, inputs=inputs)
     if train_on == "responsivities":
         found = train_on_responsivities(known, training, per_kind=per_kind, u_rel=u_rel)
     else:
@@ -487,10 +479,9 @@ def _lights(
         lights = [KnownLight(name, "", None, 0.0, place, None) for name, place in channels(source)[0].patches.items()]
         if not lights:
             raise UsageError(f"{source}: its header names no patches: give --chart FILE with the places of the lights")
-    names, kinds, xyz, readings, doubts = [], [], [], [], list[float]()
-    curves: list[Array] = []
+    rows, curves = list[tuple[Any, ...]](), list[Array]()
     for light in lights:
-        here, u_rel = channels(light.capture or source)
+        here, carried_u_rel = channels(light.capture or source)
         place = light.patch or here.patches.get(light.name)
         if place is None and light.capture is not None:
             place = Patch(0, 0, *next(iter(here.maps.values())).shape[::-1])
@@ -499,22 +490,19 @@ def _lights(
         signal, u_signal, flags = here.signal(place, light.name)
         if "saturated" in flags:
             raise MeasurementError(f"light {light.name!r}: saturated pixels; capture shorter exposures")
-        readings.append((signal, np.hypot(u_signal, u_rel * signal)))
-        doubts.append(light.u_rel)
+        xyz, u_rel = light.xyz, light.u_rel
         if powers is not None:
             spectrum = spectrum_of(light.name, powers, Path(str(spectra)))
             curves.append(on_grid(spectrum))
-            doubts[-1] = math.hypot(light.u_rel, luminous_efficacy(spectrum).u_rel if light.xyz is None else 0.0)
-            xyz.append(tristimulus(spectrum) if light.xyz is None else light.xyz)
-        elif light.xyz is None:
+            if xyz is None:
+                xyz, u_rel = tristimulus(spectrum), math.hypot(u_rel, luminous_efficacy(spectrum).u_rel)
+        if xyz is None:
             raise InputError(f"{chart}: has no columns X, Y, Z: add them, or give --spectra FILE")
-        else:
-            xyz.append(light.xyz)
-        names.append(light.name)
-        kinds.append(light.kind or kind or _UNSTATED)
-    signal, u_signal = (np.array(one) for one in zip(*readings, strict=True))
+        u_signal = np.hypot(u_signal, carried_u_rel * signal)
+        rows.append((light.name, light.kind or kind or _UNSTATED, signal, u_signal, xyz, u_rel))
+    names, kinds, *numbers = zip(*rows, strict=True)
+    training = Training(names, kinds, *(np.array(one) for one in numbers))
     first = next(iter(seen.values()))[0]
-    training = Training(tuple(names), tuple(kinds), signal, u_signal, np.array(xyz), np.array(doubts))
     base = first.reference
     camera = ColourCamera(tuple(first.maps), base.camera, base.lens, base.scale.conditions, base.scale.iso)
     return training, np.array(curves) if curves else None, camera
@@ -525,13 +513,6 @@ def _responsivities(path: Path, channels: tuple[str, ...]) -> Array:
     if wavelength_nm[0] > 420.0 or wavelength_nm[-1] < 680.0:
         raise InputError(f"{path}: the responsivities must reach from 420 to 680 nm at least")
     return np.stack([np.interp(GRID_NM, wavelength_nm, columns[name], left=0.0, right=0.0) for name in channels])
-
-
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def _flags(known: ColourCalibration, found: Coordinates, kind: str | None, taken: dt.datetime | None) -> list[str]:

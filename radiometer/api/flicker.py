@@ -70,11 +70,10 @@ class FlickerReport(Drawn):
     def __str__(self) -> str:
         """Return frequency, depth and SVM in one line."""
         found, k = self.measures, self.measures.coverage_factor
-        share = found.modulation_depth.scaled(100.0, "%")
-        depth = f"modulation depth {share.value:.3g} ± {k * share.u:.2g} %"
+        depth = found.modulation_depth.scaled(100.0, "%").text(k)
         at = "no repetition" if found.frequency is None else f"{found.frequency.value:.5g} Hz"
-        svm = "" if found.svm is None else f", SVM {found.svm.value:.3g} ± {k * found.svm.u:.2g}"
-        return f"{at}, {depth}{svm} (k = {k:.3g})"
+        svm = "" if found.svm is None else f", SVM {found.svm.text(k)}"
+        return f"{at}, modulation depth {depth}{svm} (k = {k:.3g})"
 
 
 def flicker(
@@ -104,7 +103,7 @@ def flicker(
         >>> round(found.measures.frequency.value), found.measures.svm.unit
         (100, '1')
         >>> found
-        <FlickerReport 100 Hz, modulation depth 30 ± ... %, SVM 1.17 ± ... (k = ...)>
+        <FlickerReport 100 Hz, modulation depth 30... ± ... %, SVM 1.17... ± ... (k = ...)>
 
     Args:
         source: Table of time and light, or a frame of a rolling-shutter camera in a linear form (TIFF, PNG, raw).

@@ -20,15 +20,8 @@ from pydantic import (
 from scipy.spatial import ConvexHull
 
 from radiometer.analysis.colour.matrix import Fit, Training, of_rows
-from radiometer.data import (
-    Calibration,
-    CameraDescription,
-    LensDescription,
-    Provenance,
-    Scale,
-    ScaleConditions,
-    SensorNoise,
-)
+from radiometer.data import Calibration, CameraDescription, LensDescription, Provenance, Scale, ScaleConditions
+from radiometer.data.sensor_noise import SensorNoise
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.data.validation import FileArray, FileSection, validate
 from radiometer.errors import CalibrationError, UsageError

@@ -332,17 +332,15 @@ def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeM
     kept = abs(float(np.sinc(period.frequency_hz * waveform.averaged_s)))
     if kept > 0.99:
         return []
-    averaged = (
+    outcome = "modulation depth, flicker index and SVM are lower bounds"
+    if kept >= _LEAST_KEPT:
+        outcome = "modulation depth and flicker index are lower bounds, SVM is corrected for it"
+        if shape.is_series:
+            outcome = "modulation depth, flicker index and SVM are corrected for it, but faster light may be hidden"
+    return [
         f"each sample averages over {1e3 * waveform.averaged_s:.3g} ms and keeps {100 * kept:.0f} % of the amplitude "
-        f"at {period.frequency_hz:.4g} Hz: "
-    )
-    if shape.is_series and kept >= _LEAST_KEPT:
-        return [
-            f"{averaged}modulation depth, flicker index and SVM are corrected for it; faster light may be "
-            "hidden, so take a shorter exposure"
-        ]
-    bounded = "modulation depth and flicker index" if kept >= _LEAST_KEPT else "modulation depth, flicker index and SVM"
-    return [f"{averaged}{bounded} are lower bounds; take a shorter exposure"]
+        f"at {period.frequency_hz:.4g} Hz: {outcome}; take a shorter exposure"
+    ]
 
 
 @dataclass(frozen=True, slots=True)

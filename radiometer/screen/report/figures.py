@@ -172,7 +172,7 @@ def derived(
     return Quantity(float(of(values)), float(u), unit)
 
 
-def contrast_of(bright: Sequence[Reading], dark: Sequence[Reading], name: str, drift_rel: float = 0.0) -> Figure:
+def ratio_of(bright: Sequence[Reading], dark: Sequence[Reading], name: str, drift_rel: float = 0.0) -> Figure:
     """Return the ratio of two means; a lower bound where the dark one does not rise above its uncertainty."""
     count = len(bright)
     white, black = (derived(one, lambda v: float(v.mean())) for one in (bright, dark))

@@ -23,17 +23,7 @@ from radiometer.numbers import upper_limit
 from radiometer.screen.checks import WarmUp, wait_until_steady
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep
-from radiometer.screen.report.figures import (
-    BLACK,
-    CENTRE,
-    POINTS,
-    WHITE,
-    Examined,
-    Figure,
-    Section,
-    contrast_of,
-    derived,
-)
+from radiometer.screen.report.figures import BLACK, CENTRE, POINTS, WHITE, Examined, Figure, Section, derived, ratio_of
 from radiometer.screen.report.mura import COARSE_SHARE, FINE_SHARE, mura_of
 from radiometer.screen.run import measure_steps
 from radiometer.typing import Array
@@ -132,7 +122,7 @@ def _black(examined: Examined) -> Section:
 
 
 def _sequential(examined: Examined) -> Section:
-    figure = contrast_of(examined.shown(WHITE), examined.shown(BLACK), "contrast", examined.unsettled_rel)
+    figure = ratio_of(examined.shown(WHITE), examined.shown(BLACK), "contrast", examined.unsettled_rel)
     conditions = ("full-screen white, then full-screen black, centre",)
     return Section("sequential_contrast", "Sequential contrast", conditions, (figure,))
 
@@ -151,7 +141,7 @@ def _checkerboard(examined: Examined) -> Section:
         "checkerboard_contrast",
         f"Checkerboard luminance and contrast ({columns} × {rows}, IDMS 5.26; ANSI contrast for 4 × 4)",
         (f"checkerboard of {columns} × {rows} fields; mean of white over mean of black fields' middles (C_Cave)",),
-        (contrast_of(read[0], read[1], "contrast", examined.unsettled_rel),),
+        (ratio_of(read[0], read[1], "contrast", examined.unsettled_rel),),
         ("field", "shown", "luminance (cd·m⁻²)"), tuple(cells),
         ("light that the lens scatters from white into black fields counts as far as the calibration states it",),
     )  # fmt: skip
@@ -319,7 +309,7 @@ def _viewing_angle(examined: Examined) -> Section:
     rows, figures, drift = [], [], examined.unsettled_rel
     for angle, (white, black) in sorted(at.items()):
         share = derived([white[0], at[0.0][0][0]], lambda v: float(v[0] / v[1]), drift_rel=drift)
-        contrast = contrast_of(white, black, f"contrast_at_{angle:g}_deg", drift)
+        contrast = ratio_of(white, black, f"contrast_at_{angle:g}_deg", drift)
         if angle != 0.0:
             figures += [Figure(f"white_at_{angle:g}_deg", share), contrast]
         dark = _black_figure(examined, black[0])
