@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import radiometer
-from radiometer.analysis.exports.certificate import (
-    COVERAGE_FACTORS,
-    COVERAGE_PROBABILITY,
-    Certified,
-    Item,
-    Laboratory,
-    certificate_xml,
-)
+from radiometer.analysis.exports.certificate import Certified, Item, Laboratory, certificate_xml, coverage_factor
 from radiometer.analysis.reading.budget import OBSERVED
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
@@ -167,12 +160,7 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
     stated = {name: content[name] for name in ("radiance", "luminance") if content.get(name)}
     if stated["radiance"]["unit"] == "relative":
         raise UsageError(_RELATIVE)
-    # Three digits, as every face prints k: U is that k times u, so a reader who divides has u again.
-    k = float(f"{COVERAGE_FACTORS.check('coverage_factor', float(content['coverage_factor'])):.3g}")
-    if k < _K:
-        raise InputError(
-            f"coverage_factor is {k:g}; for the probability of {100 * COVERAGE_PROBABILITY:g} % it is {_K:g} or more"
-        )
+    k = coverage_factor(float(content["coverage_factor"]))
     if Flag.SATURATED.value in content["flags"]:
         raise InputError("the reading is saturated: its value is a lower bound, which no certificate states")
     if Flag.UNCALIBRATED.value in content["flags"]:

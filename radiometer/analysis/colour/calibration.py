@@ -8,15 +8,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import (
-    AfterValidator,
-    AliasChoices,
-    AwareDatetime,
-    BeforeValidator,
-    Field,
-    PlainSerializer,
-    model_validator,
-)
+from pydantic import AwareDatetime, BeforeValidator, Field, PlainSerializer, model_validator
 from scipy.spatial import ConvexHull
 
 from radiometer.analysis.colour.matrix import Fit, Training, of_rows
@@ -35,12 +27,6 @@ _SURELY: Final = 2.0  # standard uncertainties beyond the hull of the training s
 _Training = Annotated[
     Training | None, BeforeValidator(of_rows), PlainSerializer(lambda found: [] if found is None else found.rows())
 ]
-# A covariance of D is (3, 3, 3, 3), and 9 × 9 in the file.
-_OfDisplays = Annotated[
-    FileArray,
-    AfterValidator(lambda found: found.reshape(3, 3, 3, 3)),
-    PlainSerializer(lambda found: found.reshape(9, 9).tolist()),
-]
 
 
 class ColourCalibration(FileSection):
@@ -55,13 +41,11 @@ class ColourCalibration(FileSection):
     conditions: ScaleConditions = ScaleConditions()  # gain and temperature of the frames of known lights
     iso: float | None = None  # lowest ISO speed of their photographs
     # Matrix by kind of light, or a single one named `ALL`
-    fits: dict[str, Fit] = Field(
-        min_length=1, validation_alias=AliasChoices("fits", "matrices"), serialization_alias="matrices"
-    )
+    matrices: dict[str, Fit] = Field(min_length=1)
     trained: tuple[str, ...] = Field(min_length=1)  # kinds of light that the matrices were fitted to
     errors: dict[str, FileArray] = Field(min_length=1)  # covariance of the error over (X + Y + Z)² by kind of light
-    # Covariance of D by type of display, whose error is D·(X, Y, Z); it takes the place of `errors`
-    display_errors: dict[str, _OfDisplays] = Field(default_factory=dict)
+    # Covariance of D by type of display, 9 × 9, whose error is D·(X, Y, Z); it takes the place of `errors`
+    display_errors: dict[str, FileArray] = Field(default_factory=dict)
     training: _Training = None  # raw readings of known lights, which gave the matrices or their scale
     provenance: Provenance = Field(default_factory=lambda: Provenance("unknown"))
 
@@ -74,15 +58,15 @@ class ColourCalibration(FileSection):
     @model_validator(mode="after")
     def _are_of_the_channels(self) -> Self:
         n = len(self.channels)
-        shapes: list[tuple[Array, tuple[int, ...]]] = [(fit.matrix, (3, n)) for fit in self.fits.values()]
-        shapes += [(fit.hull, (max(3, len(fit.hull)), 2)) for fit in self.fits.values()]
+        shapes: list[tuple[Array, tuple[int, ...]]] = [(fit.matrix, (3, n)) for fit in self.matrices.values()]
+        shapes += [(fit.hull, (max(3, len(fit.hull)), 2)) for fit in self.matrices.values()]
         if self.training is not None:
             lights = len(self.training.names)
             shapes += [(one, (lights, n)) for one in (self.training.signal, self.training.u_signal)]
             shapes += [(self.training.xyz, (lights, 3)), (self.training.u_rel[self.training.u_rel >= 0.0], (lights,))]
-        variances = [(fit.spread, n) for fit in self.fits.values()]
-        variances += [(one, 3) for one in (*(fit.error for fit in self.fits.values()), *self.errors.values())]
-        variances += [(one.reshape(9, 9), 9) for one in self.display_errors.values()]
+        variances = [(fit.spread, n) for fit in self.matrices.values()]
+        variances += [(one, 3) for one in (*(fit.error for fit in self.matrices.values()), *self.errors.values())]
+        variances += [(one, 9) for one in self.display_errors.values()]
         if any(one.shape != shape for one, shape in shapes) or not all(_is_covariance(*one) for one in variances):
             raise ValueError(
                 f"a matrix, error or reading has not {n} channels, or a variance is below 0; calibrate again"
@@ -96,9 +80,9 @@ class ColourCalibration(FileSection):
         """
         if kind is not None and kind not in self.errors:
             raise UsageError(f"--kind {kind}: the calibration knows {', '.join(self.errors)}")
-        found = self.fits.get(ALL) or self.fits.get(kind or "")
+        found = self.matrices.get(ALL) or self.matrices.get(kind or "")
         if found is None:
-            raise UsageError(f"the calibration holds a matrix for each of {', '.join(self.fits)}: state --kind")
+            raise UsageError(f"the calibration holds a matrix for each of {', '.join(self.matrices)}: state --kind")
         return found
 
     def error(self, kind: str | None, xyz: Array) -> Array:
@@ -108,10 +92,11 @@ class ColourCalibration(FileSection):
         """
         square, found = np.sum(xyz, axis=-1)[..., None, None] ** 2, []
         for name in self.errors if kind is None else (kind,):
-            linear = self.display_errors.get(name)
-            found.append(
-                square * self.errors[name] if linear is None else np.einsum("iajb,...a,...b->...ij", linear, xyz, xyz)
-            )
+            if name in self.display_errors:
+                linear = self.display_errors[name].reshape(3, 3, 3, 3)
+                found.append(np.einsum("iajb,...a,...b->...ij", linear, xyz, xyz))
+            else:
+                found.append(square * self.errors[name])
         return np.asarray(np.mean(found, axis=0))
 
     def convert(self, signal: Array, covariance: Array, kind: str | None) -> tuple[Array, Array]:
@@ -143,7 +128,7 @@ class ColourCalibration(FileSection):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping that is written to the file."""
-        return {"format": FORMAT, **self.model_dump(mode="json", by_alias=True, exclude_none=True)}
+        return {"format": FORMAT, **self.model_dump(mode="json", exclude_none=True)}
 
     def write(self, path: Path) -> None:
         """Write it as one YAML file, whole or not at all. Raises OutputError."""

@@ -12,11 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.spatial import ConvexHull
-from scipy.stats import t as student_t
 
 from radiometer.analysis.colour.plausible import plausible_cameras, plausible_lights
 from radiometer.analysis.photometry.displays import display_primaries, tristimulus_of
 from radiometer.analysis.photometry.photometry import DISPLAY_TYPES
+from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data.validation import FileArray, FileSection
 from radiometer.errors import CalibrationError
 from radiometer.statistics.least_squares import solve
@@ -147,7 +147,7 @@ def _covering(off: Array, freedom: int) -> Array:
     """
     mean = off.T @ off / len(off)
     far = np.quantile(np.abs(off) / np.sqrt(np.maximum(np.diag(mean), 1e-30)), _COVERED)
-    few = float(student_t.ppf(0.5 + _COVERED / 2.0, freedom)) / 2.0
+    few = coverage_factor(freedom) / 2.0
     return np.asarray(max(few, float(far) / 2.0) ** 2 * mean + _LEAST_ERROR**2 * np.eye(3))
 
 
@@ -166,7 +166,7 @@ def errors_of_other_lights(
     """Return the error of a matrix by kind of plausible light, and as a function of X, Y, Z for types of display.
 
     The first are covariances over (X + Y + Z)². The light of a display is a mixture of its primaries, so its error is
-    linear in X, Y, Z: e = D·(X, Y, Z). The second are covariances of D over the displays of a type, shape (3, 3, 3, 3).
+    linear in X, Y, Z: e = D·(X, Y, Z). The second are covariances of D over the displays of a type, shape (9, 9).
 
     Args:
         matrix: Shape (3, channels).
@@ -205,16 +205,14 @@ def errors_of_other_lights(
 
 
 def _of_displays(kind: str, pairs: list[tuple[Array, Array]], u_scale: float) -> Array:
-    """Return the covariance of D, shape (3, 3, 3, 3), over displays of a type and pairs of a matrix and a camera."""
+    """Return the covariance of D, shape (9, 9), over displays of a type and pairs of a matrix and a camera."""
     displays = display_primaries(kind)
     off = [
         np.eye(3) - tristimulus_of(primaries).T @ np.linalg.pinv(fitted @ camera @ primaries.T)
         for fitted, camera in pairs
         for primaries in displays
     ]
-    few = float(student_t.ppf(0.5 + _COVERED / 2.0, len(displays))) / 2.0
-    mean = few**2 * np.mean([np.multiply.outer(one, one) for one in off], axis=0)
-    alike = np.multiply.outer(np.eye(3), np.eye(3))
-    return np.asarray(
-        mean + u_scale**2 * alike + _LEAST_ERROR**2 * np.einsum("ij,ab->iajb", np.eye(3), np.ones((3, 3)))
-    )
+    few = coverage_factor(len(displays)) / 2.0
+    mean = few**2 * np.mean([np.outer(one, one) for one in off], axis=0)
+    alike = u_scale**2 * np.outer(np.eye(3), np.eye(3))
+    return np.asarray(mean + alike + _LEAST_ERROR**2 * np.kron(np.eye(3), np.ones((3, 3))))

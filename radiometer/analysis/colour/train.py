@@ -62,7 +62,7 @@ def train_on_lights(
             )  # fmt: skip
         own = {kind: max(fits[name].error, others.get(kind, fits[name].error), key=np.trace) for kind in trained}
         errors |= own if part else {**others, **own}
-        left_out = np.einsum("ij,ab->iajb", fits[name].error, np.ones((3, 3)))
+        left_out = np.kron(fits[name].error, np.ones((3, 3)))
         for kind, one in linear.items():
             if part in (None, kind):
                 of_displays[kind] = one + left_out if kind in trained else one
@@ -76,7 +76,7 @@ def train_on_lights(
     origin = Provenance("least squares weighted by 1/u²", known.inputs, tuple(assumed), {"per_kind": per_kind})
     return ColourCalibration(
         channels=known.channels, camera=known.camera, lens=known.lens, conditions=known.conditions, iso=known.iso,
-        unit=LUMINANCE_UNIT, fits=fits, errors=errors, trained=kinds,
+        unit=LUMINANCE_UNIT, matrices=fits, errors=errors, trained=kinds,
         training=training, u_rel=u_rel, provenance=origin, display_errors=of_displays,
     )  # fmt: skip
 
@@ -116,7 +116,7 @@ def train_on_responsivities(
     trained = tuple(fits) if per_kind else tuple(plausible_lights())
     return ColourCalibration(
         channels=known.channels, camera=known.camera, lens=known.lens, conditions=known.conditions, iso=known.iso,
-        unit=unit, fits=fits, errors=errors, trained=trained,
+        unit=unit, matrices=fits, errors=errors, trained=trained,
         training=scale, u_rel=u_all, provenance=origin, display_errors=of_displays,
     )  # fmt: skip
 

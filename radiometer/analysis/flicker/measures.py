@@ -20,7 +20,6 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, resample_poly
-from scipy.stats import t as student_t
 
 from radiometer.analysis.flicker.waveform import (
     Period,
@@ -31,6 +30,7 @@ from radiometer.analysis.flicker.waveform import (
     spectrum,
     whole_periods,
 )
+from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 from radiometer.statistics.scale import jackknife_u
@@ -65,7 +65,6 @@ _DRAWS: Final = 6
 _LATTICE: Final = 1e-4  # of a step, to which differences of rounded values are multiples of it
 _NO_STEP: Final = 1e-4  # of the range: what finer steps move is nothing
 _SAME_REL: Final = 1e-9  # of the range: values that are written alike
-_COVERAGE: Final = 0.9545  # of the expanded uncertainty
 # Shape of a period.
 _MOST_POINTS: Final = 4096  # phases that are kept apart: a mean over one keeps 1 − 1e-7 of a sinusoid
 _GRID: Final = 2880  # phases at which a series is evaluated
@@ -165,7 +164,7 @@ def measure_flicker(waveform: Waveform) -> Flicker:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
     frequency = None if period is None else Quantity(period.frequency_hz, period.u_hz, "Hz")
-    k = float(student_t.ppf(0.5 + _COVERAGE / 2.0, blocks - 1)) if blocks else 2.0
+    k = coverage_factor(blocks - 1) if blocks else 2.0
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
 
 

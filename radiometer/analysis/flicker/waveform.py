@@ -102,13 +102,7 @@ def read_waveform(
 
 
 def _rate_hz(path: Path, time_s: Array, written: tuple[float, float]) -> float:
-    """Return the rate of times that rise in equal steps.
-
-    Args:
-        path: The table, for messages.
-        time_s: Times in s, shape (n,).
-        written: Step of the decimals in which the times are written, and their span, in one unit.
-    """
+    """Return the rate of times that rise in equal steps; `written` are their step of decimals and span, in one unit."""
     if time_s.size < FEWEST_SAMPLES:
         raise InputError(f"{path}: {time_s.size} samples; a waveform needs {FEWEST_SAMPLES}")
     step_s = (time_s[-1] - time_s[0]) / (time_s.size - 1)

@@ -51,7 +51,7 @@ def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
     u_excess = math.hypot(own_u[0] / values[0], own_u[-1] / values[-1])
     excess, notes = Quantity(float(values[0] / values[-1] - 1.0), u_excess, "1"), list[str]()
     fitted = _relaxation(times, values, own_u) if abs(excess.value) > 3.0 * u_excess else None
-    figures = [Figure("excess_at_start", fitted[0] if fitted else excess), *(_times(*fitted) if fitted else ())]
+    figures = _times(*fitted) if fitted else [Figure("excess_at_start", excess)]
     if fitted is None:
         notes.append("the change is too small, or was watched for too short, for the time constant")
     figures.append(Figure("drift_at_end", Quantity(outcome.drift_rel, u_excess, "1")))
@@ -67,8 +67,8 @@ def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
     )  # fmt: skip
 
 
-def _relaxation(times: Array, values: Array, own_u: Array) -> tuple[Quantity, Quantity, float] | None:
-    """Return amplitude, time constant in s and their covariance; None where the data do not hold them."""
+def _relaxation(times: Array, values: Array, own_u: Array) -> tuple[Array, Array] | None:
+    """Return amplitude and time constant in s, and their covariance; None where the data do not hold them."""
     if times.size < 4:
         return None
     start = (float(values[-1]), float(values[0] / values[-1] - 1.0), float(times[-1]) / 2.0)
@@ -82,24 +82,22 @@ def _relaxation(times: Array, values: Array, own_u: Array) -> tuple[Quantity, Qu
         return None
     gap = (values - law(times, *found)) / np.maximum(own_u, 1e-9 * values)
     spread = spread * max(1.0, float(np.sum(gap**2)) / (times.size - 3))
-    u_size, u_tau = (float(np.sqrt(spread[i, i])) for i in (1, 2))
-    if found[2] <= 0.0 or u_tau > 0.5 * found[2]:
-        return None
-    return Quantity(float(found[1]), u_size, "1"), Quantity(float(found[2]), u_tau, "s"), float(spread[1, 2])
+    return (found[1:], spread[1:, 1:]) if found[2] > 0.0 and math.sqrt(spread[2, 2]) <= 0.5 * found[2] else None
 
 
-def _times(size: Quantity, tau: Quantity, shared: float) -> list[Figure]:
-    """Return the time constant, and when luminance is within each limit of the final one: τ·ln(|a|/limit)."""
-    found = [Figure("time_constant", tau)]
+def _times(found: Array, covariance: Array) -> list[Figure]:
+    """Return amplitude, time constant, and when luminance is within each limit of the final one: τ·ln(|a|/limit)."""
+    (size, tau), (u_size, u_tau) = found.tolist(), np.sqrt(np.diag(covariance)).tolist()
+    figures = [
+        Figure("excess_at_start", Quantity(size, u_size, "1")),
+        Figure("time_constant", Quantity(tau, u_tau, "s")),
+    ]
     for limit in _LIMITS:
-        name, ratio = f"warm_up_time_{100 * limit:g}_percent", abs(size.value) / limit
-        if ratio <= 1.0:
-            found.append(Figure(name, Quantity(0.0, 0.0, "s")))
-            continue
-        by_tau, by_size = math.log(ratio), tau.value / size.value
-        variance = (by_tau * tau.u) ** 2 + (by_size * size.u) ** 2 + 2.0 * by_tau * by_size * shared
-        found.append(Figure(name, Quantity(tau.value * by_tau, math.sqrt(max(variance, 0.0)), "s")))
-    return found
+        ratio = max(abs(size) / limit, 1.0)
+        slope = np.array([tau / size, math.log(ratio)]) if ratio > 1.0 else np.zeros(2)
+        u = math.sqrt(max(float(slope @ covariance @ slope), 0.0))
+        figures.append(Figure(f"warm_up_time_{100 * limit:g}_percent", Quantity(tau * math.log(ratio), u, "s")))
+    return figures
 
 
 def _white(examined: Examined) -> Section:
@@ -169,7 +167,8 @@ def _gamma(examined: Examined) -> Section:
             local = derived([black, one, white], partial(_local, drive=drive), drift_rel=drift)
         rows.append((f"{round(drive * _TOP)}", examined.luminance(one.radiance), local))
     notes = () if all(clear) else ("levels that do not rise above black by three standard uncertainties are left out",)
-    slope, misfit = (derived(readings, partial(_part, line, at), drift_rel=drift) for at in (0, 1))
+    slope = derived(readings, lambda values: line(values)[0], drift_rel=drift)
+    misfit = derived(readings, lambda values: line(values)[1], drift_rel=drift)
     # Where the greys follow no power, the slope depends on which levels were read.
     of_line = misfit.value / max(float(np.std(logs)) * math.sqrt(max(logs.size - 2, 1)), 1e-300)
     return Section(
@@ -178,10 +177,6 @@ def _gamma(examined: Examined) -> Section:
         (Figure("gamma", replace(slope, u=math.hypot(slope.u, of_line))), Figure("misfit_rms", misfit)),
         ("level", "luminance (cd·m⁻²)", "local gamma"), tuple(rows), notes,
     )  # fmt: skip
-
-
-def _part(of: Callable[[Array], tuple[float, float]], at: int, values: Array) -> float:
-    return of(values)[at]
 
 
 def _local(values: Array, drive: float) -> float:

@@ -197,7 +197,7 @@ def test_a_known_light_five_times_as_bright_scales_x_y_z_and_each_term_of_their_
     for brighter in (1.0, 5.0):
         known = replace(lights, xyz=brighter * lights.xyz)
         made = train_on_responsivities(camera, known, per_kind=False, u_rel=0.0)
-        found.append((*made.convert(lights.signal, noise, "surfaces"), made.fits["all"].spread))
+        found.append((*made.convert(lights.signal, noise, "surfaces"), made.matrices["all"].spread))
     for one, five, power in zip(*found, (1, 2, 2), strict=True):
         assert five == pytest.approx(5.0**power * one, rel=1e-9)
 
@@ -252,7 +252,7 @@ def test_a_file_gives_back_the_calibration_with_its_raw_readings(tmp_path: Path)
     again = ColourCalibration.read(tmp_path / "colour.yaml")
     assert again.to_mapping() == known.to_mapping()
     assert again.training is not None
-    assert fit_matrix(again.training).matrix == pytest.approx(known.fits["all"].matrix, rel=1e-12)
+    assert fit_matrix(again.training).matrix == pytest.approx(known.matrices["all"].matrix, rel=1e-12)
     text = (tmp_path / "colour.yaml").read_text(encoding="utf-8")
     (tmp_path / "other.yaml").write_text(text.replace("channels: [red, green, blue]", "channels: [red, green]"))
     with pytest.raises(CalibrationError, match="has not 2 channels"):
