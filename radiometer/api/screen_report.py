@@ -23,8 +23,16 @@ from radiometer.progress import counted
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 from radiometer.screen.plan import parse_levels
-from radiometer.screen.report.figures import FIELD_SHARE, GEOMETRIES, POINTS, Examined, Geometry, Section
-from radiometer.screen.report.methods import chosen_methods, examine
+from radiometer.screen.report import (
+    FIELD_SHARE,
+    GEOMETRIES,
+    POINTS,
+    Examined,
+    Geometry,
+    Section,
+    chosen_methods,
+    examine,
+)
 from radiometer.typing import Array
 
 if TYPE_CHECKING:

@@ -68,7 +68,7 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/photographs/*.py",
         "radiometer/screen/*.py",
         "radiometer/screen/exports/*.py",
-        "radiometer/screen/report/*.py",
+        "radiometer/screen/report.py",
     ),
     "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
     "reconcile_rooms": (

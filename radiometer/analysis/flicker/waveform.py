@@ -170,7 +170,7 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
     seen = [find_period(one, _FEWEST_SEEN) for one in (plain, Waveform(rows, 1.0, ""))]
     unknown = plain, Waveform(rows / rows.mean(), 1.0, "")
     starts = {several * one.frequency_hz for one in seen if one is not None for several in (1, 2)}
-    starts.add(_few_periods(rows, np.hstack([np.ones((rows.size, 1)), powers])))
+    starts |= {several / rows.size for several in (1.5, 2.0, 3.0)}
     scale, fits = np.array([0.1 / rows.size, *[0.1] * _FALL_OFF_DEGREE]), list[Any]()
     for start in sorted(one for one in starts if one < 0.45):
         order = max(1, min(_MOST_HARMONICS, int(0.45 / start)))
@@ -180,8 +180,6 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
             return np.asarray(rows - columns @ np.linalg.lstsq(columns.T @ columns, columns.T @ rows, rcond=None)[0])
 
         fits.append(least_squares(left, [start, *np.zeros(_FALL_OFF_DEGREE)], x_scale=scale))
-    if not fits:
-        return unknown
     # Half a frequency explains what the whole one does: the highest that does counts.
     least = min(one.cost for one in fits)
     found = max((one for one in fits if one.cost <= _NO_WORSE * least), key=lambda one: one.x[0])
@@ -207,20 +205,6 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
         )
         or unknown
     )
-
-
-def _few_periods(rows: Array, trend: Array) -> float:
-    """Return the frequency per row of up to 16 periods that with a trend explains most of the rows."""
-    step = -(-rows.size // 512)
-    few, index = rows[::step], np.arange(rows.size)[::step]
-
-    def unexplained(frequency: float) -> float:
-        phases = np.asarray(frequency * index, dtype=np.float64)
-        columns = np.hstack([trend[::step], harmonic_columns(phases, 2)[:, 1:]])
-        return float(np.sum((few - columns @ np.linalg.lstsq(columns, few, rcond=None)[0]) ** 2))
-
-    frequencies = np.arange(_FEWEST_SEEN, 16.0, 0.125) / rows.size
-    return float(min(frequencies.tolist(), key=unexplained))
 
 
 @dataclass(frozen=True, slots=True)

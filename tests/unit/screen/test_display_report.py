@@ -15,7 +15,7 @@ from radiometer.cli.main import run
 from radiometer.data import RadianceMap
 from radiometer.devices import DisplayPatch
 from radiometer.errors import CalibrationError
-from radiometer.screen.report.mura import mura_of
+from radiometer.screen.report import mura_of
 from simulators.displays import DISPLAYS, SimulatedDisplay
 
 WHITE, BLACK = DisplayPatch((1.0, 1.0, 1.0)), DisplayPatch((0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Methods of a display report: those of the Information Display Measurements Standard (IDMS) carry its section.
+"""Report of a display: methods of the Information Display Measurements Standard (IDMS), each with conditions and u.
 
 Source: IDMS 1.1 and later (Society for Information Display), sections 5.3, 5.6, 5.14, 5.26, 8.1.2 and 9.4, as the
 Digital Cinema Compliance Test Plan 1.4.3 applies them; 8.2.3 by its title in IDMS 1.03.
@@ -8,35 +8,206 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Final, Literal, Protocol
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 from scipy.optimize import curve_fit
 from scipy.special import ndtri
 
-from radiometer.data import Quantity, Reading
+from radiometer.analysis.reading.budget import propagated_u
+from radiometer.analysis.regions.figures import LOST, spread_beyond_noise
+from radiometer.data import Flag, Patch, Quantity, RadianceMap, Reading
 from radiometer.devices import DisplayPatch
-from radiometer.errors import UsageError
-from radiometer.numbers import upper_limit
+from radiometer.errors import MeasurementError, UsageError
+from radiometer.numbers import unit_text, upper_limit
+from radiometer.screen.calibration_run import Instrumented
 from radiometer.screen.checks import WarmUp, wait_until_steady
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep
-from radiometer.screen.report.figures import BLACK, CENTRE, POINTS, WHITE, Examined, Figure, Section, derived, ratio_of
-from radiometer.screen.report.mura import COARSE_SHARE, FINE_SHARE, mura_of
-from radiometer.screen.run import measure_steps
+from radiometer.screen.run import Light, measure_steps
 from radiometer.typing import Array
 
+WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
+BLACK: Final = DisplayPatch((0.0, 0.0, 0.0))
+Bound = Literal["", "above", "below"]
 _TOP: Final = 255  # highest of the 8-bit levels that patches are made of
 _STEEP: Final = 0.9  # of the drive: above it the logarithm that a local gamma is divided by is nearly 0
 _CONTRADICTION_REL: Final = 0.01  # of white: below it, assumed spectra agree as well as cameras measure
 _LIMITS: Final = (0.05, 0.01)  # warm-up is over within 5 %, or within 1 %, of the final luminance
+# Standard deviations of the two Gaussians over the height: finer structure is noise and pixels, coarser one shading.
+_FINE_SHARE: Final = 0.02
+_COARSE_SHARE: Final = 0.15
+_DEGREE: Final = 4  # of the polynomial of x and y that takes off the shading, which a border would show as a spot
+_FEWEST_GOOD: Final = 0.9  # share of pixels with a value
 _PRIMARIES: Final[Mapping[str, DisplayPatch]] = {
     "red": DisplayPatch((1.0, 0.0, 0.0)),
     "green": DisplayPatch((0.0, 1.0, 0.0)),
     "blue": DisplayPatch((0.0, 0.0, 1.0)),
 }
+
+
+def _grid(*shares: float) -> tuple[tuple[float, float], ...]:
+    return tuple((x, y) for y in shares for x in shares)
+
+
+# Titles, and places as shares of width and height. Nine: the outer ones 10 % from the edges. Thirteen: the middles of
+# 3 × 3 equal fields, and four places at 10 % of the way from the corners to the centre (also ANSI IT7.228).
+# Twenty-five: 5 × 5 places with the nine among them.
+POINTS: Final = {
+    9: ("Sampled vantage-point uniformity (9 points, IDMS 8.1.2)", _grid(0.1, 0.5, 0.9)),
+    13: ("Sampled uniformity (13 points, IEC 61947-1)", (*_grid(1 / 6, 1 / 2, 5 / 6), *_grid(0.05, 0.95))),
+    25: ("Sampled uniformity (25 points)", _grid(0.1, 0.3, 0.5, 0.7, 0.9)),
+}
+CENTRE: Final = (0.5, 0.5)
+FIELD_SHARE: Final = 0.08  # side of a measuring field over the height: it fits at the corner places, 5 % from the edge
+_FEWEST_PX: Final = 3  # a field of fewer pixels on a side says nothing of its scatter
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """How display and camera stand to each other."""
+
+    conditions: tuple[str, ...]  # sentences for the report
+    angles_deg: tuple[float, ...] = ()  # angles from the normal to measure at, besides 0
+    pupil_mm: tuple[float, float] | None = None  # least and largest entrance pupil of the lens; None for any
+
+
+GEOMETRIES: Final = {
+    "direct": Geometry(("the camera looks along the normal at the centre of the screen",)),
+    "viewing_angle": Geometry(
+        (
+            "the camera looks at the centre of the screen",
+            "the screen is turned about its vertical axis through the centre; angles count from the normal",
+        ),
+        (-60.0, -45.0, -30.0, -15.0, 15.0, 30.0, 45.0, 60.0),
+    ),
+    "near_eye": Geometry(
+        (
+            "the entrance pupil of the lens is in the eye point of the display, and its axis along the eye's",
+            "the camera is focused at the virtual image; places are shares of its width and height",
+        ),
+        pupil_mm=(2.0, 5.0),  # IEC 63145-20-10: as of an eye
+    ),
+}
+
+
+def field_at(area: Patch, place: tuple[float, float]) -> Patch:
+    """Return the measuring field at a place of the screen. Raises UsageError where it has less than 3 pixels a side."""
+    side = round(FIELD_SHARE * area.height)
+    if side < _FEWEST_PX:
+        raise UsageError(
+            f"the screen is {area.width} × {area.height} pixels in the camera's picture: too small for a measuring "
+            f"field of {100 * FIELD_SHARE:g} % of its height; move the camera closer"
+        )
+    x = area.x + place[0] * area.width - side / 2
+    y = area.y + place[1] * area.height - side / 2
+    return Patch(max(area.x, round(x)), max(area.y, round(y)), side, side)
+
+
+class ReportBench(Instrumented, Protocol):
+    """A display with a camera that reads places of it and takes its picture."""
+
+    def readings(self, places: Sequence[Patch]) -> list[Reading]:
+        """Return the radiance of places, all from the same frames. Raises DeviceError, MeasurementError."""
+
+    def map_of(self, area: Patch) -> RadianceMap:
+        """Return the radiance of every pixel of an area. Raises DeviceError, MeasurementError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One result of a method; a bound is what the true value is above or below with 95 %."""
+
+    name: str
+    quantity: Quantity
+    bound: Bound = ""
+
+    @property
+    def text(self) -> str:
+        """Return it as it is printed, with its expanded uncertainty (k = 2) or as a bound."""
+        if not self.bound:
+            return self.quantity.text()
+        value = f"{self.quantity.value:.3g} {unit_text(self.quantity.unit)}".strip()
+        return f"{'>' if self.bound == 'above' else '<'} {value}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """Results of one method."""
+
+    method: str  # its name in commands and files
+    title: str  # its name, with the section of the IDMS where it is one of its methods
+    conditions: tuple[str, ...]  # what was shown and how it was measured, a sentence each
+    figures: tuple[Figure, ...]  # its results
+    columns: tuple[str, ...] = ()  # headings of its table
+    rows: tuple[tuple[str | float | Quantity, ...], ...] = ()  # cells of its table
+    notes: tuple[str, ...] = ()  # what limits the results, a sentence each
+    picture: Array | None = None  # values over the screen, shape (height, width); None for none
+
+    def figure(self, name: str) -> Figure:
+        """Return a figure by name. Raises KeyError."""
+        return {one.name: one for one in self.figures}[name]
+
+
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """A display before its camera, and how it is to be measured."""
+
+    bench: ReportBench
+    area: Patch  # where the camera sees the whole screen
+    lights: Mapping[str, Light]  # light of every channel whose spectrum is known
+    turn: Callable[[float], None]  # turns the screen to an angle in degrees from its normal
+    points: int
+    checkers: tuple[int, int]
+    levels: tuple[int, ...]
+    angles_deg: tuple[float, ...]
+    unsettled_rel: float = 0.0  # standard uncertainty of the display's output between two readings
+
+    def shown(self, patch: DisplayPatch, places: Sequence[tuple[float, float]] = (CENTRE,)) -> list[Reading]:
+        """Show a patch and return the readings of places. Raises DeviceError, and MeasurementError if one clips."""
+        self.bench.display.show(patch)
+        found = self.bench.readings([field_at(self.area, place) for place in places])
+        if any(Flag.SATURATED in one.flags for one in found):
+            raise MeasurementError(
+                "the screen clips even at the shortest exposure; close the aperture or use a grey filter"
+            )
+        return found
+
+    def luminance(self, radiance: Quantity, channel: str = "grey") -> Quantity:
+        """Return the luminance in cd·m⁻² of a radiance in a channel's light."""
+        light = self.lights[channel]
+        u = math.hypot(radiance.u, radiance.value * light.u_photopic_rel)
+        return Quantity(radiance.value, u, radiance.unit).scaled(light.photopic_lm_per_w, "cd m-2")
+
+
+def derived(
+    readings: Sequence[Reading], of: Callable[[Array], float], unit: str = "1", drift_rel: float = 0.0
+) -> Quantity:
+    """Return a function of the radiances of readings of one calibration, with its standard uncertainty.
+
+    The display's output has the relative standard uncertainty `drift_rel` from one reading to the next.
+    """
+    values, own_u = np.array([(one.radiance.value, one.radiance.u) for one in readings]).T
+    # A thousandth of u: small against any bend within u, large against rounding.
+    steps = np.maximum(1e-3 * own_u, 1e-9 * np.abs(values).max())
+    gradient = np.array([of(values + moved) - of(values - moved) for moved in np.diag(steps)]) / (2 * steps)
+    u = np.hypot(propagated_u(readings, gradient), float(np.linalg.norm(gradient * values)) * drift_rel)
+    return Quantity(float(of(values)), float(u), unit)
+
+
+def ratio_of(bright: Sequence[Reading], dark: Sequence[Reading], name: str, drift_rel: float = 0.0) -> Figure:
+    """Return the ratio of two means; a lower bound where the dark one does not rise above its uncertainty."""
+    count = len(bright)
+    white, black = (derived(one, lambda v: float(v.mean())) for one in (bright, dark))
+    if black.value < 3.0 * black.u:  # three standard deviations of the blank: IUPAC's limit of detection
+        lowest = max(white.value - 2.0 * white.u, 0.0) / upper_limit(black.value, black.u)
+        return Figure(name, Quantity(lowest, float("nan"), "1"), "above")
+    ratio = derived([*bright, *dark], lambda v: float(v[:count].mean() / v[count:].mean()))
+    # All readings of white are of one moment, all of black of another.
+    return Figure(name, Quantity(ratio.value, math.hypot(ratio.u, ratio.value * drift_rel), "1"))
 
 
 def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
@@ -287,10 +458,75 @@ def _mura(examined: Examined) -> Section:
         "mura", "Mura analysis (IDMS 8.2.3; band-pass filter as below)",
         (
             "full-screen white, every pixel of the camera's picture",
-            f"band-pass: Gaussians of {100 * FINE_SHARE:g} % and {100 * COARSE_SHARE:g} % of the height, no shading",
+            f"band-pass: Gaussians of {100 * _FINE_SHARE:g} % and {100 * _COARSE_SHARE:g} % of the height, no shading",
         ),
         figures, notes=tuple(notes), picture=100.0 * found.relative,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mura:
+    """Band-passed relative non-uniformity and its largest spot."""
+
+    relative: Array  # band-passed radiance over the shading, shape (height, width)
+    spot: Quantity  # contrast of the largest spot after the filter; below 0 where it is dark
+    x: Quantity  # its place from the left edge over the width
+    y: Quantity  # its place from the upper edge over the height
+    rms: Quantity  # standard deviation over the screen, noise taken off
+    detection_limit: float  # what noise alone hardly reaches anywhere: 5 % of flat screens exceed it
+
+
+def mura_of(found: RadianceMap) -> Mura:
+    """Return the mura of a white screen that fills a map.
+
+    B = (G_fine ∗ L − G_coarse ∗ L)/S with normalised Gaussians G and the shading S, a polynomial of degree four. The
+    polynomial is divided out first. The filters weigh by the pixels that have a value, so they reach the edges. Raises
+    MeasurementError if more than a tenth of its pixels have no value.
+    """
+    good = (found.mask & LOST) == 0
+    if float(good.mean()) < _FEWEST_GOOD:
+        raise MeasurementError("more than a tenth of the screen has no value: check its area and the exposures")
+    light = np.where(good, found.radiance, 0.0).astype(np.float64)
+    shading = _shading(light, good)
+    flat = np.where(good, light / shading, 0.0)
+    own = np.where(good, found.parts_of_u(np.s_[:, :])[0] / shading, 0.0)
+    height, width = flat.shape
+    fine, coarse = _FINE_SHARE * height, _COARSE_SHARE * height
+    weight = _blurred(good.astype(np.float64), fine)
+    band = _blurred(flat, fine) / weight - _blurred(flat, coarse) / _blurred(good.astype(np.float64), coarse)
+    # The square of a Gaussian is a Gaussian of σ/√2 over 4πσ²; the coarse one adds below a fiftieth of the variance.
+    noise = np.sqrt(_blurred(own**2, fine / math.sqrt(2.0)) / (4.0 * math.pi * fine**2)) / weight
+    cells = max(2.0, flat.size / (4.0 * math.pi * fine**2))
+    # The largest contrast that noise cannot have made: at edges and corners the filter holds fewer pixels.
+    sure = np.abs(band) - math.sqrt(2.0 * math.log(cells)) * noise
+    y, x = (int(i) for i in np.unravel_index(int(np.argmax(sure)), band.shape))
+    spot, u = float(band[y, x]), float(noise[y, x])
+    # The largest of many spots of nearly one size is large by chance as well.
+    tied = max(1.0, cells * float(np.mean(np.abs(band) > abs(spot) - 2.0 * math.sqrt(2.0) * u)))
+    u_spot = u * math.hypot(1.0, math.sqrt(2.0 * math.log(tied)) / math.sqrt(3.0))
+    # A maximum of width σ is found to about σ·noise/height; a pixel is a rectangle.
+    u_place = math.hypot(math.sqrt(2.0) * fine * u / max(abs(spot), u), 1.0 / math.sqrt(12.0))
+    return Mura(
+        band,
+        Quantity(spot, u_spot, "1"),
+        Quantity((x + 0.5) / width, u_place / width, "1"),
+        Quantity((y + 0.5) / height, u_place / height, "1"),
+        spread_beyond_noise(float(band.var()), float(np.mean(noise**2)), cells),
+        u * math.sqrt(2.0 * math.log(20.0 * cells)),
+    )
+
+
+def _blurred(values: Array, sigma: float) -> Array:
+    return np.asarray(gaussian_filter(values, sigma, mode="constant"), dtype=np.float64)
+
+
+def _shading(light: Array, good: Array) -> Array:
+    """Return the polynomial of x and y that is nearest to the light, shape (height, width)."""
+    height, width = light.shape
+    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+    basis = np.stack([x**i * y**j for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)], axis=-1)
+    found = np.linalg.lstsq(basis[good], light[good], rcond=None)[0]
+    return np.asarray(basis @ found, dtype=np.float64)
 
 
 def _viewing_angle(examined: Examined) -> Section:
