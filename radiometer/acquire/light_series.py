@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.acquire.bracketing import own_shutter, take_dark_frames
-from radiometer.analysis.flicker.waveform import Waveform
+from radiometer.analysis.flicker import Waveform
 from radiometer.data import Frame, Patch
 from radiometer.devices import Camera, Roi
 from radiometer.errors import DeviceError, MeasurementError

@@ -12,16 +12,16 @@ import numpy as np
 
 from radiometer.analysis.exports.maps import MapPicture, in_luminance, read_tiff
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
-from radiometer.analysis.regions.figures import (
+from radiometer.analysis.regions import (
     Profile,
     Projection,
     RegionFigures,
+    glare_of,
     profile,
     ratio_of,
     region_figures,
     vertical_illuminance,
 )
-from radiometer.analysis.regions.glare import glare_of
 from radiometer.analysis.signal.situation import contradicted, same_light
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch

@@ -12,16 +12,21 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from radiometer.analysis.colour.calibration import ColourCalibration, reference
+from radiometer.analysis.colour.calibration import (
+    ColourCalibration,
+    ColourCamera,
+    Training,
+    reference,
+    train_on_lights,
+    train_on_responsivities,
+)
 from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra, spectrum_of
 from radiometer.analysis.colour.chromaticity import QUANTITIES, Coordinates, coordinates, locus_points, tristimulus
-from radiometer.analysis.colour.matrix import Training
-from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
 from radiometer.analysis.exports.maps import MapPicture, writer_for
 from radiometer.analysis.photometry.displays import GRID_NM, on_grid
 from radiometer.analysis.photometry.photometry import luminous_efficacy, spectral_columns
 from radiometer.analysis.reading.budget import carried, frame_conditions
-from radiometer.analysis.regions.figures import LOST, region_figures
+from radiometer.analysis.regions import LOST, region_figures
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import ResponseLike, merge
@@ -356,11 +361,15 @@ class _Channels:
         return tuple(dict.fromkeys(text for one in self.maps.values() for text in one.provenance.assumptions))
 
     @property
+    def camera(self) -> ColourCamera:
+        """Return the camera as its frames were taken."""
+        iso = min((one.iso for one in self.settings if one.iso is not None), default=None)
+        return ColourCamera(tuple(self.maps), self.setup.camera, self.setup.lens, frame_conditions(self.settings), iso)
+
+    @property
     def reference(self) -> Calibration:
         """Return how the frames were taken, for comparison with others."""
-        iso = min((one.iso for one in self.settings if one.iso is not None), default=None)
-        when = (self.setup.taken or dt.datetime.now(dt.UTC)).isoformat()
-        return reference(self.setup.camera, self.setup.lens, frame_conditions(self.settings), iso, when)
+        return reference(self.camera, (self.setup.taken or dt.datetime.now(dt.UTC)).isoformat())
 
     def carried(self, to: Calibration) -> tuple[_Channels, float]:
         """Return the channels as if taken as a calibration's frames were, and the relative u of that."""
@@ -502,10 +511,7 @@ def _lights(
         rows.append((light.name, light.kind or kind or _UNSTATED, signal, u_signal, xyz, u_rel))
     names, kinds, *numbers = zip(*rows, strict=True)
     training = Training(names, kinds, *(np.array(one) for one in numbers))
-    first = next(iter(seen.values()))[0]
-    base = first.reference
-    camera = ColourCamera(tuple(first.maps), base.camera, base.lens, base.scale.conditions, base.scale.iso)
-    return training, np.array(curves) if curves else None, camera
+    return training, np.array(curves) if curves else None, next(iter(seen.values()))[0].camera
 
 
 def _responsivities(path: Path, channels: tuple[str, ...]) -> Array:

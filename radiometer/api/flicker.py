@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from radiometer.acquire.light_series import take_series
-from radiometer.analysis.flicker.measures import Flicker, measure_flicker
-from radiometer.analysis.flicker.waveform import Waveform, find_period, read_waveform, waveform_of_rows
+from radiometer.analysis.flicker import Flicker, Waveform, find_period, measure_flicker, read_waveform, waveform_of_rows
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Drawn, Notice, unheard

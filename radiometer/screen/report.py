@@ -18,7 +18,7 @@ from scipy.optimize import curve_fit
 from scipy.special import ndtri
 
 from radiometer.analysis.reading.budget import propagated_u
-from radiometer.analysis.regions.figures import LOST, spread_beyond_noise
+from radiometer.analysis.regions import LOST, spread_beyond_noise
 from radiometer.data import Flag, Patch, Quantity, RadianceMap, Reading
 from radiometer.devices import DisplayPatch
 from radiometer.errors import MeasurementError, UsageError
@@ -571,7 +571,7 @@ METHODS: Final[Mapping[str, Callable[[Examined], Section]]] = {
 }
 
 
-def chosen_methods(names: Sequence[str], *, turned: bool) -> tuple[str, ...]:
+def methods_of(names: Sequence[str], *, turned: bool) -> tuple[str, ...]:
     """Return the methods to run in order: the named ones; by default all that the geometry has.
 
     The viewing angle needs a geometry with angles to turn the screen to. Raises UsageError if it is asked for without,

@@ -9,11 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.analysis.colour.calibration import ColourCalibration
+from radiometer.analysis.colour.calibration import (
+    GRID_NM,
+    ColourCalibration,
+    ColourCamera,
+    Training,
+    fit_matrix,
+    on_grid,
+    plausible_lights,
+    train_on_lights,
+    train_on_responsivities,
+    tristimulus_of,
+)
 from radiometer.analysis.colour.chromaticity import coordinates
-from radiometer.analysis.colour.matrix import Training, fit_matrix
-from radiometer.analysis.colour.plausible import GRID_NM, on_grid, plausible_lights, tristimulus_of
-from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
 from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.data.mosaic import COLOURS
 from radiometer.errors import CalibrationError, UsageError
