@@ -116,10 +116,6 @@ class Waveform:
         """Return samples over rate in s."""
         return self.light.size / self.rate_hz
 
-    def cut(self, samples: int) -> Waveform:
-        """Return its first samples."""
-        return replace(self, light=self.light[:samples], others=())
-
     def at_rate(self, rate_hz: float) -> Waveform:
         """Return the same samples taken at another rate."""
         return replace(self, rate_hz=rate_hz, others=tuple(one.at_rate(rate_hz) for one in self.others))
@@ -380,7 +376,7 @@ def whole_periods(waveform: Waveform, period: Period | None) -> tuple[Waveform, 
     highest_hz = period.frequency_hz + 2.0 * period.u_hz
     count = int(waveform.duration_s * highest_hz + 0.5 * period.frequency_hz / waveform.rate_hz + 1e-6)
     samples = round(count / period.frequency_hz * waveform.rate_hz)
-    return (waveform, 0) if count < 1 else (waveform.cut(min(samples, waveform.light.size)), count)
+    return (waveform, 0) if count < 1 else (replace(waveform, light=waveform.light[:samples], others=()), count)
 
 
 @dataclass(frozen=True, slots=True)
@@ -425,7 +421,7 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         drawn = [of(one, period) for one in rounded]
         doubts = [of(one, again) - values for one, again in doubted]
         spread = np.std(drawn, axis=0, ddof=1) if drawn else 0.0
-        u = reduce(np.hypot, [own_u, spread, *doubts, np.abs(values) * waveform.u_dark / mean])
+        u = np.asarray(reduce(np.hypot, [own_u, spread, *doubts, np.abs(values) * waveform.u_dark / mean]))
         return [Quantity(float(value), float(one), "1") for value, one in zip(values, u, strict=True)]
 
     def of_blocks(of: Callable[[Waveform, Period | None], float]) -> Quantity:
@@ -729,7 +725,7 @@ class _Fold:
 
 def _folds(waveform: Waveform, period: Period) -> tuple[_Fold, list[_Fold]]:
     """Return all samples by phase, and those without one block of periods at a time."""
-    cycles = np.arange(waveform.light.size) * period.frequency_hz / waveform.rate_hz
+    cycles: Array = np.arange(waveform.light.size, dtype=np.float64) * (period.frequency_hz / waveform.rate_hz)
     periods = int(waveform.duration_s * period.frequency_hz + 1e-6)
     blocks = min(_MOST_BLOCKS, periods) if periods > 1 else 0
     block = np.minimum((cycles * blocks / max(periods, 1)).astype(np.intp), blocks - 1)

@@ -214,13 +214,13 @@ def profile(found: RadianceMap, start: tuple[float, float], end: tuple[float, fl
     if length < 1.0:
         raise InputError("profile: the two points are less than a pixel apart")
     normal = ((start[1] - end[1]) / length, (end[0] - start[0]) / length)
-    for off in (-(width_px - 1) / 2.0, (width_px - 1) / 2.0):
-        for at_x, at_y in ((one[0] + off * normal[0], one[1] + off * normal[1]) for one in (start, end)):
-            if not (-0.5 <= at_x <= width - 0.5 and -0.5 <= at_y <= height - 0.5):
-                raise InputError(
-                    f"profile: {at_x:g},{at_y:g}, within its width of {width_px} pixels, is outside the map of "
-                    f"{width} × {height} pixels"
-                )
+    sides = (-(width_px - 1) / 2.0, (width_px - 1) / 2.0)
+    for at_x, at_y in ((x + off * normal[0], y + off * normal[1]) for x, y in (start, end) for off in sides):
+        if not (-0.5 <= at_x <= width - 0.5 and -0.5 <= at_y <= height - 0.5):
+            raise InputError(
+                f"profile: {at_x:g},{at_y:g}, within its width of {width_px} pixels, is outside the map of "
+                f"{width} × {height} pixels"
+            )
     steps = np.linspace(0.0, 1.0, math.ceil(length) + 1)
     across = (np.arange(width_px) - (width_px - 1) / 2.0)[:, None]
     x, y = (start[k] + (end[k] - start[k]) * steps + normal[k] * across for k in (0, 1))

@@ -138,7 +138,8 @@ def alpha_opic(
             named = curve.spectrum
             assumptions.append(f"the spectrum of {channel} is that of the screen's calibration: {named}")
     elif isinstance(value, Reading) or reading is not None:
-        source = of_reading(value if reading is None else reading, lambda one: _quantity_of(one, named, assumptions))
+        stated = value if isinstance(value, Reading) else Path(str(reading))
+        source = of_reading(stated, lambda content: _quantity_of(content, named, assumptions))
     else:
         source = Quantity(float(value or 0.0), u, _SPELT.get(unit, unit))
     if source.unit not in UNITS:

@@ -20,7 +20,7 @@ from radiometer.analysis.colour.calibration import (
     train_on_lights,
     train_on_responsivities,
 )
-from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra, spectrum_of
+from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra
 from radiometer.analysis.colour.chromaticity import QUANTITIES, Coordinates, coordinates, locus_points, tristimulus
 from radiometer.analysis.exports.maps import MapPicture, writer_for
 from radiometer.analysis.photometry.displays import GRID_NM, on_grid
@@ -47,6 +47,7 @@ from radiometer.progress import unseen
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import listed, page, section, table
 from radiometer.typing import Array
+from radiometer.units import plain_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -501,7 +502,8 @@ def _lights(
             raise MeasurementError(f"light {light.name!r}: saturated pixels; capture shorter exposures")
         xyz, u_rel = light.xyz, light.u_rel
         if powers is not None:
-            spectrum = spectrum_of(light.name, powers, Path(str(spectra)))
+            if (spectrum := powers.get(plain_name(light.name))) is None:
+                raise InputError(f"{spectra}: has no column {light.name!r}; it has {', '.join(powers)}")
             curves.append(on_grid(spectrum))
             if xyz is None:
                 xyz, u_rel = tristimulus(spectrum), math.hypot(u_rel, luminous_efficacy(spectrum).u_rel)

@@ -156,7 +156,9 @@ def flicker(
     rows = waveform_of_rows(_plane(path, patch), row_time or 1.0, exposure, str(path), black_level, reference, u_dark)
     found_time = None if row_time is None else Quantity(row_time, 0.0, "s")
     if known_frequency is not None:
-        found_time = _row_time(rows, known_frequency)
+        if (period := find_period(rows)) is None:
+            raise InputError(f"{path}: no repetition in the rows, so no row time can be found; state --row-time")
+        found_time = Quantity(period.frequency_hz / known_frequency, period.u_hz / known_frequency, "s")
         rows = rows.at_rate(1.0 / found_time.value)
     return FlickerReport(rows, measure_flicker(rows), found_time)
 
@@ -183,11 +185,3 @@ def _plane(path: Path, patch: PatchLike | None) -> Any:
     if not region.fits(plane.shape):
         raise UsageError(f"--patch: leaves the frame of {plane.shape[1]} × {plane.shape[0]} pixels")
     return plane[region.slices].astype(np.float64)
-
-
-def _row_time(rows: Waveform, known_hz: float) -> Quantity:
-    """Return the time from row to row in s of light whose frequency is known; `rows` counts in rows."""
-    period = find_period(rows)
-    if period is None:
-        raise InputError(f"{rows.origin}: no repetition in the rows, so no row time can be found; state --row-time")
-    return Quantity(period.frequency_hz / known_hz, period.u_hz / known_hz, "s")

@@ -238,8 +238,8 @@ class ColourCalibration(FileSection):
 def reference(of: ColourCamera | ColourCalibration, created: str, *, absolute: bool = True) -> Calibration:
     """Return how frames were taken as a calibration of radiance states it, its scale 1."""
     scale = Scale(
-        value=1.0, u_rel=0.0, method="known_radiance" if absolute else "relative", f_number=of.lens.f_number, iso=of.iso,
-        conditions=of.conditions,
+        value=1.0, u_rel=0.0, method="known_radiance" if absolute else "relative", f_number=of.lens.f_number,
+        iso=of.iso, conditions=of.conditions,
     )  # fmt: skip
     return Calibration(of.camera, of.lens, scale, None, SensorNoise.of(of.camera), created=created)
 

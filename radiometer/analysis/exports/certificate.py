@@ -211,10 +211,6 @@ def _real(label: str, quantity: Quantity, k: float | None) -> Sequence[Any]:
     return ("si:real", ("si:label", label), ("si:value", value), ("si:unit", _UNITS[quantity.unit]), expanded or ())
 
 
-# How releases of D-SI call uncertainty and coverage factor: 1.x and 2.1 the first, 2.2 and later the second.
-_UNCERTAINTIES: Final = (("uncertainty", "coverageFactor"), ("valueExpandedMU", "coverageFactor"))
-
-
 @bounded_reader(error=InputError)
 def read_certificate(path: Path, unit: str) -> Quantity:
     """Return the value in W sr-1 m-2 or cd m-2 that a DCC of schema 2 or 3 states, with its standard uncertainty U/k.
@@ -237,9 +233,9 @@ def read_certificate(path: Path, unit: str) -> Quantity:
         raise InputError(
             f"{path}: states {len(found)} values in {unit}; just one is needed (units of its values: {stated})"
         )
-    for uncertainty, factor in _UNCERTAINTIES:
-        if _text(found[0], uncertainty) and _text(found[0], factor):
-            value, expanded, k = (_stated(path, found[0], tag) for tag in ("value", uncertainty, factor))
+    for uncertainty in ("uncertainty", "valueExpandedMU"):  # of D-SI 1.x and 2.1; of 2.2 and later
+        if _text(found[0], uncertainty) and _text(found[0], "coverageFactor"):
+            value, expanded, k = (_stated(path, found[0], tag) for tag in ("value", uncertainty, "coverageFactor"))
             _PLAUSIBLE[unit].check(f"{path}: value", value)
             _COVERAGE_FACTORS.check(f"{path}: coverage factor", k)
             if not 0.0 < expanded < float("inf"):
