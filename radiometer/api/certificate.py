@@ -29,7 +29,6 @@ _READING_METHOD: Final = (
     "An imaging sensor reads the patch at several exposures. Its response, black level and absolute scale come from "
     "the calibration that is named as equipment. The uncertainty follows the GUM.",
 )
-_K: Final = 2.0  # of a calibration's scale
 
 
 @dataclass(frozen=True, repr=False)
@@ -225,6 +224,6 @@ def _of_calibration(calibration: Calibration, laboratory: Laboratory, identifier
         identifier=identifier, title="radiometric calibration of a camera", date=calibration.created[:10],
         method=(calibration.provenance.method, f"The scale is by {scale.method.replace('_', ' ')}."), item=item,
         equipment=(("reference", scale.reference),) if scale.reference else (), conditions=tuple(conditions),
-        results=(("exposure per unit of the linear signal", exposure, _K),), budget=tuple(budget),
+        results=(("exposure per unit of the linear signal", exposure, 2.0),), budget=tuple(budget),
         version=radiometer.__version__,
     )  # fmt: skip

@@ -52,7 +52,6 @@ from radiometer.units import plain_name
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TrainedOn = Literal["chart", "responsivities"]
 _UNSTATED: Final = "light"  # kind of lights whose kind no chart and no option states
 _FORMS: Final = (".exr", ".tif", ".tiff")  # of maps of several quantities
 _SYMBOLS: Final = {"u_prime": "u′", "v_prime": "v′", "cct": "CCT", "duv": "Duv"}
@@ -186,7 +185,7 @@ def colour_calibrate(
     *,
     spectra: PathLike | None = None,
     responsivities: PathLike | None = None,
-    train_on: TrainedOn = "chart",
+    train_on: Literal["chart", "responsivities"] = "chart",
     kind: str | None = None,
     per_kind: bool = False,
     white: str | None = None,

@@ -32,7 +32,6 @@ from radiometer.typing import Array
 
 WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
 BLACK: Final = DisplayPatch((0.0, 0.0, 0.0))
-Bound = Literal["", "above", "below"]
 _TOP: Final = 255  # highest of the 8-bit levels that patches are made of
 _STEEP: Final = 0.9  # of the drive: above it the logarithm that a local gamma is divided by is nearly 0
 _CONTRADICTION_REL: Final = 0.01  # of white: below it, assumed spectra agree as well as cameras measure
@@ -123,7 +122,7 @@ class Figure:
 
     name: str
     quantity: Quantity
-    bound: Bound = ""
+    bound: Literal["", "above", "below"] = ""
 
     @property
     def text(self) -> str:

@@ -31,13 +31,6 @@ def _show(found: MapAnalysis) -> None:
     show_remarks(found.assumptions, flags=found.flags)
 
 
-def _two(text: str) -> tuple[str, ...]:
-    parts = tuple(words(text))
-    if len(parts) != 2:
-        raise UsageError(f"--contrast {text!r}: expected BRIGHT,DARK")
-    return parts
-
-
 def _regions(texts: Sequence[str]) -> dict[str, Patch]:
     found: dict[str, Patch] = {}
     for text in texts:
@@ -54,7 +47,7 @@ command = command_of(
     "analyse", _show, results=("csv", "report"), source=typer.Argument(metavar="MAP"),
     converters={"regions": _regions},
     regions=typer.Option("--region", metavar="NAME:X,Y,W,H", help="A region in pixels; may be repeated."),
-    contrast=typer.Option(parser=_two, metavar="BRIGHT,DARK"),
+    contrast=typer.Option(parser=words, metavar="BRIGHT,DARK"),
     line=typer.Option(
         parser=lambda text: tuple(parse_numbers(text, "--line", "X1,Y1,X2,Y2 in pixels", 4)), metavar="X1,Y1,X2,Y2"
     ),
