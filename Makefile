@@ -107,7 +107,7 @@ calibration: $(VENV)/.ready-run  ## Calibrate the simulated bench and box anew: 
 	  --u-rel 0.005 --spectrum white_led --validity-days 3650 \
 	  --stated glare_u=0 --stated exposure_u_s=0 --stated drift_u_rel_per_year=0 --stated polarisation_u_rel=0 \
 	  -o configs/calibrations/simulated.yaml --force
-	$(BIN)/radiometer light calibrate --box sim --seed 1 -o configs/calibrations/simulated-box.yaml --force
+	$(BIN)/radiometer light calibrate --box sim --seed 1 --spectral-u-rel 0.01 -o configs/calibrations/simulated-box.yaml --force
 
 # PsychoPy without what its windows, sounds and Builder need: that is some 3 GB, and none of it calibrates a screen.
 PSYCHOPY := psychopy==2026.2.5 six json_tricks psutil pyzmq requests packaging i18next astunparse esprima python-bidi \

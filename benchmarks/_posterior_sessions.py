@@ -132,7 +132,7 @@ def _answer(done: Reconciled) -> Record:
                 "gap": fit.gap if fit.is_full else None,
                 "log_density": np.round(fit.log_density, 2).tolist(),
             }
-            for fit in outcome.start.models.fits
+            for fit in outcome.start.models
         ],
     }
 

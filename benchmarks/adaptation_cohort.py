@@ -93,13 +93,14 @@ def intercepts(first_seed: int, subjects: int) -> str:
     protocol = read_protocol("rapid")
     bias = method_bias(protocol.method)
     assert bias is not None
-    rule = InterceptRule(INTERCEPT_LOG10, 6.5, bias.log10, bias.u_log10)
+    rule = InterceptRule(INTERCEPT_LOG10, 6.5)
     reported: dict[str, list[float]] = {}
     errors: dict[str, list[float]] = {}
     for name, draw in (("healthy", drawn_clinical_eye), ("AMD-like", drawn_amd_eye)):
         for seed in range(first_seed, first_seed + subjects):
             found = visit(protocol, draw(np.random.default_rng(seed)), seed)
-            met = rod_intercept(found.series, rule)
+            thresholds = replace(found.series, log_threshold=found.series.log_threshold - bias.log10)
+            met = rod_intercept(thresholds, rule, bias.u_log10)
             eye = found.eye
             truth_min = eye.s2_zero_min + (INTERCEPT_LOG10 - eye.rod_final_log10) / eye.s2_slope_per_min
             reported.setdefault(name, []).append(protocol.end.duration_min if met is None else met.time_min)

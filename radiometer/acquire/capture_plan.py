@@ -11,14 +11,14 @@ from pydantic import Field
 
 from radiometer.data import Frame
 from radiometer.data.storage import read_yaml
-from radiometer.data.validation import FileSection, validate
+from radiometer.data.validation import ConfigSection, validate
 from radiometer.devices import Camera
 from radiometer.errors import UsageError
 
 FORMAT = "radiometer-plan/1"
 
 
-class PlannedFrames(FileSection):
+class PlannedFrames(ConfigSection):
     """Frames at one setting; what is missing stays as the bench has it."""
 
     exposure_s: float = Field(gt=0)
@@ -30,7 +30,7 @@ class PlannedFrames(FileSection):
     repeat: int = Field(1, ge=1, le=1000)
 
 
-class CapturePlan(FileSection):
+class CapturePlan(ConfigSection):
     """The whole of a plan file."""
 
     format: Literal["radiometer-plan/1"]

@@ -43,16 +43,16 @@ def meter(camera: Camera, region: Patch | None = None, *, longest_s: float = mat
     """
     limits = camera.capabilities.exposure_s
     longest = min(limits[1], longest_s)
-    first = min(max(FIRST_TRIAL_S, limits[0]), longest)
-    trials = [_trial(camera, first)]
-    while _clipped(camera, trials[-1], region).any() and trials[-1].settings.exposure_s > limits[0] * (1 + 1e-9):
-        trials.append(_trial(camera, max(trials[-1].settings.exposure_s / TRIAL_RATIO, limits[0])))
+    # A bound is reached when it was asked for: a camera that rounds exposure times may never state it.
+    shortest = last = min(max(FIRST_TRIAL_S, limits[0]), longest)
+    trials = [_trial(camera, last)]
+    while _clipped(camera, trials[-1], region).any() and shortest > limits[0]:
+        shortest = max(shortest / TRIAL_RATIO, limits[0])
+        trials.append(_trial(camera, shortest))
     rates = _rates(camera, trials, region)
-    while (todo := _lost_in_noise(camera, trials, region)).any():
-        last = max(frame.settings.exposure_s for frame in trials)
-        if last >= longest * (1 - 1e-9):
-            break
-        trials.append(_trial(camera, min(last * TRIAL_RATIO, longest)))
+    while (todo := _lost_in_noise(camera, trials, region)).any() and last < longest:
+        last = min(last * TRIAL_RATIO, longest)
+        trials.append(_trial(camera, last))
         rates = _rates(camera, trials, region)
     rates[todo] = 0.0
     return SceneRates(rates, tuple(trials))

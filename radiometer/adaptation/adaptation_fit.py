@@ -162,11 +162,14 @@ class FitRequest:
     """How to fit."""
 
     criterion: float | None = None  # log10 threshold of which the time is requested; None for none
-    # Standard uncertainty of the stimulus calibration in log10 units, shared by all thresholds
-    stimulus_u_log10: float = 0.0
+    stimulus_u_log10: float = 0.0  # standard uncertainty of the stimulus calibration in log10 units
     bootstrap_draws: int = 200  # redraws for the intervals of derived quantities; 0 leaves them out
     confidence: float = 0.95  # probability of the intervals
     intercept: InterceptRule | None = None  # the rod intercept that belongs to the protocol; None where it reports none
+
+    def u_shared_log10(self, series: ThresholdSeries) -> float:
+        """Return the standard uncertainty that all thresholds share, in log10 units: of the stimulus and the method."""
+        return math.hypot(self.stimulus_u_log10, series.u_method_log10)
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +243,7 @@ def fit_adaptation(
 def _intercept_estimate(series: ThresholdSeries, request: FitRequest) -> dict[str, Estimate]:
     if request.intercept is None:
         return {}
-    met = rod_intercept(series, request.intercept, request.stimulus_u_log10, request.confidence)
+    met = rod_intercept(series, request.intercept, request.u_shared_log10(series), request.confidence)
     return {} if met is None else {"rod_intercept_min": Estimate(met.time_min, met.u_min, "min", met.interval)}
 
 
@@ -406,13 +409,14 @@ _UNITS: Final = {
     "s3_slope_per_min": "log10/min",
     "area_log10_min": "log10 min",
 }
-_SHIFTED: Final = ("plateau", "final_threshold")  # a wrong stimulus scale shifts these one to one
+_SHIFTED: Final = ("plateau", "final_threshold")  # what all thresholds are wrong by shifts these one to one
 
 
 def _parameter(fit: BranchFit, name: str, draws: list[dict[str, float]], request: FitRequest) -> Estimate:
     profile = profile_interval(fit, name, request.confidence)
     boot = percentile_interval([draw[name] for draw in draws], request.confidence) if draws else None
-    return _estimate(name, fit.values[name], profile, boot, request, 0.0)
+    u_shared = request.u_shared_log10(fit.series) if name in _SHIFTED else 0.0
+    return _estimate(name, fit.values[name], profile, boot, request, u_shared)
 
 
 def akaike_weights(fits: list[BranchFit]) -> list[tuple[BranchFit, float]]:
@@ -431,22 +435,23 @@ def _derived_estimates(
     of_models = [(derived_quantities(fit.values, fit, criterion), weight) for fit, weight in weights]
     drawn = [derived_quantities(draw, fit, criterion) for fit, of_fit in draws for draw in of_fit]
     slope = sum(_steepness(fit.values, criterion) * weight for fit, weight in weights)
+    u_log10 = request.u_shared_log10(weights[0][0].series)
     found = {}
     for name in of_models[0][0]:
         value = sum(values[name] * weight for values, weight in of_models)
         boot = percentile_interval([one[name] for one in drawn], request.confidence) if drawn else None
         # A stated criterion is absolute: a wrong stimulus scale moves the time at which it is met.
-        moved = request.stimulus_u_log10 / slope if name == "criterion_min" else 0.0
-        found[name] = _estimate(name, value, None, boot, request, moved)
+        moved = u_log10 / slope if name == "criterion_min" else 0.0
+        found[name] = _estimate(name, value, None, boot, request, u_log10 if name in _SHIFTED else moved)
     return found
 
 
 def _estimate(
-    name: str, value: float, profile: Interval | None, boot: Interval | None, request: FitRequest, moved_u: float
+    name: str, value: float, profile: Interval | None, boot: Interval | None, request: FitRequest, u_shared: float
 ) -> Estimate:
-    shared = request.stimulus_u_log10 if name in _SHIFTED else moved_u
-    if shared:
-        profile, boot = (one.widened(shared) if one is not None else None for one in (profile, boot))
+    """Return an estimate whose intervals hold the uncertainty that all thresholds share, in the estimate's unit."""
+    if u_shared:
+        profile, boot = (one.widened(u_shared) if one is not None else None for one in (profile, boot))
     known = profile or boot
     u = (known.high - known.low) / (2 * 1.96) if known is not None and request.confidence == 0.95 else math.nan
     return Estimate(value, u, _UNITS.get(name, "min"), profile, boot)

@@ -48,10 +48,10 @@ class RunRequest:
     @property
     def simulated(self) -> str | None:
         """Return what of the run is simulated, such as "steady, light box"; None before real devices."""
-        if self.box != SIMULATED_BOX and self.simulate is None:
+        if self.simulate is None:
             return None
         before = "light box" if self.box == SIMULATED_BOX else "screen" if self.screen is not None else "no device"
-        return f"{self.simulate or 'no subject'}, {before}"
+        return f"{self.simulate}, {before}"
 
     def header(self) -> dict[str, str | float]:
         """Return what the head of journal and table states of the visit; what is not known is left out."""

@@ -27,8 +27,6 @@ class InterceptRule:
 
     criterion_log10: float  # the criterion, log10 of scotopic cd·m⁻²
     limit_min: float | None = None  # published limit in min; None where there is none
-    bias_log10: float = 0.0  # what the method finds above the eye's own threshold, log10 units
-    u_bias_log10: float = 0.0  # its standard uncertainty
     source: str = ""  # where criterion and limit come from
     bleach_s: float | None = None  # how long the run's bleach lasted in s; None where it is not known
 
@@ -48,17 +46,16 @@ class RodIntercept:
 
 
 def rod_intercept(
-    series: ThresholdSeries, rule: InterceptRule, u_scale_log10: float = 0.0, confidence: float = 0.95
+    series: ThresholdSeries, rule: InterceptRule, u_shared_log10: float = 0.0, confidence: float = 0.95
 ) -> RodIntercept | None:
     """Return when the eye's threshold meets the criterion; None where it does not within the thresholds.
 
     A robust straight line through the thresholds within 3 min of the first crossing, read backwards.
 
     Args:
-        rule: Criterion and the method's bias.
-        u_scale_log10: Standard uncertainty that all levels share, log10 units.
+        u_shared_log10: Standard uncertainty that all thresholds share, log10 units.
     """
-    target = rule.criterion_log10 + rule.bias_log10
+    target = rule.criterion_log10
     times, levels = series.time_min, series.log_threshold
     crossing = _first_crossing(times, levels, target)
     if crossing is None:
@@ -66,7 +63,7 @@ def rod_intercept(
     near = np.abs(times - crossing) <= WINDOW_MIN
     if np.count_nonzero(near) < FEWEST:
         near = np.isin(np.arange(times.size), np.argsort(np.abs(times - crossing))[:FEWEST])
-    return _read_back(times[near], levels[near], target, math.hypot(u_scale_log10, rule.u_bias_log10), confidence)
+    return _read_back(times[near], levels[near], target, u_shared_log10, confidence)
 
 
 def _first_crossing(times: Array, levels: Array, target: float) -> float | None:

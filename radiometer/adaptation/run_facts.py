@@ -19,6 +19,7 @@ from radiometer.adaptation.protocol import (
 )
 from radiometer.adaptation.reliability import Reliability
 from radiometer.adaptation.rod_intercept import InterceptRule
+from radiometer.adaptation.threshold_files import number_of
 
 LEVEL_UNIT: Final = "scotopic cd·m⁻²"  # of which a run's levels and thresholds are log₁₀
 
@@ -136,16 +137,6 @@ def intercept_of(facts: Mapping[str, str]) -> InterceptRule | None:
     return InterceptRule(
         criterion,
         number_of(facts, "intercept_limit_min"),
-        number_of(facts, "method_bias_log10") or 0.0,
-        number_of(facts, "u_method_bias_log10") or 0.0,
         facts.get("intercept_source", ""),
         number_of(facts, "intercept_bleach_s"),
     )
-
-
-def number_of(facts: Mapping[str, str], name: str) -> float | None:
-    """Return a fact as a number; None where it is missing or none."""
-    try:
-        return float(facts[name])
-    except (KeyError, ValueError):
-        return None

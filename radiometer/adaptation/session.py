@@ -23,6 +23,7 @@ from radiometer.bench.box_holder import darken_held
 from radiometer.data.event_journal import Event
 from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
+from simulators.observers.behaviours import BEHAVIOURS
 
 Watcher = Callable[[Event], None]
 
@@ -207,6 +208,8 @@ def _stage(
         return open_screen_stage(request, announce)
     if request.simulate is not None and request.box is None:
         return _simulated(request, request.simulate)
+    if request.simulate is None and request.box == SIMULATED_BOX:
+        raise UsageError(f"the simulated box needs a simulated subject: --simulate {', '.join(BEHAVIOURS)}")
     return open_box_stage(request)
 
 

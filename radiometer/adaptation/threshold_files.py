@@ -303,6 +303,11 @@ def _facts(comments: Sequence[str]) -> dict[str, str]:
     return {pair[0].strip().lower(): pair[1].strip() for pair in pairs if len(pair) == 2}
 
 
+def number_of(facts: Mapping[str, str], name: str) -> float | None:
+    """Return a fact of a table as a number; None where it is missing or none."""
+    return _number(facts.get(name, ""))
+
+
 def _number(cell: str) -> float | None:
     try:
         value = float(cell)

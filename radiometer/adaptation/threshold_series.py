@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.adaptation.threshold_files import read_table
+from radiometer.adaptation.threshold_files import number_of, read_table
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import StatementMap
 from radiometer.errors import InputError, MeasurementError
@@ -46,6 +46,11 @@ class ThresholdSeries:
             raise InputError("the times of a threshold series must ascend")
 
     @property
+    def u_method_log10(self) -> float:
+        """Return the standard uncertainty of the method's bias, which all thresholds share; 0 where none is stated."""
+        return number_of(self.facts, "u_method_bias_log10") or 0.0
+
+    @property
     def level_name(self) -> str:
         """Return what the thresholds are log₁₀ of, for an axis: as the run states it, else that it is not known."""
         return self.facts.get("level_unit") or "unit not stated"
@@ -53,7 +58,7 @@ class ThresholdSeries:
     @classmethod
     @bounded_reader(error=InputError)
     def read(cls, path: Path, mapped: StatementMap | None = None) -> ThresholdSeries:
-        """Return the series in a file of any form that `read_table` knows.
+        """Return the series in a file of any form that `read_table` knows, less the method's bias that it states.
 
         Args:
             path: The file.
@@ -69,7 +74,9 @@ class ThresholdSeries:
             PLAUSIBLE["time_in_dark"].check(f"{path}: time", time)
             PLAUSIBLE["log10_threshold"].check(f"{path}: log10 threshold after {time:g} min", threshold)
         sigma = rows[:, 2] if rows.shape[1] == 3 else None
-        return cls(rows[:, 0], rows[:, 1], sigma, table.facts, table.taken)
+        bias = number_of(table.facts, "method_bias_log10") or 0.0
+        removed = (f"the method's bias of {bias:+.3f} log₁₀ units is removed from each threshold",) if bias else ()
+        return cls(rows[:, 0], rows[:, 1] - bias, sigma, table.facts, (*table.taken, *removed))
 
     def require_recovery(self) -> None:
         """Refuse a series that can show no adaptation.

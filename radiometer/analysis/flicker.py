@@ -395,12 +395,13 @@ class Flicker:
     warnings: tuple[str, ...]  # what makes a figure doubtful, a sentence each
 
 
-def measure_flicker(waveform: Waveform) -> Flicker:
+def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Flicker:
     """Return the measures of a waveform with their standard uncertainty.
 
     The scatter between blocks of whole periods gives the statistical part, by leaving out one block at a time. Where
     the light is rounded to steps, each value may be any light within half a step (rectangular, GUM 4.3.7). The
-    value of darkness adds u_dark over the mean light, for it scales every modulation.
+    value of darkness adds u_dark over the mean light, for it scales every modulation. The relative standard uncertainty
+    of the rate, `u_clock_rel`, counts in the frequency; where nothing states it (None), that is named.
 
     Raises MeasurementError if the mean light is not above 0.
     """
@@ -458,7 +459,10 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
-    frequency = None if period is None else Quantity(period.frequency_hz, period.u_hz, "Hz")
+    u_clock_hz = 0.0 if period is None else period.frequency_hz * (u_clock_rel or 0.0)
+    frequency = None if period is None else Quantity(period.frequency_hz, math.hypot(period.u_hz, u_clock_hz), "Hz")
+    if period is not None and u_clock_rel is None:
+        assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
     k = coverage_factor(blocks - 1) if blocks else 2.0
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
 

@@ -73,7 +73,10 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     level = float(values[good].mean())
     by_level = float(shared[good].mean()) / max(abs(level), 1e-30)  # relative
     common = math.hypot(found.u_rel_common, by_level)
-    black = _black(values, found.u_radiance[patch.slices].astype(np.float64), mask)
+    # Pixels within their u may be black in every frame, where no dim one is below 0.
+    dim = (mask & (PixelMask.BELOW_NOISE | LOST)) == PixelMask.BELOW_NOISE
+    near = (values > 0.0) & (values <= 1.001 * found.u_radiance[patch.slices].astype(np.float64))
+    black = dim & near & ~(dim & (values < 0.0)).any()
     u_mean = math.hypot(math.sqrt(float(np.sum(own[good] ** 2))), float(values[black].sum()) / math.sqrt(3.0)) / count
     boxes, noise = _boxes(values, own, good, box_px)
     ends = [int(boxes.argmin()), int(boxes.argmax())]
@@ -145,12 +148,6 @@ def _boxes(values: Array, own: Array, good: Array, box_px: int) -> tuple[Array, 
 def _extreme_u(noise: float, count: int) -> float:
     """Return the expected extreme of n noises as a rectangular bound."""
     return noise * math.sqrt(2.0 * math.log(max(2, count))) / math.sqrt(3.0)
-
-
-def _black(values: Array, own: Array, mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return which pixels may be black in every frame: those within their u where no dim pixel is below 0."""
-    dim = (mask & (PixelMask.BELOW_NOISE | LOST)) == PixelMask.BELOW_NOISE
-    return np.asarray(dim & (values > 0.0) & (values <= 1.001 * own) & ~(dim & (values < 0.0)).any())
 
 
 def _flags(mask: NDArray[np.uint8], black: NDArray[np.bool_]) -> tuple[str, ...]:

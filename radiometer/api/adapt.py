@@ -21,10 +21,11 @@ from radiometer.adaptation.reliability import NAMES, Reliability
 from radiometer.adaptation.report import LABELS, curve_csv, label_of, short, to_mapping, write_page
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
-from radiometer.adaptation.run_facts import intercept_of, number_of
+from radiometer.adaptation.run_facts import intercept_of
 from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
+from radiometer.adaptation.threshold_files import number_of
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import (
     HALF_INTERVAL,

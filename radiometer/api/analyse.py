@@ -262,7 +262,7 @@ def analyse(
         raise UsageError("--fisheye and --field-of-view need each other")
     if glare and fisheye is None:
         raise UsageError("--glare needs a fisheye picture: --fisheye and --field-of-view")
-    found, origin = _map_of(source, spectrum)
+    found, origin, taken = _map_of(source, spectrum)
     named = {name: as_patch(one) for name, one in (regions or {}).items()}
     patches = named or {"all": Patch(0, 0, found.shape[1], found.shape[0])}
     figures = {name: region_figures(found, name, one, box) for name, one in patches.items() if one is not None}
@@ -284,6 +284,7 @@ def analyse(
     along = None if line is None else profile(found, line[:2], line[2:], line_width)
     if spectrum is not None:
         assumptions += _of_light(spectrum, found.provenance.parameters.get("origin", {}))
+    assumptions += [*taken, *found.not_in_u]
     return MapAnalysis(origin, found, tuple(figures.values()), ratio, along, line, lux, ugr, dgp, tuple(assumptions))
 
 
@@ -303,7 +304,8 @@ def _or_limit(one: Quantity, noise_u: float, apart: float = math.inf) -> str:
     return one.text(_COVERAGE, bare=True, apart=apart)
 
 
-def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[RadianceMap, str]:
+def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[RadianceMap, str, list[str]]:
+    """Return the map that is analysed, where it is from, and which one of several it is."""
     if isinstance(source, Radiance):
         picture_of, origin = source.picture, repr(source)
     else:
@@ -311,7 +313,9 @@ def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[Radiance
         if path.suffix.lower() not in (".tif", ".tiff"):
             raise UsageError(f"{path}: give the map as TIFF, which holds its u: radiometer merge -o FILE.tiff")
         picture_of, origin = read_tiff(path), str(path)
-    found = MapPicture(picture_of.maps).first
+    picture_of = MapPicture(picture_of.maps)
+    found, names = picture_of.first, ", ".join(picture_of.maps)
+    taken = [f"all figures are of {picture_of.first_name}; the map holds {names}"] if len(picture_of.maps) > 1 else []
     if spectrum is not None:
         found = in_luminance(found, spectrum_of(spectrum))
-    return replace(found, radiance=np.asarray(found.radiance)), origin
+    return replace(found, radiance=np.asarray(found.radiance)), origin, taken

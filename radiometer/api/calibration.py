@@ -20,7 +20,7 @@ from radiometer.analysis.calibration.calibrate import (
     metered_u_rel,
 )
 from radiometer.analysis.calibration.flat_field import fit_flat_field
-from radiometer.analysis.calibration.shared import require_camera, require_channel, require_lens
+from radiometer.analysis.calibration.shared import require_channel, require_flat_field
 from radiometer.analysis.characterise.taps import camera_with_taps
 from radiometer.analysis.exports.certificate import read_certificate
 from radiometer.analysis.merge.bracket import merge
@@ -516,7 +516,12 @@ def _base(
         levels = {frame.settings.black_level_dn for frame in seen.bracket.light} - {None}
         stated = levels.pop() if len(levels) == 1 else None
     base = make.unscaled_calibration(camera, lens, curve, spectrum, stated, validity_days)
-    if seen is None or stated is not None or camera.black_level_dn is not None:
+    if seen is None:
+        return base, ()
+    # Other captures state what this one does: a measured gain is in the noise model.
+    as_stated = {"conversion_gain_e_per_dn": seen.camera.conversion_gain_e_per_dn}
+    base = replace(base, camera=camera.model_copy(update=as_stated))
+    if stated is not None or camera.black_level_dn is not None:
         return base, ()
     measured = black_from_darks(seen.bracket.dark, base)
     if measured is not None:
@@ -577,11 +582,10 @@ def _with_u(base: Calibration, **figures: float) -> Calibration:
 
 
 def _flat_field(path: Path, base: Calibration, source_u_rel: float) -> FlatField:
-    """Return the flat field in a capture set. Raises CalibrationError if it is of another camera or lens."""
+    """Return the flat field in a capture set. Raises CalibrationError if it is of another camera, lens or focus."""
     capture = open_capture(path)
     try:
-        require_camera(base, capture.header.camera)
-        require_lens(base, capture.header.lens)
+        require_flat_field(base, capture.header.camera, capture.header.lens)
     except CalibrationError as error:
         raise CalibrationError(f"flat field {path}: {error}") from error
     # Without its cos⁴ the lens leaves all of the fall-off to the flat field.

@@ -136,9 +136,9 @@ def certificate(
 
 def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory, identifier: str) -> Certified:
     if isinstance(source, Calibration):
-        return _of_calibration(source, laboratory, identifier)
+        return _of_calibration(source, identifier)
     if not isinstance(source, Reading) and Path(source).suffix.lower() in (".yaml", ".yml"):
-        return _of_calibration(Calibration.read(Path(source)), laboratory, identifier)
+        return _of_calibration(Calibration.read(Path(source)), identifier)
     return of_reading(source, lambda content: _of_reading(content, laboratory, identifier))
 
 
@@ -203,17 +203,16 @@ def _day(time: str) -> str:
     return moment.date().isoformat()
 
 
-def _of_calibration(calibration: Calibration, laboratory: Laboratory, identifier: str) -> Certified:
+def _of_calibration(calibration: Calibration, identifier: str) -> Certified:
     if not calibration.absolute:
         raise UsageError(_RELATIVE)
     camera, scale = calibration.camera, calibration.scale
-    item = laboratory.item  # the laboratory's item is the source that it reads, unless the camera is not known
-    if camera.vendor and camera.serial:
-        item = Item(name="camera", manufacturer=camera.vendor, model=camera.model or "", serial=camera.serial)
-    if item is None:
+    if not (camera.vendor and camera.serial):  # the laboratory's item is the source that it reads
         raise UsageError(
-            "the calibration states no maker and serial number of its camera; state the item in the laboratory file"
+            "the calibration does not state which camera it is of, which is the certificate's item; state maker and "
+            "serial number in its file (camera: vendor, serial)"
         )
+    item = Item(name="camera", manufacturer=camera.vendor, model=camera.model or "", serial=camera.serial)
     conditions = [("spectrum", calibration.spectrum)]
     if scale.f_number is not None:
         conditions.append(("f-number", f"{scale.f_number:g}"))

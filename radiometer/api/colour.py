@@ -304,8 +304,7 @@ def colour_measure(
         CalibrationError: If the calibration is of another camera, f-number or filter.
         MeasurementError: If the patch has too few pixels with a value, or no light.
     """
-    files = [Path(one) for one in (maps, report) if one is not None]
-    check_outputs(*files, force=True)
+    check_outputs(*(Path(one) for one in (maps, report) if one is not None), force=True)
     if maps is not None and Path(maps).suffix.lower() not in _FORMS:
         raise UsageError(f"{maps}: quantities of every pixel are written as {', '.join(_FORMS)}")
     known = calibration if isinstance(calibration, ColourCalibration) else ColourCalibration.read(Path(calibration))

@@ -22,7 +22,7 @@ from radiometer.data.drawing import new_axes
 from radiometer.data.statements import StatementMap
 from radiometer.errors import InputError, UsageError
 from radiometer.importing.photograph_pixels import read_photograph
-from radiometer.plausible import Exposure, NotNegative, Positive, Uncertainty
+from radiometer.plausible import Exposure, NotNegative, Positive, RelativeUncertainty, Uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,6 +90,7 @@ def flicker(
     black_level: NotNegative | None = None,
     flat: PathLike | None = None,
     patch: PatchLike | None = None,
+    u_clock: RelativeUncertainty | None = None,
     notice: Notice = unheard,
 ) -> FlickerReport:
     """Measure flicker and the stroboscopic effect of a light, each figure with its uncertainty.
@@ -119,6 +120,7 @@ def flicker(
         black_level: Of a frame: black level in DN.
         flat: Of a frame: frame of the same field under steady light, which takes the fall-off away.
         patch: Of a frame: region of an even field, all by default. Of a series: the bench's by default.
+        u_clock: Relative standard uncertainty of what times samples or rows, such as 5e-5; in no u where not given.
         notice: Gets what a user should know, a line each.
 
     Raises:
@@ -130,7 +132,8 @@ def flicker(
         others = (source, dark, row_time, known_frequency, black_level, flat)
         if any(one is not None for one in others) or mapped:
             raise UsageError("a camera's series needs no file: give --exposure, --patch and --duration alone")
-        return _of_camera(camera, bench, duration, exposure, patch)
+        series = _of_camera(camera, bench, duration, exposure, patch)
+        return FlickerReport(series, measure_flicker(series, u_clock))
     if source is None:
         raise UsageError("give a table or a frame, or --camera for a series of readings")
     path = Path(source)
@@ -142,11 +145,10 @@ def flicker(
         given = [name for name, value in of_frame.items() if value is not None]
         if given:
             raise UsageError(f"{', '.join(given)}: of a frame only; {path} is a table")
-        known = StatementMap.of(mapped)
-        waveform, reported = read_waveform(path, dark, u_dark, known, exposure or 0.0)
+        waveform, reported = read_waveform(path, dark, u_dark, StatementMap.of(mapped), exposure or 0.0)
         for line in reported:
             notice(f"{path.name}: {line}")
-        return FlickerReport(waveform, measure_flicker(waveform))
+        return FlickerReport(waveform, measure_flicker(waveform, u_clock))
     if dark is not None or mapped:
         raise UsageError(f"--dark and --map: of a table only; {path} is a frame: state --black-level")
     if exposure is None or black_level is None or (row_time is None) == (known_frequency is None):
@@ -154,25 +156,25 @@ def flicker(
         raise UsageError(f"{path}: a frame needs {needs}")
     reference = None if flat is None else _plane(Path(flat), patch)
     rows = waveform_of_rows(_plane(path, patch), row_time or 1.0, exposure, str(path), black_level, reference, u_dark)
-    found_time = None if row_time is None else Quantity(row_time, 0.0, "s")
-    if known_frequency is not None:
+    if known_frequency is None:
+        found_time = Quantity(row_time or 1.0, (row_time or 1.0) * (u_clock or 0.0), "s")
+    else:
         if (period := find_period(rows)) is None:
             raise InputError(f"{path}: no repetition in the rows, so no row time can be found; state --row-time")
         found_time = Quantity(period.frequency_hz / known_frequency, period.u_hz / known_frequency, "s")
-        rows = rows.at_rate(1.0 / found_time.value)
-    return FlickerReport(rows, measure_flicker(rows), found_time)
+        rows, u_clock = rows.at_rate(1.0 / found_time.value), 0.0  # timed by the light itself
+    return FlickerReport(rows, measure_flicker(rows, u_clock), found_time)
 
 
 def _of_camera(
     name: str | None, bench: PathLike | None, duration_s: float, exposure_s: float | None, patch: PatchLike | None
-) -> FlickerReport:
+) -> Waveform:
     if not 0.0 < duration_s <= _LONGEST_S:
         raise UsageError(f"--duration {duration_s:g}: must be above 0 and at most {_LONGEST_S:g} s")
     with open_bench_camera(None if bench is None else Path(bench), name) as (config, camera):
         where = as_patch(patch) or (config.patch.patch if config.patch else central_patch(camera))
         refuse_outside(where, camera)
-        found = take_series(camera, where, duration_s, exposure_s)
-    return FlickerReport(found, measure_flicker(found))
+        return take_series(camera, where, duration_s, exposure_s)
 
 
 def _plane(path: Path, patch: PatchLike | None) -> Any:

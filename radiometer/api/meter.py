@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
@@ -22,7 +23,8 @@ PatchLike = Patch | tuple[int, int, int, int]
 class Meter:
     """A camera with its calibration, asked for radiance.
 
-    Made by `radiometer.open`; use it as a context manager, or close it when done.
+    Made by `radiometer.open`; use it as a context manager, or close it when done. Several threads may use one: each
+    call waits for the one before.
 
     Examples:
         >>> import radiometer as rm
@@ -42,6 +44,7 @@ class Meter:
     def __init__(self, instrument: Instrument, held: ExitStack) -> None:
         self.instrument = instrument
         self._held = held
+        self._one_call = threading.Lock()
 
     def __enter__(self) -> Self:
         """Return the meter itself."""
@@ -53,7 +56,8 @@ class Meter:
 
     def close(self) -> None:
         """Close the camera; again does nothing."""
-        self._held.close()
+        with self._one_call:
+            self._held.close()
 
     def measure(self, patch: PatchLike | None = None, *, u_rel: RelativeUncertainty | None = None) -> Reading:
         """Return the radiance of a patch in W·sr⁻¹·m⁻² with its uncertainty.
@@ -68,7 +72,8 @@ class Meter:
         """
         where = as_patch(patch)
         instrument = self.instrument if where is None else self.instrument.at(where)
-        return instrument.with_origin(instrument.measure(target_u_rel=u_rel))
+        with self._one_call:
+            return instrument.with_origin(instrument.measure(target_u_rel=u_rel))
 
     def bracket(
         self, patch: PatchLike | None = None, *, darks: AnyCount = 0, time_limit_s: NotNegative = DEFAULT_TIME_LIMIT_S
@@ -85,7 +90,8 @@ class Meter:
         """
         camera = self.instrument.camera
         request = BracketRequest(as_patch(patch), None, time_limit_s, darks)
-        frames = with_white_levels(list(take_plan(camera, plan_for_scene(camera, request), request)))
+        with self._one_call:
+            frames = with_white_levels(list(take_plan(camera, plan_for_scene(camera, request), request)))
         origin = camera.identity.device_id
         bracket = Bracket.from_frames(frames, origin)
         return Stack({frames[0].settings.pattern: bracket}, camera.description, self.instrument.lens, origin)

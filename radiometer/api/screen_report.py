@@ -97,8 +97,8 @@ class DisplayReport(Result):
             moment(self.created), known["camera"], known["lens"], known["calibration"], box=self.screen,
             protocol=f"geometry {self.geometry}",
         )  # fmt: skip
-        text = page(f"display {self.screen}", outcome, parts, kind="display report", origin=origin)
-        write_text_atomic(Path(path), text)
+        title = f"display {self.screen}"
+        write_text_atomic(Path(path), page(title, outcome, parts, kind="display report", origin=origin))
 
     def lines(self) -> list[str]:
         """Return every figure and note in plain lines."""

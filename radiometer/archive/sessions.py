@@ -183,7 +183,7 @@ def _direct_files(folder: Path) -> list[Path]:
 def _identity(capture: CaptureSet) -> tuple[str, ...]:
     camera = capture.header.camera
     further = camera.model_extra or {}
-    facts: list[Any] = [camera.vendor, camera.model, camera.serial or further.get("unit"), further.get("band")]
+    facts: list[Any] = [camera.vendor, camera.model, camera.serial or further.get("unit"), camera.band]
     known = tuple(str(fact) for fact in facts if fact)
     return known or (f"unnamed camera of {camera.bit_depth} bits",)
 

@@ -152,9 +152,9 @@ class Instrument:
         if self.calibration is None or not frames:
             return []
         shortest, added = min(frames, key=lambda frame: frame.settings.exposure_s), list[Frame]()
-        lowest = self.camera.capabilities.exposure_s[0]
-        while clipped_part(shortest) > _SURROUND_CLIPS and shortest.settings.exposure_s > lowest * (1 + 1e-9):
-            exposure_s = max(shortest.settings.exposure_s / _SURROUND_STEP, lowest)
+        exposure_s, lowest = shortest.settings.exposure_s, self.camera.capabilities.exposure_s[0]
+        while clipped_part(shortest) > _SURROUND_CLIPS and exposure_s > lowest:
+            exposure_s = max(exposure_s / _SURROUND_STEP, lowest)
             self.camera.configure(replace(self.camera.settings, exposure_s=exposure_s))
             shortest = self.camera.capture(1)[0]
             added.append(shortest)

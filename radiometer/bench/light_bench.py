@@ -27,8 +27,6 @@ from simulators.chain.camera_model import CameraModel
 from simulators.light_box.camera import BoxView, HookedClock, LightBoxCamera
 
 BENCH: Final = "bench-light-box.yaml"
-# The simulated sensor's quantum efficiency is flat by construction; the residual is the channels' line shape.
-SIMULATED_SPECTRAL_U_REL: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +38,7 @@ class SurveyRequest:
     seed: int | None = None  # makes the random order; None for another one each time
     # CSV of the camera's relative responsivity per watt; None takes its quantum efficiency as flat
     responsivity: Path | None = None
-    # Relative standard uncertainty of the spectral correction; None for the default
+    # Relative standard uncertainty of the spectral correction; None for that of a flat quantum efficiency
     spectral_u_rel: float | None = None
     target_u_rel: float = 0.003  # relative standard uncertainty required of a reading's noise
 
@@ -123,8 +121,7 @@ def asked_of(opened: OpenedBox, instrument: Instrument, request: SurveyRequest) 
 def _correction(opened: OpenedBox, instrument: Instrument, request: SurveyRequest, channel: str) -> SpectralCorrection:
     optics, calibration = opened.config.optics[channel], instrument.calibration
     assert calibration is not None
-    default = SIMULATED_SPECTRAL_U_REL if opened.twin is not None else FLAT_QUANTUM_EFFICIENCY_U_REL
-    u_rel = default if request.spectral_u_rel is None else request.spectral_u_rel
+    u_rel = FLAT_QUANTUM_EFFICIENCY_U_REL if request.spectral_u_rel is None else request.spectral_u_rel
     factor = spectral_factor(calibration.spectrum, optics.peak_nm, optics.fwhm_nm, request.responsivity)
     return SpectralCorrection(factor, u_rel)
 

@@ -6,10 +6,24 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from radiometer.devices import Camera, CameraSettings
+from radiometer.devices import Camera, CameraIdentity, CameraSettings
 from radiometer.errors import DeviceError, MissingLibrary
 
 PAUSE_S: Final = 0.5  # between two tries: what an opening of a camera that is there takes at most
+
+
+def refuse_another(found: CameraIdentity, known: CameraIdentity) -> None:
+    """Refuse a camera that answers in place of the one that was lost: its readings would pass for that one's.
+
+    Raises:
+        DeviceError: If vendor, model or serial number differ.
+    """
+    who, before = (f"{one.vendor} {one.model} {one.serial}" for one in (found, known))
+    if who != before:
+        raise DeviceError(
+            f"another camera answers, {who}, in place of {before}; connect that one again, or start the program again"
+            " to measure with the other"
+        )
 
 
 def reopen(
@@ -19,17 +33,19 @@ def reopen(
 
     Args:
         camera: The camera; nothing more is asked of it before it is open again.
-        report: Called with why it cannot be opened, once for each reason.
+        report: Called with why it cannot be opened or is another camera, once for each reason.
         sleep: Waits so many seconds.
 
     Raises:
         MissingLibrary: If it can never be opened here.
     """
+    known = camera.identity
     camera.close()
     reason = ""
     while True:
         try:
             camera.open()
+            refuse_another(camera.identity, known)
             camera.configure(settings)
         except MissingLibrary:
             raise

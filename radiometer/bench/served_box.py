@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import time
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from radiometer.bench.boxes import SIMULATED_PORTS, LightBoxConfig, exposure_sto
 from radiometer.errors import OutputError, OutputRefused, UsageError
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.pty_line import PtyServer, WiredLightBox
+from simulators.light_box.pty_line import PtyServer, WiredLightBox, was_left_behind
 from simulators.light_box.virtual_line import LineFaults
 from simulators.observers.behaviours import behaviour_of
 from simulators.observers.observer import Observer
@@ -90,13 +91,15 @@ def served_box(
     Raises:
         UsageError: If a subject is to sit before the firmware, whose LEDs are not simulated, or is unknown.
         OutputError: If the link cannot be made.
-        OutputRefused: If a file is where the link is to be.
+        OutputRefused: If a file, or a link of another program, is where the link is to be.
         MissingLibrary: If simavr is asked for and not installed.
         UnsafeStimulus: If the account of its exposure cannot be stored.
     """
     place = link or own_folder(SIMULATED_PORTS) / serial
-    if place.exists() and not place.is_symlink():
-        raise OutputRefused(f"{place} exists already and is no link; name another place with --link")
+    if os.path.lexists(place) and not was_left_behind(place):
+        raise OutputRefused(
+            f"{place} exists already, and no simulated box that was killed left it; name another place with --link"
+        )
     try:
         place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:

@@ -20,6 +20,7 @@ from radiometer.bench.boxes import open_light_box
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
+from radiometer.bench.reopening import refuse_another
 from radiometer.daemon.instrument import DeviceReport, Measurement, MeasurementSettings
 from radiometer.data import Bracket, Calibration, CameraDescription, Flag, Frame, LensDescription, Patch, ResponseCurve
 from radiometer.data.setup import Setup
@@ -200,10 +201,12 @@ class BenchInstrument:
         return camera.late_at if camera else None
 
     def open(self) -> None:
-        """Open the camera, and refuse it where the calibration belongs to another. Raises DeviceError."""
+        """Open the camera, and refuse another one than was open before. Raises DeviceError; close it then, too."""
         self.close()
-        camera = WatchedCamera(open_camera(self._config, self._where, self._name))
-        self._camera, self._identity, self._limits = camera, camera.identity, camera.capabilities
+        camera = self._camera = WatchedCamera(open_camera(self._config, self._where, self._name))
+        if self._identity != _UNKNOWN:
+            refuse_another(camera.identity, self._identity)
+        self._identity, self._limits = camera.identity, camera.capabilities
 
     def close(self) -> None:
         """Release the camera."""

@@ -24,7 +24,7 @@ from radiometer.daemon.timestamps import microseconds, now_us
 from radiometer.data import Reading
 from radiometer.data.guards import MOST_FILE_BYTES
 from radiometer.data.json_text import json_text, parsed_json
-from radiometer.data.storage import state_folder, write_text_atomic
+from radiometer.data.storage import state_folder, write_bytes_atomic, write_text_atomic
 from radiometer.errors import OutputError, RadiometerError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": identifies a radiometer journal to `file` and to us
@@ -254,9 +254,22 @@ class Journal:
             "INSERT INTO readings VALUES (?, ?, ?, ?, ?, ?, ?)",
             [row.numbered(sequence) for sequence, row in enumerate(rows, start=last + 1)],
         )
+        self._note_camera(connection, last, rows)
         connection.executemany(_ADD_TO_TREND, filter(None, (row.trend() for row in rows)))
         connection.execute("UPDATE counters SET value = ? WHERE name = 'last_sequence'", (last + len(rows),))
         return int(last)
+
+    @staticmethod
+    def _note_camera(connection: sqlite3.Connection, last: int, rows: Sequence[_Row]) -> None:
+        """Note as an event where the readings of another camera begin: after a restart the history goes on."""
+        query = "SELECT json_extract(json, '$.instrument') FROM readings WHERE sequence = ?"
+        (before,) = connection.execute(query, (last,)).fetchone() or (None,)
+        for sequence, row in enumerate(rows, start=last + 1):
+            camera = row.mapping["instrument"]
+            if before not in (None, camera):
+                message = f"from reading {sequence} on, readings are of the camera {camera}, not of {before}"
+                _insert_event(connection, "camera", message)
+            before = camera
 
     def save_waiting(self, readings: Sequence[Reading]) -> Path:
         """Write readings that cannot be committed into a file next to the journal, and return it.
@@ -269,30 +282,47 @@ class Journal:
         write_text_atomic(place, "".join(f"{_Row.of(reading).waiting_line()}\n" for reading in readings))
         return place
 
-    def take_in_waiting(self) -> list[str]:
-        """Commit the readings of the files that `save_waiting` left, delete these files, and return a line for each.
+    def take_in_waiting(self) -> list[tuple[str, Path | None]]:
+        """Commit the readings of the files that `save_waiting` left, and delete these files.
 
-        A file that was committed is known by its content: one that a kill left behind is deleted only. A file that
-        holds no such readings stays.
+        A file that was committed is known by its content: one that a kill left behind is deleted only. Lines that are
+        no readings, such as one that was cut, stay in their file.
+
+        Returns a line for each file, and the file where it stays.
 
         Raises:
             JournalError: If they cannot be committed now.
         """
-        lines, journal = [], self.path.resolve()
+        taken, journal = list[tuple[str, Path | None]](), self.path.resolve()
         for path in sorted(journal.parent.glob(f"{glob.escape(journal.name)}{_WAITING}*.jsonl")):
+            content, reason = b"", f"it is no file of at most {MOST_FILE_BYTES / 1e6:g} MB"
             try:
-                content = path.read_bytes() if path.is_file() and path.stat().st_size <= MOST_FILE_BYTES else b"-"
-                rows = [_Row.of_waiting(line) for line in content.decode().splitlines()]
-            except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-                lines.append(f"the readings that wait in {path.name} were not taken in: {error}")
+                if path.is_file() and path.stat().st_size <= MOST_FILE_BYTES:
+                    content, reason = path.read_bytes(), ""
+            except OSError as error:
+                reason = str(error)
+            if reason:
+                taken.append((f"the readings that wait in {path.name} were not taken in: {reason}", path))
                 continue
-            if self._take_in(path.name, hashlib.sha256(content).hexdigest(), rows):
-                lines.append(f"{len(rows)} readings that waited in {path.name} were taken in")
+            rows, rest, fault = _waiting_rows(content)
+            fresh = bool(rows) and self._take_in(hashlib.sha256(content).hexdigest(), rows)
+            if rest:
+                if rows:
+                    with suppress(OutputError):  # it stays as it is, and is known by its content
+                        write_bytes_atomic(path, b"".join(rest), rescue=False)
+                text = (
+                    f"of {path.name} {len(rows)} readings were taken in; {len(rest)} damaged lines stay there ({fault})"
+                    ". Look at what they hold, then move that file away"
+                )
+                taken.append((text, path))
+                continue
+            if fresh or not rows:
+                taken.append((f"{len(rows)} readings that waited in {path.name} were taken in", None))
             with suppress(OSError):
                 path.unlink()
-        return lines
+        return taken
 
-    def _take_in(self, name: str, digest: str, rows: Sequence[_Row]) -> bool:
+    def _take_in(self, digest: str, rows: Sequence[_Row]) -> bool:
         """Commit readings and the mark that their file was taken in, together; return False where it was before."""
         with self._transaction() as connection:
             mark = f"taken in {digest}"
@@ -790,6 +820,18 @@ def default_journal_path() -> Path:
     if folder := os.environ.get("STATE_DIRECTORY"):
         return Path(folder.split(":")[0]) / "journal.sqlite"
     return state_folder() / "journal.sqlite"
+
+
+def _waiting_rows(content: bytes) -> tuple[list[_Row], list[bytes], str]:
+    """Return the readings of a file that waited, its lines that are none, and what is wrong with the last of those."""
+    rows, rest, fault = list[_Row](), list[bytes](), ""
+    for number, line in enumerate(content.splitlines(keepends=True), start=1):
+        try:
+            rows.append(_Row.of_waiting(line.decode()))
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+            rest.append(line)
+            fault = f"line {number}: {error}"
+    return rows, rest, fault
 
 
 def _insert_event(connection: sqlite3.Connection, kind: str, message: str) -> None:

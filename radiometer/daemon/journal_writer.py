@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from pathlib import Path
 from typing import Final, TypeVar
 
 import structlog
@@ -23,6 +24,7 @@ _log = structlog.get_logger(__name__)
 _T = TypeVar("_T")
 ALARM: Final = "journal"
 _RETENTION_PERIOD_S: Final = 3600.0  # readings stay up to an hour longer than asked
+_LOOK_S: Final = 1.0  # a damaged file that was moved away ends its alarm so soon
 
 
 class JournalWriter:
@@ -39,7 +41,11 @@ class JournalWriter:
         retry_s: Pause in s between two tries while the journal cannot be written.
         closing_s: Time in s in which waiting readings are still committed at the end. A blocked disk is given up then,
             long before systemd kills after 90 s.
+        look_at_clock: Calls `note_jump` where the clock was set and that was not noted yet.
         sleep: Waits for a number of seconds.
+
+    Attributes:
+        trouble: Why the journal cannot be written just now; "" where it can.
     """
 
     def __init__(
@@ -52,11 +58,13 @@ class JournalWriter:
         keep_days: float | None = None,
         retry_s: float = 0.5,
         closing_s: float = 5.0,
+        look_at_clock: Callable[[], None] = lambda: None,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
         self._journal, self._alarms, self._on_commit = journal, alarms, on_commit
         self._capacity, self._keep_days, self._retry_s, self._sleep = capacity, keep_days, retry_s, sleep
-        self._closing_s = closing_s
+        self._closing_s, self._look_at_clock, self.trouble = closing_s, look_at_clock, ""
+        self._damaged: dict[Path, str] = {}  # files of readings that waited which stay, and what is wrong with them
         self._waiting: deque[tuple[Reading, asyncio.Future[Reading], Origin | None]] = deque()
         self._events: deque[tuple[str, str]] = deque(maxlen=capacity)
         self._jumps_us = 0
@@ -74,11 +82,6 @@ class JournalWriter:
         """Return how many readings wait to be committed."""
         return len(self._waiting)
 
-    @property
-    def trouble(self) -> str:
-        """Return why the journal cannot be written just now; "" where it can."""
-        return self._alarms.message_of(ALARM)
-
     async def open(self) -> None:
         """Open the journal; one that is merely locked or full puts up an alarm and is tried again.
 
@@ -88,7 +91,7 @@ class JournalWriter:
         try:
             await self._in_thread(self._journal.open)
         except JournalError as error:
-            self._alarms.put_up(ALARM, str(error))
+            self._report(str(error))
 
     def submit(self, reading: Reading, origin: Origin | None = None) -> asyncio.Future[Reading]:
         """Queue a reading and return the future of its committed, numbered form."""
@@ -166,10 +169,10 @@ class JournalWriter:
 
     async def _wait_for_work(self) -> None:
         try:
-            async with asyncio.timeout(_RETENTION_PERIOD_S):
+            async with asyncio.timeout(_LOOK_S if self._damaged else _RETENTION_PERIOD_S):
                 await self._work.wait()
         except TimeoutError:
-            return
+            self._report("")
 
     async def _commit_until_empty(self) -> None:
         while self._is_pending:
@@ -188,13 +191,23 @@ class JournalWriter:
             if isinstance(error, JournalSizeError):  # it will not pass by itself, as a lock or a full disk may
                 self._room.clear()
             paused = "" if self._room.is_set() else "; measuring is paused until it can be written"
-            self._alarms.put_up(ALARM, f"{error}; {len(self._waiting)} readings wait{paused}")
+            self._report(f"{error}; {len(self._waiting)} readings wait{paused}")
             await self._sleep(self._retry_s)
             return False
-        self._alarms.clear(ALARM, "the journal is written again")
+        self._report("")
         if len(self._waiting) < self._capacity:
             self._room.set()
         return True
+
+    def _report(self, trouble: str) -> None:
+        """Put the alarm up, or take it down, by whether the journal is written and no damaged file is there."""
+        became_worse = bool(trouble and not self.trouble)
+        self.trouble = trouble
+        self._damaged = {path: text for path, text in self._damaged.items() if path.exists()}
+        if message := trouble or next(iter(self._damaged.values()), ""):
+            self._alarms.put_up(ALARM, message, worse=became_worse)
+        else:
+            self._alarms.clear(ALARM, "the journal is written again")
 
     async def _commit_batch(self) -> None:
         async with self._committing:
@@ -202,9 +215,12 @@ class JournalWriter:
 
     async def _commit_all_kinds(self) -> None:
         if self._may_be_waiting:  # before any reading of this daemon, so that numbers and times rise together
-            for text in await self._in_thread(self._journal.take_in_waiting):
+            for text, left in await self._in_thread(self._journal.take_in_waiting):
                 self.note("journal", text)
-            self._retention, self._jumps_us = RetentionClock(), 0  # which shows the jumps since the start
+                if left is not None:
+                    self._damaged[left] = text
+            self._look_at_clock()  # a jump since the start is in what the opening notes, and is not counted again
+            self._retention, self._jumps_us = RetentionClock(), 0
             await self._in_thread(self._journal.note_opening, self._retention.now_us())
             self._may_be_waiting = False
         while self._events:

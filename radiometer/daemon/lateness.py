@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,7 +13,6 @@ from radiometer.daemon.patches import MAIN
 
 PERIOD: Final = "period"
 READING: Final = "reading"
-_LOOK_S: Final = 0.5  # a twentieth of the shortest window
 _WINDOW_S: Final = 10.0  # shorter ones would alarm at every pause of a busy machine
 _WINDOW_PERIODS: Final = 5  # one late measurement of five is no alarm
 _BEHIND: Final = 2 / 3  # below this share of the measurements due, the alarm goes up
@@ -84,26 +82,23 @@ class Lateness:
         self._came[name] = self._clock()
         self._alarms.clear(reading_alarm(name), "readings come again")
 
-    def look(self, *, able: bool = True) -> None:
+    def look(self, *, able: bool = True, paused: bool = False) -> None:
         """Put alarms up and take them down.
 
         Args:
-            able: Whether measuring is possible: while the camera is lost, that alarm is enough.
+            able: Whether measuring is possible: while the camera is lost, no period is missed.
+            paused: Whether measuring waits for the journal: its alarm is enough, and readings are due from the end on.
         """
         if self._every_s is None:
             return
         now = self._clock()
+        if paused:
+            self._came = dict.fromkeys(self._came, now)
         self._look_for_readings(now, self._every_s)
-        if not able:
+        if paused or not able:
             self._restart(now)
         elif self._every_s > 0:
             self._look_at_period(now, self._every_s)
-
-    async def run(self, able: Callable[[], bool], sleep: Callable[[float], Awaitable[None]] = asyncio.sleep) -> None:
-        """Look twice a second, for ever."""
-        while True:
-            self.look(able=able())
-            await sleep(_LOOK_S)
 
     def _restart(self, now: float) -> None:
         self._since_s = now

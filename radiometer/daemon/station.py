@@ -31,6 +31,7 @@ from radiometer.data.provenance import utc_now
 from radiometer.errors import RadiometerError, UsageError
 
 _log = structlog.get_logger(__name__)
+_LOOK_S = 0.5  # between two looks for what is late: a twentieth of the shortest time that is
 _LONGEST_REMARK = 500  # a paragraph; it is one line of the log
 
 
@@ -58,7 +59,10 @@ class Station:
         self.instrument, self.journal_path = instrument, journal.path
         self.hub, self.metrics, self.shown = Hub(), Metrics(), Shown()
         self.alarms = Alarms(self._alarm_changed)
-        self.writer = JournalWriter(journal, self.alarms, self._publish, keep_days=keep_days)
+        self.clock = ClockWatch(self._clock_jumped)
+        self.writer = JournalWriter(
+            journal, self.alarms, self._publish, keep_days=keep_days, look_at_clock=self.clock.look
+        )
         self.camera = DeviceKeeper("camera", instrument, self.alarms, times=times, proof="measure")
         self.light = Light(box, self.alarms, self.writer, times, self.publish_status)
         self.lateness = Lateness(self.alarms)
@@ -68,7 +72,6 @@ class Station:
         self.patches = PatchBook(
             self.acquisition, self.lateness, self.writer, self.alarms, self.metrics, self._patches_changed
         )
-        self.clock = ClockWatch(self._clock_jumped)
         self.latest_jump: Jump | None = None
         self.started = time.monotonic()
         self.on_change: list[Callable[[], None]] = []
@@ -89,7 +92,7 @@ class Station:
         self.patches.restore(await self.writer.patches())
         for keeper in self._keepers():
             await keeper.open_once()
-        loops = [self.writer.run(), self.acquisition.run(), self.clock.run(), self.lateness.run(self._is_able)]
+        loops = [self.writer.run(), self.acquisition.run(), self.clock.run(), self._look_often()]
         loops += [keeper.run() for keeper in self._keepers()]
         self._tasks = [asyncio.create_task(loop) for loop in loops]
 
@@ -200,7 +203,7 @@ class Station:
 
     def troubles(self) -> list[str]:
         """Return the names of what is wrong at this moment: alarms, and devices that are not ready."""
-        self.lateness.look(able=self._is_able())
+        self._look()
         names = [alarm.name for alarm in self.alarms.active]
         silent = [k.name for k in self._keepers() if k.state is not DeviceState.READY and k.name not in names]
         return names + silent
@@ -224,9 +227,15 @@ class Station:
     def _keepers(self) -> list[DeviceKeeper]:
         return [self.camera, *([self.light.keeper] if self.light.keeper else [])]
 
-    def _is_able(self) -> bool:
-        """Return whether nothing but time keeps measurements from beginning."""
-        return self.camera.state in (DeviceState.READY, DeviceState.OVERDUE) and self.writer.has_room
+    def _look(self) -> None:
+        """Report measurements that are late and readings that stay away; nothing is late that waits for the journal."""
+        able = self.camera.state in (DeviceState.READY, DeviceState.OVERDUE)
+        self.lateness.look(able=able, paused=not self.writer.has_room)
+
+    async def _look_often(self) -> None:
+        while True:
+            self._look()
+            await asyncio.sleep(_LOOK_S)
 
     def _take_settings(self, settings: MeasurementSettings) -> None:
         """Take settings over; where they change what is measured, the latest reading is of something else now."""

@@ -20,7 +20,7 @@ from radiometer.data.provenance import Provenance, is_out_of_date, utc_now
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.data.storage import read_yaml, write_yaml_atomic
-from radiometer.data.validation import FileSection, Side, validate, within
+from radiometer.data.validation import ConfigSection, Side, validate, within
 from radiometer.errors import CalibrationError
 
 ScaleMethod = Literal["known_radiance", "light_meter_k", "datasheet", "relative"]
@@ -28,7 +28,7 @@ FORMAT = "radiometer-calibration/1"
 DEFAULT_VALIDITY_DAYS = 365.0  # a year, the usual interval of instruments
 
 
-class ScaleConditions(FileSection):
+class ScaleConditions(ConfigSection):
     """What a scale was got under: what a reading shares with it drops out of the reading's uncertainty."""
 
     # Mean of 1/t over the exposures in s⁻¹, by their part in the value; 0 for long ones
@@ -45,7 +45,7 @@ class ScaleConditions(FileSection):
     channel: str | None = None  # colour of photographs that it was read in, such as "green"; None where there is none
 
 
-class Scale(FileSection):
+class Scale(ConfigSection):
     """What turns the linear signal into exposure on the sensor: H = value · f(M)."""
 
     # J·m⁻² per unit of the linear signal: per exp(g) with a response curve, else per DN above black at 0 dB
@@ -68,7 +68,7 @@ class Scale(FileSection):
     unit: Literal["J m-2 per unit of signal"] = "J m-2 per unit of signal"  # of the value
 
 
-class BlackLevel(FileSection):
+class BlackLevel(ConfigSection):
     """Digital number without light, and its standard uncertainty in DN."""
 
     dn: float = 0.0  # black level in DN
@@ -79,7 +79,7 @@ class BlackLevel(FileSection):
     dark_u_rel: float = Field(1.2, ge=0)
 
 
-class SpectralResponse(FileSection):
+class SpectralResponse(ConfigSection):
     """The camera's spectral responsivity per watt, relative; 0 outside the wavelengths."""
 
     wavelength_nm: tuple[float, ...] = Field(min_length=2)  # ascending wavelengths in nm
@@ -96,7 +96,7 @@ class SpectralResponse(FileSection):
         return self
 
 
-class FlatField(FileSection):
+class FlatField(ConfigSection):
     """Relative sensitivity over the picture: cos⁴α · (1 + k₂ρ² + k₄ρ⁴ + k₆ρ⁶), 1 at the principal point."""
 
     principal_point_px: tuple[float, float]  # (x, y) of the optical axis in pixels of the frame
@@ -118,7 +118,7 @@ class FlatField(FileSection):
         return np.asarray(falloff, dtype=np.float64)
 
 
-class FoundEffects(FileSection):
+class FoundEffects(ConfigSection):
     """What `radiometer reconcile` found of a camera and readings are corrected for; 0 where nothing was found."""
 
     exposure_offset_s: float = 0.0  # real exposure times beyond the stated ones in s
@@ -149,7 +149,7 @@ class FoundEffects(FileSection):
         return self
 
 
-class StatedUncertainties(FileSection):
+class StatedUncertainties(ConfigSection):
     """Standard uncertainties that the user states or the program assumes, each with its default and its origin."""
 
     # Of exposure times, relative. Default: crystal oscillators with all their tolerances, 100 ppm.
@@ -306,7 +306,7 @@ class Calibration:
         )
 
 
-class _NoiseSection(FileSection):
+class _NoiseSection(ConfigSection):
     conversion_gain_e_per_dn: Annotated[float, within("conversion_gain")]
     read_noise_e: Annotated[float, within("read_noise")]
     post_curve_dn2: float = Field(0.0, ge=0)
@@ -320,7 +320,8 @@ class _NoiseSection(FileSection):
         return SensorNoise(**self.model_dump(include=set(type(self).model_fields)))
 
 
-class _CalibrationFile(FileSection):
+class _CalibrationFile(ConfigSection):
+    format: str
     created: AwareDatetime
     validity_days: float = Field(DEFAULT_VALIDITY_DAYS, gt=0)
     camera: CameraDescription

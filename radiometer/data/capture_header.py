@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from radiometer.data.reading import Patch
 from radiometer.data.validation import FileSection, Side, within
@@ -38,8 +39,16 @@ class TapDescription(FileSection):
         return Patch(self.x, self.y, self.width, self.height)
 
 
+def as_binning(written: object) -> object:
+    """Return binning as one text, "2" or "2x1", for what programs write: 2, "2x2", "2 2", "(2, 1)"."""
+    factors = re.findall(r"\d+", str(written)) if isinstance(written, int | str) else []
+    return "x".join(dict.fromkeys(factors)) or written
+
+
 class CameraDescription(FileSection):
     """The camera as its datasheet or calibration believes it to be; all but the bit depth may be unknown."""
+
+    SETTINGS: ClassVar = ("mode", "filter", "band", "binning")  # that decide which light is one digital number
 
     bit_depth: int = Field(ge=1, le=16)
     code_step_dn: int | None = Field(None, ge=1)  # distance between codes where the low bits are padding; 1 if unknown
@@ -57,7 +66,10 @@ class CameraDescription(FileSection):
     black_level_dn: Annotated[float | None, within("black_level")] = None
     white_level_dn: float | None = Field(None, gt=0)  # from which pixels are saturated, where the camera states it
     quantum_efficiency: float | None = Field(None, gt=0, le=1)
-    mode: str | None = None  # filter, read-out mode, gain in the camera's own unit, where files state them
+    mode: str | None = None  # read-out mode, gain in the camera's own unit, where files state them
+    filter: str | None = None  # name of the filter before it
+    band: str | int | None = None  # its place among the bands of a multispectral camera
+    binning: Annotated[str | None, BeforeValidator(as_binning)] = None  # pixels that are one, along a row and a column
     mosaic: Literal["RGGB", "GRBG", "GBRG", "BGGR"] | None = None  # colour filters of 2 × 2 pixels, row by row
     taps: tuple[TapDescription, ...] | None = None  # of cameras with several output amplifiers
 
@@ -105,6 +117,11 @@ class LensDescription(FileSection):
     since_calibration: tuple[LensHandling, ...] = Field(
         (), description="What was done to it since the camera was calibrated; each adds to the uncertainty."
     )
+
+    @property
+    def extension(self) -> float:
+        """Return the image distance, as rays of the pupil's middle see it, over the focal length: 1 + m/p."""
+        return 1.0 + self.magnification / self.pupil_magnification
 
     def in_words(self, f_numbers: Iterable[float | None] = ()) -> str:
         """Return focal length and f-number in one line; "" where neither is stated.

@@ -16,7 +16,7 @@ from pydantic import AwareDatetime, Field, TypeAdapter
 
 from radiometer.data.provenance import Provenance, is_out_of_date, utc_now
 from radiometer.data.storage import read_yaml, write_yaml_atomic
-from radiometer.data.validation import FileSection, validate
+from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import CalibrationError, SettingOutOfRange
 
 FORMAT: Final = "radiometer-light-calibration/1"
@@ -24,7 +24,7 @@ LOW_RANGE, HIGH_RANGE = "low", "high"
 COVERAGE: Final = 2.0  # k = 2: a limit of safety counts with the expanded uncertainty
 
 
-class LightPoint(FileSection):
+class LightPoint(ConfigSection):
     """One measured level."""
 
     current_range: Literal["low", "high"]  # "low" or "high" current
@@ -37,7 +37,7 @@ class LightPoint(FileSection):
     start_rel: float = Field(1.0, gt=0)  # radiance just after switching on, over the settled one
 
 
-class ChannelCalibration(FileSection):
+class ChannelCalibration(ConfigSection):
     """The measured levels of one channel."""
 
     duty_steps: int = Field(gt=1)  # duty steps of the channel
@@ -69,7 +69,7 @@ class ChannelCalibration(FileSection):
         return {name: _Range.of(points, self.duty_steps) for name, points in found.items() if len(points) > 1}
 
 
-class _File(FileSection):
+class _File(ConfigSection):
     """The whole file."""
 
     format: Literal["radiometer-light-calibration/1"]

@@ -15,10 +15,14 @@ from numpy.typing import NDArray
 from radiometer.data.provenance import Provenance
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import dump_yaml, read_text, read_yaml, write_text_atomic
+from radiometer.data.validation import refuse_unknown
 from radiometer.errors import InputError
 
 FORMAT = "radiometer-response/1"
 _LARGEST_LOG: Final = 100.0  # of an exposure: e¹⁰⁰ and e⁻¹⁰⁰ J·m⁻² are beyond all light
+_KEYS: Final = (
+    "format", "bit_depth", "channel", "absolute", "unit", "valid_dn", "provenance", "log_exposure", "u_log_exposure",
+)  # fmt: skip
 _CSV_HEADER = ["dn", "log_exposure", "u_log_exposure"]
 
 
@@ -95,6 +99,7 @@ class ResponseCurve:
         """
         if mapping.get("format") != FORMAT:
             raise InputError(f"{where}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
+        refuse_unknown(mapping, _KEYS, where, InputError)
         provenance = Provenance.from_mapping(mapping.get("provenance"), where)
         try:
             valid = mapping.get("valid_dn")

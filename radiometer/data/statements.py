@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radiometer.data.storage import read_yaml
+from radiometer.data.validation import refuse_unknown
 from radiometer.errors import ConfigurationError, UnsettledError, UsageError
 from radiometer.plausible import PLAUSIBLE
 from radiometer.units import Unit, read_number, unit_in_words, unit_names, unit_of
@@ -358,6 +359,7 @@ def _checked(fact: str, text: str, where: str) -> Place:
 
 def _from_file(path: Path) -> dict[str, tuple[Place, ...]]:
     content = read_yaml(path)
+    refuse_unknown(content, ("format", "map"), str(path), ConfigurationError)
     entries = content.get("map")
     if content.get("format") != MAP_FORMAT or not isinstance(entries, dict):
         raise ConfigurationError(f"{path}: expected `format: {MAP_FORMAT}` and `map:` with facts and their places")

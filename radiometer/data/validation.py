@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from difflib import SequenceMatcher
 from typing import Annotated, Any, Final, Self, TypeVar, get_args
 
@@ -31,7 +31,7 @@ _ALIKE: Final = 0.85  # share of letters in common: one wrong, missing or swappe
 _LONGEST_KEY: Final = 64  # characters; those of this program have up to 30
 _UNITS: Final = frozenset(
     ("s", "ms", "us", "ns", "min", "db", "x", "dn", "adu", "e", "c", "k", "degc", "um", "mm", "nm", "m", "hz", "px")
-)  # last words of keys
+) | {"number", "name"}  # last words of keys that say no more than the others
 _MOST_SIDE: Final = 100_000  # pixels; the longest line sensors have 32,768
 _MOST_PIXELS: Final = 200_000_000  # the largest sensors sold have 151 million
 
@@ -124,7 +124,7 @@ class FileSection(_Section):
 
 
 class ConfigSection(_Section):
-    """A section of a configuration file: frozen; an unknown key is an error."""
+    """A section of a file that this program alone reads: frozen; an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -143,13 +143,25 @@ def validate(model: type[ModelT], mapping: Mapping[str, Any], where: str, error:
         raise error(f"{where}: " + "; ".join(lines[:3]) + more) from found
 
 
+def refuse_unknown(
+    mapping: Mapping[str, Any], known: Collection[str], where: str, error: type[RadiometerError]
+) -> None:
+    """Refuse a mapping with a key that is not known. Raises RadiometerError of the class `error`."""
+    for key in mapping:
+        if key not in known:
+            raise error(f"{where}: {_unknown(str(key), known)}")
+
+
+def _unknown(key: str, known: Collection[str]) -> str:
+    return f"unknown key {key[:80]!r}" + (f"; allowed here: {', '.join(sorted(known))}" if known else "")
+
+
 def _line(entry: Mapping[str, Any], model: type[BaseModel]) -> str:
     key = ".".join(str(part) for part in entry["loc"])
     if entry["type"] == "missing":
         return f"key {key!r} is missing"
     if entry["type"] == "extra_forbidden":
-        allowed = ", ".join(sorted(_keys_at(model, entry["loc"][:-1])))
-        return f"unknown key {key!r}" + (f"; allowed here: {allowed}" if allowed else "")
+        return _unknown(key, _keys_at(model, entry["loc"][:-1]))
     message = entry["msg"].removeprefix("Value error, ")
     if isinstance(entry.get("input"), Mapping) and entry["type"] == "value_error":  # of a whole section, which names it
         return ": ".join(filter(None, (key, message)))

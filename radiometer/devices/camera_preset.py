@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from radiometer.data import CameraDescription, SpectralResponse
 from radiometer.data.config_files import shipped_config
 from radiometer.data.storage import read_yaml
-from radiometer.data.validation import ConfigSection, FileSection, Side, refuse_large_frame, validate
+from radiometer.data.validation import ConfigSection, Side, refuse_large_frame, validate
 from radiometer.devices.camera import CameraCapabilities
 from radiometer.errors import CalibrationError, ConfigurationError
 
@@ -54,7 +54,7 @@ class CameraLimits(ConfigSection):
         return CameraCapabilities(**shared, has_shutter=self.has_shutter if has_shutter is None else has_shutter)
 
 
-class CameraPreset(FileSection):
+class CameraPreset(ConfigSection):
     """A camera file: description, limits (absent in a characterisation of a capture set) and sources.
 
     `uncertainties` are what calibrations of such a camera state of readings, by the names of a calibration file.
@@ -66,6 +66,8 @@ class CameraPreset(FileSection):
     sources: dict[str, str] = Field(default_factory=dict)
     uncertainties: dict[str, float] = Field(default_factory=dict)
     spectral_response: SpectralResponse | None = None
+    emva1288: dict[str, Any] = Field(default_factory=dict)  # figures of a characterisation
+    provenance: dict[str, Any] = Field(default_factory=dict)
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> CameraPreset:
@@ -120,7 +122,7 @@ class CameraPreset(FileSection):
         Returns:
             None where the file is a datasheet's, or the figure was not measured.
         """
-        figures = (self.model_extra or {}).get("emva1288", {}).get("figures", {})
+        figures = self.emva1288.get("figures", {})
         found = figures.get(symbol)
         return None if not found or not found.get("value") else abs(found["u"] / found["value"])
 

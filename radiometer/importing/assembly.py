@@ -30,6 +30,7 @@ _CAMERA_KEYS: Final = (
 )  # fmt: skip
 # What a set is called by among several.
 _OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode", "scene")
+_UNBINNED: Final = ("binning", "1")  # as frames that state nothing of it
 _MASKED_SAME_DN: Final = 1.0  # masked rows are read to a fraction of a DN
 _UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, above which it is reported
 
@@ -50,7 +51,7 @@ def by_camera(frames: Iterable[FoundFrame]) -> dict[str, list[FoundFrame]]:
     """
     keys: dict[tuple[Any, ...], list[FoundFrame]] = {}
     for frame in frames:
-        own = [frame.camera.get(k) for k in _OWN_KEYS]
+        own = [None if (k, frame.camera.get(k)) == _UNBINNED else frame.camera.get(k) for k in _OWN_KEYS]
         key = (*own, *frame.shape, "gain_db" in frame.taken, frame.camera.get("unit"))
         keys.setdefault(key, []).append(frame)
     titles = _titles(list(keys))
@@ -241,6 +242,9 @@ def _camera(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions)
             facts[key] = values.most_common(1)[0][0]
         if len(values) > 1:
             doubts.append(f"headers disagree on {key}: {', '.join(map(str, values))}; the most frequent is taken")
+    filters = {f.camera.get("filter") for f in frames if not f.settings.is_dark}
+    if len(filters) == 1:  # of several, each is a pattern
+        facts["filter"] = filters.pop()
     if "taps" in facts and (options.crop or options.sample > 1):
         del facts["taps"]
         doubts.append("the sections of amplifiers are left out: they hold for whole frames only")

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.data.capture_header import as_binning
 from radiometer.data.frame import FrameSettings
 from radiometer.data.guards import refuse_size
 from radiometer.data.reader_limits import bounded_reader
@@ -35,7 +36,7 @@ from radiometer.importing.file_names import DARK_FLAT, claims_of, contradictions
 from radiometer.importing.fits_sections import Mosaic, taps_of
 from radiometer.importing.found import FoundFrame
 from radiometer.moments import moment_of
-from radiometer.units import BASE_ISO, read_number, unit_in_words
+from radiometer.units import BASE_ISO, gain_factor, read_number, unit_in_words
 
 Header = Mapping[str, Statement]
 # Places in the order in which they are believed, each with the unit that its definition gives: XPOSURE and TELAPSE by
@@ -53,7 +54,9 @@ _SATURATED_FROM: Final = ("SATURATE", "SATLEVEL")
 _READ_NOISE: Final = places("RDNOISE:e- READNOIS:e- RON:e- READNOISE:e-")
 # One wheel or several: light passes all of them.
 _FILTERS: Final = re.compile(r"FILT(?:ER|NAM|NAME|ID)?S?[0-9]{0,2}|INSFILTE|(?:ESO INS )?FILT[0-9]? NAME")
-_BINNING: Final = ("XBINNING", "CCDXBIN", "BINX", "HBIN", "BINNING", "CCDSUM")
+_BINNING: Final = (
+    ("XBINNING", "YBINNING"), ("CCDXBIN", "CCDYBIN"), ("BINX", "BINY"), ("HBIN", "VBIN"), ("BINNING",), ("CCDSUM",),
+)  # fmt: skip
 # A sensor's comment says nothing of these.
 _ELSEWHERE: Final = re.compile(r"ambient|outside|outdoor|air|dome|mirror|focus|weather|room|tube", re.IGNORECASE)
 _F_NUMBER: Final = places("FNUMBER:1 FRATIO:1")
@@ -305,6 +308,10 @@ def _frames(
     gain_db, mode = _gain(path, header, mapped, taken, doubts)
     filters = _filters(header, mapped, str(path))
     camera = _camera(path, header, mapped, taken, doubts) | ({"mode": mode} if mode else {})
+    if "conversion_gain_e_per_dn" in camera:  # of the frame as it is; that of a camera is at 0 dB
+        camera["conversion_gain_e_per_dn"] *= gain_factor(gain_db)
+    if filters:
+        camera["filter"] = filters[1]
     if taps := taps_of(header, (shape[-2], shape[-1]), doubts):
         camera, taken["taps"] = camera | {"taps": taps}, "data sections"
     settings = FrameSettings(
@@ -544,12 +551,13 @@ def _filters(header: Header, mapped: StatementMap, where: str) -> tuple[str, str
     return ", ".join(key for key, _ in found), " + ".join(dict.fromkeys(words for _, words in found))
 
 
-def _binning(header: Header) -> int:
-    """Return how many pixels are summed along a row; 1 where nothing states it."""
-    for key in _BINNING:
-        if key in header and (digits := re.match(r"\s*(\d{1,2})(?!\d)", str(header[key].written))):
-            return int(digits[1])
-    return 1
+def _binning(header: Header) -> str | None:
+    """Return how many pixels are one along a row and a column, such as "2 2"; None where nothing states it."""
+    for keys in _BINNING:
+        written = " ".join(str(header[key].written) for key in keys if key in header)
+        if re.match(r"\W*\d{1,2}(?!\d)", written):
+            return written
+    return None
 
 
 def _is_kelvin_by_size(header: Header, key: str) -> bool:
@@ -595,8 +603,8 @@ def _camera(
     pitch = next(((k, v) for k in ("PIXSIZE1", "XPIXSZ", "PIXSIZE") if (v := _number(header, k)) and v > 0), None)
     if pitch is not None:
         taken["pixel_pitch_um"], camera["pixel_pitch_um"] = pitch
-    if (binning := _binning(header)) > 1:
-        camera["binning"] = binning
+    if (binning := _binning(header)) is not None:
+        camera["binning"] = as_binning(binning)
     top = _number(header, "SATURATE") or _number(header, "DATAMAX")
     if top is not None and top >= 1:
         camera["stated_top_dn"] = top

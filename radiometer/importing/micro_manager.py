@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+from radiometer.data.capture_header import as_binning
 from radiometer.data.json_text import RepeatedKey, parsed_json
 from radiometer.data.statements import Statement, StatementMap, value_of
 from radiometer.errors import CaptureError
@@ -102,7 +103,7 @@ def completed(frame: FoundFrame, facts: PlaneFacts, mapped: StatementMap) -> Fou
         camera["mode"] = f"gain {facts.gain}"  # frames of other gains are another set: their ratio is not known
         doubts.append(f"the gain is {facts.gain} in a unit of the camera's own: it counts as 0 dB of this set")
     if facts.binning is not None:
-        camera["binning"] = facts.binning
+        camera["binning"] = as_binning(facts.binning)
     if facts.bit_depth is not None:
         camera["stated_top_dn"] = float((1 << facts.bit_depth) - 1)
     if facts.camera:

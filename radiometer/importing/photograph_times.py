@@ -15,7 +15,7 @@ from radiometer.data.storage import read_text
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing.exif import exposure_of, f_number_of, iso_of, read_exif_header
 from radiometer.plausible import PLAUSIBLE
-from radiometer.units import exact_exposure_s, exact_f_number, heading_parts, read_number, unit_of
+from radiometer.units import exact_exposures_s, exact_f_number, heading_parts, read_number, unit_of
 
 _LONGEST_NAME: Final = 1_000  # characters; no file system has names of so many
 _GAP: Final = re.compile(r"[,;\s]+")
@@ -54,16 +54,12 @@ LONGEST_OF_DIAL_S: Final = 60.0  # longer ones are by hand (bulb)
 class PhotographSettings:
     """What is known of one photograph."""
 
-    exposure_s: float  # exposure time in s, exact where a printed dial value was given
+    exposure_s: float  # exposure time in s, exact where `with_exact_times` found a dial
     nominal_exposure_s: float  # the time as printed
     f_number: float | None = None  # exact f-number; None where unknown
     iso: float | None = None  # ISO speed as stated; None where unknown
     gain_db: float = 0.0  # gain in addition to the ISO speed in dB of amplitude
     iso_doubt: str = ""  # why no speed is known though a tag states one; "" where that is not so
-
-    def as_printed(self) -> PhotographSettings:
-        """Return the settings with the time as it is printed, no stop behind it."""
-        return replace(self, exposure_s=self.nominal_exposure_s)
 
 
 def is_dial_time(seconds: float) -> bool:
@@ -74,11 +70,7 @@ def is_dial_time(seconds: float) -> bool:
 
 @bounded_reader()
 def read_exif(path: Path) -> PhotographSettings | None:
-    """Return the settings in a photograph's EXIF data; None where it holds no exposure time.
-
-    A dial value (1/60 s) is turned into the exact stop behind it (2⁻⁶ s); any other time is taken as it stands. Of a
-    camera that states other times as well, none means a whole stop (`as_printed`).
-    """
+    """Return the settings in a photograph's EXIF data, its time as printed; None where it holds no exposure time."""
     header, doubts = read_exif_header(path), list[str]()
     exposure = exposure_of(header, doubts, str(path))
     if exposure is None or exposure[1] == 0:
@@ -87,12 +79,25 @@ def read_exif(path: Path) -> PhotographSettings | None:
     doubts.clear()
     iso = iso_of(header, doubts, str(path))
     return PhotographSettings(
-        exposure_s=exact_exposure_s(nominal) if is_dial_time(nominal) else nominal,
+        exposure_s=nominal,
         nominal_exposure_s=nominal,
         f_number=None if f_number is None else exact_f_number(f_number),
         iso=None if iso is None else iso[1],
         iso_doubt="; ".join(doubts),
     )
+
+
+def with_exact_times(settings: Mapping[str, PhotographSettings]) -> dict[str, PhotographSettings]:
+    """Return photographs of one camera with the exact stops behind their printed times (2⁻⁶ s behind 1/60 s).
+
+    Only where every time is printed on a dial, or is longer and so set by hand: other cameras' times are no stops.
+    """
+    dial = [name for name, one in settings.items() if one.nominal_exposure_s <= LONGEST_OF_DIAL_S]
+    printed = [settings[name].nominal_exposure_s for name in dial]
+    if not all(map(is_dial_time, printed)):
+        return dict(settings)
+    exact = zip(dial, exact_exposures_s(printed), strict=True)
+    return {**settings, **{name: replace(settings[name], exposure_s=seconds) for name, seconds in exact}}
 
 
 def find_list(folder: Path) -> Path | None:

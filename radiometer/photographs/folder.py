@@ -30,14 +30,13 @@ from radiometer.importing.photograph_pixels import (
 )
 from radiometer.importing.photograph_times import (
     LIST_NAMES,
-    LONGEST_OF_DIAL_S,
     PhotographSettings,
     find_list,
-    is_dial_time,
     name_of_other_case,
     names_in,
     read_exif,
     read_list,
+    with_exact_times,
 )
 from radiometer.photographs.stated import LIST_GAIN, with_gain
 
@@ -288,12 +287,7 @@ def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
                 "this folder with one line per file: `name seconds`"
             )
         settings[name] = known
-    return settings if _from_a_dial(settings.values()) else {n: one.as_printed() for n, one in settings.items()}
-
-
-def _from_a_dial(settings: Iterable[PhotographSettings]) -> bool:
-    """Return whether every time is printed on a dial or is longer (set by hand): only then are they whole stops."""
-    return all(is_dial_time(one.nominal_exposure_s) or one.nominal_exposure_s > LONGEST_OF_DIAL_S for one in settings)
+    return with_exact_times(settings)
 
 
 def _refuse_unknown_speed(folder: Path, settings: dict[str, PhotographSettings]) -> None:

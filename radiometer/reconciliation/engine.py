@@ -229,28 +229,20 @@ def reconcile(
 
 @on_one_blas_thread
 def gaps_of(
-    found: Sequence[ReconcileResult | CameraModel | None], header: CaptureHeader, frames: Iterable[Frame]
+    found: Sequence[ReconcileResult | None], header: CaptureHeader, frames: Iterable[Frame]
 ) -> tuple[float, ...]:
     """Return the reduced χ² of held-out settings of a capture set under models that are not changed.
 
     Only the nuisances (responsivity, patch radiances) are fitted; the frames are read once.
 
     Args:
-        found: Results whose effects are taken, camera models, or None for the ideal camera of the header.
+        found: Results whose effects are taken, or None for the ideal camera of the header.
         header: What `capture.yaml` of the (fresh) capture set says.
         frames: Its frames.
     """
     held = frames if isinstance(frames, Sequence) else list(frames)
     design, _, reduced = evidence_for(header, held[0].shape, frame_reader(held))
-    gaps = []
-    for entry in found:
-        if isinstance(entry, CameraModel):  # it may state another black level, which the reduction goes by
-            changed, given = _adopted(header, entry)
-            own, _, read = evidence_for(changed, held[0].shape, frame_reader(held))
-            gaps.append(first_state(own, *read, given).gap)
-        else:
-            gaps.append(first_state(design, *reduced, () if entry is None else entry.added).gap)
-    return tuple(gaps)
+    return tuple(first_state(design, *reduced, () if entry is None else entry.added).gap for entry in found)
 
 
 def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureHeader, tuple[CatalogueEffect, ...]]:

@@ -196,11 +196,8 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
     if best is None:
         return None
     frame, names, chi2 = best
-    apart = [chosen.name, *names]
-    return _advice(frame, f"separates {chosen.name} from {', '.join(names)}") | {
-        "separates": apart,
-        "expected_chi2": round(chi2, 1),
-    }
+    found = _advice(frame, f"separates {chosen.name} from {', '.join(names)}")
+    return found | {"separates": [chosen.name, *names], "expected_chi2": round(chi2, 1)}
 
 
 def separating_capture(
@@ -214,14 +211,11 @@ def separating_capture(
         others: The others at the sizes that look the same.
     """
     first, *models = (refit_with(state, entry, iterations=_REFITS) for entry in (effect, *others))
-    pool = CapturePool.of(state)
-    expected = pool.predicted(first)
-    apart = np.nan_to_num(np.stack([pool.separation(expected, pool.predicted(model)) for model in models]))
-    index = int(np.argmax(np.minimum(apart, _DISTINGUISHED_CHI2).sum(axis=0)))
-    names = [other.name for other, chi2 in zip(others, apart[:, index], strict=True) if chi2 >= _HELPS_CHI2]
-    if not names:
+    best = _best(first, dict(zip([other.name for other in others], models, strict=True)), _HELPS_CHI2)
+    if best is None:
         return None
-    return _advice(pool.frame(index), f"separates {effect.name} from {', '.join(names)}") | {"separates": names}
+    frame, names, _ = best
+    return _advice(frame, f"separates {effect.name} from {', '.join(names)}") | {"separates": names}
 
 
 def propose_for_unnamed(
@@ -317,8 +311,7 @@ def _best(
         return None
     pool = CapturePool.of(state)
     expected = pool.predicted(state)
-    apart = np.stack([pool.separation(expected, pool.predicted(model)) for model in models.values()])
-    apart = np.nan_to_num(apart)
+    apart = np.nan_to_num(np.stack([pool.separation(expected, pool.predicted(one)) for one in models.values()]))
     worth = np.minimum(apart, _DISTINGUISHED_CHI2).sum(axis=0)
     index = int(np.lexsort((apart.min(axis=0), worth))[-1])
     separated: Array = apart[:, index]

@@ -76,7 +76,7 @@ def posterior_of(state: FitState, catalogue: Collection[str]) -> Posterior:
         state: The model that is reported.
         catalogue: Names of the entries that may be named.
     """
-    return posterior(state.models.fits, catalogue, scatter_of(state))
+    return posterior(state.models, catalogue, scatter_of(state))
 
 
 def posterior(fits: Sequence[ModelFit], catalogue: Collection[str], dispersion: float = 1.0) -> Posterior:

@@ -193,11 +193,11 @@ def _evidence(effect: FoundEffect) -> str:
 def _effect_picture(effect: FoundEffect, entry: CatalogueEffect | None, reconciled: Reconciled) -> str:
     state = reconciled.outcome.state
     if entry is None:
-        return unnamed_plot(state, effect.where, effect.block) or ""
+        return plot_along(state, effect.where, effect.block)
     first = next(iter(effect.parameters.values()), None)
     known = first is not None and first.u is not None and first.value != 0
     u_rel = abs(first.u / first.value) if known and first is not None and first.u is not None else None
-    return effect_plot(state, entry, u_rel) or ""
+    return plot_along(state, entry.where, entry.block, entry, u_rel)
 
 
 def _parameters(effect: FoundEffect) -> str:
@@ -396,59 +396,46 @@ def _steps(axes: Axes, reconciled: Reconciled) -> None:
     axes.grid(visible=False, axis="y")
 
 
-def effect_plot(state: FitState, effect: CatalogueEffect, u_rel: float | None) -> str | None:
-    """Return what the data show along an effect's covariate without it, and what it predicts there.
+def plot_along(
+    state: FitState, where: str, block: str, effect: CatalogueEffect | None = None, u_rel: float | None = None
+) -> str:
+    """Return what the model leaves of a statistic along a covariate, without an effect and with what that predicts.
 
     Args:
+        where: The covariate.
+        block: The statistic.
+        effect: One of the model's effects; None for what no name explains.
         u_rel: Relative standard uncertainty of its main parameter; None where it has none.
 
     Returns:
-        The picture; None where the covariate does not vary, or no entry of the statistic counts.
+        The picture; nothing where the covariate does not vary, or no entry of the statistic counts.
     """
-    axis = covariates(state.model, state.prediction).get(effect.where)
+    axis = covariates(state.model, state.prediction).get(where)
     if axis is None:
-        return None
-    others = tuple(one for one in state.effects if one is not effect)
-    value, without = _left(state, axis.value, effect.block, state.predicted_with(others))
+        return ""
+    value, within = _left(state, axis.value, block, state.prediction)
     if not value.size:
-        return None
-    _, within = _left(state, axis.value, effect.block, state.prediction)
-    x, seen, u = _binned(effect.where, value, without)
-    _, curve, _ = _binned(effect.where, value, without - within)
+        return ""
+    others = tuple(one for one in state.effects if one is not effect)
+    without = within if effect is None else _left(state, axis.value, block, state.predicted_with(others))[1]
+    x, seen, u = _binned(where, value, without)
+    _, curve, _ = _binned(where, value, without - within)
+    what = "with all that is named" if effect is None else "without it"
 
     def draw(figure: Figure, narrow: bool) -> None:
         axes = figure.subplots()
-        axes.errorbar(x, seen, u, fmt="o", ms=4, lw=1, color=BEFORE, label="measured − simulated without it")
-        axes.plot(x, curve, color=AFTER, lw=1.6, label=label(f"what {shortened(effect.name, 40)} predicts"))
+        axes.errorbar(x, seen, u, fmt="o", ms=4, lw=1, color=BEFORE, label=f"measured − simulated {what}")
+        if effect is not None:
+            axes.plot(x, curve, color=AFTER, lw=1.6, label=label(f"what {shortened(effect.name, 40)} predicts"))
         if u_rel is not None and np.isfinite(u_rel):
             wide = 2.0 * min(u_rel, 1.0) * np.abs(curve)
             axes.fill_between(x, curve - wide, curve + wide, color=AFTER, alpha=0.2, linewidth=0)
-        _along(axes, effect.where, f"{effect.block}: residual in σ")
-
-    caption = "Points: residual without it, with k = 1 bars. Line: what it predicts, with its k = 2 band."
-    return picture(draw, caption, _WIDE, _NARROW)
-
-
-def unnamed_plot(state: FitState, where: str, block: str) -> str | None:
-    """Return what the final model leaves of a statistic along a covariate.
-
-    Returns:
-        The picture; None where the covariate does not vary.
-    """
-    axis = covariates(state.model, state.prediction).get(where)
-    value, left = (np.zeros(0),) * 2 if axis is None else _left(state, axis.value, block, state.prediction)
-    if not value.size:
-        return None
-    x, seen, u = _binned(where, value, left)
-
-    def draw(figure: Figure, narrow: bool) -> None:
-        axes = figure.subplots()
-        axes.errorbar(
-            x, seen, u, fmt="o", ms=4, lw=1, color=BEFORE, label="measured − simulated with all that is named"
-        )
         _along(axes, where, f"{block}: residual in σ")
 
-    return picture(draw, "What no known effect explains, along what it follows, with k = 1 bars.", _WIDE, _NARROW)
+    caption = "What no known effect explains, along what it follows, with k = 1 bars."
+    if effect is not None:
+        caption = "Points: residual without it, with k = 1 bars. Line: what it predicts, with its k = 2 band."
+    return picture(draw, caption, _WIDE, _NARROW)
 
 
 def _left(state: FitState, value: Array, block: str, prediction: Prediction) -> tuple[Array, Array]:

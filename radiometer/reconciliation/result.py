@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Final
 
@@ -55,7 +55,7 @@ class FittedParameter:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return {value, u, unit}."""
-        return {"value": self.value, "u": self.u, "unit": self.unit}
+        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,13 +181,7 @@ class Place:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the JSON form."""
-        return {
-            "block": self.block,
-            "covariate": self.covariate,
-            "form": self.form,
-            "score": self.score,
-            "p_value": self.p_value,
-        }
+        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,14 +198,9 @@ class Series:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the JSON form."""
-        return {
-            "frames": list(self.frames),
-            "exposure_s": self.exposure_s,
-            "temperature_C": self.temperature_c,
-            "apart": list(self.apart),
-            "u": list(self.u),
-            "standing_out": [self.frames[position] for position in self.standing_out],
-        }
+        content = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+        content["temperature_C"] = content.pop("temperature_c")
+        return content | {"standing_out": [self.frames[position] for position in self.standing_out]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,7 +320,7 @@ class ReconcileResult:
                 "before": self.gap_before,
                 "after": self.gap_after,
                 "unit": self.gap_unit,
-                "by_covariate": {n: {"before": g.before, "after": g.after} for n, g in self.covariates.items()},
+                "by_covariate": {name: asdict(gap) for name, gap in self.covariates.items()},
             },
             "limits": {name: limit.amplitude for name, limit in self.limits.items()},
             "limit_parameters": {n: v.parameter_mapping() for n, v in self.limits.items()},

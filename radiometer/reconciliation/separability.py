@@ -26,7 +26,7 @@ import numpy as np
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.state import FitState, ModelFit, ModelList, with_effects
+from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects
 from radiometer.reconciliation.next_capture import separating_capture
 from radiometer.reconciliation.result import Limit
 from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
@@ -395,7 +395,7 @@ def inseparable(
     alike = ConfusablePair(directions, target)
     found = [pair for name in kinds if (pair := alike.fitted(name)) is not None]
     for effect, left in found:
-        state.models.add(_exchanged(state, chosen, effect, left))
+        state.models.append(_exchanged(state, chosen, effect, left))
     return tuple(effect for effect, _ in found)
 
 
@@ -422,7 +422,7 @@ def noiseless(state: FitState, effect: CatalogueEffect) -> FitState:
     """Return a state with the data replaced by what its model with a further effect expects."""
     known = {entry.name: getattr(state.comparison, entry.name) for entry in fields(state.comparison)}
     offset = state.comparison.residual(state.predicted_with((*state.effects, effect)))
-    return replace(state, comparison=Noiseless(**known | {"offset": offset}), models=ModelList())
+    return replace(state, comparison=Noiseless(**known | {"offset": offset}), models=[])
 
 
 def left_by_fit(exact: FitState, truth: CatalogueEffect, start: Candidate) -> tuple[float, CatalogueEffect]:

@@ -556,6 +556,8 @@ _EDGES: Final = 5.0  # √(number of edges that average out), few to be safe
 _LEAST_STEP: Final = 0.1  # of the brightest light, where all patches are alike
 _TREND_TERMS: Final = 3  # of a tile's lines: constant, slope and curvature are taken out
 _SMALLEST_SHARE: Final = 1e-6
+ANSCOMBE: Final = 0.375  # added to a count before its root
+_SMALL_SHARE: Final = 0.01  # of the variance of twice the root of a count, which is 1
 _FIXED: Final = ("spatial", "columns", "rows")
 
 
@@ -640,6 +642,28 @@ def renewed_patterns(design: Design, seen: CaptureStatistics, prediction: Predic
     }
 
 
+def errors_of_counts(prediction: Prediction, usable: Mapping[str, Mask]) -> tuple[FixedError, ...]:
+    """Return the chance number of the pixels that count, which are the same in all captures.
+
+    Two captures share the pixels of that in which fewer count: numbers n and m have the covariance min(n, m).
+    """
+    found = []
+    for name in ("outliers", "unsteady"):
+        count = np.where(usable[name], getattr(prediction, name), 0.0)
+        scale = np.sqrt(count + ANSCOMBE)  # of what twice the root moves by
+        values, vectors = np.linalg.eigh(np.minimum.outer(count, count) / np.outer(scale, scale))
+        kept = values > _SMALL_SHARE
+        if kept.any():
+            part = {name: _of_captures(vectors[:, kept] * np.sqrt(values[kept]))}
+            found.append(FixedError(f"number: {name}", _whatever(part), np.ones(kept.sum())))
+    return tuple(found)
+
+
+def _whatever(part: Mapping[str, Part]) -> Callable[[Prediction], Mapping[str, Part]]:
+    """Return the parts of a source of error that are the same whatever is predicted."""
+    return lambda prediction: part
+
+
 def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:
     """Return what all borders share, whatever the blur: none is quite straight, and the source's least so.
 
@@ -647,7 +671,7 @@ def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:
         usable: (captures,) whether a capture's borders carry information.
     """
     part = {"edge": _of_captures(np.ones((usable.size, 1)))}
-    return (FixedError("borders", lambda prediction: part, np.array([SHARPEST])),) if usable.any() else ()
+    return (FixedError("borders", _whatever(part), np.array([SHARPEST])),) if usable.any() else ()
 
 
 def error_of_histograms(honest: Array, usable: Mask) -> tuple[FixedError, ...]:
@@ -661,7 +685,7 @@ def error_of_histograms(honest: Array, usable: Mask) -> tuple[FixedError, ...]:
         return ()
     periods = honest.shape[1]
     part = {"comb": Part(honest, np.eye(periods))}
-    return (FixedError("histogram of the scene", lambda prediction: part, np.ones(periods)),)
+    return (FixedError("histogram of the scene", _whatever(part), np.ones(periods)),)
 
 
 def _of_captures(columns: Array) -> Part:

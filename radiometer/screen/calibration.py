@@ -19,13 +19,17 @@ from scipy.optimize import isotonic_regression
 from radiometer.data import Provenance, Quantity
 from radiometer.data.provenance import utc_now
 from radiometer.data.storage import read_yaml, write_yaml_atomic
-from radiometer.data.validation import FileSection, validate
+from radiometer.data.validation import ConfigSection, refuse_unknown, validate
 from radiometer.errors import CalibrationError, SettingOutOfRange
 from radiometer.screen.transfer_models import MODELS, TransferFit, fit_transfer
 from radiometer.statistics.scale import robust_sigma
 from radiometer.typing import Array
 
 FORMAT = "radiometer-screen/1"
+_KEYS: Final = (
+    "format", "name", "created", "instrument", "pixel_mm", "chromaticities", "measured_with", "checks", "provenance",
+    "channels",
+)  # fmt: skip
 RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
 
 # Displays follow a power law of about this exponent, so its root is nearly a straight line of the level.
@@ -80,7 +84,7 @@ class LevelTable:
         return high
 
 
-class _ChannelForm(FileSection):
+class _ChannelForm(ConfigSection):
     """A channel as the file holds it."""
 
     levels: tuple[Annotated[int, Field(ge=0)], ...]
@@ -93,6 +97,7 @@ class _ChannelForm(FileSection):
     detection_limit: float = Field(0.0, ge=0)
     bits: int = Field(8, ge=1, le=16)
     u_spectrum_rel: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
+    fits: dict[str, Any] = Field(default_factory=dict)  # of its curve, for people and other programs
 
 
 @dataclass(frozen=True)
@@ -343,6 +348,7 @@ class ScreenCalibration:
         mapping = read_yaml(path)
         if mapping.get("format") != FORMAT:
             raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
+        refuse_unknown(mapping, _KEYS, str(path), CalibrationError)
         channels, checks = mapping.get("channels"), mapping.get("checks") or {}
         if not isinstance(channels, dict) or "grey" not in channels:
             raise CalibrationError(f"{path}: holds no channel 'grey'; calibrate the screen again")

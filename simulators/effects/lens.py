@@ -45,7 +45,8 @@ class Lens(Effect):
         return on_axis * self._falloff(context).astype(signal.dtype) if self.cos4 else on_axis
 
     def _falloff(self, context: ExposureContext) -> Signal:
-        """Return cos⁴α from tan α = r/f; 1 where `cos4` is 0."""
-        tangent = context.geometry.radius_um() / (1000.0 * self.focal_length_mm)
+        """Return cos⁴α from tan α = r/(f·(1 + m/p)); 1 where `cos4` is 0."""
+        closeness = 1.0 + self.magnification / self.pupil_magnification
+        tangent = context.geometry.radius_um() / (1000.0 * self.focal_length_mm * closeness)
         cos4: Signal = np.square(1.0 / (1.0 + np.square(tangent)))
         return 1.0 + self.cos4 * (cos4 - 1.0)

@@ -23,12 +23,13 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
     """Lets a share of the pixels jump by ±A/2 from frame to frame, either way half the time.
 
     The heights A are exponentially distributed. One trap in the transistor that reads a pixel holds a charge or not.
-    The jump is the same with light or without, at every exposure and gain. Pixels that stand out in a dark's time mean
-    are left out of all later captures, so that the highest jumps leave the noise of tiles.
+    The jump is the same with light or without, at every exposure and gain. Pixels that stand out or are unsteady in a
+    dark are left out of all later captures, so that high jumps leave the noise of tiles.
 
-    Source: Wang et al. (2006), IEDM, "Random telegraph signal in CMOS image sensor pixels"; exponential heights: Chao
-    et al. (2019), Sensors 19, 5447. Jumps of the dark charge (Hopkinson 2000, IEEE Trans. Nucl. Sci. 47, 2480; Bogaerts
-    et al. 2002, ibid. 49, 249) grow with the exposure instead, and take minutes.
+    Source: traps of the source follower are the main noise of dim pictures (Zhang et al. 2016, Chinese Physics B 25,
+    070503). They are part of the tail of its distribution (Chao et al. 2019, Sensors 19, 5447). That their heights are
+    exponentially distributed is an assumption. Jumps of the dark charge (Hopkins and Hopkinson 1993, IEEE Trans. Nucl.
+    Sci. 40, 1567; Bogaerts et al. 2002, ibid. 49, 249) grow with the exposure instead.
     """
 
     name = "random_telegraph_noise"
@@ -65,15 +66,18 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
         squares = np.square(height) * high * (1.0 - high) * frames  # their sum about the time mean
         moved = height * (high - 0.5)
         stands = ndtr(moved / sigma - _OUTLYING)
-        kept = (1.0 - stands) * _left_by_darks(stands.mean(axis=-1, keepdims=True), context)
+        jumps = squares / white
+        calm = 1.0 - share_unsteady(frames, 1.0, jumps)
+        kept = 1.0 - stands
+        kept = kept * _left_by_darks(1.0 - (kept * calm).mean(axis=-1, keepdims=True), context)
         shares = self.share * EXPONENTIAL_SHARES[:, None] / _FROM_HALF.size
 
         def of_pixels(values: Any) -> Any:
             return (shares * values).sum(axis=(-2, -1))[..., None]
 
-        noise = of_pixels(kept * squares / np.maximum(frames - 1.0, 1.0))
+        noise = of_pixels(kept * calm * squares / np.maximum(frames - 1.0, 1.0))
         fixed = of_pixels(kept * np.square(moved)) - noise / frames[..., 0]
-        unsteady = share_unsteady(frames, white / (white + noise[..., None]), squares / white)
+        unsteady = share_unsteady(frames, white / (white + noise[..., None]), jumps)
         pixels = np.sum(getattr(context, "tile_pixels", 1.0))
         return after.changed(
             variance=before.variance + noise,
@@ -93,17 +97,17 @@ def _of_codes(context: ExposureContext) -> Any:
     return np.square((context.camera.conversion_gain_e_per_dn or 0.0) / gain_of(context)) / 12.0
 
 
-def _left_by_darks(stands: Any, context: ExposureContext) -> Any:
+def _left_by_darks(found: Any, context: ExposureContext) -> Any:
     """Return the chance that no dark capture before has a pixel left out: they come first, the longest foremost.
 
     Args:
-        stands: Chance that a pixel stands out in each capture, (…, captures, 1, heights, 1).
+        found: Chance that a pixel stands out or is unsteady in each capture, (…, captures, 1, heights, 1).
     """
     settings: Any = context.settings
-    captures = stands.shape[-4]
+    captures = found.shape[-4]
     dark = np.broadcast_to(np.ravel(settings.is_dark), captures)
     order = np.argsort(np.where(dark, -np.broadcast_to(np.ravel(settings.exposure_s), captures), np.inf), kind="stable")
-    stays = np.where(dark[:, None, None, None], 1.0 - stands, 1.0)
+    stays = np.where(dark[:, None, None, None], 1.0 - found, 1.0)
     ahead = np.ones_like(stays)
     ahead[..., order[1:], :, :, :] = np.cumprod(stays[..., order[:-1], :, :, :], axis=-4)
     return ahead

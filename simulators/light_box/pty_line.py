@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import threading
 import time
@@ -18,6 +19,19 @@ from simulators.light_box.virtual_line import LineFaults
 
 IDLE_S: Final = 0.002  # short against the 5 ms of a line at 115 200 baud
 LAG_S: Final = 0.5  # half of the box's dead-man time
+
+
+def was_left_behind(link: Path) -> bool:
+    """Return whether a name is the link of a server that was killed: into a process, and to nothing that is there."""
+    if not link.is_symlink() or not re.fullmatch(r"/proc/\d+/fd/\d+", str(link.readlink())):
+        return False
+    try:
+        link.stat()
+    except FileNotFoundError:
+        return True
+    except OSError:  # another user's process
+        return False
+    return False
 
 
 class SerialDevice(Protocol):
@@ -79,7 +93,7 @@ class PtyServer:
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
             if self.link is not None:
-                if self.link.is_symlink():  # of a box that was killed; a file is never replaced
+                if was_left_behind(self.link):
                     self.link.unlink()
                 # Through this process: if it is killed the link leads nowhere, and never to another program's terminal.
                 self._target = f"/proc/{os.getpid()}/fd/{self._slave}"

@@ -18,9 +18,9 @@ SETTLED_S = 400.0
 
 @pytest.fixture(scope="module")
 def calibration() -> LightCalibration:
-    """Calibrate the simulated box's test spots with the simulated camera."""
+    """Calibrate the simulated box's test spots with the simulated camera, whose quantum efficiency is flat."""
     with open_light_box("sim") as opened, open_light_camera(opened, None, None, None, None) as camera:
-        return survey_box(opened, camera, SurveyRequest(("spot", "spot_red"), seed=1))
+        return survey_box(opened, camera, SurveyRequest(("spot", "spot_red"), seed=1, spectral_u_rel=0.01))
 
 
 @pytest.mark.slow

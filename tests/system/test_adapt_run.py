@@ -131,6 +131,13 @@ def test_option_without_the_one_that_it_needs_is_misuse(tmp_path: Path, option: 
         rm.adapt_run("quick", "S7", tmp_path / "j", simulate="steady", **option)
 
 
+def test_the_simulated_box_needs_a_simulated_subject(tmp_path: Path) -> None:
+    """Nobody else can look at it: it is misuse, and no journal begins."""
+    with pytest.raises(rm.UsageError, match="the simulated box needs a simulated subject: --simulate steady"):
+        rm.adapt_run("quick", "S7", tmp_path / "j", box="sim")
+    assert not (tmp_path / "j").exists()
+
+
 def test_practice_run_bleaches_nothing_and_is_no_visit_of_the_test(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -210,10 +210,15 @@ def test_a_simulated_box_that_was_ended_leaves_no_port(surroundings, project_roo
         boxes[1].communicate()
 
 
-def test_a_simulated_box_replaces_no_file_by_its_port(tmp_path, surroundings, capsys):
-    """Only a link that a killed one left is replaced; the exit code is that of misuse."""
+@pytest.mark.parametrize("target", [None, "elsewhere.txt", "nowhere", "/proc/self/fd/0", f"/proc/{os.getpid()}/fd/0"])
+def test_a_simulated_box_replaces_no_file_by_its_port(tmp_path, surroundings, capsys, target):
+    """Only a link that a killed one left is replaced, not another one; the exit code is that of misuse."""
     file = tmp_path / "precious.txt"
-    file.write_text("precious")
+    (tmp_path / "elsewhere.txt").write_text("precious")
+    if target is None:
+        file.write_text("precious")
+    else:
+        file.symlink_to(target)
     assert run(["simulate", "box", "--link", str(file)]) == 2
-    assert "is no link" in capsys.readouterr().err
-    assert file.read_text() == "precious"
+    assert "exists already" in capsys.readouterr().err
+    assert (str(file.readlink()) if file.is_symlink() else file.read_text()) == (target or "precious")

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from radiometer.units import exact_exposure_s, exact_f_number, gain_factor, photon_energy_j
+from radiometer.units import exact_exposure_s, exact_exposures_s, exact_f_number, gain_factor, photon_energy_j
 
 
 @pytest.mark.parametrize(
@@ -65,3 +65,18 @@ def test_a_green_photon_carries_its_energy():
 def test_printed_times_are_the_exact_stops_behind_them(printed, stops):
     """Thirds and halves of a stop; 1/90 s is 2^-6.5 s and no third."""
     assert exact_exposure_s(printed) == pytest.approx(2.0**stops, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("printed", "stops"),
+    [
+        ((1 / 4, 1 / 3, 0.4, 1 / 6), (-2, -5 / 3, -4 / 3, -8 / 3)),
+        ((3.0, 1 / 80), (5 / 3, -19 / 3)),
+        ((1 / 4, 1 / 3, 1 / 6, 1 / 90), (-2, -1.5, -2.5, -6.5)),
+        ((1 / 4, 1 / 3, 1 / 2), (-2, -1.5, -1)),
+        ((1 / 3, 1 / 80, 1 / 90), (-1.5, -19 / 3, -6.5)),
+    ],
+)
+def test_the_other_times_of_a_camera_show_its_dial(printed, stops):
+    """1/3 s is 2^(-5/3) s on a dial in thirds, 2^-1.5 s on one in halves, which is taken where no time shows either."""
+    assert exact_exposures_s(printed) == pytest.approx([2.0**one for one in stops], rel=1e-12)

@@ -306,17 +306,15 @@ def scale_by_source(
     conditions = situation.conditions.model_copy(update={"channel": None if channel is None else str(channel)})
     own = replace(base, scale=base.scale.model_copy(update={"conditions": conditions}))
     reading = read_patch(frames, patch, Setup(base.camera, base.lens, own), now=made)
+    where = f"the patch {patch.x},{patch.y},{patch.width},{patch.height} cannot carry a scale"
     for flag in (Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM):
         if flag in reading.flags:
-            way_out = "choose an even, well exposed part of the known source"
-            unstated = Flag.DARK_ASSUMED in reading.flags and "dark_current_e_per_s" in base.noise.assumed
-            if flag is Flag.BELOW_NOISE and unstated:
-                way_out = (
-                    "nothing states the dark current, which may be all of its signal: take dark frames of the same "
-                    "exposures"
-                )
-            where = f"the patch {patch.x},{patch.y},{patch.width},{patch.height}"
-            raise MeasurementError(f"{where} cannot carry a scale: it is {flag}; {way_out}")
+            raise MeasurementError(f"{where}: it is {flag}; choose an even, well exposed part of the known source")
+    if Flag.DARK_ASSUMED in reading.flags and reading.radiance.value < 2.0 * reading.radiance.u:
+        raise MeasurementError(
+            f"{where}: nothing states the dark current, which may be all of its signal: take dark frames of the same "
+            "exposures"
+        )
     value = reading.radiance
     # At the calibration's own level the response's error drops out; readings at other levels meet it.
     curve = next(term.u for term in budget_terms(situation) if term.name == "response curve") / abs(situation.value)

@@ -85,7 +85,11 @@ def fit_flat_field(
 
 def _focal_length_px(camera: CameraDescription, lens: LensDescription) -> float | None:
     pitch_um = camera.pixel_spacing_um or camera.pixel_pitch_um
-    return None if lens.focal_length_mm is None or pitch_um is None else lens.focal_length_mm * 1e3 / pitch_um
+    return (
+        None
+        if lens.focal_length_mm is None or pitch_um is None
+        else lens.extension * lens.focal_length_mm * 1e3 / pitch_um
+    )
 
 
 def _tiles(even: RadianceMap) -> _Tiles:
@@ -102,7 +106,7 @@ def _tiles(even: RadianceMap) -> _Tiles:
 
     count = total(sound.astype(np.float64))
     used = count >= 0.5 * side * side
-    if used.sum() < _FEWEST_TILES:
+    if used.sum() < max(_FEWEST_TILES, 0.5 * used.size):  # an even source lights the whole picture
         raise MeasurementError(
             "too little of the flat frames is usable (clipped or dark); expose an even source to half of full scale"
         )

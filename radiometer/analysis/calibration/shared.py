@@ -16,8 +16,8 @@ from radiometer.data import Calibration, CameraDescription, Frame, LensDescripti
 from radiometer.data.serials import same_serial
 from radiometer.errors import CalibrationError, RadiometerError, UsageError
 
-# A zoom's rings, the tags of EXIF and data sheets round lengths to this.
-_SAME_LENGTH_REL: Final = 0.01
+# A zoom's rings, the tags of EXIF, drivers and data sheets round lengths and gains to this.
+_SAME_REL: Final = 0.01
 # Colours that photographs are read in; numbers of a grey frame are of no colour.
 _COLOURS: Final = frozenset({"red", "green", "blue", "luminance"})
 
@@ -79,6 +79,26 @@ def _of_device(name: str) -> dict[State, Rule]:
     }
 
 
+def _of_settings(name: str, unit: str = "") -> dict[State, Rule]:
+    """Return the rules of a setting of the camera that changes its scale by a factor that nothing states."""
+    other = "another setting may change the numbers by any factor"
+    return {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: _refused(
+            f"the calibration holds for {name} {{there}}{unit}, the frames were taken with {{here}}{unit}: {other}; "
+            "calibrate with the setting in use, or correct the one that capture or calibration states wrongly"
+        ),
+        State.READING_SILENT: Rule(
+            Handling.ASSUMED, f"{name} {{there}}{unit}, as at calibration: the frames do not state it, and {other}"
+        ),
+        State.CALIBRATION_SILENT: Rule(
+            Handling.ASSUMED,
+            f"{name} {{here}}{unit} at calibration too: the calibration does not state it, and {other}",
+        ),
+        State.BOTH_SILENT: _NOT_COMPARED,
+    }
+
+
 _F_NUMBER_UNKNOWN: Final = _refused(
     "the f-number is not stated: without it the radiance could be wrong by any factor; give --f-number N, "
     "or state lens.f_number in the capture set or bench file"
@@ -92,13 +112,37 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     # Binned pixels have another, and another scale.
     "pixel pitch": _of_device("pixel pitch in µm"),
     "mosaic": _of_device("mosaic"),
-    # Filter, read-out mode, gain in the camera's own unit: what files state of the camera beyond this table.
-    "mode": _of_device("mode"),
+    # Read-out mode, gain in the camera's own unit and the like.
+    "mode": _of_settings("mode"),
+    "filter": _of_settings("filter"),
+    "band": _of_settings("band"),
+    "binning": _of_settings("binning"),
+    # A gain in dB or an ISO speed is left out of it. Noise alone rests on it where one side states it.
+    "conversion gain": _of_settings("conversion gain", " e⁻/DN")
+    | dict.fromkeys((State.READING_SILENT, State.CALIBRATION_SILENT), _AS_CALIBRATED),
     "focal length": {
         State.EQUAL: _KEPT,
         State.DIFFERENT: _refused(
             "the calibration was made with a lens of {there} mm, the one in use has {here} mm; "
             "calibrate with the lens in use"
+        ),
+        State.READING_SILENT: _AS_CALIBRATED,
+        State.CALIBRATION_SILENT: _AS_CALIBRATED,
+        State.BOTH_SILENT: _NOT_COMPARED,
+    },
+    # Of a flat field alone: the rest of the optics is corrected for them.
+    "focus of a flat field": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: _refused(
+            "its lens has a magnification of {here}, at calibration {there}: the fall-off changes with the focus; "
+            "take the flat field at the focus of the calibration, or correct lens.magnification"
+        ),
+    },
+    "place of a flat field": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: _refused(
+            "the flat field holds for frames whose optical axis is at {there} px, these have it at {here} px: another "
+            "part of the sensor; read the same part, calibrate with it, or correct lens.principal_point_px"
         ),
         State.READING_SILENT: _AS_CALIBRATED,
         State.CALIBRATION_SILENT: _AS_CALIBRATED,
@@ -219,11 +263,13 @@ class OfCamera(Protocol):
         """Return the lens."""
 
 
-def require_camera(calibration: OfCamera, camera: CameraDescription) -> None:
-    """Refuse a camera that a calibration does not belong to.
+def require_camera(calibration: OfCamera, camera: CameraDescription) -> tuple[str, ...]:
+    """Refuse a camera that a calibration does not belong to, or one with another setting.
+
+    Returns what is assumed of its settings.
 
     Raises:
-        CalibrationError: If model, serial number, bit depth, pixel pitch, mosaic or mode differ.
+        CalibrationError: If model, serial number, bit depth, pixel pitch, mosaic or a setting such as binning differ.
     """
     mine = calibration.camera
     settle("model", mine.model, camera.model)
@@ -233,7 +279,10 @@ def require_camera(calibration: OfCamera, camera: CameraDescription) -> None:
     pitches = mine.pixel_pitch_um, camera.pixel_pitch_um
     settle("pixel pitch", *pitches, equal=_is_near(*pitches))
     settle("mosaic", mine.mosaic, camera.mosaic)
-    settle("mode", mine.mode, camera.mode)
+    gains = mine.conversion_gain_e_per_dn, camera.conversion_gain_e_per_dn
+    settle("conversion gain", *gains, equal=_is_near(*gains))
+    settings = (_assumed(name, getattr(mine, name), getattr(camera, name)) for name in CameraDescription.SETTINGS)
+    return tuple(filter(None, settings))
 
 
 def require_lens(calibration: OfCamera, lens: LensDescription) -> None:
@@ -246,8 +295,44 @@ def require_lens(calibration: OfCamera, lens: LensDescription) -> None:
     settle("focal length", mine, theirs, equal=_is_near(mine, theirs))
 
 
+def require_place(calibration: OfCamera, lens: LensDescription) -> None:
+    """Refuse frames of another part of the sensor than a flat field.
+
+    Raises:
+        CalibrationError: If both state where the optical axis meets the frames, and not to the same half pixel.
+    """
+    mine, theirs = calibration.lens.principal_point_px, lens.principal_point_px
+    near = None not in (mine, theirs) and all(abs(a - b) <= 0.5 for a, b in zip(mine or (), theirs or (), strict=True))
+    settle("place of a flat field", mine, theirs, equal=near)
+
+
+def is_focused_alike(calibration: OfCamera, lens: LensDescription) -> bool:
+    """Return whether a lens's image distance is that at calibration, within 1 %."""
+    return _is_near(calibration.lens.extension, lens.extension)
+
+
+def require_flat_field(base: OfCamera, camera: CameraDescription, lens: LensDescription) -> None:
+    """Refuse a flat field of another camera, lens, focus or part of the sensor than the calibration that it is for.
+
+    Raises:
+        CalibrationError: If they differ.
+    """
+    require_camera(base, camera)
+    require_lens(base, lens)
+    require_place(base, lens)
+    mine, theirs = base.lens.magnification, lens.magnification
+    settle("focus of a flat field", mine, theirs, equal=is_focused_alike(base, lens))
+
+
 def _is_near(there: float | None, here: float | None) -> bool:
-    return there is not None and here is not None and abs(there / here - 1.0) <= _SAME_LENGTH_REL
+    return there is not None and here is not None and abs(there / here - 1.0) <= _SAME_REL
+
+
+def _assumed(quantity: str, there: object | None, here: object | None) -> str | None:
+    """Return what is assumed of a quantity; None where nothing is. Raises what `settle` does."""
+    if settle(quantity, there, here) is not Handling.ASSUMED:
+        return None
+    return TABLE[quantity][state_of(there, here)].reason.format(there=_shown(there), here=_shown(here))
 
 
 def require_photograph(calibration: Calibration, frame: Frame) -> str | None:
@@ -268,9 +353,7 @@ def require_photograph(calibration: Calibration, frame: Frame) -> str | None:
         return None
     # Equal speeds or not: the gain that the frame carries holds their ratio.
     there, here = calibration.scale.iso, frame.settings.iso
-    if settle("ISO speed", there, here) is not Handling.ASSUMED:
-        return None
-    return TABLE["ISO speed"][state_of(there, here)].reason.format(there=_shown(there))
+    return _assumed("ISO speed", there, here)
 
 
 def require_channel(calibration: Calibration, frame: Frame) -> None:

@@ -27,7 +27,7 @@ from radiometer.data.mosaic import COLOURS
 from radiometer.data.reading import LUMINANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.data.storage import read_yaml, write_yaml_atomic
-from radiometer.data.validation import FileArray, FileSection, validate
+from radiometer.data.validation import ConfigSection, FileArray, validate
 from radiometer.errors import CalibrationError, UsageError
 from radiometer.statistics.least_squares import solve
 from radiometer.typing import Array
@@ -99,7 +99,7 @@ _Training = Annotated[
 ]
 
 
-class Fit(FileSection):
+class Fit(ConfigSection):
     """A matrix and what is known of its error.
 
     Errors are covariances of X, Y, Z over the square of X + Y + Z, shape (3, 3).
@@ -118,7 +118,7 @@ class Fit(FileSection):
         return np.asarray(np.einsum("...i,ij,...j", share, self.spread, share))
 
 
-class ColourCalibration(FileSection):
+class ColourCalibration(ConfigSection):
     """What turns the channels of one camera into X, Y, Z."""
 
     created: AwareDatetime = Field(default_factory=lambda: dt.datetime.now(dt.UTC))
@@ -232,7 +232,7 @@ class ColourCalibration(FileSection):
         mapping = read_yaml(path)
         if mapping.get("format") != FORMAT:
             raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
-        return validate(cls, mapping, str(path), CalibrationError)
+        return validate(cls, {k: v for k, v in mapping.items() if k != "format"}, str(path), CalibrationError)
 
 
 def reference(of: ColourCamera | ColourCalibration, created: str, *, absolute: bool = True) -> Calibration:

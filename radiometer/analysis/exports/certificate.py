@@ -79,8 +79,7 @@ class Laboratory(ConfigSection):
     laboratory: Party  # who measured
     customer: Party  # for whom
     responsible: Person  # who answers for it
-    # What was measured; of a calibration the camera, where the calibration states maker and serial number
-    item: Item | None = None
+    item: Item | None = None  # source that a reading is of; a calibration states its camera itself
 
     @classmethod
     def read(cls, path: Path) -> Laboratory:

@@ -44,6 +44,7 @@ class _MapFacts(FileSection):
     channels: tuple[str, ...] | None = None
     units: tuple[_Unit, ...] | None = None
     origin: dict[str, Any] = Field(default_factory=dict)
+    not_in_u: tuple[str, ...] = ()
 
 
 def write_exr(path: Path, picture: MapPicture) -> None:
@@ -171,6 +172,7 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
             if quantity == "value":
                 provenance = picture.first.provenance
                 facts["origin"] = {**provenance.parameters.get("origin", {}), "merged": moment(provenance.created)}
+                facts["not_in_u"] = picture.first.not_in_u
             tiff.write(
                 values if len(names) > 1 else values[..., 0],
                 photometric="rgb" if picture.is_colour else "minisblack",
@@ -222,6 +224,7 @@ def read_tiff(path: Path) -> MapPicture:
             name: RadianceMap(
                 *(value[..., n], own[..., n], bits[..., n], units[n], stated.u_rel_common),
                 provenance=provenance,
+                not_in_u=stated.not_in_u,
                 u_shared=None if shared is None else shared[..., n],
             )
             for n, name in enumerate(names)
@@ -307,9 +310,14 @@ class MapPicture:
         return set(self.maps) == set(_LETTERS)
 
     @property
+    def first_name(self) -> str:
+        """Return the name of the only map, of the first quantity, or of the green one."""
+        return "green" if self.is_colour else next(iter(self.maps))
+
+    @property
     def first(self) -> RadianceMap:
-        """Return the only map, the first quantity, or the green one."""
-        return self.maps["green"] if self.is_colour else next(iter(self.maps.values()))
+        """Return the map of that name."""
+        return self.maps[self.first_name]
 
     @property
     def unit(self) -> str:

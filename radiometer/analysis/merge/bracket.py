@@ -32,7 +32,13 @@ from radiometer.analysis.merge.sums import (
 )
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
-from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.lens import (
+    falloff_known,
+    flat_doubt,
+    known_f_number,
+    lens_factor_sr,
+    relative_sensitivity,
+)
 from radiometer.analysis.signal.model import (
     corrected_settings,
     darkest_signal,
@@ -63,6 +69,7 @@ _PARTS_PER_CORE: Final = (
     4  # few, because each costs the interpreter's lock; several, because cores are not equally fast
 )
 MOST_FRAMES = 64  # the bits of the largest integer that marks the frames of a pixel
+_ROUNDED_DN = 1.0  # the standard uncertainty of a black level counts as one of ±1 DN where nothing states it
 _REPORTED_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
 
 
@@ -203,6 +210,7 @@ class StreamingMerge:
         self._pending: list[MergeSample] = []
         self._finished = False
         self._copies = Copies()
+        self._darkest = math.inf  # signal x of the darkest pixels of all frames; 0 where masked pixels show the black
 
     def add(self, frame: Frame) -> None:
         """Take a frame in; its pixels are read now or with one of the next frames, and must stay as they are.
@@ -422,6 +430,7 @@ class StreamingMerge:
             frame = self._taps.levelled(frame)
         few = some_lit_pixels(frame, None if self._taps is None else self._taps.lit)
         darkest = darkest_signal(few, self._situation.model)
+        self._darkest = min(self._darkest, darkest if frame.masked_dn is None else 0.0)
         terms = frame_terms(
             frame.settings,
             self._situation,
@@ -555,14 +564,21 @@ class StreamingMerge:
         on_all_cores(self._known_shape(), work)
 
     def _doubt_falloff(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
-        """Add to what pixels share that of a fall-off neither declared nor measured; return whether there is."""
+        """Add to what pixels share that of a fall-off that is not declared nor measured so; return whether there is."""
         calibration, lens = self._calibration, self._situation.lens
-        if calibration is None or calibration.flat_field is not None or falloff_known(self._camera, lens) != "assumed":
+        if calibration is None:
+            return False
+        flat = calibration.flat_field
+        if flat is None:
+            part = calibration.uncertainties.falloff_u_rel * (falloff_known(self._camera, lens) == "assumed")
+        else:
+            part = flat_doubt(calibration, lens, self._numbers())
+        if part == 0.0:
             return False
         rows, columns = np.ogrid[: radiance.shape[0], : radiance.shape[1]]
-        place = relative_sensitivity(self._camera, lens, None, (radiance.shape[0], radiance.shape[1]), columns, rows)
-        lost = np.abs(place - calibration.scale.conditions.sensitivity) / place
-        doubt = calibration.uncertainties.falloff_u_rel * lost * radiance
+        place = relative_sensitivity(self._camera, lens, flat, (radiance.shape[0], radiance.shape[1]), columns, rows)
+        lost = np.abs(place - calibration.scale.conditions.sensitivity) / place if flat is None else np.abs(1.0 - place)
+        doubt = part * lost * radiance
         np.hypot(shared, doubt.astype(np.float32), out=shared)
         return True
 
@@ -665,6 +681,18 @@ class StreamingMerge:
             f"the response bends by {100 * share:.2g} % at full scale, as found: the map keeps it, u does not hold it",
         )
 
+    def _black(self) -> tuple[str, ...]:
+        """Return how bright pixels without light may be where nothing states it: as bright as the darkest of all."""
+        calibration, camera = self._calibration, self._camera
+        unstated = camera.black_level_dn is None and not self._dark and not (calibration and calibration.absolute)
+        unstated &= all(terms.settings.black_level_dn is None for terms in self._terms)
+        if not unstated or not self._situation.model.linear or self._darkest < _ROUNDED_DN:
+            return ()
+        return (
+            "no black level is stated and no dark frame was taken: without light the numbers may be about "
+            f"{self._darkest:.2g} DN, as in the darkest pixels, which u does not hold",
+        )
+
     def _fall_off(self) -> tuple[str, ...]:
         """Return what the lens may lose towards the corners, where nothing says how much."""
         flat = None if self._calibration is None else self._calibration.flat_field
@@ -684,11 +712,14 @@ class StreamingMerge:
         note = f"light of another spectrum than {calibration.spectrum} may be off: {100 * off:.2g} % (k = 1)"
         return (f"{note} over {', '.join(KINDS)}, which u does not hold",) if off >= _REPORTED_REL else ()
 
+    def _numbers(self) -> set[float | None]:
+        """Return the f-numbers of the frames."""
+        return {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
+
     def _map(self, flat: Images) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration
         images = flat[0].reshape(shape), flat[1].reshape(shape), flat[2].reshape(shape)
         repair_defects(*images, calibration.defects if calibration else ())
-        numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
         used, doubtful = self._of_taps(images[0], images[2])
         shared = self._share(*images[:2])
@@ -696,11 +727,11 @@ class StreamingMerge:
         in_u = of_time if self._exposures_in_u else ()
         of_light = self._stray_light(images[0])
         of_time = () if self._exposures_in_u else of_time
-        not_in_u = (*of_light, *of_time, *self._bend(), *self._light(), *self._fall_off(), *doubtful)
+        not_in_u = (*of_light, *of_time, *self._black(), *self._bend(), *self._light(), *self._fall_off(), *doubtful)
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,
-            u_rel_common=math.hypot(common_u_rel(self._situation), self._frames_u_rel(numbers)),
+            u_rel_common=math.hypot(common_u_rel(self._situation), self._frames_u_rel(self._numbers())),
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",

@@ -5,22 +5,23 @@ from __future__ import annotations
 import datetime as dt
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from radiometer.analysis.colour.calibration import reference
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.quality import indices, spatial
 from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
 from radiometer.analysis.quality.procedures import PROCEDURES, Procedure, gain_of_step
 from radiometer.analysis.quality.signals import StepSignal, step_signal
-from radiometer.analysis.reading.budget import coverage_factor
+from radiometer.analysis.reading.budget import carried, coverage_factor, frame_conditions
 from radiometer.data import Calibration, CaptureSet, Frame, Patch
 from radiometer.data.calibration import SpectralResponse, StatedUncertainties
 from radiometer.data.capture_header import CameraDescription
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.setup import Setup
-from radiometer.errors import InputError, MeasurementError, RadiometerError
+from radiometer.errors import CalibrationError, InputError, MeasurementError, RadiometerError
 from radiometer.reporting.origin import Origin, moment
 
 FORMAT: Final = "radiometer-quality/1"
@@ -193,12 +194,54 @@ def patch_of(capture: CaptureSet, stated: Patch | None) -> Patch:
     return Patch((width - across) // 2, (height - down) // 2, across, down)
 
 
-def _signals(captures: Mapping[str, CaptureSet], how: Evaluation) -> dict[str, StepSignal]:
-    return {name: step_signal(name, one, patch_of(one, how.patch), how.calibration) for name, one in captures.items()}
+def _signals(captures: Mapping[str, CaptureSet], how: Evaluation, varied: str = "") -> dict[str, StepSignal]:
+    """Return the reading of each step, with what its settings differ by from those of the first.
+
+    Args:
+        varied: What the index is about, and so no doubt: "temperature", "gain" or "focus".
+    """
+    first = next(iter(captures.values()))
+    return {
+        name: replace(
+            step_signal(name, one, patch_of(one, how.patch), how.calibration),
+            apart_u_rel=_apart_u_rel(name, one, first, varied),
+        )
+        for name, one in captures.items()
+    }
 
 
-def _in_order(captures: Mapping[str, CaptureSet], how: Evaluation, first: str) -> Figure:
-    signals = _signals(captures, how)
+def _apart_u_rel(name: str, one: CaptureSet, first: CaptureSet, varied: str) -> float:
+    """Return the relative u of a step by settings other than the first's. Raises MeasurementError where none is known.
+
+    What a calibration and a reading must share holds for two steps of an index.
+    """
+    there, here = ([s.header.frames[i].settings for i in s.lit_indices(s.header.patterns[0])[1]] for s in (first, one))
+    if here[0].source_level != there[0].source_level:
+        raise MeasurementError(
+            f"step {name!r} was taken at a source level of {here[0].source_level:g}, {first.path.name!r} at "
+            f"{there[0].source_level:g}; remove {one.path} and take it again"
+        )
+    lens = one.header.lens
+    if varied == "focus":
+        focus = ("magnification", "pupil_magnification", "since_calibration")
+        lens = lens.model_copy(update={key: getattr(first.header.lens, key) for key in focus})
+    if varied == "gain":
+        here = [replace(settings, gain_db=there[0].gain_db) for settings in here]
+    if varied == "temperature":
+        here = [replace(settings, temperature_c=frame_conditions(there).temperature_c) for settings in here]
+    stop = there[0].f_number or first.header.lens.f_number
+    as_first = reference(
+        first.header.camera, first.header.lens.model_copy(update={"f_number": stop}), frame_conditions(there),
+        there[0].iso, dt.datetime.now(dt.UTC).isoformat(), absolute=False,
+    )  # fmt: skip
+    try:
+        return carried(Setup(one.header.camera, lens, as_first), here)[1]
+    except CalibrationError as error:
+        raise MeasurementError(f"step {name!r} and {first.path.name!r} are no readings to compare: {error}") from error
+
+
+def _in_order(captures: Mapping[str, CaptureSet], how: Evaluation, first: str, varied: str = "") -> Figure:
+    signals = _signals(captures, how, varied)
     if first not in signals:
         raise MeasurementError(f"step {first!r} is missing: the others are compared with it")
     return indices.worst_deviation(list(signals.values()), signals[first], how.source_u_rel)
@@ -211,7 +254,7 @@ def _range_change(captures: Mapping[str, CaptureSet], how: Evaluation) -> Figure
         if stated is not None and any(abs(gain_db - stated) > _SAME_GAIN_DB for gain_db in taken_at):
             gains = ", ".join(f"{gain_db:g} dB" for gain_db in taken_at)
             raise MeasurementError(f"step {name!r} was captured at {gains}; remove {capture.path} and take it again")
-    return _in_order(captures, how, "0dB" if "0dB" in captures else next(iter(captures)))
+    return _in_order(captures, how, "0dB" if "0dB" in captures else next(iter(captures)), "gain")
 
 
 def _linearity(captures: Mapping[str, CaptureSet], how: Evaluation) -> Figure:
@@ -266,11 +309,13 @@ def _glare(captures: Mapping[str, CaptureSet], how: Evaluation) -> Figure:
 
 _FIGURES: Final[dict[str, Callable[[Mapping[str, CaptureSet], Evaluation], Figure]]] = {
     "linearity": _linearity,
-    "temperature": lambda sets, how: indices.temperature(list(_signals(sets, how).values()), how.source_u_rel),
+    "temperature": lambda sets, how: indices.temperature(
+        list(_signals(sets, how, "temperature").values()), how.source_u_rel
+    ),
     "modulation": lambda sets, how: _in_order(sets, how, "steady"),
     "polarisation": lambda sets, how: indices.polarisation(_by_number(sets, how, "angle in degrees"), how.source_u_rel),
     "range": lambda sets, how: _range_change(sets, how),
-    "focus": lambda sets, how: _in_order(sets, how, "far"),
+    "focus": lambda sets, how: _in_order(sets, how, "far", "focus"),
     "uniformity": lambda sets, how: _map_figure(sets, how, spatial.uniformity, placed=False),
     "edge": lambda sets, how: _map_figure(sets, how, spatial.edge_width, placed=True),
     "smear": lambda sets, how: _map_figure(sets, how, spatial.smear, placed=True),

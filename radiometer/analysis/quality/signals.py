@@ -36,6 +36,7 @@ class StepSignal:
     timing: float
     temperature_c: float | None  # mean temperature of the frames; None where a frame does not state it
     frames: int  # number of light frames used
+    apart_u_rel: float = 0.0  # relative standard uncertainty by settings that differ from those of the first step
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +141,7 @@ def deviation(one: StepSignal, reference: StepSignal, source_u_rel: float, label
         *(Term(t.name, abs(ratio) * t.u / reference.value, t.kind, t.degrees_of_freedom) for t in reference.terms),
         Term("shared dark level", abs(dark)),
         Term("exposure offset", abs(timing)),
+        Term("settings", abs(ratio) * math.hypot(one.apart_u_rel, reference.apart_u_rel)),
         Term("source", abs(ratio) * math.sqrt(2.0) * source_u_rel),
     ]
     return Deviation(label or one.name, ratio - 1.0, combined_u(parts), effective_degrees_of_freedom(parts))

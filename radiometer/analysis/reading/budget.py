@@ -594,6 +594,12 @@ def _dark(situation: PatchSituation) -> list[Term]:
     return [Term("dark and black level", u, note=source, flag=None if source in _MEASURED else Flag.DARK_ASSUMED)]
 
 
+def _unstated_dark_u(situation: PatchSituation) -> float:
+    """Return the part of the dark level's u that a dark current makes which nothing states, in the reading's unit."""
+    shown = situation.shown
+    return situation.scale * abs(float(shown.estimate.coefficients @ [d.u_unstated for d in shown.dark]))
+
+
 def scale_u_rel(situation: PatchSituation) -> float:
     """Return the scale's relative standard uncertainty without what reading and calibration share.
 
@@ -702,9 +708,12 @@ def _clipped(situation: PatchSituation) -> list[Term]:
 def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Flag, ...]:
     """Return the flags of a reading, sorted by name."""
     calibration, estimate, now = situation.calibration, situation.shown.estimate, situation.now
+    # A dark current that nothing states is no noise: it may be all of the signal, or nothing of it.
+    floor, unstated = _floor(terms), _unstated_dark_u(situation)
     found = {
         Flag.SATURATED: not situation.shown.frames[0].unclipped,
-        Flag.BELOW_NOISE: situation.value < _NOISE_FLOOR_SIGMA * _floor(terms),
+        Flag.BELOW_NOISE: situation.value < _NOISE_FLOOR_SIGMA * math.sqrt(max(0.0, floor**2 - unstated**2)),
+        Flag.DARK_ASSUMED: unstated > 0.0 and situation.value < _NOISE_FLOOR_SIGMA * floor,
         Flag.EXTRAPOLATED: _extrapolates(situation),
         Flag.NONUNIFORM: _is_nonuniform(situation),
         Flag.FLICKER: estimate.flickers or situation.shown.unsteady,

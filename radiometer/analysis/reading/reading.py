@@ -26,7 +26,13 @@ from radiometer.analysis.reading.budget import (
     unstated_u_rel,
 )
 from radiometer.analysis.reading.estimate import PatchEstimate, estimate_patch
-from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.lens import (
+    falloff_known,
+    flat_doubt,
+    known_f_number,
+    lens_factor_sr,
+    relative_sensitivity,
+)
 from radiometer.analysis.signal.model import (
     PatchFrame,
     SignalModel,
@@ -224,13 +230,10 @@ def _falloff(
     place: NDArray[np.float64],
 ) -> Falloff:
     """Return what is known of the sensitivity over the picture."""
-    flat = calibration.flat_field if calibration else None
-    if flat is None:
+    if calibration is None or (flat := calibration.flat_field) is None:
         return Falloff(falloff_known(camera, lens))
     numbers = {one.settings.f_number or lens.f_number for one in chosen}
-    same = flat.f_number is None or all(n is not None and abs(n / flat.f_number - 1.0) < 0.03 for n in numbers)
-    # Mechanical vignetting depends on the iris: then half of the measured fall-off is in doubt.
-    doubt = 0.0 if same else 0.5 * abs(1.0 - float(place.mean()))
+    doubt = flat_doubt(calibration, lens, numbers) * abs(1.0 - float(place.mean()))
     return Falloff("flat_field", math.hypot(flat.u_rel, doubt))
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from radiometer.analysis.calibration.shared import settle
+from radiometer.analysis.calibration.shared import is_focused_alike, settle
 from radiometer.data import Calibration, CameraDescription, FlatField, FrameSettings, LensDescription
 from radiometer.errors import CalibrationError
 
@@ -19,14 +20,13 @@ def lens_in_use(calibration: Calibration, lens: LensDescription) -> LensDescript
 
     These are f-number, transmittance and focus, and where the optical axis meets the frames, which may be cut.
     Where the lens in use says nothing of transmittance and magnification it is as it was at calibration. An f-number
-    that it does not state stays unknown: it changes from picture to picture.
+    that it does not state stays unknown: it changes from picture to picture. So does the axis, which is then at the
+    middle: frames of the calibration may have been cut.
 
     Raises:
         CalibrationError: If it states a transmittance and the calibration none, so that they cannot be compared.
     """
     stated = {name: getattr(lens, name) for name in _FOCUS if name in lens.model_fields_set}
-    if lens.principal_point_px is not None:
-        stated["principal_point_px"] = lens.principal_point_px
     if lens.transmittance is not None:
         stated |= {"transmittance": lens.transmittance, "transmittance_u_rel": lens.transmittance_u_rel}
     if "transmittance" in stated and calibration.lens.transmittance is None and calibration.absolute:
@@ -35,7 +35,7 @@ def lens_in_use(calibration: Calibration, lens: LensDescription) -> LensDescript
             "cannot be compared. Calibrate with --bench or --camera, which state the lens; or write lens.transmittance "
             "into the calibration file"
         )
-    handled = {"since_calibration": lens.since_calibration, "f_number": lens.f_number}
+    handled = {name: getattr(lens, name) for name in ("since_calibration", "f_number", "principal_point_px")}
     return calibration.lens.model_copy(update={**stated, **handled})
 
 
@@ -67,8 +67,21 @@ def lens_factor_sr(lens: LensDescription, f_number: float | None) -> float:
     number = f_number if f_number is not None else lens.f_number
     if number is None:
         return 1.0
-    near = 1.0 + lens.magnification / lens.pupil_magnification
-    return math.pi * (lens.transmittance or 1.0) / (4.0 * number**2 * near**2)
+    return math.pi * (lens.transmittance or 1.0) / (4.0 * number**2 * lens.extension**2)
+
+
+def flat_doubt(calibration: Calibration, lens: LensDescription, numbers: Collection[float | None]) -> float:
+    """Return the part of a measured fall-off that is in doubt: half of it at another iris or focus, where it changes.
+
+    Args:
+        calibration: With a flat field.
+        lens: The lens in use.
+        numbers: f-numbers of the frames.
+    """
+    flat = calibration.flat_field
+    assert flat is not None
+    same = flat.f_number is None or all(n is not None and abs(n / flat.f_number - 1.0) < 0.03 for n in numbers)
+    return 0.0 if same and is_focused_alike(calibration, lens) else 0.5
 
 
 def relative_sensitivity(
@@ -82,7 +95,7 @@ def relative_sensitivity(
     """Return the sensitivity at pixel positions relative to the optical axis.
 
     A flat field is used where there is one; else the natural fall-off cos⁴α, declared or not, where focal length and
-    pixel pitch are known; else 1.
+    pixel pitch are known; else 1. A lens that is focused near sees less of the field: tan α = r/(f·(1 + m/p)).
 
     Args:
         camera: Pixel pitch and spacing in µm.
@@ -99,7 +112,8 @@ def relative_sensitivity(
     if lens.focal_length_mm is None or pitch_um is None:
         return np.ones(x.shape)
     centre = lens.principal_point_px or ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0)
-    tan2 = ((x - centre[0]) ** 2 + (y - centre[1]) ** 2) * (pitch_um * 1e-3 / lens.focal_length_mm) ** 2
+    distance_px = lens.extension * lens.focal_length_mm * 1e3 / pitch_um
+    tan2 = ((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / distance_px**2
     return np.asarray(1.0 / (1.0 + tan2) ** 2)
 
 

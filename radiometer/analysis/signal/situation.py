@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.calibration.shared import require_camera, require_lens
+from radiometer.analysis.calibration.shared import require_camera, require_lens, require_place
 from radiometer.analysis.photometry.photometry import (
     spectral_mismatch_factor,
     spectrum,
@@ -63,15 +63,17 @@ def situation_of(setup: Setup) -> Situation:
         model = signal_model(camera, None, noise, black.dn, stated.linearity_u_rel)
         assumed = ("response taken as linear", *noise.assumptions)
         return Situation(setup, model, black, stated, 1.0, lens, assumed)
-    require_camera(calibration, camera)
+    settings = require_camera(calibration, camera)
     require_lens(calibration, lens)
+    if calibration.flat_field is not None:
+        require_place(calibration, lens)
     black, stated = calibration.black_level, calibration.uncertainties
     model = signal_model(calibration.camera, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
     of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()
     factor, correction = spectral_correction(calibration)
     of_light = setup.source.spectrum if setup.source else None
     doubt = contradicted(calibration.spectrum if calibration.absolute else None, of_light)
-    assumed = (*of_source, *doubt, *correction, *calibration.noise.assumptions)
+    assumed = (*of_source, *doubt, *correction, *settings, *calibration.noise.assumptions)
     scale, used = calibration.scale.value * factor, lens_in_use(calibration, lens)
     return Situation(setup, model, black, stated, scale, used, assumed)
 

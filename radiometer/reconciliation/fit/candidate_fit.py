@@ -210,7 +210,7 @@ def judged_gain(state: FitState, fitted: FittedCandidate) -> float:
     gains[: state.settings] -= fitted.overrated / state.settings  # it is known of all settings together alone
     density = state.log_density + gains[: state.log_density.size]
     parameters = state.parameters.size + state.curves + fitted.parameters
-    state.models.add(ModelFit((*state.effects, fitted.effect), state.curves, density, parameters))
+    state.models.append(ModelFit((*state.effects, fitted.effect), state.curves, density, parameters))
     return float(np.sum(gains))
 
 
@@ -219,7 +219,7 @@ def curve_gain(state: FitState, columns: Array) -> float:
     gains = _held_out_gains(state, state.fit.residual, columns)
     density = state.log_density + gains[: state.log_density.size]
     curves = state.curves + columns.shape[1]
-    state.models.add(ModelFit(state.effects, curves, density, state.parameters.size + curves))
+    state.models.append(ModelFit(state.effects, curves, density, state.parameters.size + curves))
     return float(np.sum(gains))
 
 

@@ -19,6 +19,7 @@ from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatis
 from radiometer.reconciliation.measure.lines import RowBins, wave_power
 from radiometer.reconciliation.repeatability import Darkness, steady_wander2
 from radiometer.reconciliation.shared_errors import (
+    ANSCOMBE,
     Part,
     Repeatability,
     band_excess,
@@ -48,6 +49,7 @@ from radiometer.reconciliation.statistics import (
 )
 from radiometer.statistics.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.typing import Array, Mask
+from simulators.chain.unsteady_pixels import FALSE_UNSTEADY
 
 TILE_BLOCKS: Final = named(given=Given.TILE)
 CAPTURE_BLOCKS: Final = named(given=Given.CAPTURE)
@@ -172,7 +174,7 @@ class Comparison:
         if scale is Scale.SCORE:
             return np.zeros(self.usable[name].shape)
         if scale is Scale.ROOT:
-            return np.asarray(2.0 * np.sqrt(getattr(self.seen, name) + 0.375))
+            return np.asarray(2.0 * np.sqrt(getattr(self.seen, name) + ANSCOMBE))
         return self._log_seen[name] if name in self._log_seen else self._seen[name]
 
     def _expected(self, name: str, prediction: Prediction) -> Array:
@@ -188,8 +190,14 @@ class Comparison:
         if scale is Scale.LOGARITHM:
             return np.asarray(np.log(np.maximum(expected, 1e-12)))
         if scale is Scale.ROOT:
-            return np.asarray(2.0 * np.sqrt(_FALSE_OUTLIERS + np.maximum(expected, 0.0) + 0.375))
+            normal = _FALSE_OUTLIERS + (self._normal_unsteady if name == "unsteady" else 0.0)
+            return np.asarray(2.0 * np.sqrt(normal + np.maximum(expected, 0.0) + ANSCOMBE))
         return expected
+
+    @cached_property
+    def _normal_unsteady(self) -> Array:
+        """Return how many pixels of normal noise count as unsteady by chance, (captures,)."""
+        return np.asarray(FALSE_UNSTEADY * np.nansum(self.seen.pixels, axis=1))
 
     @cached_property
     def _seen(self) -> dict[str, Array]:

@@ -21,6 +21,7 @@ from radiometer.reconciliation.shared_errors import (
     darkness_of,
     error_of_borders,
     error_of_histograms,
+    errors_of_counts,
     fixed_errors,
     form_floors,
     light_response,
@@ -209,17 +210,6 @@ class ModelFit:
         return bool(np.isfinite(self.gap))
 
 
-@dataclass(slots=True, eq=False)
-class ModelList:
-    """The models fitted to one capture set, in the order of their fits."""
-
-    fits: list[ModelFit] = field(default_factory=list)
-
-    def add(self, fit: ModelFit) -> None:
-        """Append a model."""
-        self.fits.append(fit)
-
-
 # What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
 _OF_THE_MODEL: Final = ("nuisance", "trace", "prediction", "sensitivity", "parameters")
 _OF_THE_DATA: Final = (*_OF_THE_MODEL, "plain_residual", "_expected", "_derivatives")  # and weights
@@ -246,7 +236,7 @@ class FitState:
     # None where they are to be worked out.
     held_terms: RowBlock | None = None
     # The models fitted to these data so far; all states of one search share the list
-    models: ModelList = field(default_factory=ModelList)
+    models: list[ModelFit] = field(default_factory=list)
 
     @property
     def design(self) -> Design:
@@ -459,7 +449,7 @@ class FitState:
         sigma = np.sqrt(np.maximum(np.diag(self.fit.covariance)[first:], 0.0)) * own.scale[free]
         named = ((self.effects[own.owner[i]].name, own.names[i]) for i in free)
         u = dict(zip(named, sigma.tolist(), strict=True))
-        self.models.add(ModelFit(self.effects, self.curves, self.log_density, own.size + self.curves, self.gap, u))
+        self.models.append(ModelFit(self.effects, self.curves, self.log_density, own.size + self.curves, self.gap, u))
         return self
 
     @property
@@ -482,6 +472,7 @@ def reweighted(state: FitState) -> FitState:
     model, known = state.model, (state.design, state.seen, state.prediction)
     errors = (
         *fixed_errors((*model.given, *model.effects), state.prediction, state.seen, state.design, model.context),
+        *errors_of_counts(state.prediction, state.comparison.usable),
         *error_of_borders(state.comparison.usable["edge"]),
         *error_of_histograms(honest_comb(*known), state.comparison.usable["comb"]),
     )

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.labels import (
-    exposure_label,
     frame_name,
     refuse_equal_throughout,
     refuse_falling_brightness,
@@ -53,7 +52,7 @@ from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
 from radiometer.typing import Array
-from radiometer.units import exact_exposure_s
+from radiometer.units import exact_exposures_s
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,12 +147,14 @@ def reconcile_photographs(
     seconds = [f.settings.exposure_s for f in bracket.light]
     shift = judged.log_time - samples.frame_log_time
     u_rel = dict(zip(names, judged.u_rel, strict=True))
+    findings, sentence = _findings(judged, bracket, names), _error_sentence(judged, bracket, names)
+    remark = sentence if result.verdict is Verdict.UNNAMED else f"{outcome(result, findings)} {sentence}"
     return PhotographsReconciled(
-        replace(result, seconds=time.monotonic() - begun),
+        replace(result, seconds=time.monotonic() - begun, extra={"remarks": [remark]}),
         {name: float(s * math.exp(d)) for name, s, d in zip(names, seconds, shift, strict=True)},
         u_rel,
-        _findings(judged, bracket, names),
-        _error_sentence(judged, bracket, names),
+        findings,
+        sentence,
         bracket.origin,
     )
 
@@ -206,9 +207,8 @@ class _Judged:
 
 
 def _exact_log_times(bracket: Bracket) -> Array:
-    stated = np.array([frame.settings.exposure_s for frame in bracket.light])
-    exact = np.array([exact_exposure_s(seconds) for seconds in stated])
-    return np.asarray(np.log(bracket.effective_exposures_s) + np.log(exact / stated))
+    stated = [frame.settings.exposure_s for frame in bracket.light]
+    return np.asarray(np.log(bracket.effective_exposures_s) + np.log(np.divide(exact_exposures_s(stated), stated)))
 
 
 def _plane(frames: Sequence[Frame]) -> list[Plane]:
@@ -322,7 +322,6 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
             "a power of the tone curve and one of the exposures cannot be separated: the printed ratios fix it",
         ),
         gap_unit=_GAP_UNIT,
-        extra={"remarks": [_sentence(judged, bracket, names)]},
     )
 
 
@@ -364,7 +363,10 @@ def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> 
     if judged.follow_no_curve:
         return _no_curve(judged, bracket, names)
     if not judged.labels and not judged.rounded and judged.offset is None:
-        return f"Left-out parts of the picture are predicted by the other photographs to {after:.2g} DN on average."
+        few = "" if judged.can_show else "; with so few, the tone curve may hide a wrong one"
+        return (
+            f"Left-out parts of the picture are predicted by the other photographs to {after:.2g} DN on average{few}."
+        )
     return (
         f"Left-out parts of the picture are then predicted by the other photographs to {after:.2g} DN on average, "
         f"{before:.2g} DN as printed."
@@ -395,31 +397,6 @@ def _worst(judged: _Judged, names: Sequence[str]) -> str:
 def _known_rows(samples: ResponseSamples, values: Array) -> list[NDArray[np.bool_]]:
     """Return for every frame which rows are its own and known."""
     return [(samples.frame == k) & np.isfinite(values) for k in range(samples.frame_log_time.size)]
-
-
-def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
-    before, _, after = judged.errors
-    if not judged.labels and not judged.rounded and judged.offset is None:
-        if judged.follow_no_curve:
-            return _no_curve(judged, bracket, names)
-        few = "" if judged.can_show else "; with so few, the tone curve may hide a wrong one"
-        predicted = f"left-out parts of the picture are predicted to {after:.2g} DN on average"
-        return f"All printed exposures agree: {predicted}{few}."
-    parts = ["the printed times are rounded stops"] if judged.rounded else []
-    if judged.offset is not None:
-        parts.append(f"all exposures are {judged.offset.in_words()} than printed (the shutter's offset, k = 1)")
-    for one in judged.labels:
-        ratio, u_ratio = _of_printed(one, judged, bracket)
-        rivals = "".join(f", or {names[frame]} {other * judged.expected[frame]:.3f}" for frame, other in one.rivals)
-        tie = f"{rivals}: these cannot show which" if rivals else ""
-        parts.append(
-            f"{names[one.frame]}, labelled {exposure_label(bracket, one.frame)}, had "
-            f"{ratio:.3f} ± {u_ratio:.3f} of that (k = 1){tie}"
-        )
-    return (
-        f"{'; '.join(parts)}. Left-out parts of the picture are then predicted to {after:.2g} DN on average, "
-        f"{before:.2g} DN as printed."
-    ) + (f" {_no_curve(judged, bracket, names)}" if judged.follow_no_curve else "")
 
 
 def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[FrameFinding, ...]:
@@ -717,6 +694,3 @@ def _dn(errors: Array) -> str:
 
 def _seconds(seconds: float) -> str:
     return f"1/{1.0 / seconds:.4g} s" if seconds < 0.3 else f"{seconds:.4g} s"
-
-
-__all__ = ["OFFSET", "FrameFinding", "outcome", "report_html"]

@@ -232,6 +232,7 @@ _SMOOTH_MAD_DN: Final = 15.0**0.5 / MAD_TO_SIGMA
 _MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more would cost time and change nothing
 _TREND_TERMS: Final = 6
 _HALF_WAVES: Final = 3  # down a frame, of a black level that moves while the rows are read
+_LITTLE_CUT: Final = 0.05  # share of a tile's samples at an end of the codes that leaves its noise nearly normal
 _CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cut off: six sigmas of 36 pixels in pairs
 
 
@@ -327,22 +328,22 @@ class CaptureSums:
     def finish(
         self, black_dn: float, bins: RowBins, *, structured: bool = False
     ) -> tuple[dict[str, Array | float], Mask]:
-        """Return the statistics of the capture by name, and the map of its outlying pixels.
+        """Return the statistics of the capture by name, and the map of its outlying and unsteady pixels.
 
         Args:
             black_dn: Stated black level in DN; NaN where unknown.
             bins: Bins of rows for bands.
-            structured: Whether the tiles show a scene rather than even light: nothing in them is outlying.
+            structured: Whether the tiles show a scene rather than even light: nothing in them is outlying or unsteady.
         """
         n, tiles = len(self.frame_means), self.low.size
         out = {name: np.full(tiles, np.nan) for name in _PER_TILE}
-        outlying = np.zeros(self.defects.shape, dtype=np.bool_)
+        outlying, unsteady = np.zeros((2, *self.defects.shape), dtype=np.bool_)
         means = np.array(self.frame_means)
         spacing_dn = _code_spacing(self.occurring)
         residuals, counting = [], []
         for number, group in enumerate(self.groups):
             residual, good = self._finish_group(
-                number, group, means, np.inf if structured else spacing_dn, out, outlying
+                number, group, means, np.inf if structured else spacing_dn, out, outlying, unsteady
             )
             residuals.append(residual)
             counting.append(good)
@@ -350,7 +351,7 @@ class CaptureSums:
         row_sums = self._without_flicker(means, counting, out, black_dn) if structured and n > 1 else self.row_sums
         result: dict[str, Array | float] = dict(out)
         result["outliers"] = float(outlying.sum())
-        result["unsteady"] = 0.0 if structured else self._unsteady(out["variance"], n, spacing_dn)
+        result["unsteady"] = float(unsteady.sum())
         free = _free(out)  # a clipped tile has hardly any noise and would outweigh all
         variance, spatial = (np.where(free, out[name], np.nan) for name in ("variance", "spatial"))
         known = [group.cut(~self.defects).astype(np.bool_) for group in self.groups]
@@ -361,19 +362,26 @@ class CaptureSums:
         result |= _additive_fluctuation(means, out, self._half_waves())
         result["side_lines"], result["side_unevenness"] = self.sides.lines(self.side_pixels / n)
         result |= _comb(self.histogram)
-        return result, outlying
+        return result, outlying | unsteady
 
-    def _unsteady(self, variance: Array, n: int, spacing_dn: float) -> float:
-        """Return how many pixels, defects or not, scatter far more than their tile's that count.
+    def _unsteady(self, number: int, good: Array, n: int, spacing_dn: float) -> Mask:
+        """Return which pixels, defects or not, scatter far more than those of their tile that count.
 
-        Where the noise hides below the spacing of the codes, one sample two codes off is no sign of that.
+        Where the noise hides below the spacing of the codes, one sample two codes off is no sign of that, nor is any
+        where most are cut off.
         """
-        found = 0
-        for number, group in enumerate(self.groups):
-            scatter = self.square[number] - np.square(self.total[number]) / n
-            limit = unsteady_from(n) * variance[group.index]
-            found += int(np.sum(scatter > (n - 1) * np.maximum(limit, 4.0 * spacing_dn**2 / n)[:, None, None]))
-        return float(found)
+        far = np.zeros(good.shape, dtype=np.bool_)
+        if n < 2:
+            return far
+        index = self.groups[number].index
+        whole = np.maximum(self.low, self.high)[index] < _LITTLE_CUT * n
+        scatter = (self.square[number] - np.square(self.total[number]) / n) / (n - 1)
+        for _ in range(2):  # the noisiest ones raise what the others are compared with
+            calm = good * ~far
+            variance = (scatter * calm).sum(axis=(1, 2)) / np.maximum(calm.sum(axis=(1, 2)), 1.0)
+            limit = np.maximum(unsteady_from(n) * variance, 4.0 * spacing_dn**2 / n)
+            far = scatter > np.where(whole, limit, np.inf)[:, None, None]
+        return np.asarray(far)
 
     def _half_waves(self) -> Array:
         """Return the mean over each tile of half waves down the frame, (tiles, waves): as many as tiles can resolve."""
@@ -388,15 +396,24 @@ class CaptureSums:
         return found
 
     def _finish_group(
-        self, number: int, group: TileGroup, means: Array, spacing_dn: float, out: dict[str, Array], outlying: Mask
+        self,
+        number: int,
+        group: TileGroup,
+        means: Array,
+        spacing_dn: float,
+        out: dict[str, Array],
+        outlying: Mask,
+        unsteady: Mask,
     ) -> tuple[Array, Mask]:
         n = means.shape[0]
         good = group.cut(~self.defects)
         picture = self.total[number] / n
         outside = _outlying(picture, group, spacing_dn)
-        for tile, spots in zip(group.tiles, outside, strict=True):
-            outlying[tile.slices] |= spots
         good = good * ~outside  # known defects and what stands out here
+        restless = self._unsteady(number, good, n, spacing_dn)
+        for tile, spots, restless_spots in zip(group.tiles, outside, restless, strict=True):
+            outlying[tile.slices] |= spots
+            unsteady[tile.slices] |= restless_spots
         pixels = good.sum(axis=(1, 2))
         shift = (picture * good).sum(axis=(1, 2)) / pixels
         flat = (picture - shift[:, None, None]) * good
@@ -410,9 +427,10 @@ class CaptureSums:
         out["spatial"][index] = np.sum(residual**2, axis=(1, 2)) / (pixels - _TREND_TERMS)
         out["slope_x"][index] = coefficients[:, 1] / group.slope_norm[0]
         out["slope_y"][index] = coefficients[:, 2] / group.slope_norm[1]
-        out["variance_dof"][index] = (n - 1) * (pixels - 1)
+        calm = good * ~restless
+        out["variance_dof"][index] = (n - 1) * (calm.sum(axis=(1, 2)) - 1)
         if n > 1:
-            self._temporal(number, group, good, out, n)
+            self._temporal(number, group, calm, out, n)
         return np.asarray(residual), np.asarray(good)
 
     def _without_flicker(
@@ -683,7 +701,7 @@ def reduce_frames(
 ) -> tuple[CaptureStatistics, PatternImages]:
     """Return the statistics of all captures and the mean image of each pattern.
 
-    Dark captures come first, so that their outlying pixels (defects) are left out everywhere.
+    Dark captures come first, so that their outlying and unsteady pixels (defects) are left out everywhere.
 
     Args:
         read: Gives the frame at a position of the header.

@@ -115,7 +115,6 @@ class Covariate:
         )
 
 
-SIDE: Final = "side = max(context.geometry.sensor_width, context.geometry.sensor_height)"
 COVARIATES: Final = {
     entry.name: entry
     for entry in (

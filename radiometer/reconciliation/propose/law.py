@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, make_dataclass
 from functools import lru_cache
 from operator import attrgetter
-from typing import Any, ClassVar, Final, NamedTuple, cast
+from typing import Any, ClassVar, Final, cast
 
 import numpy as np
 
+from radiometer.data import CameraDescription, FrameSettings
 from radiometer.reconciliation.propose.grammar import (
     COVARIATES,
     FORMS,
@@ -24,7 +25,7 @@ from simulators.chain.law_stages import LINKS, Link
 from simulators.effects import base, surroundings
 from simulators.effects.base import Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, elapsed_s, over_frames
-from simulators.effects.context import ExposureContext
+from simulators.effects.context import ExposureContext, FrameGeometry
 
 _AMPLITUDES: Final = {
     "1": "amplitude",
@@ -152,28 +153,16 @@ def _in_brackets(term: Term) -> str:
     return f"({code})" if code.startswith("1.0 /") else code
 
 
-class Declared(NamedTuple):
-    """A parameter as an effect declares it: name, unit, default and range."""
-
-    name: str
-    unit: str
-    default: float
-    low: float
-    high: float
-
-
-def declared(law: Law, amplitude: float) -> tuple[Declared, ...]:
+def _fields(law: Law, amplitude: float) -> list[tuple[str, type[float], Any]]:
     """Return the parameters that the effect of a law declares, the amplitude first, with ranges about their values."""
     wide = round_to(_WIDEST * max(abs(amplitude), 1e-12))
-    own = Declared(law.amplitude, LINKS[law.link].unit, 0.0, -wide, wide)
-    return (own, *(_declared(term, role) for term in law.terms for role in term.values))
-
-
-def _declared(term: Term, role: str) -> Declared:
-    value = round_to(term.values[role])
-    near = role == "at" and term.covariate in PLACES  # elsewhere others were tried; far off it steps nowhere at all
-    low, high = (round_to(value - _NEAR), round_to(value + _NEAR)) if near else _bounds(role, value)
-    return Declared(term.parameter(role), term.unit(role), value, low, high)
+    found = [(law.amplitude, LINKS[law.link].unit, 0.0, -wide, wide)]
+    for term, role in [(one, role) for one in law.terms for role in one.values]:
+        value = round_to(term.values[role])
+        near = role == "at" and term.covariate in PLACES  # elsewhere others were tried; far off it steps nowhere at all
+        low, high = (round_to(value - _NEAR), round_to(value + _NEAR)) if near else _bounds(role, value)
+        found.append((term.parameter(role), term.unit(role), value, low, high))
+    return [(n, float, parameter(value, unit, *ends, source="fitted")) for n, unit, value, *ends in found]
 
 
 def _bounds(role: str, value: float) -> tuple[float, float]:
@@ -189,12 +178,7 @@ def _bounds(role: str, value: float) -> tuple[float, float]:
     return round_to(value - wide), round_to(value + wide)
 
 
-def trials(law: Law, amplitude: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the parameters from which a search starts: at an amplitude and at its negative."""
-    return _trial(law, amplitude, 0.0), _trial(law, -amplitude, _NEAR_NOTHING)
-
-
-def _trial(law: Law, amplitude: float, nearest: float) -> dict[str, float]:
+def _trial(law: Law, amplitude: float, nearest: float = 0.0) -> dict[str, float]:
     """Return one start; a spot's place is not nearer to 0 than a figure: fits step by trials."""
     places = {name for name in law.parameters if name in ("at_x", "at_y")}
     own = {n: nearest if n in places and abs(v) < nearest else v for n, v in law.parameters.items()}
@@ -333,15 +317,11 @@ def _class_of(key: str, terms: tuple[tuple[str, str, Any, Any], ...], amplitude:
         "is_steep": law.is_steep,
         "signal_power": law.signal_power if law.is_steep else None,
         "is_sudden": law.is_sudden,
-        "trials": trials(law, amplitude),
+        "trials": (_trial(law, amplitude), _trial(law, -amplitude, _NEAR_NOTHING)),
         "fitted": law.fitted,
     }
-    fields = [
-        (one.name, float, parameter(one.default, one.unit, one.low, one.high, source="fitted"))
-        for one in declared(law, amplitude)
-    ]
-    made = make_dataclass(law.class_name, fields, bases=(kind,), frozen=True, namespace=facts)
-    return cast(type[LawEffect], made)
+    fields = _fields(law, amplitude)
+    return cast(type[LawEffect], make_dataclass(law.class_name, fields, bases=(kind,), frozen=True, namespace=facts))
 
 
 def effect_of(law: Law, amplitude: float) -> LawEffect:
@@ -355,3 +335,10 @@ def acted(law: Law, amplitude: float, signal: float, context: ExposureContext) -
     """Return what a written test expects at a pixel: the signal behind the law, or the variance that a noise adds."""
     found = getattr(effect_of(law, amplitude), law.shown)(np.array([signal]), context)
     return float(np.ravel(found)[0])
+
+
+def context_at(column: float, row: float, shape: tuple[int, int], settings: Mapping[str, Any]) -> ExposureContext:
+    """Return the circumstances of one pixel of a sensor of this height and width, a second after the frame before."""
+    geometry = FrameGeometry(np.array([column]), np.array([row]), shape[1], shape[0])
+    camera = CameraDescription(bit_depth=16)
+    return ExposureContext(FrameSettings(**settings), geometry, camera, since_frame_s=1.0)

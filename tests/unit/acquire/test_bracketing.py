@@ -154,6 +154,21 @@ def test_a_black_scene_costs_no_endless_exposures():
     assert len(plan.exposures_s) == 1
 
 
+@pytest.mark.parametrize(("radiance", "rounded", "bound_us"), [(0.0, math.floor, 3333333), (1e9, math.ceil, 11)])
+def test_metering_ends_at_a_bound_that_the_camera_rounds(monkeypatch, radiance, rounded, bound_us):
+    """Whole µs, as cameras count them: 10/3 s and 10.4 µs are asked for once, in the dark and in too much light."""
+    camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": radiance}, exposure_s=(10.4e-6, 30.0))
+    exact = camera.configure
+
+    def configure(settings):
+        return exact(replace(settings, exposure_s=rounded(settings.exposure_s * 1e6) / 1e6))
+
+    monkeypatch.setattr(camera, "configure", configure)
+    trials = meter(camera, longest_s=10.0 / 3.0).trials
+    assert trials[-1].settings.exposure_s * 1e6 == pytest.approx(bound_us)
+    assert len({frame.settings.exposure_s for frame in trials}) == len(trials)
+
+
 def test_no_exposure_takes_more_than_a_third_of_the_time():
     """A dim field that would like a minute: two of the longest and the rest fit into six seconds."""
     camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 0.2})

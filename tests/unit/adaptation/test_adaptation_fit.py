@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import radiometer as rm
 from radiometer.adaptation import adaptation_fit as rules
 from radiometer.adaptation.adaptation_fit import (
     LEAST_DEVIANCE,
@@ -174,6 +175,19 @@ def test_csv_forms(tmp_path):
     assert (list(read.time_min), list(read.log_threshold), list(read.sigma)) == ([0.5, 2.0], [1.0, -1.0], [0.2, 0.1])
     file.write_text("0.5,1\n2,-1\n")
     assert ThresholdSeries.read(file).sigma is None
+
+
+def test_the_bias_of_the_method_is_removed_and_its_uncertainty_counts(tmp_path):
+    """Thresholds found 0.08 too low by a method: plateau and end are 0.08 higher and less sure, the break stays."""
+    data, found = series(0.05), []
+    rows = "".join(f"{t},{level}\n" for t, level in zip(data.time_min, data.log_threshold, strict=True))
+    for name, facts in (("bare", ""), ("run", "# method_bias_log10: -0.08\n# u_method_bias_log10: 0.036\n")):
+        (tmp_path / f"{name}.csv").write_text(f"{facts}time_min,log10_threshold\n{rows}")
+        found.append(rm.adapt_fit(tmp_path / f"{name}.csv", bootstrap=20).fit.estimates)
+    bare, run = found
+    for name, shift, u in (("plateau", 0.08, 0.036), ("final_threshold", 0.08, 0.036), ("break_min", 0.0, 0.0)):
+        assert run[name].value == pytest.approx(bare[name].value + shift, abs=2e-3)
+        assert run[name].u == pytest.approx(math.hypot(bare[name].u, u), rel=0.02)
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "time_min,log10_threshold\n1,x\n", "1\n2\n"])

@@ -25,14 +25,10 @@ def falling(times: np.ndarray = TIMES) -> np.ndarray:
 
 
 def test_intercept_is_where_the_line_meets_the_criterion():
-    """Without noise exactly; a method that finds 0.12 too low moves it by 0.12/0.24 min, and is taken out."""
-    series = ThresholdSeries(TIMES, falling())
-    assert rod_intercept(series, RULE).time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
-    biased = ThresholdSeries(TIMES, falling() - 0.12)
-    assert rod_intercept(biased, RULE).time_min == pytest.approx(3 + 0.681 / 0.24, abs=0.02)
-    corrected = rod_intercept(biased, InterceptRule(-2.301, bias_log10=-0.12, u_bias_log10=0.03))
-    assert corrected.time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
-    assert corrected.u_min == pytest.approx(0.03 / 0.24, rel=0.05)
+    """Without noise exactly; what all thresholds are wrong by moves it by 1/0.24 min per log10 unit."""
+    met = rod_intercept(ThresholdSeries(TIMES, falling()), RULE, 0.03)
+    assert met.time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
+    assert met.u_min == pytest.approx(0.03 / 0.24, rel=0.05)
 
 
 def test_its_interval_holds_the_truth():
@@ -144,10 +140,9 @@ def test_the_published_conditions_hold_to_their_bounds(monkeypatch, part, name, 
 
 @pytest.mark.slow
 def test_facts_of_a_run_lead_to_its_intercept():
-    """What stands before the thresholds gives criterion, limit and bias back, and the fit says both."""
+    """What stands before the thresholds gives criterion and limit back, and the fit says both."""
     rule = intercept_of(facts_of(read_protocol("rapid"), 0.01))
     assert (rule.criterion_log10, rule.limit_min) == (-2.301, 6.5)
-    assert rule.bias_log10 == pytest.approx(method_bias(read_protocol("rapid").method).log10, abs=1e-4)
     noise = np.random.default_rng(1).normal(0, 0.05, TIMES.size)
     series = ThresholdSeries(TIMES, falling() + noise)
     fit = fit_adaptation(series, FitRequest(bootstrap_draws=0, intercept=rule), np.random.default_rng(0))
@@ -175,7 +170,7 @@ def test_intercept_is_judged_where_its_limit_was_published_for_such_a_bleach(
 ) -> None:
     """The line falls through the criterion at 6.34 min; a bleach of seconds is no flash, an unknown one is unknown."""
     noise = np.random.default_rng(1).normal(0, 0.05, TIMES.size)
-    rule = InterceptRule(-2.301, limit_min, method_bias(read_protocol("rapid").method).log10, bleach_s=bleach_s)
+    rule = InterceptRule(-2.301, limit_min, bleach_s=bleach_s)
     series = ThresholdSeries(TIMES, falling() + noise)
     fit = fit_adaptation(series, FitRequest(bootstrap_draws=0, intercept=rule), np.random.default_rng(0))
     assert judgement in intercept_verdict(fit)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import radiometer as rm
+from drivers.cameras.aravis_camera import load_library
 from radiometer.data import CaptureSetWriter
 from radiometer.devices.exposure_account import NO_EYE
-from radiometer.errors import CaptureError, DeviceLost, UsageError
+from radiometer.errors import CaptureError, DeviceLost, MissingLibrary, UsageError
 
 BENCH = """\
 format: radiometer-bench/1
@@ -66,6 +68,19 @@ def test_a_closed_meter_is_closed_once(bench):
     meter.close()
     with rm.open(bench, uncalibrated=True) as again:
         assert again.calibration is None
+
+
+def test_threads_that_share_a_meter_take_turns():
+    """Each gets the reading of its own patch, of a camera behind the GenICam library too."""
+    try:
+        load_library()
+    except MissingLibrary as error:
+        pytest.skip(str(error))
+    patches = [(4, 4, 16, 16), (64, 64, 16, 16)]
+    with rm.open("Fake_1", uncalibrated=True) as meter, ThreadPoolExecutor(2) as threads:
+        readings = list(threads.map(meter.measure, patches))
+    assert [reading.patch for reading in readings] == [rm.Patch(*patch) for patch in patches]
+    assert all(reading.radiance.value > 0 for reading in readings)
 
 
 def test_a_bracket_keeps_light_and_dark_apart(stack):

@@ -78,6 +78,13 @@ def test_what_was_measured_is_not_measured_again(calibrate: Calibrate, other: An
         assert abs(value - known) <= 3.0 * (u + u_known) + 0.01 * known  # 1 %: the drift between the parts
 
 
+def test_a_simulated_camera_is_no_better_known_than_a_real_one(tmp_path: Path) -> None:
+    """Its responsivity is assumed flat as that of any other: 10 %, unless stated; the scale adds some 0.6 %."""
+    assumed, stated = (_light(tmp_path / f"{u}.yaml", spectral_u_rel=u) for u in (None, 0.02))
+    assert assumed.calibration.channels["fixation"].common_u_rel == pytest.approx(0.1, rel=0.01)
+    assert stated.calibration.channels["fixation"].common_u_rel == pytest.approx(0.02, rel=0.1)
+
+
 @CALIBRATIONS
 def test_levels_of_another_calibration_are_refused(calibrate: Calibrate, other: Any, tmp_path: Path) -> None:
     """Other levels, or another kind of journal, are never mixed with it; what was measured stays."""

@@ -6,6 +6,7 @@ import asyncio
 import base64
 import io
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from PIL import Image
 
 import radiometer as rm
 from radiometer.bench.reopening import reopen
-from radiometer.devices import CameraSettings
+from radiometer.devices import CameraIdentity, CameraSettings
 from radiometer.errors import ConfigurationError, DeviceLost, MissingLibrary
 
 BENCH = """# our bench
@@ -86,6 +87,7 @@ class LostCamera:
 
     def __init__(self, away: int) -> None:
         self.away, self.is_open, self.settings = away, True, CameraSettings(exposure_s=0.01)
+        self.identity = CameraIdentity("Fake", "F-1", "4711", "fake")
 
     def close(self) -> None:
         self.is_open = False
@@ -124,19 +126,22 @@ def test_each_reason_is_reported_once_and_a_camera_that_does_not_open_is_let_go(
     """Who waits hears of a new reason and not of the same one again; between two tries nothing is held open."""
     reasons = ["unplugged", "unplugged", "in use", "in use"]
     camera: Any = LostCamera(0)
-    plain_open = camera.open
+    plain_open, others = camera.open, ["4712", "4711"]
 
     def fail_first() -> None:
         if reasons:
             camera.is_open = True  # an opening that fails half way
             raise DeviceLost(reasons.pop(0))
+        camera.identity = replace(camera.identity, serial=others.pop(0))
         plain_open()
 
     monkeypatch.setattr(camera, "open", fail_first)
     reported: list[str] = []
     held: list[bool] = []
     reopen(camera, CameraSettings(exposure_s=0.003), reported.append, lambda _s: held.append(camera.is_open))
-    assert (reported, held, camera.is_open) == (["unplugged", "in use"], [False] * 4, True)
+    another = reported.pop()
+    assert "another camera answers, Fake F-1 4712, in place of Fake F-1 4711" in another
+    assert (reported, held, camera.is_open) == (["unplugged", "in use"], [False] * 5, True)
 
 
 def test_a_camera_that_can_never_be_opened_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

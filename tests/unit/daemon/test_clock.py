@@ -208,6 +208,24 @@ async def test_a_jump_is_in_journal_and_state(
     assert "set back by 60 min" in reader.events()[0]["message"]
 
 
+async def test_a_jump_before_the_first_look_is_counted_once(
+    instrument: Any, tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Set forward by 400 d as the daemon starts: an event, and what was measured before is a day old a day later."""
+    journal, right = Journal(tmp_path / "j.sqlite"), time.time_ns
+    with journal:
+        journal.append([make_reading(time=iso_time(right() // 1000))] * 2)
+    station = Station(instrument, journal)
+    monkeypatch.setattr(time, "time_ns", lambda: right() + 400 * 1000 * DAY_US)
+    await station.start()
+    await station.acquisition.measure()
+    station.clock.look()
+    await station.stop("test")
+    events = [event["kind"] for event in JournalReader(journal.path).events()]
+    with journal:
+        assert (events.count("clock"), journal.drop_older(time.time_ns() // 1000 + DAY_US)) == (1, 2)
+
+
 def test_the_age_is_counted_by_a_clock_that_cannot_be_set() -> None:
     """A forward jump moves it once the journal has noted it, and not before; a clock set back holds it back."""
     clocks = Clocks()

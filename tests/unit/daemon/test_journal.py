@@ -13,7 +13,7 @@ import sqlite3
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -34,6 +34,7 @@ from radiometer.errors import InputError, OutputError, UsageError
 from testing.watched_sqlite import Watched, refusing
 
 Make = Callable[..., Reading]
+Eventually = Callable[..., Awaitable[None]]
 
 
 def test_a_reading_comes_back_as_it_was_committed(tmp_path: Path, make_reading: Make) -> None:
@@ -41,6 +42,18 @@ def test_a_reading_comes_back_as_it_was_committed(tmp_path: Path, make_reading: 
     with Journal(tmp_path / "j.sqlite") as journal:
         (numbered,) = journal.append([make_reading(flags=(Flag.SATURATED,))])
     assert JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter()) == [numbered.to_json()]
+
+
+def test_where_the_readings_of_another_camera_begin_is_an_event(tmp_path: Path, make_reading: Make) -> None:
+    """After a restart and within a batch; those of one camera are none."""
+    for cameras in (("A", "A"), ("A",), ("B", "A")):
+        with Journal(tmp_path / "j.sqlite") as journal:
+            journal.append([make_reading(instrument=camera) for camera in cameras])
+    events = JournalReader(tmp_path / "j.sqlite").events()
+    assert [event["message"] for event in events if event["kind"] == "camera"] == [
+        "from reading 4 on, readings are of the camera B, not of A",
+        "from reading 5 on, readings are of the camera A, not of B",
+    ]
 
 
 def test_an_undefined_radiance_is_kept_too(tmp_path: Path, make_reading: Make) -> None:
@@ -882,18 +895,31 @@ async def test_readings_that_waited_are_taken_in_once(tmp_path: Path, make_readi
         lambda line: line.replace(b'"time": "2', b'"time": "x'), lambda line: line.replace(b'e": 0.02', b'e": [0.02]'),
     ],
 )  # fmt: skip
-async def test_a_damaged_file_of_readings_that_waited_stays_and_stops_nothing(
-    tmp_path: Path, make_reading: Make, harm: Callable[[bytes], bytes]
+async def test_a_damaged_line_of_readings_that_waited_stays_and_stops_nothing(
+    tmp_path: Path, make_reading: Make, harm: Callable[[bytes], bytes], eventually: Eventually
 ) -> None:
-    """None of it is taken in; an event names it, and the daemon goes on."""
+    """The others are taken in, once; an event and an alarm name the file until it is moved away."""
     path, _ = waited(tmp_path, make_reading)
     (file,) = tmp_path.glob("*waiting*")
     first, *others = file.read_bytes().splitlines(keepends=True)
-    file.write_bytes(b"".join([*others, harm(first.rstrip())]))
-    await start_and_stop(path, make_reading())
-    assert len(JournalReader(path).lines(ReadingFilter())) == 2
-    assert file.name in JournalReader(path).events()[0]["message"]
-    assert file.exists()
+    damaged = harm(first.rstrip())
+    file.write_bytes(b"".join([*others, damaged]))
+    for start in (1, 2):
+        alarms = Alarms(lambda *_: None)
+        writer = JournalWriter(Journal(path), alarms, lambda *_: None)
+        await writer.open()
+        running = asyncio.create_task(writer.run())
+        await writer.submit(make_reading())
+        await eventually(lambda alarms=alarms: alarms.active)
+        assert len(JournalReader(path).lines(ReadingFilter())) == 2 + start
+        assert file.read_bytes() == damaged
+        assert f"of {file.name} {2 - start} readings were taken in; 1 damaged lines" in alarms.message_of("journal")
+        assert JournalReader(path).events()[-1]["message"] == alarms.message_of("journal")
+        if start == 2:
+            file.rename(tmp_path / "looked at")
+            await eventually(lambda alarms=alarms: not alarms.active)
+        running.cancel()
+        await writer.close()
 
 
 def test_a_start_states_that_the_run_before_had_no_stop(tmp_path: Path) -> None:

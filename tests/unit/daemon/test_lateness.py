@@ -33,11 +33,11 @@ class _Bench:
                 self.now += pace_s / 4
                 self.lateness.look()
 
-    def wait(self, seconds: float, *, able: bool = True) -> None:
+    def wait(self, seconds: float, *, able: bool = True, paused: bool = False) -> None:
         end = self.now + seconds
         while self.now < end:
             self.now += 0.5
-            self.lateness.look(able=able)
+            self.lateness.look(able=able, paused=paused)
 
 
 @given(every_s=st.floats(0.05, 3600.0), slower=st.floats(1.0, 1.05))
@@ -94,3 +94,15 @@ def test_a_lost_camera_is_its_own_alarm_and_no_period_is_missed_meanwhile() -> N
     assert bench.up == {"reading"}
     bench.measure(1.0, 30)
     assert bench.up == set()
+
+
+def test_a_pause_for_the_journal_is_no_lack_of_readings() -> None:
+    """Hours in which measuring is paused: its alarm is the journal's; after the pause readings are due as before."""
+    bench = _Bench(1.0)
+    bench.measure(1.0, 3)
+    bench.wait(3600.0, paused=True)
+    assert bench.changes == []
+    bench.wait(9.5)
+    assert bench.up == set()
+    bench.wait(2.0)
+    assert "reading" in bench.up

@@ -150,6 +150,28 @@ def test_an_impossible_exposure_time_is_reported(
     instrument.close()
 
 
+def test_another_camera_in_the_place_of_the_one_that_was_lost_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its readings would pass for those of the first, which is taken again once it is back."""
+    genuine, serial = bench_instrument.open_camera, ["22500001"]
+
+    def open_camera(config: Any, *arguments: Any) -> Any:
+        there = config.camera.model_copy(update={"serial": serial[0]})
+        return genuine(config.model_copy(update={"camera": there}), *arguments)
+
+    monkeypatch.setattr(bench_instrument, "open_camera", open_camera)
+    instrument = BenchInstrument(write_small_bench(tmp_path))
+    instrument.open()
+    serial[0] = "OTHER002"
+    with pytest.raises(DeviceError, match=r"another camera answers, .*OTHER002, in place of .*22500001; connect that"):
+        instrument.open()
+    serial[0] = "22500001"
+    instrument.open()
+    assert instrument.identity.serial == serial[0]
+    instrument.close()
+
+
 FIXED = MeasurementSettings(patch=None, auto_exposure=False, exposure_s=1e-3, gain_db=6.0)
 
 

@@ -115,12 +115,16 @@ def test_it_goes_stale_after_its_validity(calibration):
         ("scale", {"value": 1, "u_rel": 0.1, "method": "guess"}, "scale.method"),
         ("noise", {"read_noise_e": 2}, "conversion_gain_e_per_dn"),
         ("camera", {"bit_depth": 10}, "10"),
+        ("black", {"dn": 70}, "unknown key 'black'; allowed here: black_level"),
+        ("uncertainties", {"drift": 0.1}, "unknown key 'uncertainties.drift'"),
+        ("camera", {"bit_depth": 12, "serial_number": "1"}, "write 'serial'"),
+        ("response", {"format": "radiometer-response/1", "valid": [3, 4000]}, "unknown key 'valid'; allowed here"),
     ],
 )
 def test_a_wrong_entry_is_refused_by_name(calibration, key, value, message):
     """The message names the key, or shows the value."""
     mapping = {**calibration.to_mapping(), key: value}
-    with pytest.raises(CalibrationError, match=message):
+    with pytest.raises((CalibrationError, InputError), match=message):
         Calibration.from_mapping(mapping, "cal.yaml")
 
 

@@ -59,7 +59,7 @@ def test_bands_are_cameras_of_their_own(write_raw_tiff):
     folder = write_raw_tiff("s/IMG_2.tif", PICTURE, band="Red").parent
     with pytest.raises(CaptureError, match=r"Blue.*Red"):
         open_capture(folder)
-    assert open_capture(folder / "IMG_2*").header.camera.model_extra["band"] == "Red"
+    assert open_capture(folder / "IMG_2*").header.camera.band == "Red"
 
 
 def test_fall_off_is_the_makers_polynomial():
@@ -194,7 +194,7 @@ def test_tags_of_micro_manager_are_read(tmp_path):
     assert {entry.gain_db for entry in capture.header.frames} == {12.0}
     assert {entry.temperature_C for entry in capture.header.frames} == {-5.5}
     assert capture.header.camera.bit_depth == 12
-    assert capture.header.camera.model_extra["binning"] == "2"
+    assert capture.header.camera.binning == "2"
     assert "exposure_s from tag MicroManagerMetadata (3 frames)" in imported_of(capture).taken
 
 

@@ -81,9 +81,10 @@ def test_memorial_list_holds_times_in_its_second_column(shared_data):
 def test_exif_dial_times_become_exact_stops(tmp_path):
     """EXIF 1/60 s is 2⁻⁶ s and f/5.6 is 2^2.5; the printed time stays next to it."""
     _jpeg(tmp_path, "a.jpg", 50, time=1 / 60, f_number=5.6)
-    _jpeg(tmp_path, "b.jpg", 100, time=1 / 30, f_number=5.6)
+    _jpeg(tmp_path, "b.jpg", 100, time=1 / 3, f_number=5.6)
+    _jpeg(tmp_path, "c.jpg", 120, time=0.4, f_number=5.6)  # of a dial in thirds of a stop, so 1/3 s is one too
     bracket = read_photographs(tmp_path, "red")[0]
-    assert [f.settings.exposure_s for f in bracket.light] == [2.0**-6, 2.0**-5]
+    assert [f.settings.exposure_s for f in bracket.light] == pytest.approx([2.0**-6, 2.0 ** (-5 / 3), 2.0 ** (-4 / 3)])
     assert bracket.light[0].settings.f_number == pytest.approx(2**2.5)
     assert bracket.light[0].extra["nominal_exposure_s"] == pytest.approx(1 / 60)
 

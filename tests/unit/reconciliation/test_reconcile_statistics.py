@@ -106,19 +106,24 @@ def test_sharpest_stop_shows_where_borders_lie() -> None:
     assert np.isinf(u[12:]).all()
 
 
-def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
-    """One defect of 3000 DN moves no tile mean, dark or lit; it counts in the dark, for a scene may hold anything."""
+def test_hot_and_unsteady_pixels_of_a_dark_are_left_out_everywhere() -> None:
+    """A defect of 3000 DN and one of ±60 DN move no mean and no noise; they count in the dark: a scene is uneven."""
     rng = np.random.default_rng(3)
     frames = []
-    for shutter in ("open", "closed"):
-        dn = np.rint(rng.normal(500 if shutter == "open" else 64, 2, (48, 72))).astype(np.uint16)
-        dn[20, 30] += 3000
-        settings = FrameSettings(0.1, shutter="open" if shutter == "open" else "closed")
-        frames.append(Frame(dn, 12, settings))
+    for light in (500, 64):
+        for sign in (1, -1, 1, -1):
+            dn = np.rint(rng.normal(light, 2, (48, 72))).astype(np.int64)
+            dn[20, 30] += 3000
+            dn[40, 50] += 60 * sign
+            frames.append(
+                Frame(dn.astype(np.uint16), 12, FrameSettings(0.1, shutter="open" if light > 64 else "closed"))
+            )
     seen = statistics_of(taken(frames))
-    sigma_of_a_tile_mean = 2.1 / np.sqrt(12 * 12)
-    np.testing.assert_allclose(seen.mean[0], 500, atol=5 * sigma_of_a_tile_mean)
+    noise = 2.0**2 + 1.0 / 12.0  # of 144 pixels, in four frames
+    np.testing.assert_allclose(seen.mean[0], 500, atol=5 * np.sqrt(noise / 4 / 144))
+    np.testing.assert_allclose(seen.variance, noise, rtol=5 * np.sqrt(2 / 3 / 144))
     assert seen.outliers.tolist() == [0.0, 1.0]
+    assert seen.unsteady.tolist() == [0.0, 1.0]
 
 
 def test_a_histogram_cut_off_below_full_scale_is_not_compared() -> None:

@@ -14,11 +14,10 @@ from radiometer.reconciliation.measure.reduce import frame_reader
 from radiometer.reconciliation.report_page import (
     along,
     axis_label,
-    effect_plot,
     outcome,
+    plot_along,
     report_html,
     seen_in,
-    unnamed_plot,
 )
 from radiometer.reconciliation.result import FoundEffect, Verdict
 from radiometer.reporting.origin import Origin
@@ -148,6 +147,6 @@ def test_what_an_entry_does_is_drawn_with_and_without_a_band(lit_and_dark, kind)
     """Also of an entry that shows in two directions at once, such as charge that goes to neighbours."""
     effect = kind()
     state = with_effects(lit_and_dark, [effect])
-    assert "residual without it" in str(effect_plot(state, effect, 0.1))
-    assert unnamed_plot(state, "signal", kind.block)
-    assert unnamed_plot(state, "signal", "no such statistic") is None
+    assert "residual without it" in plot_along(state, effect.where, effect.block, effect, 0.1)
+    assert plot_along(state, "signal", kind.block)
+    assert not plot_along(state, "signal", "no such statistic")

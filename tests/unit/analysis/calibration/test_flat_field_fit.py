@@ -138,12 +138,15 @@ def test_light_that_is_not_even_is_no_fall_off(rig, unevenness):
         ({"serial": "999"}, {}, "its serial is"),
         ({"pixel_pitch_um": 9.0}, {}, "its pixel pitch"),
         ({}, {"focal_length_mm": 16.0}, "the one in use has 16 mm"),
+        ({}, {"magnification": 1.0}, "has a magnification of 1, at calibration 0"),
+        ({}, {"principal_point_px": (200.0, 9.0)}, "another part of the sensor"),
     ],
 )
 def test_a_flat_field_of_another_camera_or_lens_is_refused(rig, of_camera, of_lens, message, tmp_path, capsys):
     """The fall-off is that of one lens on one sensor: what a calibration and a reading must share holds for it too."""
     camera, lens = wide(rig)
     camera, rng = camera.model_copy(update={"model": "one", "serial": "123"}), np.random.default_rng(5)
+    lens = lens.model_copy(update={"principal_point_px": CENTRE})
     others = camera.model_copy(update=of_camera), lens.model_copy(update=of_lens)
     radiance = 0.5 * rig.radiance_of_full_scale(1e-3)
     for name, described in (("flat", others), ("known", (camera, lens))):
@@ -172,11 +175,12 @@ def test_a_flat_field_has_the_f_number_of_its_frames(rig, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["flat_field"]["f_number"] == 8.0
 
 
-def test_a_clipped_flat_is_refused(rig):
-    """Nothing usable is left."""
+@pytest.mark.parametrize("left", [0, SHAPE[1] // 3])
+def test_a_flat_that_is_mostly_clipped_is_refused(rig, left):
+    """Nothing usable is left, or a third of the picture, which an even source would fill."""
     camera, lens = wide(rig)
     clipped = even_map(falloff())
-    clipped.mask[:] = 1
+    clipped.mask[:, left:] = 1
     with pytest.raises(MeasurementError, match="half of full scale"):
         fit_flat_field(clipped, camera, lens)
 

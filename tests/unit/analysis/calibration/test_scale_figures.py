@@ -180,6 +180,8 @@ def test_the_corner_is_dimmer_by_the_fourth_power():
     lens = LensDescription(focal_length_mm=1.0)
     shown = relative_sensitivity(camera, lens, None, (201, 201), [100, 200, 100], [100, 100, 0])
     assert shown == pytest.approx([1.0, 0.25, 0.25])
+    near = lens.model_copy(update={"magnification": 1.0, "pupil_magnification": 0.5})  # at three times the distance
+    assert relative_sensitivity(camera, near, None, (201, 201), [100, 200], [100, 100]) == pytest.approx([1.0, 0.81])
     moved = lens.model_copy(update={"principal_point_px": (0.0, 0.0)})
     assert relative_sensitivity(camera, moved, None, (201, 201), [0, 60], [0, 80]) == pytest.approx([1.0, 0.25])
     assert relative_sensitivity(camera, LensDescription(), None, (201, 201), [0], [0]).tolist() == [1.0]

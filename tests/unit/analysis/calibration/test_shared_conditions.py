@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.calibration.calibrate import MeterReading, MeterSettings, scale_by_meter
-from radiometer.analysis.calibration.shared import TABLE, Handling, State
+from radiometer.analysis.calibration.shared import TABLE, Handling, State, require_flat_field
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.data import (
     BlackLevel,
@@ -40,6 +40,10 @@ VALUES = {
     "pixel pitch": (4.5, 9.0),
     "mosaic": ("RGGB", "BGGR"),
     "mode": ("GAIN 0", "GAIN 300"),
+    "filter": ("V", "R"),
+    "band": ("Red", "Green"),
+    "binning": ("1", "2"),
+    "conversion gain": (2.6, 1.3),
     "focal length": (16.0, 25.0),
     "f-number": (4.0, 5.6),
     "ISO speed": (100.0, 200.0),
@@ -48,6 +52,8 @@ VALUES = {
     "spectrum": ("equal_energy", "cie_a"),
     "temperature": (25.0, 40.0),
     "response support": (128.0, 2.0),
+    "focus of a flat field": (0.0, 1.0),
+    "place of a flat field": ((10.0, 20.0), (12.0, 20.0)),
 }
 STATES = [(name, state) for name, rules in TABLE.items() for state in rules]
 
@@ -58,7 +64,10 @@ def test_every_quantity_of_the_table_is_tried():
 
 
 # What a camera's description states, by its name in the table.
-MARKS = {name: name for name in ("model", "serial", "mosaic", "mode")} | {"pixel pitch": "pixel_pitch_um"}
+MARKS = {name: name for name in ("model", "serial", "mosaic", *CameraDescription.SETTINGS)} | {
+    "pixel pitch": "pixel_pitch_um",
+    "conversion gain": "conversion_gain_e_per_dn",
+}
 
 
 def calibration(quantity: str, there: object) -> Calibration:
@@ -146,17 +155,28 @@ def of_response_support(here: float) -> float:
     return scale_by_meter(base, MeterReading(12.5, MeterSettings(1 / 128, 8.0, 100.0), here)).value
 
 
+def accepted(quantity: str, there: object, here: object) -> bool:
+    """Return that a scale by a meter, or a flat field, was taken where the calibration differs from it."""
+    if quantity == "response support":
+        return of_response_support(here) > 0.0
+    key = "magnification" if quantity.startswith("focus") else "principal_point_px"
+    lenses = [LensDescription(**{key: value}) for value in (there, here)]
+    require_flat_field(replace(calibration("", None), lens=lenses[0]), CAMERA, lenses[1])
+    return True
+
+
 @pytest.mark.parametrize(("quantity", "state"), STATES)
 def test_every_state_is_handled_as_the_table_says(quantity, state):
     """Kept: right as it is. Corrected: right, with a doubt in the budget. Widened: with a doubt. Refused: an error."""
     rule, (there, here) = TABLE[quantity][state], sides(quantity, state)
+    of_itself = quantity == "response support" or quantity.endswith("flat field")
     if rule.handling is Handling.REFUSED:
         with pytest.raises(RadiometerError) as refusal:
-            of_response_support(here) if quantity == "response support" else reading(quantity, there, here)
+            accepted(quantity, there, here) if of_itself else reading(quantity, there, here)
         assert refusal.type is rule.error
         return
-    if quantity == "response support":
-        assert of_response_support(here) > 0.0
+    if of_itself:
+        assert accepted(quantity, there, here)
         return
     value, budget = reading(quantity, there, here)
     _, same = reading(quantity, *sides(quantity, State.EQUAL))

@@ -145,6 +145,17 @@ def test_the_page_next_to_a_certificate_replaces_no_input(tmp_path: Path, labora
     assert page.read_text(encoding="utf-8") == content
 
 
+@pytest.mark.parametrize("unknown", ["vendor", "serial"])
+def test_a_calibration_of_no_known_camera_is_never_certified_as_the_source(
+    project_root: Path, laboratory: Path, unknown: str
+) -> None:
+    """The laboratory's lamp is not what was calibrated; the message names what the calibration's file must state."""
+    stored = Calibration.read(project_root / "configs" / "calibrations" / "simulated.yaml")
+    nameless = replace(stored, camera=stored.camera.model_copy(update={unknown: None}))
+    with pytest.raises(UsageError, match="camera: vendor, serial"):
+        rm.certificate(nameless, laboratory=laboratory, identifier="2")
+
+
 def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -> None:
     """What cannot be certified is refused."""
     with pytest.raises(UsageError, match="relative"):

@@ -46,6 +46,16 @@ def test_a_sinusoid_has_its_depth_its_index_over_pi_and_its_depth_over_the_thres
     assert found.svm.value == pytest.approx(depth / threshold, rel=0.005)
 
 
+def test_the_clock_counts_in_the_frequency_or_is_named() -> None:
+    """1 % of the clock is 1 Hz of 100 Hz, and nothing else; where nothing states it, an assumption says so."""
+    record = Waveform(1.0 + 0.3 * np.sin(2.0 * np.pi * 100.0 * light_at(RATE_HZ, 1.0)), RATE_HZ, "sine")
+    unstated, known = measure_flicker(record), measure_flicker(record, 0.01)
+    assert known.frequency.u == pytest.approx(1.0, rel=1e-3)
+    assert unstated.frequency.u < 0.01
+    assert [any("--u-clock" in line for line in one.assumptions) for one in (unstated, known)] == [True, False]
+    assert known.modulation_depth == unstated.modulation_depth
+
+
 @pytest.mark.parametrize("duty", [0.2, 0.5, 0.8])
 def test_a_rectangle_has_depth_1_and_the_dark_share_of_its_period_as_index(duty: float) -> None:
     """A rectangle has depth 1 and the dark share of its period as index."""

@@ -265,3 +265,11 @@ def test_a_map_names_a_fall_off_that_nothing_states(lens, named):
     camera = CAMERA.model_copy(update={"pixel_pitch_um": 4.5})
     found = merge(frames(1, (1e-3, 2e-3)), Setup(camera, LensDescription(f_number=4.0, **lens)))
     assert any("fall-off is not corrected" in one for one in found.not_in_u) is named
+
+
+@pytest.mark.parametrize(("black_dn", "named"), [(None, True), (0.0, False)])
+def test_a_relative_map_names_a_black_level_that_nothing_states(black_dn, named):
+    """A pedestal may be all of the darkest pixels, 40 DN here, and changes every contrast; a stated one is known."""
+    dark = [Frame(np.where(one.dn > 0, np.uint16(40), one.dn), 12, one.settings) for one in frames(1, (1e-3, 2e-3))]
+    found = merge(dark, Setup(CAMERA.model_copy(update={"black_level_dn": black_dn}), LensDescription(f_number=4.0)))
+    assert any("the numbers may be about 40 DN" in one for one in found.not_in_u) is named

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
 from radiometer.analysis.quality.procedures import PROCEDURES
@@ -127,6 +128,39 @@ def test_polarisation_says_at_which_angle_it_is_largest(tmp_path):
     """The axis planted at 30° comes out."""
     stations.polarised(tmp_path, 4, axis_deg=30.0)
     assert figure_of(tmp_path, "polarisation").remarks[0].startswith("largest at 30°")
+
+
+@pytest.mark.parametrize(
+    ("of", "facts", "reason"),
+    [
+        ("camera", {"serial": "999"}, "its serial is"),
+        ("camera", {"mode": "slow"}, "mode fast"),
+        ("frames", {"source_level": 0.5}, "source level of 0.5"),
+    ],
+)
+def test_a_step_that_is_no_reading_of_the_same_is_refused(tmp_path, of, facts, reason):
+    """Another camera, mode or brightness of the source would be the index."""
+    stations.polarised(tmp_path, 4)
+    for angle in (0, 45, 90, 135):
+        header = tmp_path / "polarisation" / str(angle) / "capture.yaml"
+        content = yaml.safe_load(header.read_text())
+        content["camera"] |= {"serial": "1", "mode": "fast"}
+        for one in (content["camera"],) if of == "camera" else content["frames"]:
+            one.update(facts if angle == 90 else {})
+        header.write_text(yaml.safe_dump(content))
+    index = index_of(tmp_path, "polarisation")
+    assert index.figure is None
+    assert reason in index.reason
+
+
+def test_a_step_at_another_stop_carries_its_doubt(tmp_path):
+    """A marked stop is known to 2 % (k = 1), so that light is to 4 %."""
+    stations.refocused(tmp_path, 4)
+    same = figure_of(tmp_path, "focus")
+    header = next((tmp_path / "focus").glob("near*")) / "capture.yaml"
+    header.write_text(header.read_text().replace("f_number: 4.0", "f_number: 4.4"))
+    other = figure_of(tmp_path, "focus")
+    assert other.u == pytest.approx(math.hypot(same.u, 0.04 * 1.1**2), rel=0.1)
 
 
 def test_an_unsteady_source_widens_every_ratio(tmp_path):

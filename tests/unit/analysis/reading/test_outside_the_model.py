@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
+from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.budget import conditions_of, frame_u_rel, local_scatter, stray_light
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
@@ -189,17 +190,22 @@ def test_a_corner_of_an_unknown_lens_is_in_doubt(rig):
     assert Flag.FALLOFF_ASSUMED in found.flags
 
 
-def test_a_flat_field_of_another_stop_is_in_doubt(rig):
-    """Made at f/8 and used at f/4: half of the fall-off that it holds joins its own uncertainty."""
+@pytest.mark.parametrize(("f_number", "magnification"), [(8.0, 0.0), (4.0, 0.5)])
+def test_a_flat_field_of_another_stop_or_focus_is_in_doubt(rig, f_number, magnification):
+    """Made at f/8 and used at f/4, or focused nearer: half of the fall-off that it holds joins its own uncertainty."""
     flat = FlatField(
         principal_point_px=(5.5, 5.5), radius_px=math.hypot(5.5, 5.5), coefficients=(-0.2, 0.0, 0.0), shape=(12, 12),
-        u_rel=0.003, f_number=8.0,
+        u_rel=0.003, f_number=f_number,
     )  # fmt: skip
     corner = Patch(11, 11, 1, 1)
-    other = read(rig, calibrated(rig, flat_field=flat), patch=corner)
+    lens = rig.lens.model_copy(update={"magnification": magnification})
+    other = read(rig, calibrated(rig, flat_field=flat), patch=corner, lens=lens)
     same = read(rig, calibrated(rig, flat_field=flat.model_copy(update={"f_number": 4.0})), patch=corner)
     assert line(other, "flat field") == pytest.approx(math.hypot(0.003, 0.5 * 0.2), rel=1e-6)
     assert line(same, "flat field") == pytest.approx(0.003)
+    frames = rig.frames(np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(3), STEADY)
+    mapped = merge(frames, Setup(rig.description, lens, calibrated(rig, flat_field=flat)))
+    assert mapped.u_radiance[11, 11] / mapped.radiance[11, 11] == pytest.approx(0.5 * 0.2, rel=0.05)
 
 
 def test_two_halves_of_different_radiance_are_not_saturated(rig):
@@ -253,14 +259,17 @@ def test_the_data_sheet_s_dark_current_may_be_three_times_as_much(rig):
     assert Flag.DARK_ASSUMED in found.flags
 
 
-def test_an_unknown_dark_current_is_in_doubt(rig):
-    """A camera whose data sheet says nothing may have 1 nA/cm²: 62 e⁻/s in a pixel of 1 µm, k = 2."""
+@pytest.mark.parametrize(("light_e", "flag"), [(240.0, "dark_assumed"), (50.0, "dark_assumed"), (0.0, "below_noise")])
+def test_an_unknown_dark_current_is_in_doubt(rig, light_e, flag):
+    """A camera whose data sheet says nothing may have 1 nA/cm²: 62 e⁻/s in a pixel of 1 µm, k = 2: no noise."""
     camera = rig.description.model_copy(update={"dark_current_e_per_s": None, "pixel_pitch_um": 1.0})
     base = calibrated(rig, black_level=BlackLevel(dn=64.0, u_dn=0.0))
-    scene = np.full((12, 12), 0.01 * rig.radiance_of_full_scale(1.0))
+    scene = np.full((12, 12), light_e / (4031 * rig.gain_e_per_dn) * rig.radiance_of_full_scale(1.0))
     frames = rig.frames(scene, np.random.default_rng(1), (1.0,) * 3)
     found = read(rig, replace(base, camera=camera, noise=SensorNoise.of(camera)), frames=frames, camera=camera)
-    assert line(found, "dark and black level") == pytest.approx(31.2 / (0.01 * 4031 * rig.gain_e_per_dn), rel=0.06)
+    if light_e > 62.0:
+        assert line(found, "dark and black level") == pytest.approx(31.2 / light_e, rel=0.06)
+    assert {"dark_assumed", "below_noise"} & set(found.flags) == {flag}
 
 
 def test_what_calibration_and_reading_share_drops_out(rig):

@@ -214,6 +214,18 @@ def test_a_luminance_is_compared_with_the_light_that_the_map_states(
     assert any(said in one for one in doubts) if said else doubts == ()
 
 
+def test_an_analysis_states_its_colour_and_what_the_map_leaves_out_of_u(tmp_path: Path) -> None:
+    """Of a map of three colours the green one is measured; text, JSON and page say so, and what no u holds."""
+    grey = replace(map_of(np.ones((20, 20)), unit="relative"), not_in_u=("no black level is stated",))
+    write_tiff(tmp_path / "map.tiff", MapPicture({"red": grey, "green": grey.scaled(2.0, "relative"), "blue": grey}))
+    found = rm.analyse(tmp_path / "map.tiff")
+    assert found.regions[0].mean.value == 2.0
+    found.write_report(tmp_path / "page.html")
+    for text in ("all figures are of green; the map holds red, green, blue", "no black level is stated"):
+        assert text in found.to_mapping()["assumptions"]
+        assert text in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize(
     ("options", "error"),
     [

@@ -344,17 +344,17 @@ def test_every_law_makes_a_readable_file():
     for law in laws():
         text = effect_source(law, 0.5, sentence=sentence)
         assert max(map(len, text.splitlines())) <= 120, law.name
-        assert f'name = "{law.name}"' in text
+        assert f"class {law.class_name}(effect_class(LAW, 0.5)):" in text
         assert effect_of(law, 0.5).name == law.name
 
 
 def test_the_written_test_passes_and_dies_with_the_law(tmp_path):
-    """The test next to an effect file holds for it, and fails once a term of the formula has another sign."""
-    law = Law("optics", (Term("sine", "image_x", {}, {"period": 0.3, "phase": 0.7}),))
+    """The test next to an effect file holds for it, and fails once a constant of the formula is another."""
+    law = Law("optics", (Term("power", "image_x", {"reference": 0.4}, {"power": 2.0}),))
     keys = {"exposure_s": 0.5, "gain_db": 20.0, "temperature_c": 30.0, "timestamp_s": 2.0, "source_level": 0.75}
-    keys |= {"f_number": 4.0, "since_frame_s": 1.0, "width": 200, "height": 100}
+    keys |= {"f_number": 4.0}
     after = float(effect_of(law, round_to(0.02)).mean(np.array([SIGNAL]), at(30.0, 4.0))[0])
-    text = source_of_test(law, 0.02, f"{law.name}.py", keys, [(30.0, 4.0, SIGNAL, after)])
+    text = source_of_test(law, 0.02, f"{law.name}.py", keys, (100, 200), [(30.0, 4.0, SIGNAL, after)])
     good, bad = tmp_path / "good", tmp_path / "bad"
     for folder, source in ((good, effect_source(law, 0.02)), (bad, wrong(law))):
         folder.mkdir()
@@ -367,8 +367,8 @@ def test_the_written_test_passes_and_dies_with_the_law(tmp_path):
 
 
 def wrong(law):
-    """Return the effect file of a law with its phase turned about."""
-    return effect_source(law, 0.02).replace("+ self.phase_x", "- self.phase_x")
+    """Return the effect file of a law with another constant."""
+    return effect_source(law, 0.02).replace("0.4", "0.5")
 
 
 def run(path):
@@ -389,7 +389,7 @@ def test_a_formula_holds_nothing_but_the_grammar(text):
 
 
 def test_laws_are_data():
-    """A thousand laws load no module, and are the effect that is written for export."""
+    """A thousand laws load no module."""
     modules = set(sys.modules)
     for k in range(1000):
         effect_of(Law("digital", (Term("step", "exposure_s", {}, {"at": 0.1 + k}),)), 2.0)
