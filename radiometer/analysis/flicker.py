@@ -95,7 +95,6 @@ _WINDOW: Final = 1 / 200  # of a period: mean over it before extremes of noisy p
 _NOISELESS: Final = 1e-3  # of the range: noise below it needs no means
 # Differences of neighbours: a tenth of them may be steps. The rest of a normal distribution has this variance.
 _TRIMMED_SHARE, _TRIMMED_VARIANCE = 0.9, 0.623
-_OTHER_LINE_BELOW_HZ: Final = 2000.0  # the band of the stroboscopic effect (IEC TR 63158)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -700,7 +699,7 @@ def other_line(
         phase = np.arange(left.size) * period.frequency_hz / waveform.rate_hz % 1.0
         left = left - np.interp(phase, shape.phase, shape.light, period=1.0)
     frequency_hz, amplitude = spectrum(left, waveform.rate_hz)
-    looked_at = (frequency_hz * waveform.duration_s >= 1.5) & (frequency_hz <= _OTHER_LINE_BELOW_HZ)
+    looked_at = (frequency_hz * waveform.duration_s >= 1.5) & (frequency_hz <= _SVM_BAND_HZ[1])
     least = 0.0
     if period is not None and shape is not None:
         cycles = frequency_hz / period.frequency_hz
