@@ -79,7 +79,6 @@ _DRAWS: Final = 6
 _LATTICE: Final = 1e-4  # of a step, to which differences of rounded values are multiples of it
 _NO_STEP: Final = 1e-4  # of the range: what finer steps move is nothing
 _SAME_REL: Final = 1e-9  # of the range: values that are written alike
-# Shape of a period.
 _MOST_POINTS: Final = 4096  # phases that are kept apart: a mean over one keeps 1 − 1e-7 of a sinusoid
 _GRID: Final = 2880  # phases at which a series is evaluated
 _ORDERS: Final = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
