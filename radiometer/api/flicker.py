@@ -103,7 +103,7 @@ def flicker(
         >>> round(found.measures.frequency.value), found.measures.svm.unit
         (100, '1')
         >>> found
-        <FlickerReport 100 Hz, modulation depth 30... ± ... %, SVM 1.17... ± ... (k = ...)>
+        <FlickerReport 100 Hz, modulation depth (30.0... ± ...) %, SVM 1.17... (k = ...)>
 
     Args:
         source: Table of time and light, or a frame of a rolling-shutter camera in a linear form (TIFF, PNG, raw).
