@@ -40,8 +40,8 @@ class MethodBias:
 def method_bias(method: LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlusMethod) -> MethodBias | None:
     """Return the bias of a method that takes the first level seen; None for the others, which aim at the 63 % point.
 
-    Exact for a usual psychometric function, averaged over the places of the levels; its uncertainty is that of the
-    slope.
+    Exact for a usual psychometric function, averaged over the places of the levels. Its uncertainty is the root mean
+    square of what other usual slopes change.
     """
     if isinstance(method, LimitsMethod):
         biases = [_ascent(slope, method.step_log10, method.start_below_log10) for slope in SLOPES]
@@ -49,7 +49,7 @@ def method_bias(method: LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlu
         biases = [_down_up(slope, method) for slope in SLOPES]
     else:
         return None
-    return MethodBias(biases[1], (max(biases) - min(biases)) / math.sqrt(12.0))
+    return MethodBias(biases[1], float(np.sqrt(np.mean(np.square(np.array(biases) - biases[1])))))
 
 
 def _seen(level: float, slope: float) -> float:

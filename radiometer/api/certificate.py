@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import radiometer
-from radiometer.analysis.exports.certificate import Certified, Item, Laboratory, certificate_xml, coverage_factor
-from radiometer.analysis.reading.budget import OBSERVED
+from radiometer.analysis.exports.certificate import Certified, Item, Laboratory, certificate_xml, stated_factor
+from radiometer.analysis.reading.budget import OBSERVED, coverage_factor
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
@@ -159,12 +159,13 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
     stated = {name: content[name] for name in ("radiance", "luminance") if content.get(name)}
     if stated["radiance"]["unit"] == "relative":
         raise UsageError(_RELATIVE)
-    k = coverage_factor(float(content["coverage_factor"]))
+    k = stated_factor(float(content["coverage_factor"]))
     if Flag.SATURATED.value in content["flags"]:
         raise InputError("the reading is saturated: its value is a lower bound, which no certificate states")
     if Flag.UNCALIBRATED.value in content["flags"]:
         raise UsageError(_RELATIVE)
     results = tuple((name, _result(name, stated[name]), k) for name in stated)
+    _refuse_changed(content, results[0][1], k)
     budget = tuple(
         Contribution(str(line["name"]), float(line["u_rel"]), str(line.get("kind", "B")))
         for line in content.get("budget", [])
@@ -179,6 +180,19 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
         item=laboratory.item, equipment=(("camera", str(content["instrument"])), *_calibration_of(content)),
         conditions=tuple(conditions), results=results, budget=budget, version=radiometer.__version__,
     )  # fmt: skip
+
+
+def _refuse_changed(content: dict[str, Any], radiance: Quantity, k: float) -> None:
+    """Raise InputError where k is 1 % off that of the degrees of freedom or of U, which no rounding explains."""
+    freedom, expanded_rel = content.get("degrees_of_freedom"), content.get("U_rel")
+    belongs = [] if freedom is None else [coverage_factor(float(freedom))]
+    belongs += [] if expanded_rel is None else [float(expanded_rel) / radiance.u_rel]
+    for one in belongs:
+        if not abs(k - one) <= 0.01 * k:
+            raise InputError(
+                f"coverage_factor is {k:g}; for 95.45 % the reading's degrees_of_freedom and "
+                f"U_rel make it {one:.3g}: state the reading as `radiometer measure` printed it"
+            )
 
 
 def _result(name: str, stated: dict[str, Any]) -> Quantity:

@@ -50,8 +50,9 @@ class Place:
         if len(values) < 2:
             return head
         mean, spread = statistics.fmean(values), statistics.stdev(values)
+        unit = unit_text(self.readings[0]["radiance"]["unit"])
         relative = f" ({100 * spread / abs(mean):.2g} %)" if mean else ""
-        return f"{head}: mean {mean:.6g}, standard deviation {spread:.2g}{relative}"
+        return f"{head}: mean {mean:.6g}, standard deviation {spread:.2g} {unit}{relative}"
 
 
 @dataclass(frozen=True, repr=False)

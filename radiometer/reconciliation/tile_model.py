@@ -380,7 +380,7 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
             frame_numbers=own,
         )
         for (time_s, warm, since), rested, own in zip(
-            (design.first_frames, design.later_frames), design.since_frame_s, numbers[1:], strict=True
+            design.first_and_later, design.since_frame_s, numbers[1:], strict=True
         )
     )
     return replace(context, first_frame=first, later_frames=later)
@@ -664,6 +664,7 @@ class TileModel:
             beyond_x=everywhere(final.beyond_x) / safe,
             beyond_y=everywhere(final.beyond_y) / safe,
             beyond_rows=everywhere(final.beyond_rows) / safe,
+            uneven_noise=everywhere(final.uneven_noise),
         )
 
 

@@ -269,6 +269,7 @@ class ChannelCurve:
             "fits": {
                 name: {
                     "parameters": f.parameters,
+                    "u_gamma": f.u_gamma if math.isfinite(f.u_gamma) else None,
                     "rms_rel": f.rms_rel,
                     "max_rel": f.max_rel,
                     "max_of_peak": f.max_of_peak,

@@ -133,6 +133,11 @@ class Figure:
         return f"{'>' if self.bound == 'above' else '<'} {value}"
 
 
+def relative(name: str, share: Quantity) -> Figure:
+    """Return a figure that is 0 for an ideal display, such as an excess, in %."""
+    return Figure(name, share.scaled(100.0, "%"))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
     """Results of one method."""
@@ -221,10 +226,10 @@ def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
     u_excess = math.hypot(own_u[0] / values[0], own_u[-1] / values[-1])
     excess, notes = Quantity(float(values[0] / values[-1] - 1.0), u_excess, "1"), list[str]()
     fitted = _relaxation(times, values, own_u) if abs(excess.value) > 3.0 * u_excess else None
-    figures = _times(*fitted) if fitted else [Figure("excess_at_start", excess)]
+    figures = _times(*fitted) if fitted else [relative("excess_at_start", excess)]
     if fitted is None:
         notes.append("the change is too small, or was watched for too short, for the time constant")
-    figures.append(Figure("drift_at_end", Quantity(outcome.drift_rel, u_excess, "1")))
+    figures.append(relative("drift_at_end", Quantity(outcome.drift_rel, u_excess, "1")))
     if not outcome.steady:
         notes.append("not steady when the time was up: later figures hold the change of white in their uncertainty")
     rows = tuple(
@@ -259,7 +264,7 @@ def _times(found: Array, covariance: Array) -> list[Figure]:
     """Return amplitude, time constant, and when luminance is within each limit of the final one: τ·ln(|a|/limit)."""
     (size, tau), (u_size, u_tau) = found.tolist(), np.sqrt(np.diag(covariance)).tolist()
     figures = [
-        Figure("excess_at_start", Quantity(size, u_size, "1")),
+        relative("excess_at_start", Quantity(size, u_size, "1")),
         Figure("time_constant", Quantity(tau, u_tau, "s")),
     ]
     for limit in _LIMITS:
@@ -401,7 +406,7 @@ def _additivity(examined: Examined) -> Section:
     return Section(
         "additivity", "Additivity of the primaries",
         ("full-screen red, green, blue, white and black, centre; radiance of the sum over white, less 1",),
-        (Figure("additivity_error", error),),
+        (relative("additivity_error", error),),
         notes=("colours are compared in radiance, so no spectrum is assumed beyond the calibration's",),
     )  # fmt: skip
 
@@ -433,7 +438,7 @@ def _uniformity(examined: Examined) -> Section:
     )
     figures = (
         Figure("uniformity", Quantity(value, u, "1")),
-        Figure("nonuniformity", Quantity(1.0 - value, u, "1")),
+        relative("nonuniformity", Quantity(1.0 - value, u, "1")),
         Figure("mean_luminance", examined.luminance(derived(readings, lambda v: float(v.mean()), "W sr-1 m-2"))),
     )
     return Section(
@@ -447,8 +452,8 @@ def _mura(examined: Examined) -> Section:
     examined.bench.display.show(WHITE)
     found = mura_of(examined.bench.map_of(examined.area))
     figures = (
-        Figure("largest_spot", found.spot), Figure("largest_spot_x", found.x), Figure("largest_spot_y", found.y),
-        Figure("rms", found.rms),
+        relative("largest_spot", found.spot), Figure("largest_spot_x", found.x), Figure("largest_spot_y", found.y),
+        relative("rms", found.rms),
     )  # fmt: skip
     notes = ["the pattern of the camera's own pixels is in the map unless its calibration holds a flat field"]
     if abs(found.spot.value) < found.detection_limit:
@@ -458,6 +463,7 @@ def _mura(examined: Examined) -> Section:
         (
             "full-screen white, every pixel of the camera's picture",
             f"band-pass: Gaussians of {100 * _FINE_SHARE:g} % and {100 * _COARSE_SHARE:g} % of the height, no shading",
+            "x and y count from the top left corner, as shares of width and height",
         ),
         figures, notes=tuple(notes), picture=100.0 * found.relative,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -36,6 +37,8 @@ class TransferFit:
     rms_rel: float  # root mean square of the relative error over all measured levels above the black
     max_rel: float  # largest relative error over those levels
     max_of_peak: float  # largest error in units of the highest value
+    # Standard uncertainty of γ: by the noise of the values, or by how far they miss the formula where that is more
+    u_gamma: float
 
     def predict(self, level: ArrayLike) -> Array:
         """Return the model's values at levels 0..1."""
@@ -101,10 +104,16 @@ def fit_transfer(name: str, level: ArrayLike, value: ArrayLike, u: ArrayLike) ->
     found = least_squares(residuals, start, bounds=(low, high), x_scale=np.maximum(np.abs(start), 0.01), max_nfev=2000)
     if not found.success:
         raise ValueError(f"{name}: the fit did not converge ({found.message})")
-    return _judged(model, found.x, v, y)
+    missed = 2.0 * found.cost / max(v.size - start.size, 1)  # χ² per degree of freedom (Birge 1932)
+    jacobian = np.asarray(found.jac, dtype=np.float64)
+    try:
+        u_gamma = math.sqrt(max(missed, 1.0) * abs(float(np.linalg.inv(jacobian.T @ jacobian)[-1, -1])))
+    except np.linalg.LinAlgError:
+        u_gamma = math.inf
+    return _judged(model, found.x, v, y, u_gamma)
 
 
-def _judged(model: TransferModel, parameters: Array, v: Array, y: Array) -> TransferFit:
+def _judged(model: TransferModel, parameters: Array, v: Array, y: Array, u_gamma: float) -> TransferFit:
     error = model.curve(parameters, v) - y
     lit = (v > 0) & (y > 0)
     relative = error[lit] / y[lit]
@@ -114,4 +123,5 @@ def _judged(model: TransferModel, parameters: Array, v: Array, y: Array) -> Tran
         rms_rel=float(np.sqrt(np.mean(relative**2))),
         max_rel=float(np.abs(relative).max()),
         max_of_peak=float(np.abs(error).max() / y.max()),
+        u_gamma=u_gamma,
     )

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.reconciliation import gaps_of, reconcile
 from radiometer.reconciliation.result import ReconcileResult
 from testing.generator.session import Session, make_session
+from testing.reconciled import gaps_of, reconcile
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

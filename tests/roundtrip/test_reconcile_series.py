@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.result import Verdict
 from testing.generator.session import Session
+from testing.reconciled import reconcile
 
 PARAMETERS = {
     "lamp_step": ("step_rel", "step"),

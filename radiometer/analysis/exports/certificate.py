@@ -104,7 +104,7 @@ class Certified:
     version: str  # version of the program
 
 
-def coverage_factor(stated: float) -> float:
+def stated_factor(stated: float) -> float:
     """Return the coverage factor of a reading to three digits, as every face prints it. Raises InputError below 2.
 
     U is that k times u, so a reader who divides has u again.

@@ -43,10 +43,11 @@ MANY_AS_ONE: Final = 3.0
 _FEW_ROWS: Final = 2.0
 _FACTORS_OF_FEW: Final = (*_FACTORS, 1e4, 1e6)
 METHOD = "auto"
-_ONE_LIGHT: Final = (
-    "all pixels show one light within their noise: the curve follows from the exposure times alone. A scene with dark "
-    "and bright parts gives a curve that is known better"
+_FEW_LIGHTS: Final = (
+    "all pixels show one light within their noise, or one of a few: noise decides which of them is the brighter. A "
+    "scene with more tones gives a curve that is known better"
 )
+_MOST_IN_STEPS: Final = 0.9  # of the groups: others lie at the edges between two lights
 _AS_STATED = "exposure times as stated"
 # Times are freed only where the error of predicting left-out quadrants falls to this part.
 _LEAST_GAIN_OF_TIMES = 0.9
@@ -438,21 +439,24 @@ def _notes(
     if (doubt := _no_curve(result)) is not None:
         notes.append(doubt)
     elif result.choices.inflation > MANY_AS_ONE:
-        notes.append(_ONE_LIGHT if _shows_one_light(result) else _note_on_disagreement(result, parts))
+        notes.append(_FEW_LIGHTS if _shows_few_lights(result) else _note_on_disagreement(result, parts))
     return tuple(notes)
 
 
-def _shows_one_light(result: FittedResponse) -> bool:
-    """Return whether the groups' exposures spread by less than the noise of a pixel.
+def _shows_few_lights(result: FittedResponse) -> bool:
+    """Return whether the groups' exposures lie at a few levels that spread by less than the noise of a pixel.
 
-    Noise then decides to which group a pixel belongs, and the residuals of neighbouring groups are alike without any
-    disagreement of the frames.
+    Noise then decides to which group of a level a pixel belongs, and the residuals of neighbouring groups are alike
+    without any disagreement of the frames.
     """
     rows, g = result.samples, result.log_exposure
     log_h = value_at(g, rows.dn)
     log_radiance = log_h - rows.log_time - group_residual(rows, log_h, rows.pixels)[0]
-    low, high = np.quantile(log_radiance, (0.05, 0.95))
-    return bool(high - low < np.median(np.sqrt(rows.variance) * slope_at(g, rows.dn, rows)))
+    noise = float(np.median(np.sqrt(rows.variance) * slope_at(g, rows.dn, rows)))
+    ordered = np.sort(log_radiance)
+    levels = np.split(ordered, np.flatnonzero(np.diff(ordered) > noise) + 1)
+    narrow = [one.size for one in levels if np.diff(np.quantile(one, (0.05, 0.95)))[0] < noise]
+    return sum(narrow) >= _MOST_IN_STEPS * ordered.size
 
 
 def _no_curve(result: FittedResponse) -> str | None:

@@ -251,5 +251,5 @@ def _print_channel(found: rm.CalibratedScreen, curve: Any) -> None:
     else:
         out.print(f"  darkest    {with_u(black.value, 2 * black.u, black.unit, k=2)}")
     for fit in curve.fits().values():
-        shown = ", ".join(f"{k} {v:.4g}" for k, v in fit.parameters.items())
-        out.print(f"  {fit.model:<16} rms error {100 * fit.rms_rel:.2g} %, worst {100 * fit.max_rel:.2g} %   ({shown})")
+        gamma, off = with_u(fit.parameters["gamma"], 2 * fit.u_gamma, k=2), 100 * fit.rms_rel
+        out.print(f"  {fit.model:<16} γ = {gamma}, rms error {off:.2g} %, worst {100 * fit.max_rel:.2g} %")

@@ -59,6 +59,7 @@ def command(
             out.print(f"{event['time'][:23].replace('T', ' ')}  {event['kind']:<11} {message}", markup=False)
         return
     if budget is not None:
+        out.print(f"{'contribution':<32} u rel. (k = 1)")
         for name, u_rel in rm.log_budget(budget, where).items():
             out.print(f"{name:<32} {100 * u_rel:.3g} %")
         return
@@ -82,8 +83,6 @@ def _show(found: LoggedReadings) -> None:
     if not found.stored:
         note("no reading matches")
         return
-    shown = found.readings[-_SHOWN:]
-    names = {id(one): place.name for place in found.places for one in place.readings}
     shown = found.readings[-_SHOWN:]
     names = {id(one): place.name for place in found.places for one in place.readings}
     columns = _columns(shown, [names[id(one)] for one in shown])

@@ -154,22 +154,26 @@ def coarse_fit(state: FitState, *, early_stop: bool = False) -> FitState:
     return state
 
 
-def converged_fit(state: FitState, *, early_stop: bool = False) -> FitState:
-    """Return the state refitted under its own weights, until these no longer move the parameters.
+def converged_fit(state: FitState) -> FitState:
+    """Return the state refitted under its own weights, until these no longer move the parameters; it is recorded.
 
-    `early_stop` is that of `refit`. Of what does not settle the weights that speak less for it count.
+    Of what does not settle the weights that speak less for it count.
     """
+    return _converged(state).recorded()
+
+
+def _converged(state: FitState, *, early_stop: bool = False) -> FitState:
     for _ in range(_REWEIGHTINGS):
         before, state = state.parameters.values, coarse_fit(reweighted(state), early_stop=early_stop)
         after = state.parameters.values
         if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
             continue
         if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
-            return _held_at_bounds(state).recorded()
+            return _held_at_bounds(state)
     last = refit(state, early_stop=early_stop)
     # Beside realisations that its former size allowed a pattern may have been fitted to nothing.
     own = refit(reweighted(last), early_stop=early_stop)
-    return min(last, own, key=lambda found: found.evidence).recorded()
+    return min(last, own, key=lambda found: found.evidence)
 
 
 def refit_with(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:
@@ -323,12 +327,12 @@ def included(
         near = coarse_fit(_profiled_anew(following), early_stop=early_stop)
         if near.cost > most:
             raise UnfitError(effect.name)
-        fitted = converged_fit(near, early_stop=early_stop)
+        fitted = _converged(near, early_stop=early_stop)
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
-    if _is_nothing(fitted, effect.name):
+    if _is_nothing(fitted, effect.name):  # it is no model of its own: none of the posterior's
         raise UnfitError(effect.name)
-    return fitted
+    return fitted.recorded()
 
 
 def _is_nothing(state: FitState, name: str) -> bool:

@@ -22,9 +22,9 @@ from radiometer.reconciliation.propose.grammar import (
     formula,
 )
 from simulators.chain.law_stages import LINKS, Link
-from simulators.effects import base, surroundings
+from simulators.effects import base
 from simulators.effects.base import Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, elapsed_s, over_frames
+from simulators.effects.catalogue import CatalogueEffect, over_frames
 from simulators.effects.context import ExposureContext, FrameGeometry
 
 _AMPLITUDES: Final = {
@@ -136,8 +136,8 @@ class Law:
         return any(term.form == "step" and term.covariate in ("signal", "value") for term in self.terms)
 
     def formula(self) -> str:
-        """Return the amplitude times the terms as the file has it."""
-        return " * ".join([f"self.{self.amplitude}", *(_in_brackets(term) for term in self.terms)])
+        """Return the amplitude times the terms, for people."""
+        return " * ".join([self.amplitude, *(term.text() for term in self.terms)])
 
     def with_parameters(self, values: Mapping[str, float]) -> Law:
         """Return the law at other parameters, by their names in the effect."""
@@ -146,11 +146,6 @@ class Law:
             for t in self.terms
         ]
         return Law(self.link, tuple(moved))
-
-
-def _in_brackets(term: Term) -> str:
-    code = term.code()
-    return f"({code})" if code.startswith("1.0 /") else code
 
 
 def _fields(law: Law, amplitude: float) -> list[tuple[str, type[float], Any]]:
@@ -191,11 +186,6 @@ def round_to(value: float, digits: int = 6) -> float:
 
 
 _CLASSES: Final = 512  # laws whose classes are kept: more than one search fits
-_LOOKED_UP: Final = {
-    "elapsed_s": elapsed_s,
-    "picture_mean": surroundings.picture_mean,
-    "column_light": surroundings.column_light,
-}
 
 
 class LawEffect(CatalogueEffect):
@@ -207,9 +197,7 @@ class LawEffect(CatalogueEffect):
 
     def law(self, signal: Any, context: ExposureContext) -> Any:
         """Return the amplitude times the formula, in the link's unit."""
-        known = {"signal": signal, "context": context, **_LOOKED_UP}
-        known["side"] = max(context.geometry.sensor_width, context.geometry.sensor_height)
-        values = {COVARIATES[name].tag: formula(COVARIATES[name].code)(known) for name in self.of_law.covariates}
+        values = {COVARIATES[name].tag: COVARIATES[name].value(signal, context) for name in self.of_law.covariates}
         found = getattr(self, self.of_law.amplitude)
         for term in self.of_law.terms:
             found = found * term.value(values, {role: getattr(self, term.parameter(role)) for role in term.values})

@@ -114,10 +114,11 @@ def test_a_step_is_not_taken_twice(bench, tmp_path, capsys):
 def test_datasheet_opens_with_the_outcome_and_hides_no_gap(tmp_path, capsys):
     """One HTML file: the largest index in the first sentence, the not measured last, hostile names escaped."""
     stations.refocused(tmp_path / "s", 4)
-    header = tmp_path / "s" / "focus" / "far" / "capture.yaml"
-    text = yaml.safe_load(header.read_text())
-    text["camera"]["model"] = "<script>alert(1)</script>"
-    header.write_text(yaml.safe_dump(text))
+    for step in ("far", "near"):
+        header = tmp_path / "s" / "focus" / step / "capture.yaml"
+        text = yaml.safe_load(header.read_text())
+        text["camera"]["model"] = "<script>alert(1)</script>"
+        header.write_text(yaml.safe_dump(text))
     sheet = tmp_path / "sheet.html"
     assert main(["quality", "report", str(tmp_path / "s"), "-o", str(sheet)]) == 0
     page = sheet.read_text(encoding="utf-8")

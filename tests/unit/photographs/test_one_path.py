@@ -14,7 +14,7 @@ from PIL import Image
 import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.data import Calibration, Flag, ResponseCurve
-from radiometer.errors import CalibrationError, UsageError
+from radiometer.errors import CalibrationError, CaptureError, UsageError
 
 pytestmark = pytest.mark.usefixtures("recovered_once")
 
@@ -41,6 +41,7 @@ def photographs(
     colours: tuple[float, float, float] | None = None,
     shifts: tuple[float, ...] = (),
     seed: int = 1,
+    tags: dict[int, str | int | float] | None = None,
 ) -> Path:
     """Write JPEG files as a camera with a response M = 255·H^(1/gamma) takes them, times and speed in EXIF."""
     folder.mkdir(parents=True)
@@ -55,7 +56,10 @@ def photographs(
         dn = [255.0 * np.clip(one, 0.0, 1.0) ** (1.0 / gamma) + rng.normal(0.0, 0.6, one.shape) for one in planes]
         pixels = np.clip(np.rint(np.stack(dn, axis=-1)), 0, 255).astype(np.uint8)
         exif = Image.Exif()
+        of_camera = {tag: value for tag, value in (tags or {}).items() if tag < 1000}
+        exif.update(of_camera)
         exif.get_ifd(0x8769).update({33434: label, 33437: 8.0} | ({34855: iso} if iso else {}))
+        exif.get_ifd(0x8769).update({tag: value for tag, value in (tags or {}).items() if tag not in of_camera})
         image = Image.fromarray(pixels if colours else pixels[..., 0])
         image.save(folder / f"p{number}.jpg", exif=exif, quality=98, subsampling=0)
     return folder
@@ -99,6 +103,45 @@ def calibrated(tmp_path, curve) -> Calibration:
     )
     assert found.to_mapping()["scale"]["iso"] == 100
     return found.calibration
+
+
+CAMERA_TAGS: dict[int, str | int | float] = {
+    271: "Maker", 272: "Model", 42033: "1", 37386: 50.0, 41987: 1, 41992: 0, 41993: 0, 41985: 0, 41990: 0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({272: "Another"}, "model"), ({42033: "2"}, "serial"), ({37386: 85.0}, "a lens of 50 mm"),
+        ({41987: 0}, "white balance"), ({37384: 3}, "white balance"), ({41992: 2}, "mode Contrast 0"),
+        ({41993: 1}, "Saturation"), ({41985: 1}, "CustomRendered"),
+    ],
+)  # fmt: skip
+def test_photographs_of_another_camera_or_development_are_not_read_by_a_calibration(tmp_path, curve, other, said):
+    """What EXIF states of camera, lens and development is kept by a calibration, and refused where it differs."""
+    even = np.full((40, 60), 0.5)
+    known = photographs(tmp_path / "known", even, times_s=TIMES_S[1:4], seed=7, tags=CAMERA_TAGS)
+    asked = {"response": curve, "patch": (4, 4, 50, 30), "radiance": 0.5, "u_rel": 0.01}
+    calibration = rm.calibrate(known, out=tmp_path / "cal.yaml", **asked).calibration
+    same = photographs(tmp_path / "same", even, times_s=TIMES_S[1:4], seed=8, tags=CAMERA_TAGS)
+    read = rm.measure_photographs(same, (4, 4, 50, 30), calibration=calibration)
+    assert read.radiance.value == pytest.approx(0.5, rel=0.03)
+    changed = photographs(tmp_path / "changed", even, times_s=TIMES_S[1:4], seed=8, tags=CAMERA_TAGS | other)
+    for ask in (lambda: rm.measure_photographs(changed, (4, 4, 50, 30), calibration=calibration),
+                lambda: rm.merge(changed, calibration=calibration)):  # fmt: skip
+        with pytest.raises(CalibrationError, match=said):
+            ask()
+
+
+def test_an_automatic_white_balance_is_an_assumption_of_every_value(tmp_path):
+    """The camera weighs the colours by what it sees; photographs of one bracket must agree in what they state of it."""
+    folder = photographs(tmp_path / "p", scene(), tags=CAMERA_TAGS | {41987: 0})
+    assert any("white balance is automatic" in one for one in rm.merge(folder).assumptions)
+    photographs(tmp_path / "q", scene(), times_s=TIMES_S[:1], tags=CAMERA_TAGS)
+    (tmp_path / "q" / "p0.jpg").rename(folder / "q0.jpg")
+    with pytest.raises(CaptureError, match=r"q0\.jpg manual|white balance automatic, q0"):
+        rm.read_photographs(folder)
 
 
 @pytest.mark.parametrize("iso", [100, 400])

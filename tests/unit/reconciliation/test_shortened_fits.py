@@ -270,7 +270,8 @@ def test_what_jumps_is_fitted_anew_next_to_a_further_effect(make_capture: Callab
 
 
 def test_a_black_level_that_is_taken_off_is_no_dark_frame(make_capture: Callable[..., Any]) -> None:
-    """Darks without noise are none: the fit ends at a share of zero, and the entry is refused."""
-    captured = make_capture(5, plan=LADDER, extra_dn=lambda s: -64.0)
+    """Darks without noise are none: the fit ends at a share of zero, and the entry is refused as a model, too."""
+    start = start_of(make_capture(5, plan=LADDER, extra_dn=lambda s: -64.0))
     with pytest.raises(UnfitError, match="dark_frame_subtracted"):
-        included(start_of(captured), DarkFrameSubtracted(0.1, 0.0), far=True)
+        included(start, DarkFrameSubtracted(0.1, 0.0), far=True)
+    assert [fit.effects for fit in start.models.fits] == [()]

@@ -79,7 +79,7 @@ def _angle(name: str) -> float:
 def _spot(name: str) -> float:
     picture = _shown(name, WHITE)
     zero = np.zeros_like(picture)
-    return mura_of(RadianceMap(picture, zero, zero.astype(np.uint8))).spot.value
+    return 100.0 * mura_of(RadianceMap(picture, zero, zero.astype(np.uint8))).spot.value  # in %
 
 
 TRUTHS: dict[tuple[str, str], Callable[[str], float]] = {

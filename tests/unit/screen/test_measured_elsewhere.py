@@ -108,6 +108,7 @@ def test_levels_need_a_unit_unless_they_are_whole_ones_up_to_255(tmp_path, level
         file.write_text(f"level [{unit}];Lv\n{rows}")
         for found in (stated, read_screen_readings(file)):
             assert sorted(found.grey)[1] == middle
+            assert any("'Lv' has no unit" in one for one in found.doubts)
 
 
 def test_a_primary_of_which_only_the_top_was_read_has_the_shape_of_grey() -> None:

@@ -327,6 +327,18 @@ def test_prediction_is_the_fitted_curve() -> None:
     assert found.predict([0.5]) == pytest.approx([0.5], rel=1e-5)
 
 
+def test_gamma_is_as_uncertain_as_noise_or_misfit_makes_it():
+    """Of 200 noisy curves of γ = 2.2 the errors are as large as u says; a curve of no power law is less sure."""
+    rng, light, pulls = np.random.default_rng(7), 100.0 * LEVELS**2.2, []
+    u = 0.01 * light + 0.01
+    for _ in range(200):
+        found = fit_transfer("gamma", LEVELS, np.abs(light + rng.normal(0.0, u)), u)
+        pulls.append((found.parameters["gamma"] - 2.2) / found.u_gamma)
+    assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.15)  # 3 σ of 200 draws
+    bent = fit_transfer("gamma", LEVELS, 100.0 * (0.8 * LEVELS**2.2 + 0.2 * LEVELS), 1e-6 * (1.0 + light))
+    assert bent.u_gamma > 0.01
+
+
 def test_table_goes_through_its_points() -> None:
     """Values at measured levels are the measured ones."""
     levels, values = np.array([0.0, 0.3, 0.6, 1.0]), np.array([0.1, 10.0, 60.0, 250.0])

@@ -45,10 +45,13 @@ const ago = (s) => (s < 2 ? "now" : s < 90 ? `${Math.round(s)} s ago` : s < 5400
 
 // ---- server --------------------------------------------------------------------------------------------------------
 async function send(path, json) {
+  const shown = state.status;
   try {
-    const reply = await ask(path, { json });
+    const reply = await (await ask(path, { json })).json();
     $("refusal").textContent = "";
-    return await reply.json();
+    // The stream brings every change as well. Where it was faster, it may have brought a newer state than this reply.
+    if (reply.devices && state.status === shown) showStatus(reply);
+    return reply;
   } catch (error) {
     $("refusal").textContent = error.message;
     if (state.status) showStatus(state.status);
@@ -220,7 +223,7 @@ function patchRow(name) {
 function showPatches() {
   const patches = state.status?.patches || {}, shown = Object.keys(patches).map((name) => state.latest.get(name)).filter(Boolean);
   const units = new Set(shown.map((reading) => reading.radiance.unit)), factors = shown.map((reading) => reading.coverage_factor);
-  const k = [...new Set([Math.min(...factors), Math.max(...factors)].map((factor) => +factor.toPrecision(3)))].join(" to ");
+  const k = [...new Set([Math.min(...factors), Math.max(...factors)].map((factor) => +factor.toPrecision(2)))].join(" to ");
   $("patch-unit").textContent = [units.size === 1 ? unitText([...units][0]) : "", factors.length ? `k = ${k}` : ""].filter(Boolean).join(", ");
   const rows = Object.entries(patches).map(([name, entry]) => {
     const row = patchRow(name), [title, value, button] = row.children, reading = state.latest.get(name), { low, high } = entry.limits;
@@ -270,13 +273,13 @@ $("limits").addEventListener("close", async () => {
   let status = null;
   if ($("limits").returnValue === "save") status = await send("/patches", { name: limited, limits: { low: number("limit-low"), high: number("limit-high") } });
   if ($("limits").returnValue === "delete") { status = await send("/patches/delete", { name: limited }); state.latest.delete(limited); }
-  if (status) { showStatus(status); freshTrends(true); }
+  if (status) freshTrends(true);
 });
 $("name-patch").addEventListener("submit", async (event) => {
   event.preventDefault();
   if (!state.frame) return;
   const status = await send("/patches", { name: $("patch-name").value.trim(), patch: current() });
-  if (status) { $("patch-name").value = ""; showStatus(status); freshTrends(true); }
+  if (status) { $("patch-name").value = ""; freshTrends(true); }
 });
 
 // ---- events --------------------------------------------------------------------------------------------------------
@@ -473,7 +476,7 @@ function moved(from, dx, dy, resizing) {
 async function commitPatch(patch) {
   const status = await send("/settings", { patch });
   state.drag = null;
-  if (status) showStatus(status); else placePatch();
+  placePatch();
   if (status && status.every_s === null) await measureNow();
 }
 $("patch").addEventListener("pointerdown", (event) => {

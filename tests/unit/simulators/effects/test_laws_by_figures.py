@@ -217,11 +217,14 @@ def test_jumping_pixels_are_counted_and_scatter_as_drawn_ones() -> None:
     predicted = effect.tile(before, before, tiles)
     out = np.abs(frames.mean(axis=0)) > 6.0 * 1.5
     restless = _unsteady(frames, ~out)
-    noise = frames.var(axis=0, ddof=1)[~out & ~restless].mean()
+    scatter = frames.var(axis=0, ddof=1)[~out & ~restless]
+    noise, jumps = scatter.mean(), scatter.mean() - 9.0
     for name, seen in (("outliers", out), ("unsteady", restless)):
         assert seen.sum() > 1000
         assert float(np.sum(getattr(predicted, name))) == pytest.approx(float(seen.sum()), rel=0.05), name
     assert float(np.sum(predicted.variance)) == pytest.approx(noise, rel=0.02)
+    chance = (2.0 * 9.0**2 + 4.0 * 9.0 * jumps) / 3.0 - jumps**2  # of a variance of four values that jump
+    assert float(np.sum(predicted.uneven_noise)) == pytest.approx(np.sqrt(scatter.var() - chance), rel=0.1)
     of_mean = float(np.sum(predicted.spatial_variance + predicted.variance / 4.0))
     assert of_mean == pytest.approx(float(np.var(frames.mean(axis=0)[~out])), rel=0.03)
 
