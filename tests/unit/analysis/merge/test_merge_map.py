@@ -345,7 +345,7 @@ def test_the_pattern_of_the_pixels_is_in_their_uncertainty(rig):
 
 @pytest.mark.parametrize("gain_e_per_dn", [0.25, 1.0, 4.0])
 def test_noise_that_nothing_states_is_taken_from_the_frames(rig, gain_e_per_dn):
-    """One frame of each exposure: no decade's pull is wider than 1.15. One frame alone shows no noise: the map says so."""
+    """One frame of each exposure: no decade's pull is wider than 1.15. One frame alone shows none, as the map says."""
     rig = rig.but(gain_e_per_dn=gain_e_per_dn, full_well_e=1e6)
     camera = CameraDescription(bit_depth=12, model="generated", serial="1", black_level_dn=64.0, dark_current_e_per_s=0)
     top = rig.radiance_of_full_scale(1e-3)
