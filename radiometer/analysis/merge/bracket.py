@@ -279,13 +279,14 @@ class StreamingMerge:
         if not _NOISE.intersection(model.noise.assumed):
             return
         step = max(1, math.isqrt(height * width // _PIXELS_OF_NOISE))
-        pixels = (np.arange(0, height, step)[:, None] * width + np.arange(0, width, step)).ravel()
-        pixels = pixels if lit is None else pixels[lit.ravel()[pixels]]
+        first = (np.arange(0, height - 1, step)[:, None] * width + np.arange(0, width - 1, step)).ravel()
+        pixels = np.array([first, first + width + 1])  # diagonal: noise of rows or columns is not that of both
+        pixels = pixels if lit is None else pixels[:, lit.ravel()[pixels].all(axis=0)]
         dn, settings = sample.dn[pixels], sample.terms.settings
         low, top = sample.limits
         x = np.where((dn >= low) & (dn < top), sample.signal_at(pixels), np.nan)
         slope = model.at_dn(model.slope, dn - model.black_of(settings) + model.black_dn) / sample.terms.gain
-        self._shown.append((x, np.zeros(x.size) if model.linear else slope**2 * model.noise.code_variance_dn2))
+        self._shown.append((x, np.zeros(x.shape) if model.linear else slope**2 * model.noise.code_variance_dn2))
 
     def _merged(self, batch: list[MergeSample]) -> Images:
         """Return radiance, uncertainty and mask, flat, from the sums so far and a last batch."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -26,6 +27,9 @@ _ROUNDS: Final = 6  # of the weights, which follow the fitted noise
 _ROUNDING_DN2: Final = 1.0 / 12.0
 # Electrons of a sensor whose shot noise a stack does not show: many enough to weigh nothing.
 _MOST_ELECTRONS: Final = 1e7
+# Standard deviations that a wild residual (movement, a defect) counts at most; and where much of a scene may move.
+_WILD: Final = 5.0
+_OUTER: Final = 1.0
 # Square of the length at which two separable unit columns differ, beyond what sums in double precision lose.
 _ALIKE: Final = 1e-13
 _TOO_FEW: Final = "hardly a pixel is unclipped in two frames: the noise of the stack cannot be measured"
@@ -116,14 +120,16 @@ def fit_terms(pixels: SinglePixels, terms: Array) -> TermsFit:
     start = np.zeros(terms.shape[1])
     start[2] = 1.0
     values, rounding = pixels.log_h - samples.log_time, _ROUNDING_DN2 * pixels.slope**2
-    return _fit_variance(values, samples.group, terms, rounding, hat, start)
+    return _fit_variance(values, samples.group, terms, rounding, hat, start, _WILD)
 
 
 def excess_noise(x: Array, exposure: Array, shot: float, dark: Array, rounding: Array) -> Array:
     """Return the factors, 1 at least, by which variances of frames exceed assumed ones: with light, and without.
 
+    Differences of neighbours leave out what frames differ by as a whole: flicker, the shutter, most of what moves.
+
     Args:
-        x: Signal of some pixels in every frame, shape (frames, pixels); nan where it clips.
+        x: Signal of some pixels and a neighbour of each in every frame, shape (frames, 2, pixels); nan where it clips.
         exposure: Of every frame, shape (frames,).
         shot: Assumed variance of shot noise per unit of x.
         dark: Assumed variance of x without light, shape (frames,).
@@ -132,20 +138,21 @@ def excess_noise(x: Array, exposure: Array, shot: float, dark: Array, rounding: 
     Raises:
         MeasurementError: If hardly a pixel is unclipped in two frames.
     """
-    counts = np.isfinite(x)
+    counts = np.isfinite(x).all(axis=1)
     pixel, frame = np.nonzero((counts & (counts.sum(axis=0) >= 2)).T)
     if pixel.size < _FEWEST_ROWS:
         raise MeasurementError(_TOO_FEW)
-    group = np.unique(pixel, return_inverse=True)[1].astype(np.intp)
-    t, signal = exposure[frame], x[frame, pixel]
-    rate = np.bincount(group, signal) / np.bincount(group, t)
+    group, t = np.unique(pixel, return_inverse=True)[1].astype(np.intp), exposure[frame]
+    one, other = x[frame, :, pixel].T
+    rate = np.bincount(group, (one + other) / 2.0) / np.bincount(group, t)
     terms = np.column_stack([shot * np.maximum(rate[group], 0.0) / t, dark[frame] / t**2])
-    fit = _fit_variance(signal / t, group, terms, rounding[frame, pixel] / t**2, np.ones(t.size), np.ones(2))
-    return np.maximum(fit.amplitudes, 1.0)
+    known = rounding.mean(axis=1)[frame, pixel] / t**2
+    values = (one - other) / (math.sqrt(2.0) * t)
+    return np.maximum(_fit_variance(values, group, terms, known, np.ones(t.size), np.ones(2), _OUTER).amplitudes, 1.0)
 
 
 def _fit_variance(
-    values: Array, group: NDArray[np.intp], terms: Array, known: Array, trust: Array, start: Array
+    values: Array, group: NDArray[np.intp], terms: Array, known: Array, trust: Array, start: Array, most: float
 ) -> TermsFit:
     """Return the amplitudes of terms of the variance of rows, from how far they are from the mean of their group.
 
@@ -156,12 +163,13 @@ def _fit_variance(
         known: Variance that every row has besides.
         trust: Weight of every row besides its variance.
         start: First amplitudes.
+        most: Standard deviations that a residual counts at most.
     """
     terms = np.asfortranarray(terms)  # few columns of many rows: each in one piece
     parts, amplitudes = np.column_stack([terms, known]), start
     for _ in range(_ROUNDS):
         residual, share = group_deviation(values, group, trust / (terms @ amplitudes + known))
-        fit = _fitted(residual, _of_residuals(group, parts, share), amplitudes)
+        fit = _fitted(residual, _of_residuals(group, parts, share), amplitudes, most)
         amplitudes = fit.amplitudes
     return fit
 
@@ -176,17 +184,19 @@ def _of_residuals(group: NDArray[np.intp], terms: Array, share: Array) -> Array:
     return np.asarray((1.0 - 2.0 * share)[:, None] * terms + of_mean[group])
 
 
-def _fitted(residual: Array, parts: Array, start: Array) -> TermsFit:
+def _fitted(residual: Array, parts: Array, start: Array, most: float) -> TermsFit:
     """Return the amplitudes, at or above 0, that make the squared residuals; the last part of the variance is known.
 
     Source: Var(r²) = 2σ⁴ for Gaussian residuals, so that 1/σ⁴ weights a regression of r² on its expectation.
     """
+    # The mean square of a normal residual of which no more counts.
+    beyond = math.erfc(most / math.sqrt(2.0))
+    part = 1.0 - beyond - most * math.sqrt(2.0 / math.pi) * math.exp(-0.5 * most**2) + most**2 * beyond
     square, terms, known = residual**2, parts[:, :-1], parts[:, -1]
     found = start
     for _ in range(_ROUNDS):
         expected = np.maximum(terms @ found + known, 1e-300)
-        # A wild residual (movement, a defect) counts as five standard deviations, not more.
-        target = (np.minimum(square, 25.0 * expected) - known) / expected
+        target = (np.minimum(square, most**2 * expected) / part - known) / expected
         weighted = terms / expected[:, None]
         found = _least_squares_above_zero(weighted, target)
     left = target - weighted @ found
