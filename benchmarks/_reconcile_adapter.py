@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from radiometer.reconciliation import gaps_of as gaps_under
-from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.result import ReconcileResult
 from testing.generator.session import Session
+from testing.reconciled import gaps_of as gaps_under
+from testing.reconciled import reconcile
 
 
 def ask(

@@ -12,9 +12,9 @@ from typing import Any
 
 from benchmarks._reconcile_judge import PARAMETERS
 from benchmarks._sections import write_section
-from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.result import ReconcileResult
 from testing.generator.session import Session, make_session
+from testing.reconciled import reconcile
 
 # Entries of every statistic: means, variances, patterns, lines, neighbours, first frames, whole frames, edges.
 ENTRIES = (

@@ -24,9 +24,9 @@ from benchmarks._sections import write_section
 from benchmarks.naming.score import SURE
 from radiometer.data import CameraDescription, CaptureSetWriter, Frame, FrameSettings, TapDescription
 from radiometer.errors import MeasurementError
-from radiometer.reconciliation import reconcile
 from testing.generator.rig import Rig
 from testing.generator.session import Session, make_session, session_of_taps
+from testing.reconciled import reconcile
 from testing.tap_camera import Taps
 
 RESULTS: Final = Path("out") / "taps.jsonl"

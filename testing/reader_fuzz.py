@@ -49,12 +49,12 @@ from radiometer.errors import RadiometerError
 from radiometer.importing.emva_listing import EmvaListing
 from radiometer.importing.fits_files import read_fits_headers, read_fits_pixels
 from radiometer.importing.log_table import read_log
+from radiometer.importing.meter_table import read_meter_table
 from radiometer.importing.photograph_pixels import read_photograph
 from radiometer.importing.photograph_times import read_exif, read_list
 from radiometer.importing.statistics_table import read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
 from radiometer.importing.xmp import read_xmp
-from radiometer.reconciliation.inputs.tables import read_meter_table
 from radiometer.screen.measured_elsewhere import read_screen_readings
 from simulators.scenes.image_file import ImageScene
 from testing.sky_log import sky_log

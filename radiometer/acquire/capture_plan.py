@@ -11,14 +11,14 @@ from pydantic import Field
 
 from radiometer.data import Frame
 from radiometer.data.storage import read_yaml
-from radiometer.data.validation import ConfigSection, validate
+from radiometer.data.validation import FileSection, validate
 from radiometer.devices import Camera
 from radiometer.errors import UsageError
 
 FORMAT = "radiometer-plan/1"
 
 
-class PlannedFrames(ConfigSection):
+class PlannedFrames(FileSection):
     """Frames at one setting; what is missing stays as the bench has it."""
 
     exposure_s: float = Field(gt=0)
@@ -30,7 +30,7 @@ class PlannedFrames(ConfigSection):
     repeat: int = Field(1, ge=1, le=1000)
 
 
-class CapturePlan(ConfigSection):
+class CapturePlan(FileSection):
     """The whole of a plan file."""
 
     format: Literal["radiometer-plan/1"]

@@ -58,7 +58,14 @@ from radiometer.errors import CalibrationError, InputError, UsageError
 from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
-from radiometer.photographs.stated import at_iso, reference_iso, with_f_number, with_gains, with_iso
+from radiometer.photographs.stated import (
+    at_iso,
+    reference_iso,
+    stated_camera,
+    with_f_number,
+    with_gains,
+    with_iso,
+)
 from radiometer.plausible import (
     PLAUSIBLE,
     Exposure,
@@ -368,8 +375,7 @@ def _seen(
         unstated = not any(frame.settings.iso for frame in taken.only.light)
         taken = taken.each(lambda one: with_gains(with_iso(one, iso if unstated else None), speeds)).placed(align)
         bracket = taken.without_absent()
-        depth = CameraDescription(bit_depth=bracket.bit_depth)
-        return _Seen(bracket, where, depth, LensDescription(), photographs=taken)
+        return _Seen(bracket, where, *stated_camera(bracket), photographs=taken)
     if capture is not None:
         return _seen_in_capture(Path(capture), patch, pattern, taps, needed=needed)
     if camera is not None or bench is not None:

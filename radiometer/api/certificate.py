@@ -18,7 +18,7 @@ from radiometer.analysis.exports.certificate import (
     Laboratory,
     certificate_xml,
 )
-from radiometer.analysis.reading.budget import OBSERVED
+from radiometer.analysis.reading.budget import OBSERVED, coverage_factor
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
@@ -185,6 +185,7 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
     if Flag.UNCALIBRATED.value in content["flags"]:
         raise UsageError(_RELATIVE)
     results = tuple((name, _result(name, stated[name]), k) for name in stated)
+    _refuse_changed(content, results[0][1], k)
     budget = tuple(
         Contribution(str(line["name"]), float(line["u_rel"]), str(line.get("kind", "B")))
         for line in content.get("budget", [])
@@ -199,6 +200,23 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
         item=laboratory.item, equipment=(("camera", str(content["instrument"])), *_calibration_of(content)),
         conditions=tuple(conditions), results=results, budget=budget, version=radiometer.__version__,
     )  # fmt: skip
+
+
+def _refuse_changed(content: dict[str, Any], radiance: Quantity, k: float) -> None:
+    """Refuse a reading whose k belongs neither to its degrees of freedom nor to its expanded uncertainty.
+
+    Raises:
+        InputError: If one that the file states is more than 1 % off, which no rounding explains.
+    """
+    freedom, expanded_rel = content.get("degrees_of_freedom"), content.get("U_rel")
+    belongs = [] if freedom is None else [coverage_factor(float(freedom))]
+    belongs += [] if expanded_rel is None else [float(expanded_rel) / radiance.u_rel]
+    for one in belongs:
+        if not abs(k - one) <= 0.01 * k:
+            raise InputError(
+                f"coverage_factor is {k:g}; for {100 * COVERAGE_PROBABILITY:g} % the reading's degrees_of_freedom and "
+                f"U_rel make it {one:.3g}: state the reading as `radiometer measure` printed it"
+            )
 
 
 def _result(name: str, stated: dict[str, Any]) -> Quantity:

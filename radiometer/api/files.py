@@ -23,6 +23,7 @@ from radiometer.data.storage import check_outputs as check_outputs
 from radiometer.data.storage import new_files_stay_new as new_files_stay_new
 from radiometer.errors import CaptureError, UsageError
 from radiometer.photographs.scene import Photographs
+from radiometer.photographs.stated import stated_camera
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -193,8 +194,7 @@ def stack_of(found: Source, origin: str) -> Stack:
     brackets = {_name(one): one for one in found.brackets}
     header = found.header
     if header is None:
-        camera = CameraDescription(bit_depth=found.brackets[0].bit_depth)
-        return Stack(brackets, camera, LensDescription(), origin, photographs=True, listed=found.listed)
+        return Stack(brackets, *stated_camera(found.brackets[0]), origin, photographs=True, listed=found.listed)
     return Stack(
         brackets, header.camera, header.lens, origin, header.source, tuple(header.patches), notes=found.doubts,
         taken=header.taken,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from radiometer.analysis.calibration.shared import require_camera, require_lens
 from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, fit_drive_law
 from radiometer.analysis.flux.estimate import led_flux
 from radiometer.analysis.flux.report import Emitter, FluxReport
@@ -29,6 +30,7 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.importing.drive_table import read_drive_table
 from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
+from radiometer.photographs.stated import stated_camera
 from radiometer.plausible import HalfAngle, Iso, Millimetres, NotNegative, Positive, RelativeUncertainty, Uncertainty
 
 __all__ = ["Flux", "FluxReport", "Quantity", "flux"]
@@ -211,7 +213,10 @@ def _taken(
         stack = stack_of(open_source(path, channel), str(path))
         ready = prepared(stack.as_photographs(), calibration=calibration, measured_iso=measured_iso)
         frames = (*ready.only.dark, *ready.without_absent().light)
-        return _Taken(frames, Setup(calibration.camera, calibration.lens, spectrum=None), ready.notes)
+        camera, lens = stated_camera(ready.only)
+        require_lens(calibration, lens)
+        notes = (*ready.notes, *require_camera(calibration, camera))
+        return _Taken(frames, Setup(calibration.camera, calibration.lens, spectrum=None), notes)
     capture = open_capture(path)
     chosen = capture.pattern_of()
     frames = tuple(one for one in capture.frames() if one.settings.is_dark or one.settings.pattern == chosen)

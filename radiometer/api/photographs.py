@@ -14,12 +14,12 @@ from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.reading import reading_record
 from radiometer.api.result import Progress
 from radiometer.bench.sources import open_source
-from radiometer.data import Bracket, Calibration, CameraDescription, LensDescription, Patch, Provenance, Reading
+from radiometer.data import Bracket, Calibration, Patch, Provenance, Reading
 from radiometer.data.setup import Setup
 from radiometer.errors import UsageError
 from radiometer.photographs.response import relative_calibration
 from radiometer.photographs.scene import Photographs, prepared, with_shutter_doubt
-from radiometer.photographs.stated import with_f_number, with_iso_in_reading
+from radiometer.photographs.stated import stated_camera, with_f_number, with_iso_in_reading
 from radiometer.plausible import FNumber, Iso
 from radiometer.progress import counted, unseen
 from radiometer.reporting.reading_page import check_report_name, write_reading_page
@@ -96,8 +96,8 @@ def measure_photographs(
             stack.as_photographs(), calibration=known, linear=linear, measured_iso=measured_iso, iso=iso,
             f_number=f_number, align=align, progress=progress or unseen,
         )  # fmt: skip
-        camera, lens = known.camera if known else CameraDescription(bit_depth=ready.only.bit_depth), LensDescription()
         bracket = ready.without_absent()
+        camera, lens = stated_camera(bracket)
         if known is None:
             curve = next(iter(ready.curves.values()), None)
             known = with_shutter_doubt(relative_calibration(bracket, curve, camera, lens)[0], ready)

@@ -26,7 +26,7 @@ from radiometer.errors import CaptureError, InputError, MeasurementError, Missin
 Row = dict[str, Any]
 COLUMNS: Final = (
     "capture", "captured", "content_hash", "fingerprint", "job", "status", "patch", "quantity",
-    "value", "u", "unit", "flags", "error", "software",
+    "value", "u", "unit", "flags", "error", "software", "instrument",
 )  # fmt: skip
 
 
@@ -111,7 +111,7 @@ def run_job(capture: Path, settings: JobSettings, done_hashes: frozenset[str] = 
     common["software"] = f"radiometer {radiometer.__version__}"
     try:
         capture_set = CaptureSet.read(capture)
-        taken = capture_set.header.taken
+        taken, common["instrument"] = capture_set.header.taken, capture_set.header.camera.name
         common.update(content_hash=capture_set.content_hash(), captured=None if taken is None else taken.timestamp())
         if common["content_hash"] in done_hashes:
             return []

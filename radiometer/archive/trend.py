@@ -406,7 +406,15 @@ def read_histories(table: Path, quantity: str) -> list[Trend]:
         chosen = chosen.astype(dict.fromkeys(("captured", "value", "u"), float))
     except (ValueError, TypeError) as error:
         raise InputError(f"{table}: a time, value or uncertainty is no number ({error})") from error
-    return [_history(str(name), quantity, rows) for (name, _), rows in chosen.groupby(["patch", "unit"], dropna=False)]
+    if "instrument" not in chosen:  # tables of earlier versions
+        chosen["instrument"] = ""
+    chosen["instrument"] = chosen["instrument"].astype("string").fillna("")
+    cameras = chosen.groupby(["patch", "unit"], dropna=False)["instrument"].transform("nunique")
+    # Another camera is another history of a patch.
+    apart = cameras > 1
+    chosen.loc[apart, "patch"] = chosen["patch"].astype("string") + " by " + chosen["instrument"].replace("", "unnamed")
+    histories = chosen.groupby(["patch", "unit", "instrument"], dropna=False)
+    return [_history(str(name), quantity, rows) for (name, *_), rows in histories]
 
 
 @bounded_reader(error=InputError, apart="pyarrow")

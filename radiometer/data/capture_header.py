@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -45,10 +45,14 @@ def as_binning(written: object) -> object:
     return "x".join(dict.fromkeys(factors)) or written
 
 
+AUTOMATIC: Final = "automatic"  # white balance that the camera sets by what it sees
+
+
 class CameraDescription(FileSection):
     """The camera as its datasheet or calibration believes it to be; all but the bit depth may be unknown."""
 
-    SETTINGS: ClassVar = ("mode", "filter", "band", "binning")  # that decide which light is one digital number
+    # What decides which light is one digital number
+    SETTINGS: ClassVar = ("mode", "filter", "band", "binning", "white_balance")
 
     bit_depth: int = Field(ge=1, le=16)
     code_step_dn: int | None = Field(None, ge=1)  # distance between codes where the low bits are padding; 1 if unknown
@@ -68,6 +72,7 @@ class CameraDescription(FileSection):
     quantum_efficiency: float | None = Field(None, gt=0, le=1)
     mode: str | None = None  # read-out mode, gain in the camera's own unit, where files state them
     filter: str | None = None  # name of the filter before it
+    white_balance: str | None = None  # of developed photographs: `AUTOMATIC`, or as it was set
     band: str | int | None = None  # its place among the bands of a multispectral camera
     binning: Annotated[str | None, BeforeValidator(as_binning)] = None  # pixels that are one, along a row and a column
     mosaic: Literal["RGGB", "GRBG", "GBRG", "BGGR"] | None = None  # colour filters of 2 × 2 pixels, row by row

@@ -67,6 +67,8 @@ class CameraPreset(ConfigSection):
     uncertainties: dict[str, float] = Field(default_factory=dict)
     spectral_response: SpectralResponse | None = None
     emva1288: dict[str, Any] = Field(default_factory=dict)  # figures of a characterisation
+    taps: list[Any] = Field(default_factory=list)  # the same of each tap
+    crosstalk: list[Any] = Field(default_factory=list)  # between taps
     provenance: dict[str, Any] = Field(default_factory=dict)
 
     @classmethod

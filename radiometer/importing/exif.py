@@ -10,8 +10,9 @@ from typing import Any, Final
 import tifffile
 from PIL import Image, UnidentifiedImageError
 
+from radiometer.data.capture_header import AUTOMATIC
 from radiometer.data.raw_files import RAW_SUFFIXES
-from radiometer.data.statements import Statement, StatementMap, first_stated, places
+from radiometer.data.statements import Statement, StatementMap, first_stated, places, text_stated
 from radiometer.data.tiff_pixels import DAMAGE, directories
 
 Header = Mapping[str, Statement]
@@ -19,10 +20,12 @@ Header = Mapping[str, Statement]
 EXIF_DIRECTORY: Final = 34665  # TIFF tag of the EXIF directory (EXIF 2.32, 4.6.3)
 # Exif 2.32, sections 4.6.3 and 4.6.5, and DNG 1.7, chapter 4: names by code, for writers' libraries differ in them.
 _NAMES: Final = {
-    33434: "ExposureTime", 33437: "FNumber", 34855: "PhotographicSensitivity", 34865: "StandardOutputSensitivity",
+    271: "Make", 272: "Model", 33434: "ExposureTime", 33437: "FNumber",
+    34855: "PhotographicSensitivity", 34865: "StandardOutputSensitivity",
     34866: "RecommendedExposureIndex", 34867: "ISOSpeed", 36867: "DateTimeOriginal", 37377: "ShutterSpeedValue",
-    37378: "ApertureValue",
-    37386: "FocalLength", 37521: "SubsecTimeOriginal", 50713: "BlackLevelRepeatDim", 50714: "BlackLevel",
+    37378: "ApertureValue", 37384: "LightSource", 37386: "FocalLength", 37521: "SubsecTimeOriginal",
+    41985: "CustomRendered", 41987: "WhiteBalance", 41990: "SceneCaptureType", 41992: "Contrast", 41993: "Saturation",
+    42033: "BodySerialNumber", 50713: "BlackLevelRepeatDim", 50714: "BlackLevel",
     50715: "BlackLevelDeltaH", 50716: "BlackLevelDeltaV",
 }  # fmt: skip
 _ALIASES: Final = {"ISOSpeedRatings": "PhotographicSensitivity"}
@@ -33,6 +36,7 @@ _ISO: Final = places(
     "PhotographicSensitivity:ISO RecommendedExposureIndex:ISO ISOSpeed:ISO StandardOutputSensitivity:ISO"
 )
 _F_NUMBER: Final = places("FNumber:1")
+_DEVELOPMENT: Final = ("Contrast", "Saturation", "CustomRendered", "SceneCaptureType")  # what bends or mixes colours
 _LARGEST_APEX: Final = 32.0  # 2³² s and 2⁻³² s: no shutter has them
 _APEX_SAME_STOPS: Final = 0.5  # ShutterSpeedValue and ExposureTime may be of the dial's and of the real time
 
@@ -115,6 +119,31 @@ def f_number_of(header: Header, doubts: list[str], where: str) -> float | None:
     if found is None and aperture is not None and 0.0 < aperture[1] < _LARGEST_APEX:
         return float(2.0 ** (aperture[1] / 2.0))  # Exif 2.32, annex C: 2·log2 of the f-number
     return None if found is None else found[1]
+
+
+def camera_of(header: Header, where: str) -> dict[str, str | float]:
+    """Return what is stated of camera, lens and development, by the names that descriptions of both have.
+
+    Numbers of the development are those of Exif 2.32, section 4.6.5.
+    """
+    found: dict[str, str | float] = {}
+    for fact, tag in (("vendor", "Make"), ("model", "Model"), ("serial", "BodySerialNumber")):
+        if (words := text_stated(fact, header, (tag,), StatementMap(), where)) is not None:
+            found[fact] = words[1]
+    numbers = {
+        tag: stated[1]
+        for tag in ("FocalLength", "WhiteBalance", "LightSource", *_DEVELOPMENT)
+        if (stated := first_stated("number", header, places(tag), StatementMap(), [], where)) is not None
+    }
+    if numbers.get("FocalLength", 0.0) > 0.0:
+        found["focal_length_mm"] = numbers["FocalLength"]
+    if "WhiteBalance" in numbers:
+        light = numbers.get("LightSource", 0.0)
+        by_hand = "manual" + (f", light source {light:g}" if light else "")
+        found["white_balance"] = AUTOMATIC if numbers["WhiteBalance"] == 0.0 else by_hand
+    if settings := [f"{tag} {numbers[tag]:g}" for tag in _DEVELOPMENT if tag in numbers]:
+        found["mode"] = ", ".join(settings)
+    return found
 
 
 def read_exif_header(path: Path) -> dict[str, Statement]:

@@ -6,14 +6,14 @@ import math
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_text
 from radiometer.errors import CaptureError, InputError
-from radiometer.importing.exif import exposure_of, f_number_of, iso_of, read_exif_header
+from radiometer.importing.exif import camera_of, exposure_of, f_number_of, iso_of, read_exif_header
 from radiometer.plausible import PLAUSIBLE
 from radiometer.units import exact_exposures_s, exact_f_number, heading_parts, read_number, unit_of
 
@@ -60,6 +60,7 @@ class PhotographSettings:
     iso: float | None = None  # ISO speed as stated; None where unknown
     gain_db: float = 0.0  # gain in addition to the ISO speed in dB of amplitude
     iso_doubt: str = ""  # why no speed is known though a tag states one; "" where that is not so
+    camera: Mapping[str, str | float] = field(default_factory=dict)  # camera, lens, development: as of `camera_of`
 
 
 def is_dial_time(seconds: float) -> bool:
@@ -84,6 +85,7 @@ def read_exif(path: Path) -> PhotographSettings | None:
         f_number=None if f_number is None else exact_f_number(f_number),
         iso=None if iso is None else iso[1],
         iso_doubt="; ".join(doubts),
+        camera=camera_of(header, str(path)),
     )
 
 

@@ -38,7 +38,7 @@ from radiometer.importing.photograph_times import (
     read_list,
     with_exact_times,
 )
-from radiometer.photographs.stated import LIST_GAIN, with_gain
+from radiometer.photographs.stated import LIST_GAIN, OF_CAMERA, OF_DEVELOPMENT, with_gain
 
 _LOG: Final = structlog.get_logger(__name__)
 CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
@@ -76,7 +76,7 @@ class PhotographFolder:
             raise CaptureError(f"{path} is not a folder; give a folder of photographs or a capture set")
         listed = find_list(path)
         settings = _from_list(path, listed) if listed else _from_exif(path)
-        _refuse_changing_aperture(path, settings)
+        _refuse_changes(path, settings)
         _refuse_unknown_speed(path, settings)
         known = speeds or IsoSpeeds()
         known.refuse_unstated(str(path), {one.iso for one in settings.values() if one.iso})
@@ -151,6 +151,8 @@ class PhotographFolder:
         }
         if photograph.is_raw:
             extra["raw"] = 1
+        of_camera = known.camera.items()
+        extra |= {OF_CAMERA + key: v for key, v in of_camera if not (photograph.is_raw and key in OF_DEVELOPMENT)}
         if known.gain_db:
             extra[LIST_GAIN] = known.gain_db
         frame = Frame(photograph.plane(channel), photograph.bit_depth, settings, extra=extra)
@@ -268,7 +270,9 @@ def _absent(listed: Path, absent: list[str], here: set[str]) -> str:
 
 
 def _with_exif_aperture(known: PhotographSettings, exif: PhotographSettings | None) -> PhotographSettings:
-    return known if exif is None else replace(known, f_number=exif.f_number, iso=exif.iso, iso_doubt=exif.iso_doubt)
+    if exif is None:
+        return known
+    return replace(known, f_number=exif.f_number, iso=exif.iso, iso_doubt=exif.iso_doubt, camera=exif.camera)
 
 
 def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
@@ -307,13 +311,27 @@ def _refuse_unknown_speed(folder: Path, settings: dict[str, PhotographSettings])
         )
 
 
-def _refuse_changing_aperture(folder: Path, settings: dict[str, PhotographSettings]) -> None:
+def _refuse_changes(folder: Path, settings: dict[str, PhotographSettings]) -> None:
+    """Refuse photographs of several apertures, cameras, lenses or developments.
+
+    Raises:
+        CaptureError: If there are.
+    """
     apertures = sorted({known.f_number for known in settings.values() if known.f_number})
     if apertures and apertures[-1] > apertures[0] * 1.01:
         raise CaptureError(
             f"{folder}: the f-number changes between photographs (f/{apertures[0]:.3g} to f/{apertures[-1]:.3g}); "
             "a bracket needs one aperture: change the exposure time alone"
         )
+    raw = {Path(name).suffix.lower() in RAW_SUFFIXES for name in settings} == {True}
+    for key in dict.fromkeys(key for known in settings.values() for key in known.camera):
+        stated = {known.camera[key]: name for name, known in settings.items() if key in known.camera}
+        if len(stated) > 1 and not (raw and key in OF_DEVELOPMENT):
+            (one, name), (other, second), *_ = stated.items()
+            raise CaptureError(
+                f"{folder}: {name} states {key.replace('_', ' ')} {one}, {second} {other}; a bracket needs one camera "
+                "and one setting: change the exposure time alone"
+            )
 
 
 def _refuse_mixture(folder: Path, first: tuple[str, Photograph], other: tuple[str, Photograph]) -> None:

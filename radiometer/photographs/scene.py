@@ -23,9 +23,7 @@ from radiometer.analysis.response.labels import reject_inconsistent_exposures
 from radiometer.data import (
     Bracket,
     Calibration,
-    CameraDescription,
     FlatField,
-    LensDescription,
     RadianceMap,
     ResponseCurve,
 )
@@ -45,7 +43,14 @@ from radiometer.photographs.response import (
     with_found_times,
     with_offset_of_response,
 )
-from radiometer.photographs.stated import iso_speeds, with_f_number, with_gains, with_iso, with_iso_in_map
+from radiometer.photographs.stated import (
+    iso_speeds,
+    stated_camera,
+    with_f_number,
+    with_gains,
+    with_iso,
+    with_iso_in_map,
+)
 from radiometer.progress import Progress, counted, unseen
 
 if TYPE_CHECKING:
@@ -407,16 +412,15 @@ def merge_photographs(
     maps = {}
     for done, (name, bracket) in enumerate(photographs.brackets.items()):
         progress("merging", done, len(photographs.brackets))
-        curve = photographs.curves.get(name)
+        curve, (camera, lens) = photographs.curves.get(name), stated_camera(bracket)
         if calibration is not None:
             known, displacement = calibration, displacement_of(bracket, calibration.response)
         else:
-            camera = CameraDescription(bit_depth=bracket.bit_depth)
-            known, displacement = relative_calibration(bracket, curve, camera, LensDescription())
+            known, displacement = relative_calibration(bracket, curve, camera, lens)
             known = with_shutter_doubt(known, photographs)
         found = merge(
             bracket,
-            Setup(known.camera, LensDescription(), replace(known, flat_field=flat) if flat else known),
+            Setup(camera, lens, replace(known, flat_field=flat) if flat else known),
             absent=photographs.absent,
             without_ghosts=not keep_ghosts,
             displacement_px=displacement.px if displacement else 0.0,

@@ -7,7 +7,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from radiometer.data import Bracket, Calibration, Frame, Provenance, RadianceMap, Reading, Scale
+from radiometer.data import (
+    Bracket,
+    Calibration,
+    CameraDescription,
+    Frame,
+    LensDescription,
+    Provenance,
+    RadianceMap,
+    Reading,
+    Scale,
+)
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import UsageError
 from radiometer.units import exact_f_number
@@ -19,6 +29,18 @@ if TYPE_CHECKING:
 _SAME_STOP_REL: Final = 0.03
 # Key in a frame's `extra`: gain in dB that an exposure list states with the ISO speed.
 LIST_GAIN: Final = "list_gain_db"
+# Before the keys in a frame's `extra` of what a photograph states of its camera; and which of them do not touch the
+# numbers of camera raw files.
+OF_CAMERA: Final = "camera_"
+OF_DEVELOPMENT: Final = ("mode", "white_balance")
+
+
+def stated_camera(bracket: Bracket) -> tuple[CameraDescription, LensDescription]:
+    """Return camera and lens as photographs state them."""
+    extra = bracket.light[0].extra
+    stated: dict[str, Any] = {k.removeprefix(OF_CAMERA): v for k, v in extra.items() if k.startswith(OF_CAMERA)}
+    lens = LensDescription(focal_length_mm=stated.pop("focal_length_mm", None))
+    return CameraDescription(bit_depth=bracket.bit_depth, **stated), lens
 
 
 def with_f_number(bracket: Bracket, f_number: float | None) -> Bracket:

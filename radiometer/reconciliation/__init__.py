@@ -1,6 +1,6 @@
 """Measured against simulated: where they disagree, which effect is missing, and the model with it added."""
 
-from radiometer.reconciliation.engine import gaps_of, reconcile, reconcile_capture
+from radiometer.reconciliation.engine import reconcile_capture
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, ReconcileResult, Verdict
 from radiometer.reconciliation.search.outcome import Reconciled
 
@@ -10,7 +10,5 @@ __all__ = [
     "ReconcileResult",
     "Reconciled",
     "Verdict",
-    "gaps_of",
-    "reconcile",
     "reconcile_capture",
 ]

@@ -9,7 +9,7 @@ import itertools
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,25 +18,24 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import structlog
 
-from radiometer.data import CaptureHeader, Frame
+from radiometer.data import CaptureHeader
 from radiometer.data.white_level import white_level_notes
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.fit.descent import first_state, fitted_parameters, is_misfit
+from radiometer.reconciliation.fit.descent import first_state, fitted_parameters, is_misfit, scatter_of
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
-from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, reduce_frames
 from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
-from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
+from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior
 from radiometer.reconciliation.propose.search import held_to_laws
 from radiometer.reconciliation.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
 from radiometer.reconciliation.result import (
     CovariateGap,
-    FittedParameter,
     FoundEffect,
     LawCurve,
     Limit,
@@ -47,7 +46,7 @@ from radiometer.reconciliation.result import (
     Verdict,
 )
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
-from radiometer.reconciliation.search.outcome import Reconciled, Search, Step
+from radiometer.reconciliation.search.outcome import Reconciled, Search
 from radiometer.reconciliation.search.search import search
 from radiometer.reconciliation.separability import Separability, inseparable, limits, separability
 from radiometer.reconciliation.verdict import (
@@ -192,59 +191,6 @@ def whole_catalogue() -> dict[str, type[CatalogueEffect]]:
     return {name: kind for name, kind in all_effects().items() if issubclass(kind, CatalogueEffect)}
 
 
-def reconcile(
-    header: CaptureHeader,
-    frames: Iterable[Frame],
-    model: CameraModel | None = None,
-    *,
-    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
-    without: Sequence[str] = (),
-    with_limits: bool = True,
-    say: Say = lambda line: None,
-) -> ReconcileResult:
-    """Return where measured and simulated disagree, and which effects are missing.
-
-    Args:
-        header: What `capture.yaml` says.
-        frames: The frames it lists, in its order.
-        model: The camera as it is believed to be; by default the ideal EMVA 1288 camera of the header.
-        catalogue: Effects to try, by name; by default all.
-        without: Names of effects to leave out.
-        with_limits: Whether to work out what the data would have shown at 5 sigma.
-        say: Told what happens, line by line.
-
-    Raises:
-        CaptureError: If frames are missing or differ in size, or a patch does not fit.
-    """
-    held = frames if isinstance(frames, Sequence) else list(frames)
-    if len(held) != len(header.frames):
-        raise CaptureError(f"the header lists {len(header.frames)} frames, but {len(held)} were given")
-    entries = {
-        n: kind for n, kind in (whole_catalogue() if catalogue is None else catalogue).items() if n not in without
-    }
-    return examine(
-        header, frame_reader(held), held[0].shape, model, catalogue=entries, with_limits=with_limits, say=say
-    ).result
-
-
-@on_one_blas_thread
-def gaps_of(
-    found: Sequence[ReconcileResult | None], header: CaptureHeader, frames: Iterable[Frame]
-) -> tuple[float, ...]:
-    """Return the reduced χ² of held-out settings of a capture set under models that are not changed.
-
-    Only the nuisances (responsivity, patch radiances) are fitted; the frames are read once.
-
-    Args:
-        found: Results whose effects are taken, or None for the ideal camera of the header.
-        header: What `capture.yaml` of the (fresh) capture set says.
-        frames: Its frames.
-    """
-    held = frames if isinstance(frames, Sequence) else list(frames)
-    design, _, reduced = evidence_for(header, held[0].shape, frame_reader(held))
-    return tuple(first_state(design, *reduced, () if entry is None else entry.added).gap for entry in found)
-
-
 def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureHeader, tuple[CatalogueEffect, ...]]:
     """Return the header with a model's camera and lens, and the effects that it adds to the ideal chain."""
     if model is None:
@@ -260,7 +206,9 @@ def reconcile_capture(
     *,
     catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
 ) -> Reconciled:
-    """Return the same for a capture set on disk; one frame is in memory at a time.
+    """Return where a capture set on disk and its simulation disagree, and which effects are missing.
+
+    One frame is in memory at a time.
 
     Args:
         path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
@@ -389,7 +337,10 @@ def _result(
 ) -> ReconcileResult:
     state, other_well = outcome.state, well is not None and well.contradicts
     found = _found(outcome, entries, again, failed)
-    weighed, alternatives = posterior_of(state, entries), {effect.name: effect.alternatives for effect in found}
+    weighed, alternatives = (
+        posterior(state.models, entries, scatter_of(state)),
+        {effect.name: effect.alternatives for effect in found},
+    )
     doubts = [*outcome.remarks, *doubts_of(outcome, weighed, alternatives), *faint(outcome)]
     verdict = verdict_of(outcome, doubts, again, other_well=other_well)
     effects = tuple(_believed(effect, weighed, verdict) for effect in found)
@@ -399,11 +350,12 @@ def _result(
     if with_limits:
         shown = _optional_step("the limits", lambda: limits(state, entries), failed) or {}
     settled = any(effect.next_capture for effect in effects) or verdict is Verdict.EFFECTS_FOUND
-    further = (
-        None
-        if settled
-        else _optional_step("the next capture", lambda: _further(state, entries, shown, effects), failed)
-    )
+    unnamed = [(effect.where, effect.block) for effect in effects if effect.name == UNNAMED]
+
+    def following() -> dict[str, Any] | None:
+        return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
+
+    further = None if settled else _optional_step("the next capture", following, failed)
     return ReconcileResult(
         verdict=verdict,
         effects=effects,
@@ -473,16 +425,6 @@ def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T |
         return None
 
 
-def _further(
-    state: FitState,
-    entries: Mapping[str, type[CatalogueEffect]],
-    shown: Mapping[str, Limit],
-    effects: Sequence[FoundEffect],
-) -> dict[str, Any] | None:
-    unnamed = [(effect.where, effect.block) for effect in effects if effect.name == "unnamed"]
-    return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
-
-
 def _found(
     outcome: Search,
     entries: Mapping[str, type[CatalogueEffect]],
@@ -500,44 +442,32 @@ def _found(
             found.append(rest)
         elif step.name in present and step.name not in weak:
             own = present[step.name]
-            alike = (
-                _optional_step(f"which effects act like {step.name}", partial(inseparable, state, own, entries), failed)
-                or ()
-            )
+            what = f"which effects act like {step.name}"
+            alike = _optional_step(what, partial(inseparable, state, own, entries), failed) or ()
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
             what = f"the capture that separates {step.name} from its rivals"
             advice = _optional_step(what, partial(propose, state, own, rivals), failed)
-            shown = replace(step, rivals=rivals)
-            fitted = dict(parameters[step.name])
+            fitted, curved = dict(parameters[step.name]), tuple[str, ...]()
             if isinstance(own, FreeLaw):
-                sizes = _optional_step(
-                    f"how well the size of {step.name} is known", partial(sizes_by_own_law, state, own), failed
+                what, curved = f"how well the size of {step.name} is known", own.law_names()
+                sizes = _optional_step(what, partial(sizes_by_own_law, state, own), failed) or {}
+                fitted |= {name: entry for name, entry in sizes.items() if fitted[name].u is None}
+            found.append(
+                FoundEffect(
+                    step.name,
+                    {name: entry for name, entry in fitted.items() if name not in curved},
+                    step.where,
+                    step.gap_before,
+                    step.gap_after,
+                    tuple(rival.name for rival in rivals),
+                    advice,
+                    step.gain_nats,
+                    own.block,
+                    other_law=size_of_rest(state, own.block) if own in others else None,
+                    curve=LawCurve.of(own, parameters[step.name]),
                 )
-                fitted |= {name: entry for name, entry in (sizes or {}).items() if fitted[name].u is None}
-            effect = _effect(shown, own, fitted, advice)
-            other = size_of_rest(state, own.block) if own in others else None
-            found.append(replace(effect, other_law=other, curve=LawCurve.of(own, parameters[step.name])))
+            )
     return (*found, rest) if rest is not None and rest not in found else tuple(found)
-
-
-def _effect(
-    step: Step,
-    effect: CatalogueEffect,
-    parameters: Mapping[str, FittedParameter],
-    advice: Mapping[str, Any] | None,
-) -> FoundEffect:
-    curved = effect.law_names() if isinstance(effect, FreeLaw) else ()
-    return FoundEffect(
-        step.name,
-        {name: entry for name, entry in parameters.items() if name not in curved},
-        step.where,
-        step.gap_before,
-        step.gap_after,
-        tuple(rival.name for rival in step.rivals),
-        advice,
-        step.gain_nats,
-        effect.block,
-    )
 
 
 def _place(test: Disagreement) -> Place:

@@ -17,8 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.fit.descent import scatter_of
-from radiometer.reconciliation.fit.state import FitState, ModelFit
+from radiometer.reconciliation.fit.state import ModelFit
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS
 from radiometer.typing import Array
@@ -67,16 +66,6 @@ class Posterior:
             unit = next(entry.unit for entry in held[0][1].parameters() if entry.name == key)
             found[key] = FittedParameter(mean, float(np.sqrt(share @ (u**2 + (value - mean) ** 2))), unit)
         return found
-
-
-def posterior_of(state: FitState, catalogue: Collection[str]) -> Posterior:
-    """Return the posterior probabilities of all models that were fitted to the data of a reported one.
-
-    Args:
-        state: The model that is reported.
-        catalogue: Names of the entries that may be named.
-    """
-    return posterior(state.models, catalogue, scatter_of(state))
 
 
 def posterior(fits: Sequence[ModelFit], catalogue: Collection[str], dispersion: float = 1.0) -> Posterior:

@@ -6,12 +6,10 @@ Pictures show the gap as it closes, each effect along its covariate, and the res
 from __future__ import annotations
 
 import inspect
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from radiometer.data.storage import write_text_atomic
 from radiometer.numbers import unit_text, with_u
 from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.state import FitState
@@ -31,22 +29,14 @@ _LISTED_PLACES: Final = 5
 _WEAK_NATS: Final = 10.0
 
 
-def write_report(path: Path, reconciled: Reconciled, title: str, origin: Origin) -> None:
-    """Write the report as one HTML file that needs nothing else.
+def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
+    """Return the report as HTML, one file that needs nothing else.
 
     Args:
         reconciled: What was found.
         title: Name of the capture set.
         origin: Camera, lens, date and whatever else is known of the data.
-
-    Raises:
-        OutputError: If the file cannot be written.
     """
-    write_text_atomic(path, report_html(reconciled, title, origin))
-
-
-def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
-    """Return the report as HTML."""
     result = reconciled.result
     return page(
         title,
@@ -55,7 +45,7 @@ def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
             paragraph(_summary(result)),
             story(reconciled),
             *[_effect(effect, reconciled) for effect in result.effects],
-            _following(result),
+            paragraph(f"Next capture: {result.next_capture['description']}", "do") if result.next_capture else "",
             _repeats(result),
             section("Where the residual is", rest_map(reconciled.outcome.state)),
             heading("Figures"),
@@ -144,12 +134,6 @@ def _frames(result: ReconcileResult) -> str:
     return table(("frame", "exposure", "apart (k = 2)"), rows)
 
 
-def _following(result: ReconcileResult) -> str:
-    if not result.next_capture:
-        return ""
-    return paragraph(f"Next capture: {result.next_capture['description']}", "do")
-
-
 def _effect(effect: FoundEffect, reconciled: Reconciled) -> str:
     present = {one.name: one for one in reconciled.outcome.state.effects}
     entry = present.get(effect.name)
@@ -214,16 +198,13 @@ def _law(effect: FoundEffect) -> str:
         return ""
     (first, knots), *second = effect.curve.along.items()
     columns = second[0][1] if second else (None,)
-    shown = [_with_band(value, u) for value, u in zip(effect.curve.factor, effect.curve.u, strict=True)]
+    known = zip(effect.curve.factor, effect.curve.u, strict=True)
+    shown = [f"{value:.3g}" if u is None else with_u(value, 2.0 * u, "") for value, u in known]
     width = len(columns)
     rows = [(f"{at:.3g}", *shown[n * width : (n + 1) * width]) for n, at in enumerate(knots)]
     heads = ("factor",) if not second else tuple(f"{axis_label(second[0][0])[0]} {at:.3g}" for at in columns)
     sentence = "It follows another functional form: the factors below multiply the catalogue's equation, ± U (k = 2)."
     return paragraph(sentence) + table((axis_label(first)[0], *heads), rows)
-
-
-def _with_band(value: float, u: float | None) -> str:
-    return f"{value:.3g}" if u is None else with_u(value, 2.0 * u, "")
 
 
 def _rivals(effect: FoundEffect) -> str:
@@ -459,6 +440,7 @@ def _fitting(value: Array, dimensions: int) -> Array:
 
 def rest_map(state: FitState) -> str:
     """Return where on the picture the final model still disagrees: each patch by its residual over all captures."""
+    from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.patches import Rectangle
@@ -471,7 +453,7 @@ def rest_map(state: FitState) -> str:
     score = np.where(count > 0, residual.sum(axis=0) / np.sqrt(np.maximum(count, 1)), np.nan)
     height, width = design.shape
     reach = max(_CHANCE_SIGMAS, float(np.nanmax(np.abs(score), initial=0.0)))
-    norm, colours = TwoSlopeNorm(0.0, -reach, reach), _diverging()
+    norm, colours = TwoSlopeNorm(0.0, -reach, reach), colormaps["RdBu_r"]
 
     def draw(figure: Figure, narrow: bool) -> None:
         axes = figure.subplots()
@@ -494,12 +476,6 @@ def rest_map(state: FitState) -> str:
         f"{int(np.isfinite(score).sum())} are beyond."
     )
     return picture(draw, caption, (6.8, 0.6 + 5.2 * height / width), (4.0, 1.0 + 3.2 * height / width))
-
-
-def _diverging() -> Any:
-    from matplotlib import colormaps
-
-    return colormaps["RdBu_r"]
 
 
 def residual_panels(reconciled: Reconciled) -> str:
@@ -560,7 +536,7 @@ def _in_units(name: str, value: Array) -> Array:
         return np.asarray(2.0**value)
     if name == "signal":
         return np.asarray(np.maximum(10.0**value - 10.0, 1.0))
-    return np.asarray(10.0**value if name in AXES else value)
+    return np.asarray(10.0**value if axis_label(name)[1] else value)
 
 
 def _along(axes: Axes, covariate: str, what: str) -> None:
@@ -575,40 +551,28 @@ def _along(axes: Axes, covariate: str, what: str) -> None:
 # ---- words ----------------------------------------------------------------------------------------------------------
 
 
-# Covariates drawn on a logarithmic axis, and what stands at the others.
-AXES: Final = {
-    "exposure_s": "exposure in s",
-    "f_number": "f-number",
-    "signal": "signal in e⁻",
-    "patch_level": "radiance of the patch in W·sr⁻¹·m⁻²",
-    "previous_frame": "signal of the capture before in e⁻, plus 1",
-}
-_PLAIN: Final = {
-    "gain_db": "gain in dB",
-    "temperature_C": "sensor temperature in °C",
-    "timestamp_s": "time in s",
-    "source_level": "source level",
-    "image_x": "column in pixels",
-    "image_y": "row in pixels",
-    "field_radius": "distance from the middle of the picture (1 in the corner)",
-    "half_x": "left and right half of the picture",
-    "half_y": "upper and lower half of the picture",
-    "pattern": "displayed pattern",
-}
-_ALONG: Final = {
-    "exposure_s": "with the exposure time",
-    "f_number": "with the f-number",
-    "signal": "with the signal",
-    "patch_level": "with the brightness of the patch",
-    "previous_frame": "with the brightness of the capture before",
-    "gain_db": "with the gain",
-    "temperature_C": "with the sensor's temperature",
-    "timestamp_s": "in the course of time",
-    "source_level": "with the level of the source",
-    "image_x": "across the picture",
-    "image_y": "down the picture",
-    "screen_x": "across the screen",
-    "field_radius": "from the middle of the picture to its corners",
+# What stands at the axis of a covariate, whether that is logarithmic, and along what something changes.
+_COVARIATES: Final = {
+    "exposure_s": ("exposure in s", True, "with the exposure time"),
+    "f_number": ("f-number", True, "with the f-number"),
+    "signal": ("signal in e⁻", True, "with the signal"),
+    "patch_level": ("radiance of the patch in W·sr⁻¹·m⁻²", True, "with the brightness of the patch"),
+    "previous_frame": ("signal of the capture before in e⁻, plus 1", True, "with the brightness of the capture before"),
+    "gain_db": ("gain in dB", False, "with the gain"),
+    "temperature_C": ("sensor temperature in °C", False, "with the sensor's temperature"),
+    "timestamp_s": ("time in s", False, "in the course of time"),
+    "source_level": ("source level", False, "with the level of the source"),
+    "image_x": ("column in pixels", False, "across the picture"),
+    "image_y": ("row in pixels", False, "down the picture"),
+    "field_radius": (
+        "distance from the middle of the picture (1 in the corner)",
+        False,
+        "from the middle of the picture to its corners",
+    ),
+    "half_x": ("left and right half of the picture", False, "along half x"),
+    "half_y": ("upper and lower half of the picture", False, "along half y"),
+    "pattern": ("displayed pattern", False, "along pattern"),
+    "screen_x": ("screen_x", False, "across the screen"),
 }
 _SEEN: Final = {
     "mean": "how bright patches are",
@@ -631,12 +595,12 @@ _SEEN: Final = {
 
 def axis_label(covariate: str) -> tuple[str, bool]:
     """Return what stands at the axis of a covariate, and whether the axis is logarithmic."""
-    return AXES.get(covariate, _PLAIN.get(covariate, covariate)), covariate in AXES
+    return _COVARIATES.get(covariate, (covariate, False, ""))[:2]
 
 
 def along(covariate: str) -> str:
     """Return in words along what something changes."""
-    return _ALONG.get(covariate, f"along {covariate.replace('_', ' ')}")
+    return _COVARIATES[covariate][2] if covariate in _COVARIATES else f"along {covariate.replace('_', ' ')}"
 
 
 def seen_in(block: str) -> str:

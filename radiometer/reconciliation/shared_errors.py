@@ -108,7 +108,7 @@ def shared_errors(
     usable: Mapping[str, Mask],
     sensitivity: Array,
     repeatability: Repeatability,
-    noise_response: Mapping[str, Array] | None = None,
+    noise_response: Mapping[str, Array],
 ) -> tuple[SharedError, ...]:
     """Return the sources that the weights of means, slopes and variances hold.
 
@@ -130,7 +130,7 @@ def shared_errors(
     if repeatability.flicker2.any():  # brighter frames have more photon noise, in all tiles alike
         found += [
             SharedError(f"noise of its frames: {name}", {name: Part(np.where(usable[name], by, 0.0), one)}, shaken2)
-            for name, by in (noise_response or {}).items()
+            for name, by in noise_response.items()
         ]
     if repeatability.row_variance.any():
         found += _row_noise(design, base, usable, repeatability.row_variance)
@@ -642,20 +642,29 @@ def renewed_patterns(design: Design, seen: CaptureStatistics, prediction: Predic
     }
 
 
-def errors_of_counts(prediction: Prediction, usable: Mapping[str, Mask]) -> tuple[FixedError, ...]:
-    """Return the chance number of the pixels that count, which are the same in all captures.
+def errors_of_few_pixels(
+    design: Design, seen: CaptureStatistics, prediction: Prediction, usable: Mapping[str, Mask]
+) -> tuple[FixedError, ...]:
+    """Return what few pixels that are the same in all captures leave to chance: their numbers, and a tile's noise.
 
-    Two captures share the pixels of that in which fewer count: numbers n and m have the covariance min(n, m).
+    Two captures share the pixels of that in which fewer count: numbers n and m have the covariance min(n, m). On the
+    scale of twice the root, where a count has the variance 1, that is √(min(n, m)/max(n, m)).
     """
     found = []
+    if prediction.uneven_noise.any():
+        of_tile, one = prediction.uneven_noise / np.sqrt(np.maximum(seen.pixels, 1.0)), np.eye(len(design.tiles))
+        left = {"variance": of_tile, "spatial": of_tile / design.frame_count[:, None]}
+        noise = {n: Part(np.where(usable[n], by / getattr(prediction, n), 0.0), one) for n, by in left.items()}
+        found.append(FixedError("noise of few pixels", _whatever(noise), np.ones(len(one))))
     for name in ("outliers", "unsteady"):
         count = np.where(usable[name], getattr(prediction, name), 0.0)
-        scale = np.sqrt(count + ANSCOMBE)  # of what twice the root moves by
-        values, vectors = np.linalg.eigh(np.minimum.outer(count, count) / np.outer(scale, scale))
+        if not count.any():
+            continue
+        root = np.sqrt(count + ANSCOMBE)
+        values, vectors = np.linalg.eigh(np.minimum.outer(root, root) / np.maximum.outer(root, root))
         kept = values > _SMALL_SHARE
-        if kept.any():
-            part = {name: _of_captures(vectors[:, kept] * np.sqrt(values[kept]))}
-            found.append(FixedError(f"number: {name}", _whatever(part), np.ones(kept.sum())))
+        part = {name: _of_captures(vectors[:, kept] * np.sqrt(values[kept]))}
+        found.append(FixedError(f"number: {name}", _whatever(part), np.ones(kept.sum())))
     return tuple(found)
 
 

@@ -58,6 +58,7 @@ class Prediction:
     beyond_x: Array  # (captures, tiles) sum of the correlations in a row from the second neighbour on, to one side
     beyond_y: Array  # the same in a column
     beyond_rows: Array  # the same with all pixels of the rows below, but for the vertical neighbour
+    uneven_noise: Array  # (captures, tiles) standard deviation from pixel to pixel of their temporal variance in DN²
 
     @cached_property
     def waves(self) -> bool:

@@ -69,20 +69,16 @@ PARAMETER_NATS: Final = _row(
     "PARAMETER_NATS",
     3.0,
     "nats",
-    "freedom that is no knowledge: each parameter pays it beyond what held-out settings say",
-)
-FLEXIBLE_NATS: Final = _row(
-    "FLEXIBLE_NATS", 5.0, "nats", "a flexible form that takes a name from a rigid entry of another", _acted(6)
+    "freedom that is no knowledge: each parameter pays it beyond what held-out settings say; names that bring less "
+    "next to later ones",
 )
 NAMED_NATS: Final = _row(
     "NAMED_NATS",
     8.0,
     "nats",
-    "a name, another law or another name in its place by chance: odds of 3000; also what a curve may predict better by",
+    "a name, another law or another name in its place by chance: odds of 3000, and ln(starts) more, as one of many "
+    "starts fits by chance; also what a curve may predict better by",
     _ODDS,
-)
-FEW_TRIES: Final = _row(
-    "FEW_TRIES", 2.0, "1", "one of many starts that fits by chance: ln(starts / 2) nats more", _acted(2)
 )
 SHOWN_CHI2: Final = _row(
     "SHOWN_CHI2",
@@ -90,9 +86,6 @@ SHOWN_CHI2: Final = _row(
     "χ²",
     "a name that its own statistic does not support, only others that it happens to improve",
     _acted(20),
-)
-OWN_LAW_NATS: Final = _row(
-    "OWN_LAW_NATS", 2.0, "nats", "a rigid law that stays though its own tests speak against it already"
 )
 SMOOTH_SHARE: Final = _row(
     "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate", _acted(16)
@@ -105,9 +98,13 @@ LAW_SHARE: Final = _row(
 )
 
 # ---- the search -----------------------------------------------------------------------------------------------------
-KEPT_NATS: Final = _row("KEPT_NATS", 4.0, "nats", "names that a later one made superfluous")
 RIVAL_NATS: Final = _row(
-    "RIVAL_NATS", 5.0, "nats", "one name reported where another is as good: rivals within odds of 150", _ODDS
+    "RIVAL_NATS",
+    5.0,
+    "nats",
+    "one name reported where another is as good: rivals within odds of 150; a flexible form that takes a name from a "
+    "rigid entry of another without leading by as much",
+    _acted(6),
 )
 HUGE_NATS: Final = _row(
     "HUGE_NATS",

@@ -407,7 +407,10 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
             f"{path}: no column is known as the {lacking}; it has {', '.join(table.header)}. Name it: "
             f"--map {lacking}=COLUMN"
         )
-    plain = not table.header or heading_parts(table.header[light_at], "luminance")[0] in _PLAIN_LUMINANCE
+    name, unit = heading_parts(table.header[light_at], "luminance")[:2] if table.header else ("", None)
+    plain = not table.header or name in _PLAIN_LUMINANCE
+    if table.header and plain and unit is None and "luminance" not in mapped.places:
+        doubts.append(f"{table.header[light_at]!r} has no unit: read in cd·m⁻²; --map luminance=COLUMN:UNIT states it")
     luminance = finite(table.values(light_at, "luminance", doubts, mapped, "cd/m2" if plain else ""), table, light_at)
     drives = [_drives(table, at, doubts, mapped) for at in (channels or (level_at,) * 3)]
     groups: dict[str, dict[int, list[float]]] = {name: {} for name in _AXES}

@@ -104,10 +104,10 @@ def fit_transfer(name: str, level: ArrayLike, value: ArrayLike, u: ArrayLike) ->
     found = least_squares(residuals, start, bounds=(low, high), x_scale=np.maximum(np.abs(start), 0.01), max_nfev=2000)
     if not found.success:
         raise ValueError(f"{name}: the fit did not converge ({found.message})")
-    slopes = np.asarray(found.jac, dtype=np.float64)
     missed = 2.0 * found.cost / max(v.size - start.size, 1)  # χ² per degree of freedom (Birge 1932)
+    jacobian = np.asarray(found.jac, dtype=np.float64)
     try:
-        u_gamma = math.sqrt(max(missed, 1.0) * abs(float(np.linalg.inv(slopes.T @ slopes)[-1, -1])))
+        u_gamma = math.sqrt(max(missed, 1.0) * abs(float(np.linalg.inv(jacobian.T @ jacobian)[-1, -1])))
     except np.linalg.LinAlgError:
         u_gamma = math.inf
     return _judged(model, found.x, v, y, u_gamma)

@@ -75,7 +75,8 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
         def of_pixels(values: Any) -> Any:
             return (shares * values).sum(axis=(-2, -1))[..., None]
 
-        noise = of_pixels(kept * calm * squares / np.maximum(frames - 1.0, 1.0))
+        of_pixel = calm * squares / np.maximum(frames - 1.0, 1.0)
+        noise = of_pixels(kept * of_pixel)
         fixed = of_pixels(kept * np.square(moved)) - noise / frames[..., 0]
         unsteady = share_unsteady(frames, white / (white + noise[..., None]), jumps)
         pixels = np.sum(getattr(context, "tile_pixels", 1.0))
@@ -84,6 +85,7 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
             spatial_variance=before.spatial_variance + fixed,
             outliers=before.outliers + pixels * of_pixels(stands),
             unsteady=before.unsteady + pixels * of_pixels(unsteady),
+            uneven_noise=np.hypot(before.uneven_noise, np.sqrt(of_pixels(kept * np.square(of_pixel)))),
         )
 
 

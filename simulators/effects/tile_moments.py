@@ -69,6 +69,7 @@ class TileMoments(Moments):
     squared: ClassVar[tuple[str, ...]] = (
         *Moments.squared, "row_variance", "band_variance", "fixed_column_variance", "fixed_row_variance",
         "neighbour_x", "neighbour_y", "limit_variance", "renewed_variance", "beyond_x", "beyond_y", "beyond_rows",
+        "uneven_noise",
     )  # fmt: skip
     linear: ClassVar[tuple[str, ...]] = ("first_excess",)
     figures: ClassVar[tuple[str, ...]] = ("comb_step", "comb_kept", "band_frequency")
@@ -92,6 +93,8 @@ class TileMoments(Moments):
     beyond_x: Signal | float = 0.0
     beyond_y: Signal | float = 0.0  # the same of a column
     beyond_rows: Signal | float = 0.0  # the same with all pixels of the rows below, but for the vertical neighbour
+    # Standard deviation from pixel to pixel of the temporal variance, which stays from frame to frame
+    uneven_noise: Signal | float = 0.0
     comb_kept: float = 1.0  # how many codes of each spacing occur
 
     @property

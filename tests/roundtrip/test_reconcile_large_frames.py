@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.reconciliation import reconcile
 from testing.generator.rig import Rig
 from testing.generator.session import make_session
+from testing.reconciled import reconcile
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

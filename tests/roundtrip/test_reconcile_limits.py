@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.reconcile_limits import FIRST_SEED, answer_at, is_named
-from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.result import Limit
 from testing.generator.session import make_session
+from testing.reconciled import reconcile
 
 pytestmark = pytest.mark.slow
 

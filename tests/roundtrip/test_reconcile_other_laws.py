@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.reconciliation import ReconcileResult, reconcile
+from radiometer.reconciliation import ReconcileResult
 from testing.generator.other_laws import OTHER_LAWS, session_of
+from testing.reconciled import reconcile
 
 pytestmark = pytest.mark.slow
 STRAY = {"veiling_glare", "ambient_light_leak", "display_black_leak"}

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from radiometer.data import TapDescription
-from radiometer.reconciliation import ReconcileResult, reconcile
+from radiometer.reconciliation import ReconcileResult
 from testing.generator.rig import Rig
 from testing.generator.session import Session, make_session, session_of_taps
+from testing.reconciled import reconcile
 
 RIG = Rig()
 

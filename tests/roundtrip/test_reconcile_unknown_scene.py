@@ -6,9 +6,9 @@ import warnings
 
 import pytest
 
-from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.result import ReconcileResult
 from testing.generator.session import make_session
+from testing.reconciled import reconcile
 
 pytestmark = pytest.mark.slow
 

@@ -13,11 +13,16 @@ from enum import StrEnum
 from typing import Final, Protocol
 
 from radiometer.data import Calibration, CameraDescription, Frame, LensDescription
+from radiometer.data.capture_header import AUTOMATIC
 from radiometer.data.serials import same_serial
 from radiometer.errors import CalibrationError, RadiometerError, UsageError
 
 # A zoom's rings, the tags of EXIF, drivers and data sheets round lengths and gains to this.
 _SAME_REL: Final = 0.01
+_AUTOMATIC_BALANCE: Final = (
+    "the camera weighed the colours of all photographs alike, though its white balance is automatic: at the camera, "
+    "set it by hand"
+)
 # Colours that photographs are read in; numbers of a grey frame are of no colour.
 _COLOURS: Final = frozenset({"red", "green", "blue", "luminance"})
 
@@ -117,6 +122,7 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     "filter": _of_settings("filter"),
     "band": _of_settings("band"),
     "binning": _of_settings("binning"),
+    "white_balance": _of_settings("white balance"),
     # A gain in dB or an ISO speed is left out of it. Noise alone rests on it where one side states it.
     "conversion gain": _of_settings("conversion gain", " e⁻/DN")
     | dict.fromkeys((State.READING_SILENT, State.CALIBRATION_SILENT), _AS_CALIBRATED),
@@ -282,7 +288,8 @@ def require_camera(calibration: OfCamera, camera: CameraDescription) -> tuple[st
     gains = mine.conversion_gain_e_per_dn, camera.conversion_gain_e_per_dn
     settle("conversion gain", *gains, equal=_is_near(*gains))
     settings = (_assumed(name, getattr(mine, name), getattr(camera, name)) for name in CameraDescription.SETTINGS)
-    return tuple(filter(None, settings))
+    weighed = _AUTOMATIC_BALANCE if camera.white_balance == AUTOMATIC else None
+    return tuple(filter(None, (*settings, weighed)))
 
 
 def require_lens(calibration: OfCamera, lens: LensDescription) -> None:

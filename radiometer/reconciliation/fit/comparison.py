@@ -45,7 +45,6 @@ from radiometer.reconciliation.statistics import (
     Scatter,
     family_of,
     named,
-    usable_entries,
 )
 from radiometer.statistics.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.typing import Array, Mask
@@ -253,11 +252,7 @@ class Comparison:
 
     def common_deviance(self, prediction: Prediction) -> float:
         """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
-        return float(np.sum(self.common_deviances(prediction)))
-
-    def common_deviances(self, prediction: Prediction) -> Array:
-        """Return what each capture adds to it, (captures,)."""
-        return self.deviances_of_flicker(self.flicker_of(prediction), prediction.row_variance)
+        return float(np.sum(self.deviances_of_flicker(self.flicker_of(prediction), prediction.row_variance)))
 
     def deviances_of_flicker(self, flicker2: Array, row_variance: Array) -> Array:
         """Return the same for a relative variance of the light, (…, captures), with row noise in DN², (captures,)."""
@@ -323,10 +318,10 @@ def compare(
     base: Prediction,
     sensitivity: Array,
     repeatability: Repeatability,
-    variance_response: Array | None = None,
-    floors: Mapping[str, Array] | None = None,
-    usable: Mapping[str, Mask] | None = None,
-    darkness: Darkness | None = None,
+    variance_response: Array,
+    floors: Mapping[str, Array],
+    usable: Mapping[str, Mask],
+    darkness: Darkness | None,
 ) -> Comparison:
     """Return the measured statistics with weights.
 
@@ -336,15 +331,13 @@ def compare(
         repeatability: Capture-to-capture and frame-to-frame scatter.
         variance_response: (captures, tiles) d(ln variance)/d(log light); large where a well fills up.
         floors: Standard uncertainty of the accepted effects' own form, by block.
-        usable: Entries that count; found anew from `base` where missing.
+        usable: Entries that count, by block.
         darkness: How far darkness differs from frame to frame; None where it does not.
     """
-    mask = dict(usable or usable_entries(design, seen, base))
+    mask = dict(usable)
     if repeatability.row_variance.any():
         seen = with_heavy_rows(design, seen, base)
-    deviation = _deviations(
-        Scatter(design, seen, base, mask["variance"]), repeatability, variance_response, floors or {}
-    )
+    deviation = _deviations(Scatter(design, seen, base, mask["variance"]), repeatability, variance_response, floors)
     of_rows = common_of_rows(design, seen, np.where(mask["mean"], sensitivity, 0.0))
     common = repeatability.flicker2 + _common_bands(design, seen, base)
     bands = (repeatability.bands2, repeatability.band_frequency)
@@ -353,9 +346,7 @@ def compare(
     )
     plain = replace(plain, wander2=_steady_wander2(plain, base))
     repeatability = replace(repeatability, flicker2=repeatability.flicker2 + plain.wander2)
-    follow = (name for name, row in STATISTICS.items() if row.follows_light)
-    noise_response = {} if variance_response is None else dict.fromkeys(follow, variance_response)
-    errors = shared_errors(design, base, mask, sensitivity, repeatability, noise_response)
+    errors = shared_errors(design, base, mask, sensitivity, repeatability, _of_noise(variance_response))
     if repeatability.bands2.any():
         share, frequency = plain.share_of_bands, plain.band_frequency
         errors = (*errors, phases_of_wave(design, seen.bands_basis, mask["bands"], share, frequency))
@@ -365,19 +356,20 @@ def compare(
 
 
 def _deviations(
-    scatter: Scatter, repeatability: Repeatability, variance_response: Array | None, floors: Mapping[str, Array]
+    scatter: Scatter, repeatability: Repeatability, variance_response: Array, floors: Mapping[str, Array]
 ) -> dict[str, Array]:
     """Return the standard uncertainty of each entry by itself, by statistic."""
     found = {name: row.sigma(scatter) for name, row in STATISTICS.items()}
     given = (scatter.design, scatter.seen, scatter.base)
-    more = [unsteady_phases(*given), renewed_patterns(*given), floors]
-    if variance_response is not None:
-        light_u_rel = max(repeatability.tau, _LIGHT_U_REL)
-        follow = (name for name, row in STATISTICS.items() if row.follows_light)
-        more.insert(2, dict.fromkeys(follow, light_u_rel * variance_response))
-    for further in more:
+    by_light = _of_noise(max(repeatability.tau, _LIGHT_U_REL) * variance_response)
+    for further in (unsteady_phases(*given), renewed_patterns(*given), by_light, floors):
         found |= {name: np.hypot(found[name], values) for name, values in further.items()}
     return found
+
+
+def _of_noise(response: Array) -> dict[str, Array]:
+    """Return a response to the light for each statistic of a tile's noise."""
+    return {name: response for name, row in STATISTICS.items() if row.follows_light}
 
 
 def _common_bands(design: Design, seen: CaptureStatistics, prediction: Prediction) -> Array:

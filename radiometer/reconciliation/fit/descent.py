@@ -19,7 +19,6 @@ from scipy.linalg import solve_triangular
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
-from radiometer.reconciliation.fit.linear import descended
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, rough_log_responsivity
 from radiometer.reconciliation.fit.state import FitState, reweighted, value_of, weighted, with_effects
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
@@ -105,15 +104,7 @@ def refit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = 
 
     With `early_stop` it ends once it creeps. A name's fit goes on: that it leads to the end of a range is a finding.
     """
-    fixed, pace = _fixed(state), _Pace()
-
-    def trials(at: FitState) -> Iterator[FitState]:
-        if early_stop and pace.creeps(at):
-            return
-        for trial in _trials(at):
-            yield _held_at_bounds(_glided(at, trial, at.cost - trial.cost)[0], fixed) if trial.cost < at.cost else trial
-
-    return descended(_held_at_bounds(state, fixed), trials, lambda at: _CONVERGED * at.misfit, iterations)
+    return _held_at_bounds(coarse_fit(state, iterations, early_stop=early_stop), _fixed(state))
 
 
 class _Pace:
@@ -134,14 +125,13 @@ class _Pace:
         return self._slow >= _PATIENCE
 
 
-def coarse_fit(state: FitState, *, early_stop: bool = False) -> FitState:
-    """Return the state near the least χ², for weights that will be brought up to date there.
+def coarse_fit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = False) -> FitState:
+    """Return the same, for weights that will be brought up to date there: parameters at bounds are not held yet.
 
-    As `refit`, but the end is where derivatives of one point lead, if they hold all the way: none are taken there to
-    confirm it. Parameters at bounds are not held yet.
+    The end is where derivatives of one point lead, if they hold all the way: none are taken there to confirm it.
     """
     fixed, pace = _fixed(state), _Pace()
-    for _ in range(_ITERATIONS):
+    for _ in range(iterations):
         state = _held_at_bounds(state, fixed)
         if early_stop and pace.creeps(state):
             break
@@ -154,22 +144,26 @@ def coarse_fit(state: FitState, *, early_stop: bool = False) -> FitState:
     return state
 
 
-def converged_fit(state: FitState, *, early_stop: bool = False) -> FitState:
-    """Return the state refitted under its own weights, until these no longer move the parameters.
+def converged_fit(state: FitState) -> FitState:
+    """Return the state refitted under its own weights, until these no longer move the parameters; it is recorded.
 
-    `early_stop` is that of `refit`. Of what does not settle the weights that speak less for it count.
+    Of what does not settle the weights that speak less for it count.
     """
+    return _converged(state).recorded()
+
+
+def _converged(state: FitState, *, early_stop: bool = False) -> FitState:
     for _ in range(_REWEIGHTINGS):
         before, state = state.parameters.values, coarse_fit(reweighted(state), early_stop=early_stop)
         after = state.parameters.values
         if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
             continue
         if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
-            return _held_at_bounds(state).recorded()
+            return _held_at_bounds(state)
     last = refit(state, early_stop=early_stop)
     # Beside realisations that its former size allowed a pattern may have been fitted to nothing.
     own = refit(reweighted(last), early_stop=early_stop)
-    return min(last, own, key=lambda found: found.evidence).recorded()
+    return min(last, own, key=lambda found: found.evidence)
 
 
 def refit_with(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:
@@ -323,12 +317,12 @@ def included(
         near = coarse_fit(_profiled_anew(following), early_stop=early_stop)
         if near.cost > most:
             raise UnfitError(effect.name)
-        fitted = converged_fit(near, early_stop=early_stop)
+        fitted = _converged(near, early_stop=early_stop)
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
-    if _is_nothing(fitted, effect.name):
+    if _is_nothing(fitted, effect.name):  # it is no model of its own: none of the posterior's
         raise UnfitError(effect.name)
-    return fitted
+    return fitted.recorded()
 
 
 def _is_nothing(state: FitState, name: str) -> bool:

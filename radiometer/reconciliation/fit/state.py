@@ -21,7 +21,7 @@ from radiometer.reconciliation.shared_errors import (
     darkness_of,
     error_of_borders,
     error_of_histograms,
-    errors_of_counts,
+    errors_of_few_pixels,
     fixed_errors,
     form_floors,
     light_response,
@@ -472,7 +472,7 @@ def reweighted(state: FitState) -> FitState:
     model, known = state.model, (state.design, state.seen, state.prediction)
     errors = (
         *fixed_errors((*model.given, *model.effects), state.prediction, state.seen, state.design, model.context),
-        *errors_of_counts(state.prediction, state.comparison.usable),
+        *errors_of_few_pixels(state.design, state.seen, state.prediction, state.comparison.usable),
         *error_of_borders(state.comparison.usable["edge"]),
         *error_of_histograms(honest_comb(*known), state.comparison.usable["comb"]),
     )

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from radiometer.data import CameraDescription, CaptureSet, Frame
 from radiometer.data.capture_set import CaptureHeader
 from radiometer.data.provenance import utc_now
+from radiometer.data.storage import write_text_atomic
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.importing.drive_table import is_drive_table
@@ -21,8 +22,13 @@ from radiometer.reconciliation.engine import Say, examine, whole_catalogue
 from radiometer.reconciliation.fit.descent import effect_covariance, fitted_parameters
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.full_well import limit_at
-from radiometer.reconciliation.inputs.photographs import reconcile_photographs
-from radiometer.reconciliation.inputs.tables import reconcile_drive_table, reconcile_meter_table
+from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, reconcile_photographs
+from radiometer.reconciliation.inputs.tables import (
+    DriveFit,
+    MeterReconciled,
+    reconcile_drive_table,
+    reconcile_meter_table,
+)
 from radiometer.reconciliation.measure.reduce import Progress
 from radiometer.reconciliation.propose import Proposal
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
@@ -33,27 +39,6 @@ from simulators.chain.undeclared import completed
 from simulators.effects.base import Stage
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import EffectEntry
-
-
-class Done(Protocol):
-    """A result that can write its files."""
-
-    @property
-    def result(self) -> ReconcileResult:
-        """Return the result."""
-        ...
-
-    def write_model(self, path: Path, *, provisional: bool = False) -> str:
-        """Write the new model and return its name."""
-        ...
-
-    def write_report(self, path: Path) -> str:
-        """Write the HTML report and return its name."""
-        ...
-
-    def write_plan(self, path: Path) -> bool:
-        """Write the next capture as a plan for `radiometer bracket`, and return whether there is one."""
-        ...
 
 
 class DoneCapture:
@@ -97,9 +82,9 @@ class DoneCapture:
 
     def write_report(self, path: Path) -> str:
         """Write the HTML report."""
-        from radiometer.reconciliation.report_page import write_report
+        from radiometer.reconciliation.report_page import report_html
 
-        write_report(path, self._reconciled, self._source.name, self._origin())
+        write_text_atomic(path, report_html(self._reconciled, self._source.name, self._origin()))
         return str(path)
 
     def _origin(self) -> Origin:
@@ -112,6 +97,9 @@ class DoneCapture:
         from radiometer.reconciliation.next_capture import write_plan
 
         return write_plan(path, self._reconciled.result, self._reconciled.outcome.state.design)
+
+
+Done = DoneCapture | PhotographsReconciled | MeterReconciled | DriveFit
 
 
 def reconcile_source(

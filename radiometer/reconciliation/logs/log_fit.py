@@ -35,7 +35,6 @@ from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, Row
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
-    FLEXIBLE_NATS,
     MOST_STEPS,
     NAMED_NATS,
     PARAMETER_NATS,
@@ -63,7 +62,7 @@ _LEAST_CORRELATION: Final = 0.5  # of a column as predicted and as measured: the
 _DEGREE: Final = 3  # of a trend without a name: a bend that changes its sign once
 
 
-Act = Callable[[LogTable, "_Light", Array], None]
+Adds = Callable[[LogTable, Array], Array | float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +75,8 @@ class LogTerm:
     units: tuple[str, ...]  # their units
     # Size of each that makes a difference of about 1 % somewhere; also the step of differences
     scales: tuple[float, ...]
-    act: Act  # changes the parts of the predicted light by its parameters
+    part: str  # part of the predicted value that it adds to: one of `_PARTS`
+    adds: Adds  # gives what its parameters add to that part
     flexible: bool = False  # whether it is the flexible form of another one of the same name
     start: tuple[float, ...] = ()  # where their fit begins; zeros by default
 
@@ -91,17 +91,9 @@ class LogTerm:
         return len(self.parameters)
 
 
-@dataclass(slots=True)
-class _Light:
-    """The parts of a predicted value that terms change, per reading."""
-
-    radiance: Array  # L, in the reference's unit
-    leak: float  # L₀, in the same unit
-    exposure_s: Array
-    log_factor: Array  # ln of what multiplies the light
-    dark: Array  # D·t·G in DN over R·… (added to s, not multiplied by R)
-    offset_dn: Array
-    curvature: float = 0.0  # per DN
+# Leak in the reference's unit; exposure in s; ln of a factor on the light; dark signal in DN before the gain; offset in
+# DN; curvature per DN.
+_PARTS: Final = ("leak", "exposure_s", "log_factor", "dark", "offset_dn", "curvature")
 
 
 def amplitude(log: LogTable) -> float:
@@ -120,23 +112,22 @@ def predicted_log(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *,
     Returns:
         (readings,) ln of the values; NaN where the parameters leave no light or no value to take a logarithm of.
     """
-    size = log.size
-    light = _Light(log.reference, 0.0, log.exposure_s.copy(), np.zeros(size), np.zeros(size), np.zeros(size))
+    parts: dict[str, Any] = dict.fromkeys(_PARTS, 0.0) | {"exposure_s": log.exposure_s}
     at = 1
     for term in terms:
-        term.act(log, light, parameters[at : at + term.size])
+        parts[term.part] = parts[term.part] + term.adds(log, parameters[at : at + term.size])
         at += term.size
+    leak, exposure_s, log_factor, dark, offset_dn, curvature = parts.values()
     gain = 10.0 ** (log.gain_db / 20.0)
-    level = np.clip(parameters[0] + light.log_factor, -_LARGEST_LOG, _LARGEST_LOG)
-    per_radiance = np.exp(level) * light.exposure_s * gain
+    per_radiance = np.exp(np.clip(parameters[0] + log_factor, -_LARGEST_LOG, _LARGEST_LOG)) * exposure_s * gain
     if measured:
-        straight = log.value - light.offset_dn
-        straight = straight / _positive(1.0 + light.curvature * straight)
-        rest = _positive(straight - per_radiance * light.leak)
-        signal = per_radiance * light.radiance + light.dark * gain
+        straight = log.value - offset_dn
+        straight = straight / _positive(1.0 + curvature * straight)
+        rest = _positive(straight - per_radiance * leak)
+        signal = per_radiance * log.reference + dark * gain
         return np.asarray(np.log(_positive(signal)) + np.log(log.value) - np.log(rest))
-    signal = per_radiance * (light.radiance + light.leak) + light.dark * gain
-    bent = _positive(signal) * (1.0 + light.curvature * signal) + light.offset_dn
+    signal = per_radiance * (log.reference + leak) + dark * gain
+    bent = _positive(signal) * (1.0 + curvature * signal) + offset_dn
     return np.asarray(np.log(_positive(bent)))
 
 
@@ -159,45 +150,55 @@ def jacobian(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *, meas
 
 def catalogue(log: LogTable) -> tuple[LogTerm, ...]:
     """Return the terms that these columns can show; one whose column is missing or does not vary is left out."""
-    value, unit = amplitude(log), (log.units or {}).get("reference", "1")
-    light, exposure = float(np.median(log.reference)), float(np.min(log.exposure_s))
-    gain = float(np.median(10.0 ** (log.gain_db / 20.0)))
+    value, units = amplitude(log), log.units or {}
+    light, exposure, unit = float(np.median(log.reference)), float(np.min(log.exposure_s)), units.get("reference", "1")
     found = [
-        LogTerm("black_level_offset", SIGNAL, ("offset_dn",), ("DN",), (0.01 * value,), _black),
-        LogTerm("ambient_light_leak", "reference", ("constant",), (unit,), (0.01 * light,), _ambient),
-        LogTerm("response_nonlinearity", SIGNAL, ("a2",), ("1",), (0.01,), _curvature(value)),
+        _term("black_level_offset", SIGNAL, "offset_dn", "DN", 0.01 * value, "offset_dn", lambda log, own: own[0]),
+        _term("ambient_light_leak", "reference", "constant", unit, 0.01 * light, "leak", lambda log, own: own[0]),
+        _term("response_nonlinearity", SIGNAL, "a2", "1", 0.01, "curvature", lambda log, own: own[0] / value),
     ]
     if _varies(np.log(log.exposure_s)):
-        found.append(LogTerm("exposure_time_offset", "exposure", ("offset_s",), ("s",), (0.01 * exposure,), _exposure))
+        scale = 0.01 * exposure
+        found.append(
+            _term("exposure_time_offset", "exposure", "offset_s", "s", scale, "exposure_s", lambda log, own: own[0])
+        )
     if _varies(log.gain_db):
         found += _gain_terms(log)
-    if log.temperature_c is not None and _varies(log.temperature_c):
-        mean_c = float(np.mean(log.temperature_c))
-        found.append(
-            LogTerm(
-                "quantum_efficiency_temperature", "temperature", ("per_K",), ("K-1",), (0.001,), _temperature(mean_c)
-            )
-        )
-        dark = 0.01 * value / float(np.median(log.exposure_s)) / gain
-        names, units = ("dark_at_25C_dn_per_s", "doubling_K"), ("DN s-1", "K")
-        found.append(
-            LogTerm("dark_current", "temperature", names, units, (dark, 0.02), _dark, False, (dark, DOUBLING_K))
-        )
-    if log.colour is not None and _varies(log.colour):
-        per = (log.units or {}).get("colour", "1")
-        spread = 0.01 / float(np.std(log.colour))
-        unit_of = "1" if per == "1" else f"{per}-1"
-        found.append(
-            LogTerm(
-                "spectral_mismatch",
-                "colour",
-                ("per_colour",),
-                (unit_of,),
-                (spread,),
-                _colour(float(np.mean(log.colour))),
-            )
-        )
+    if (warm := log.temperature_c) is not None and _varies(warm):
+        found += _temperature_terms(log, warm)
+    if (colour := log.colour) is not None and _varies(colour):
+        per, mean = units.get("colour", "1"), float(np.mean(colour))
+        unit, scale = "1" if per == "1" else f"{per}-1", 0.01 / float(np.std(colour))
+
+        def of_colour(log: LogTable, own: Array) -> Array:
+            return np.asarray(own[0] * (np.asarray(log.colour) - mean))
+
+        found.append(_term("spectral_mismatch", "colour", "per_colour", unit, scale, "log_factor", of_colour))
     return tuple(found)
+
+
+def _term(name: str, where: str, parameter: str, unit: str, scale: float, part: str, adds: Adds) -> LogTerm:
+    """Return a term of one parameter."""
+    return LogTerm(name, where, (parameter,), (unit,), (scale,), part, adds)
+
+
+def _temperature_terms(log: LogTable, warm_c: Array) -> list[LogTerm]:
+    mean_c, gain = float(np.mean(warm_c)), float(np.median(10.0 ** (log.gain_db / 20.0)))
+    dark = 0.01 * amplitude(log) / float(np.median(log.exposure_s)) / gain
+
+    def of_dark(log: LogTable, own: Array) -> Array:
+        doubling = min(max(float(own[1]), _LEAST_DOUBLING_K), _MOST_DOUBLING_K)
+        warm = 2.0 ** ((np.asarray(log.temperature_c) - _DARK_AT_C) / doubling)
+        return np.asarray(own[0] * log.exposure_s * warm)
+
+    def of_efficiency(log: LogTable, own: Array) -> Array:
+        return np.asarray(own[0] * (np.asarray(log.temperature_c) - mean_c))
+
+    names, units, where = ("dark_at_25C_dn_per_s", "doubling_K"), ("DN s-1", "K"), "temperature"
+    return [
+        _term("quantum_efficiency_temperature", where, "per_K", "K-1", 0.001, "log_factor", of_efficiency),
+        LogTerm("dark_current", where, names, units, (dark, 0.02), "dark", of_dark, start=(dark, DOUBLING_K)),
+    ]
 
 
 def _varies(values: Array) -> bool:
@@ -205,14 +206,26 @@ def _varies(values: Array) -> bool:
 
 
 def _gain_terms(log: LogTable) -> list[LogTerm]:
-    levels = gain_levels(log)
-    terms = [LogTerm("gain_step_error", "gain", ("per_dB",), ("dB-1",), (0.001,), _gain_law(levels[0]))]
-    if 2 < len(levels) <= _MOST_GAINS:
-        names = tuple(f"at_{level:.1f}dB" for level in levels[1:])
-        ones = tuple("1" for _ in names)
-        terms.append(
-            LogTerm("gain_step_error", "gain", names, ones, (0.01,) * len(names), _gain_table(levels), flexible=True)
+    most, *others = gain_levels(log)
+    terms = [
+        _term(
+            "gain_step_error",
+            "gain",
+            "per_dB",
+            "dB-1",
+            0.001,
+            "log_factor",
+            lambda log, own: own[0] * (log.gain_db - most),
         )
+    ]
+    if 2 < 1 + len(others) <= _MOST_GAINS:
+        names, ones = tuple(f"at_{level:.1f}dB" for level in others), ("1",) * len(others)
+
+        def of_table(log: LogTable, own: Array) -> Array:
+            return np.asarray((np.abs(log.gain_db[:, None] - np.array(others)) <= _NEAR_DB).astype(np.float64) @ own)
+
+        scales = (0.01,) * len(others)
+        terms.append(LogTerm("gain_step_error", "gain", names, ones, scales, "log_factor", of_table, flexible=True))
     return terms
 
 
@@ -222,63 +235,6 @@ def gain_levels(log: LogTable) -> list[float]:
     levels, counts = np.unique(rounded, return_counts=True)
     most = float(levels[np.argmax(counts)])
     return [most, *(float(level) for level in levels if level != most)]
-
-
-def _black(log: LogTable, light: _Light, own: Array) -> None:
-    light.offset_dn = light.offset_dn + own[0]
-
-
-def _ambient(log: LogTable, light: _Light, own: Array) -> None:
-    light.leak += float(own[0])
-
-
-def _curvature(typical_dn: float) -> Act:
-    def act(log: LogTable, light: _Light, own: Array) -> None:
-        light.curvature = light.curvature + float(own[0]) / typical_dn
-
-    return act
-
-
-def _exposure(log: LogTable, light: _Light, own: Array) -> None:
-    light.exposure_s = light.exposure_s + own[0]
-
-
-def _gain_law(most_db: float) -> Act:
-    def act(log: LogTable, light: _Light, own: Array) -> None:
-        light.log_factor = light.log_factor + own[0] * (log.gain_db - most_db)
-
-    return act
-
-
-def _gain_table(levels: Sequence[float]) -> Act:
-    def act(log: LogTable, light: _Light, own: Array) -> None:
-        for level, step in zip(levels[1:], own, strict=True):
-            light.log_factor = light.log_factor + step * (np.abs(log.gain_db - level) <= _NEAR_DB)
-
-    return act
-
-
-def _temperature(mean_c: float) -> Act:
-    def act(log: LogTable, light: _Light, own: Array) -> None:
-        assert log.temperature_c is not None
-        light.log_factor = light.log_factor + own[0] * (log.temperature_c - mean_c)
-
-    return act
-
-
-def _dark(log: LogTable, light: _Light, own: Array) -> None:
-    assert log.temperature_c is not None
-    doubling = min(max(float(own[1]), _LEAST_DOUBLING_K), _MOST_DOUBLING_K)
-    warm = 2.0 ** ((log.temperature_c - _DARK_AT_C) / doubling)
-    light.dark = light.dark + own[0] * log.exposure_s * warm
-
-
-def _colour(mean: float) -> Act:
-    def act(log: LogTable, light: _Light, own: Array) -> None:
-        assert log.colour is not None
-        light.log_factor = light.log_factor + own[0] * (log.colour - mean)
-
-    return act
 
 
 def axes(log: LogTable, *, measured: bool = False) -> Mapping[str, Array]:
@@ -509,12 +465,11 @@ class LogFit:
     control: str = ""  # verdict of the same search over values that lack nothing
 
 
-def fit_log(log: LogTable, *, control: bool = True, seed: int = 1) -> LogFit:
+def fit_log(log: LogTable, *, control: bool = True) -> LogFit:
     """Return which term a log lacks, if any.
 
     Args:
         control: Search values that lack nothing too: made from the fitted model with scatter of the same kind.
-        seed: Of that scatter.
 
     Raises:
         MeasurementError: If the readings do not determine a responsivity.
@@ -524,7 +479,7 @@ def fit_log(log: LogTable, *, control: bool = True, seed: int = 1) -> LogFit:
     state, steps = _search(start)
     silent = ""
     if control:
-        reported = _search(_start(_lacking_nothing(state, seed)))[1]
+        reported = _search(_start(_lacking_nothing(state)))[1]
         silent = str(_verdict(reported))
     before, after = (night_error(one) for one in (start, state))
     result = _result(start, state, steps, before, after, silent)
@@ -642,7 +597,7 @@ def _score(old: LogState, new: LogState, term: LogTerm | None = None) -> float:
 
     A term along the signal must gain them with the signal as predicted and as measured.
     """
-    flexible = FLEXIBLE_NATS if term is not None and term.flexible else 0.0
+    flexible = RIVAL_NATS if term is not None and term.flexible else 0.0
     gained = min(after.evidence - before.evidence for before, after in _ways(old, new))
     return gained - PARAMETER_NATS * (new.free - old.free) - flexible
 
@@ -683,9 +638,9 @@ def _without(state: LogState, term: LogTerm) -> Array:
     return np.delete(state.parameters, np.arange(at, at + term.size))
 
 
-def _lacking_nothing(state: LogState, seed: int) -> LogTable:
+def _lacking_nothing(state: LogState) -> LogTable:
     """Return the table with values that the responsivity alone predicts, scattered as the readings do."""
-    log, rng = state.log, np.random.default_rng(seed)
+    log, rng = state.log, np.random.default_rng(1)
     values = predicted_log(log, (), state.parameters[:1])
     for rows, factor in state.scatter.factors(log):
         values[rows] += factor @ rng.standard_normal(rows.size)

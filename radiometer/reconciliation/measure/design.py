@@ -186,37 +186,44 @@ class Design:
             return np.arange(len(self.captures), dtype=np.float64)
         return np.asarray(stamps - stamps.min())
 
-    @cached_property
-    def first_frames(self) -> tuple[Array, Array, Array]:
-        """Return time in s, temperature in °C and time since light in s of the first frame of each capture."""
-        return self._within(slice(0, 1))
+    def _of_frames(self, name: str) -> Array:
+        """Return a setting of every frame of the header; NaN where one does not state it."""
+        return np.array([getattr(entry.settings, name) for entry in self.header.frames], dtype=np.float64)
+
+    def _in_parts(self, of_frames: Array) -> tuple[Array, Array, Array]:
+        """Return the mean of a figure of frames over all of each capture, its first one, and the others, if any."""
+        all_ = [capture.frames for capture in self.captures]
+        parts = (all_, [frames[:1] for frames in all_], [frames[1:] or frames for frames in all_])
+        found = (np.array([float(np.mean(of_frames[list(frames)])) for frames in part]) for part in parts)
+        return tuple(found)  # type: ignore[return-value]
 
     @cached_property
-    def later_frames(self) -> tuple[Array, Array, Array]:
-        """Return the mean of the same over the other frames; those of the first where there is no other."""
-        return self._within(slice(1, None))
+    def first_and_later(self) -> tuple[tuple[Array, Array, Array], ...]:
+        """Return time in s, temperature in °C and time since light in s of the first frame of each capture.
+
+        With it the mean of the same over the other frames; that of the first where there is no other.
+        """
+        times = (self.timestamp_s,) * 3
+        if self.has_timestamps:
+            times = self._in_parts(self._of_frames("timestamp_s") - float(np.min(self._column("timestamp_s"))))
+        warm, since = self._in_parts(self._of_frames("temperature_c")), self._in_parts(self._since_light)
+        return tuple(zip(times[1:], warm[1:], since[1:], strict=True))
 
     @cached_property
     def since_light_s(self) -> Array:
         """Return the mean time in s from the last frame with light to those of each capture; infinite without one."""
-        return self._mean_since_light(slice(None))
-
-    def _mean_since_light(self, part: slice) -> Array:
-        chosen = [capture.frames[part] or capture.frames for capture in self.captures]
-        return np.array([float(np.mean(self._since_light[list(indices)])) for indices in chosen])
+        return self._in_parts(self._since_light)[0]
 
     @cached_property
     def _since_light(self) -> Array:
         """Return the time in s from the last frame with light to each frame; infinite where there is none."""
-        found, last = np.full(len(self.header.frames), np.inf), None
-        stamps = [entry.timestamp_s for entry in self.header.frames]
-        known = [(stamp, index) for index, stamp in enumerate(stamps) if stamp is not None]
-        for stamp, index in sorted(known) if len(known) == len(stamps) else ():
-            if last is not None:
-                found[index] = stamp - last
+        stamps, last = self._of_frames("timestamp_s"), -np.inf
+        found = np.full(stamps.size, np.inf)
+        for index in np.argsort(stamps, kind="stable").tolist() if np.isfinite(stamps).all() else ():
+            found[index] = stamps[index] - last
             settings = self.header.frames[index].settings
             if not settings.is_dark and settings.source_level > 0:
-                last = stamp
+                last = stamps[index]
         return found
 
     @cached_property
@@ -225,13 +232,11 @@ class Design:
 
         Infinite for the first frame of all and where no times are known.
         """
-        stamps = np.array([np.nan if e.timestamp_s is None else e.timestamp_s for e in self.header.frames])
+        stamps = self._of_frames("timestamp_s")
         since, order = np.full(stamps.size, np.inf), np.argsort(stamps, kind="stable")
         if np.isfinite(stamps).all():
             since[order[1:]] = np.diff(stamps[order])
-        first = np.array([since[capture.frames[0]] for capture in self.captures])
-        later = [list(capture.frames[1:] or capture.frames) for capture in self.captures]
-        return first, np.array([float(np.mean(since[frames])) for frames in later])
+        return self._in_parts(since)[1:]
 
     @cached_property
     def frame_numbers(self) -> tuple[Array, Array, Array]:
@@ -246,16 +251,6 @@ class Design:
         first[:, 1:] = np.nan
         later[self.frame_count > 1, 0] = np.nan
         return all_, first, later
-
-    def _within(self, part: slice) -> tuple[Array, Array, Array]:
-        chosen = [capture.frames[part] or capture.frames for capture in self.captures]
-        entries = [[self.header.frames[index].settings for index in indices] for indices in chosen]
-        warm = [_mean_of([s.temperature_c for s in several]) for several in entries]
-        if not self.has_timestamps:
-            return self.timestamp_s, np.array(warm), self._mean_since_light(part)
-        begun = float(np.min(self._column("timestamp_s")))
-        times = np.array([_mean_of([s.timestamp_s for s in several]) - begun for several in entries])
-        return times, np.array(warm), self._mean_since_light(part)
 
     @cached_property
     def has_timestamps(self) -> bool:
@@ -330,12 +325,6 @@ def _steps_of_temperature(temperature_c: Array) -> Array:
     turns = np.exp(2j * np.pi * temperature_c / _SAME_TEMPERATURE_K)
     middle = float(np.angle(np.mean(turns))) / (2.0 * np.pi) if np.isfinite(turns).all() else 0.0
     return np.asarray(np.nan_to_num(np.round(temperature_c / _SAME_TEMPERATURE_K - middle), nan=-1e6))
-
-
-def _mean_of(values: Sequence[float | None]) -> float:
-    """Return the mean; NaN where one is missing."""
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if len(known) == len(values) else float("nan")
 
 
 def rough_share(length: Array, across: Array) -> Array:

@@ -671,8 +671,8 @@ class PatternImages:
         scale = float(self.scale[capture])
         if scale <= 0:
             return
-        coarse, clipped = _coarse(frame, self.cell_px, self.total.shape[1:])
-        usable = ~clipped
+        coarse, largest = coarse_cells(frame.dn, self.cell_px, *self.total.shape[1:])
+        usable = largest < frame.saturated_dn
         pattern = int(self.pattern[capture])
         self.total[pattern] += np.where(usable, coarse - self.black_dn[capture], 0.0)
         self.weight[pattern] += np.where(usable, scale, 0.0)
@@ -682,12 +682,6 @@ class PatternImages:
         seen = self.weight[pattern] > 0
         values = np.divide(self.total[pattern], self.weight[pattern], where=seen, out=np.zeros(seen.shape))
         return np.asarray(np.where(seen, values, values.max(initial=0.0)))
-
-
-def _coarse(frame: Frame, cell: int, shape: tuple[int, ...]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the mean of each coarse cell in DN, and whether one of its pixels is clipped."""
-    mean, largest = coarse_cells(frame.dn, cell, *shape)
-    return mean, largest >= frame.saturated_dn
 
 
 _AHEAD: Final = 2  # frames that are read before they are needed

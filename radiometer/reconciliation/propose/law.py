@@ -22,9 +22,9 @@ from radiometer.reconciliation.propose.grammar import (
     formula,
 )
 from simulators.chain.law_stages import LINKS, Link
-from simulators.effects import base, surroundings
+from simulators.effects import base
 from simulators.effects.base import Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, elapsed_s, over_frames
+from simulators.effects.catalogue import CatalogueEffect, over_frames
 from simulators.effects.context import ExposureContext, FrameGeometry
 
 _AMPLITUDES: Final = {
@@ -93,20 +93,9 @@ class Law:
         return (self.amplitude, *(name for name in self.parameters if name not in fixed))
 
     @property
-    def is_per_frame(self) -> bool:
-        """Return whether the first frame of a series differs from the others."""
-        return any(name in PER_FRAME for name in self.covariates)
-
-    @property
     def is_of_the_series(self) -> bool:
         """Return whether the formula is of all frames of a series: then it is not averaged over them again."""
         return "frame" in self.covariates
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Return the facts of the context, as paths, that the data must state."""
-        known = dict.fromkeys((*self.covariates, *LINKS[self.link].goes_with))
-        return tuple(_NEEDS[name] for name in known if name in _NEEDS)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -118,26 +107,9 @@ class Law:
         """Return the number of parameters, the amplitude among them."""
         return 1 + len(self.parameters)
 
-    @property
-    def is_steep(self) -> bool:
-        """Return whether it changes within a tile as no quadratic surface does."""
-        return any(FORMS[term.form].is_steep and set(term.covariates) & set(PLACES) for term in self.terms)
-
-    @property
-    def signal_power(self) -> int | None:
-        """Return the power of the signal that its change scales with; None where the formula holds the signal."""
-        if set(self.covariates) & {"signal", "value", *OF_THE_PICTURE}:
-            return None
-        return 0 if LINKS[self.link].adds else 1
-
-    @property
-    def is_sudden(self) -> bool:
-        """Return whether it jumps along the signal."""
-        return any(term.form == "step" and term.covariate in ("signal", "value") for term in self.terms)
-
     def formula(self) -> str:
-        """Return the amplitude times the terms as the file has it."""
-        return " * ".join([f"self.{self.amplitude}", *(_in_brackets(term) for term in self.terms)])
+        """Return the amplitude times the terms, for people."""
+        return " * ".join([self.amplitude, *(term.text() for term in self.terms)])
 
     def with_parameters(self, values: Mapping[str, float]) -> Law:
         """Return the law at other parameters, by their names in the effect."""
@@ -146,11 +118,6 @@ class Law:
             for t in self.terms
         ]
         return Law(self.link, tuple(moved))
-
-
-def _in_brackets(term: Term) -> str:
-    code = term.code()
-    return f"({code})" if code.startswith("1.0 /") else code
 
 
 def _fields(law: Law, amplitude: float) -> list[tuple[str, type[float], Any]]:
@@ -191,11 +158,6 @@ def round_to(value: float, digits: int = 6) -> float:
 
 
 _CLASSES: Final = 512  # laws whose classes are kept: more than one search fits
-_LOOKED_UP: Final = {
-    "elapsed_s": elapsed_s,
-    "picture_mean": surroundings.picture_mean,
-    "column_light": surroundings.column_light,
-}
 
 
 class LawEffect(CatalogueEffect):
@@ -207,9 +169,7 @@ class LawEffect(CatalogueEffect):
 
     def law(self, signal: Any, context: ExposureContext) -> Any:
         """Return the amplitude times the formula, in the link's unit."""
-        known = {"signal": signal, "context": context, **_LOOKED_UP}
-        known["side"] = max(context.geometry.sensor_width, context.geometry.sensor_height)
-        values = {COVARIATES[name].tag: formula(COVARIATES[name].code)(known) for name in self.of_law.covariates}
+        values = {COVARIATES[name].tag: COVARIATES[name].value(signal, context) for name in self.of_law.covariates}
         found = getattr(self, self.of_law.amplitude)
         for term in self.of_law.terms:
             found = found * term.value(values, {role: getattr(self, term.parameter(role)) for role in term.values})
@@ -218,7 +178,8 @@ class LawEffect(CatalogueEffect):
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
         """Return whether the data state what the law depends on."""
-        return all(attrgetter(path)(context) is not None for path in cls.of_law.needs)
+        needed = {*cls.of_law.covariates, *cls.link.goes_with} & _NEEDS.keys()
+        return all(attrgetter(_NEEDS[name])(context) is not None for name in needed)
 
     def _at_its_link(self, code: str, law: Any, signal: Any, context: ExposureContext) -> Any:
         return formula(code.format(law="law"))({"law": law, "signal": signal, "context": context})
@@ -300,7 +261,10 @@ def effect_class(law: Law, amplitude: float) -> type[LawEffect]:
 def _class_of(key: str, terms: tuple[tuple[str, str, Any, Any], ...], amplitude: float) -> type[LawEffect]:
     law = Law(key, tuple(Term(form, where, dict(constants), dict(values)) for form, where, constants, values in terms))
     link = LINKS[key]
-    kind = NoiseLaw if link.is_noise else FrameLaw if law.is_per_frame else SignalLaw
+    along = set(law.covariates)
+    kind = NoiseLaw if link.is_noise else FrameLaw if along & set(PER_FRAME) else SignalLaw
+    is_steep = any(FORMS[term.form].is_steep and set(term.covariates) & set(PLACES) for term in law.terms)
+    scales = is_steep and not along & {"signal", "value", *OF_THE_PICTURE}  # by a power of the signal alone
     unit = getattr(base, link.unit_signal)
     facts = {
         "of_law": law,
@@ -314,9 +278,9 @@ def _class_of(key: str, terms: tuple[tuple[str, str, Any, Any], ...], amplitude:
         "block": "variance" if link.is_noise else "mean",
         "also": () if link.is_noise else ("slope", "first"),
         "acts_by_square": link.is_noise,
-        "is_steep": law.is_steep,
-        "signal_power": law.signal_power if law.is_steep else None,
-        "is_sudden": law.is_sudden,
+        "is_steep": is_steep,  # it changes within a tile as no quadratic surface does
+        "signal_power": int(not link.adds) if scales else None,
+        "is_sudden": any(term.form == "step" and term.covariate in ("signal", "value") for term in law.terms),
         "trials": (_trial(law, amplitude), _trial(law, -amplitude, _NEAR_NOTHING)),
         "fitted": law.fitted,
     }

@@ -40,7 +40,7 @@ def effect_source(
         source: Where its values come from.
     """
     link = LINKS[law.link]
-    plain = link.code.format(law=law.formula()).replace("self.", "").replace("np.", "")
+    plain = link.code.format(law=law.formula()).replace("np.", "")
     words = textwrap.fill(sentence, _WIDTH), textwrap.fill(f"Source: {source}.", _WIDTH)
     does = textwrap.fill(f"{link.action[0].upper()}{link.action[1:]}: {plain}.", _WIDTH - 8, subsequent_indent="    ")
     rounded = law.with_parameters({name: round_to(value) for name, value in law.parameters.items()})
@@ -190,7 +190,7 @@ class Proposal:
             "stage": self.stage,
             "stages_alike": list(self.stages_alike),
             "covariates": list(self.covariates),
-            "formula": self.law.formula().replace("self.", "").replace("np.", ""),
+            "formula": self.law.formula(),
             "parameters": {name: entry.to_mapping() for name, entry in self.parameters.items()},
             "sentence": self.sentence(),
             "gain_nats": self.nats,

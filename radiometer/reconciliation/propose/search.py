@@ -26,7 +26,7 @@ from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandida
 from radiometer.reconciliation.fit.descent import FullFits, UnfitError, fitted_parameters, included, is_far, scatter_of
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.posterior import posterior_of
+from radiometer.reconciliation.posterior import posterior
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
@@ -401,20 +401,13 @@ def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
             if name in (*own.covariates, "signal", "value", "frame") or {name, own.covariate} <= _OF_A_PLACE:
                 continue
             further = [term for term in terms_of(name, known) if term.form in _SECOND]
-            for link in _links_of_product(entry.law.link, own.covariate, name):
-                yield from (Law(link, (own, term)) for term in further)
+            # In the scene where it depends on drive and place, else at the place of its first factor.
+            scenic = {name, own.covariate} & set(PLACES) and "source_level" in (name, own.covariate)
+            yield from (Law("scene" if scenic else entry.law.link, (own, term)) for term in further)
 
 
 def _goes_alone(law: Law) -> bool:
     return not law.terms or law.link in _ALONE or "frame" in law.covariates
-
-
-def _links_of_product(link: str, first: str, second: str) -> tuple[str, ...]:
-    """Return where a product may act: at its first factor's place, and in the scene where it depends on the drive."""
-    scenic = "source_level" in (first, second) and (first in PLACES or second in PLACES)
-    if scenic:
-        return ("scene",)
-    return (link,)
 
 
 def _distinct(screened_: Iterable[Screened], most: int) -> list[Screened]:
@@ -532,17 +525,16 @@ def held_to_laws(
     effects = outcome.state.effects
     if not effects:
         return outcome
-    stays = (
-        len(effects) > 1
-        or leaves_structure(outcome)
-        or bool(doubts_of(outcome, posterior_of(outcome.state, catalogue)))
-    )
+    weighed = posterior(outcome.state.models, catalogue, scatter_of(outcome.state))
+    stays = len(effects) > 1 or leaves_structure(outcome) or bool(doubts_of(outcome, weighed))
     along = () if stays else own_covariates(effects[0])
     law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
     if law is None:
         return outcome
     is_plainer = law.law.size < outcome.state.parameters.size
-    lead = lead_nats(outcome, law)
+    # An entry is known beforehand, a law is not: it must lead by the odds of a name. A lead that it owes to fewer
+    # parameters makes a name doubtful, and takes none away: the law may be a special case of the entry.
+    lead = (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
     if lead <= (0.0 if is_plainer else NAMED_NATS):
         return outcome
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
@@ -560,15 +552,6 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
         is_place = where in ("field_radius", "screen_x", "screen_y", *PLACES)
         found += PLACES if is_place else ("signal", "value") if where == "signal" else (where,)
     return tuple(dict.fromkeys(found))
-
-
-def lead_nats(outcome: Search, law: Proposal) -> float:
-    """Return by how many nats a law predicts better than what was found, each parameter paid for.
-
-    An entry is known beforehand, a law is not: it must lead by the odds of a name. A lead that it owes to fewer
-    parameters makes a name doubtful, and takes none away: the law may be a special case of the entry.
-    """
-    return (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
 
 
 def brings_most(outcome: Search, law: Proposal) -> bool:

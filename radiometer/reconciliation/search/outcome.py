@@ -16,8 +16,6 @@ from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.search.localise import Disagreement
 from radiometer.reconciliation.thresholds import (
-    FEW_TRIES,
-    FLEXIBLE_NATS,
     HUGE_NATS,
     NAMED_NATS,
     NEAR_SHARE,
@@ -100,7 +98,7 @@ def _penalty(fitted: FittedCandidate) -> float:
 def score(entry: tuple[FittedCandidate, float]) -> float:
     """Return the nats of a judged candidate less what it pays."""
     fitted, nats = entry
-    return nats - _penalty(fitted) - (FLEXIBLE_NATS if fitted.flexible else 0.0)
+    return nats - _penalty(fitted) - (RIVAL_NATS if fitted.flexible else 0.0)
 
 
 def is_shown(fitted: FittedCandidate, nats: float) -> bool:
@@ -108,8 +106,8 @@ def is_shown(fitted: FittedCandidate, nats: float) -> bool:
 
     Of many starts one fits by chance.
     """
-    needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / FEW_TRIES, 1.0)))
-    needed += FLEXIBLE_NATS if fitted.flexible else 0.0
+    needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(fitted.tries))
+    needed += RIVAL_NATS if fitted.flexible else 0.0
     return nats >= needed and fitted.evidence >= SHOWN_CHI2
 
 

@@ -226,29 +226,16 @@ _SMALLEST_CURVATURE: Final = 1e-9
 AT_ONCE: Final = 32  # changes that are projected together: one at a time would read the whole fit for each
 
 
-def usable_catalogue(
-    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]
-) -> dict[str, type[CatalogueEffect]]:
-    """Return the entries that the data can speak about at all and that are not in the model yet."""
-    taken = {effect.name for effect in state.effects if not effect.repeats}
-    return {n: kind for n, kind in catalogue.items() if n not in taken and kind.usable(state.model.context)}
-
-
-@dataclass(frozen=True, slots=True)
-class Before:
-    """Results of another model's screening, by which this one tests the likeliest entries first."""
-
-    candidates: Sequence[Candidate] = ()  # its candidates
-    needed: int = 0  # how many of the best are needed now
-
-
 def screen(
     state: FitState,
     catalogue: Mapping[str, type[CatalogueEffect]],
-    pool: StartPool | None = None,
-    before: Before = Before(),
+    pool: StartPool,
+    before: Sequence[Candidate] = (),
+    needed: int = 0,
 ) -> list[Candidate]:
-    """Return the best start of every usable entry (rigid and flexible apart), the most promising first.
+    """Return the best start of every entry (rigid and flexible apart), the most promising first.
+
+    Entries are those that the data can speak about at all and that are not in the model yet.
 
     Where a screening of the model before is known, entries are tested in the order of what they explained there.
     Testing stops once enough explain twice what any of the rest did, since the disagreement falls from model to
@@ -257,20 +244,22 @@ def screen(
     Args:
         catalogue: Entries to try, by name.
         pool: Their starts, where they were made before.
-        before: What a smaller model's screening found.
+        before: What a smaller model's screening found, by which the likeliest are tested first.
+        needed: How many of the best are needed then.
 
     Source: Minoux (1978), accelerated greedy algorithms, for the order.
     """
-    pool = pool or StartPool()
     known: dict[str, list[Candidate]] = {}
-    for candidate in before.candidates:
+    for candidate in before:
         known.setdefault(candidate.effect.name, []).append(candidate)
     gains = {name: max(candidate.gain for candidate in several) for name, several in known.items()}
-    kinds = sorted(usable_catalogue(state, catalogue).values(), key=lambda kind: -gains.get(kind.name, np.inf))
+    taken = {effect.name for effect in state.effects if not effect.repeats}
+    able = [kind for n, kind in catalogue.items() if n not in taken and kind.usable(state.model.context)]
+    kinds = sorted(able, key=lambda kind: -gains.get(kind.name, np.inf))
     found: list[Candidate] = []
     for first in range(0, len(kinds), _TOGETHER):
         most = _MAY_RISE * gains.get(kinds[first].name, np.inf)
-        if before.needed and sum(candidate.gain > most for candidate in found) >= before.needed:
+        if needed and sum(candidate.gain > most for candidate in found) >= needed:
             rest = [candidate for kind in kinds[first:] for candidate in known[kind.name]]
             return sorted(found, key=_by_gain) + sorted(rest, key=_by_gain)
         found += _screened(state, kinds[first : first + _TOGETHER] if known else kinds[first:], pool)

@@ -50,16 +50,14 @@ from radiometer.reconciliation.search.outcome import (
     score,
     worth,
 )
-from radiometer.reconciliation.search.screening import Before, StartPool, directions_of, screen
+from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.thresholds import (
-    FLEXIBLE_NATS,
     HUGE_NATS,
-    KEPT_NATS,
     LAW_SHARE,
     MOST_STEPS,
     NAMED_NATS,
-    OWN_LAW_NATS,
     PARAMETER_NATS,
+    RIVAL_NATS,
     SIGNIFICANCE,
     SMOOTH_SHARE,
 )
@@ -172,7 +170,7 @@ def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], 
 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     standing = significant(tests)
-    screened = run.screened = screen(state, run.catalogue, run.pool, Before(run.screened, _FITTED + len(run.refused)))
+    screened = run.screened = screen(state, run.catalogue, run.pool, run.screened, _FITTED + len(run.refused))
     limit = SIGNIFICANCE / max(len(screened), 1)
     promising = _promising(screened, limit, standing)
     promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
@@ -218,7 +216,7 @@ def _is_likelier(fits: FullFits, looser: LooserForms, chosen: tuple[FittedCandid
     """
     if looser.promise < _LITTLE_PROMISE * score(chosen) or looser.best is None:
         return False
-    form = looser.best.nats - PARAMETER_NATS * looser.best.further - FLEXIBLE_NATS
+    form = looser.best.nats - PARAMETER_NATS * looser.best.further - RIVAL_NATS
     if form > score(chosen) or form < _NEAR_FORM * score(chosen):
         return form > score(chosen)
     fitted = fits.included(chosen[0].effect, far=False)
@@ -344,7 +342,7 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
             if promised - state.cost > 2.0 * HUGE_NATS:  # the others, free to move, come nowhere near
                 continue
             lost = _lost(state, smaller)
-            if lost < KEPT_NATS:
+            if lost < PARAMETER_NATS:
                 say(f"{name} dropped again: it brings {lost:.1f} nats")
                 state, changed = refit(reweighted(refit(smaller))).recorded(), True
                 dropped.append(name)
@@ -441,7 +439,7 @@ class LooserForms:
             only: Names of the effects that leave structure in their own place, where these alone are asked and the
                 tests of that place are what is beyond chance; by default all effects.
         """
-        needed = NAMED_NATS if only is None else OWN_LAW_NATS
+        needed = NAMED_NATS if only is None else 0.0
         forms = (form for form in _forms_of_promise(state, only) if form[0] >= needed)
         return cls(state, needed, sorted(forms, key=lambda entry: -entry[0])[:_REFITTED])
 
@@ -464,16 +462,17 @@ def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[t
         if only is not None and effect.name not in only:
             continue
         for form in effect.loosened(state.model.context):
-            yield _linear_gain(state, index, form) / 2.0 - PARAMETER_NATS * _further(effect, form), index, form
+            effects = [form if place == index else other for place, other in enumerate(state.effects)]
+            nats = _linear_gain(state, effects, index) / 2.0 - PARAMETER_NATS * _further(effect, form)
+            yield nats, index, form
 
 
 def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:
     return max(len(form.free()) - len(effect.free()), 1)
 
 
-def _linear_gain(state: FitState, index: int, form: CatalogueEffect) -> float:
-    """Return the χ² that a form in an effect's place explains by itself and by its parameters' directions."""
-    effects = [form if place == index else effect for place, effect in enumerate(state.effects)]
+def _linear_gain(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> float:
+    """Return the χ² that one of some effects, instead of the model's, explains by itself and by its parameters."""
     followed = state.fit.followed(directions_of(state, effects, index))
     return state.fit.score(slice(0, state.comparison.size), followed)[0]
 
@@ -571,11 +570,6 @@ class Refined:
         """Return by how much the name by its free law raises the held-out log density."""
         return self.state.evidence - self.without.evidence
 
-    @property
-    def form(self) -> CatalogueEffect:
-        """Return the effect with its free law."""
-        return next(effect for effect in self.state.effects if effect.name == self.name)
-
 
 def nowhere_near(base: FitState, found: FitState) -> float:
     """Return the χ² beyond which a single law that is fitted comes nowhere near what was found.
@@ -604,8 +598,9 @@ def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEff
     if not found:
         return None
     best = max(found, key=lambda refined: worth(refined.state))
-    closing = [refined for refined in found if not is_misfit(refined.state)]
-    return replace(best, rivals=tuple({m.name: m.form for m in closing if m.name != best.name}.values()))
+    closing = [refined for refined in found if not is_misfit(refined.state) and refined.name != best.name]
+    forms = {own.name: effect for own in closing for effect in own.state.effects if effect.name == own.name}
+    return replace(best, rivals=tuple(forms.values()))
 
 
 _Promise = tuple[float, FitState, FreeLaw]
@@ -647,10 +642,10 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
         form: A form with a free law, or a looser one.
     """
     try:
-        followed = base.fit.followed(directions_of(base, (*base.effects, form), len(base.effects)))
+        gain = _linear_gain(base, (*base.effects, form), len(base.effects))
     except (MeasurementError, ConfigurationError):  # what no camera does
         return -np.inf
-    return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
+    return gain / 2.0 - PARAMETER_NATS * len(form.free())
 
 
 def _with_form(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:

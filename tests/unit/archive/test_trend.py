@@ -423,9 +423,21 @@ def test_rows_that_show_nothing_take_no_part_and_are_counted(tmp_path, column, e
     })  # fmt: skip
     bad = rows.tail(30).assign(**{column: entry, "value": 0.1})
     other = rows.assign(unit="relative", value=3.0)
-    pd.concat([rows, bad, other]).to_csv(tmp_path / "t.csv", index=False)
+    pd.concat([rows, bad, other]).assign(instrument="FLIR BFS 1").to_csv(tmp_path / "t.csv", index=False)
     found = {one.unit: one for one in read_histories(tmp_path / "t.csv", "radiance")}
     assert found["W sr-1 m-2"].time_s.size == 120
     assert found["W sr-1 m-2"].drift_per_month == pytest.approx(0.02 / 12, rel=0.15)
     assert [(reason in why, count) for why, count in found["W sr-1 m-2"].left_out.items()] == [(True, 30)]
     assert found["relative"].verdict == "no_drift"
+
+
+def test_two_cameras_are_two_histories(tmp_path):
+    """Cameras 10 % apart that take turns, or follow each other, are no drift of the lamp; tables may not name them."""
+    weeks = np.arange(60)
+    rows = pd.DataFrame({
+        "captured": 1.6e9 + 604_800.0 * weeks, "quantity": "radiance", "patch": "lamp", "unit": "1", "status": "ok",
+        "value": 1.0 + 0.001 * weeks % 3 - 0.1 * (weeks >= 30), "u": 0.003, "instrument": np.where(weeks < 30, "A", ""),
+    })  # fmt: skip
+    rows.to_csv(tmp_path / "t.csv", index=False)
+    found = {one.patch: float(np.median(one.value)) for one in read_histories(tmp_path / "t.csv", "radiance")}
+    assert found == pytest.approx({"lamp by A": 1.0, "lamp by unnamed": 0.9}, rel=0.05)

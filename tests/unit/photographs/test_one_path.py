@@ -1,10 +1,7 @@
 """Photographs give the same physics by the command line and in Python: radiances against those of the scene."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,8 +10,8 @@ from PIL import Image
 
 import radiometer as rm
 from radiometer.cli.main import run
-from radiometer.data import Calibration, Flag, ResponseCurve
-from radiometer.errors import CalibrationError, UsageError
+from radiometer.data import Flag, ResponseCurve
+from radiometer.errors import CalibrationError, CaptureError, UsageError
 
 pytestmark = pytest.mark.usefixtures("recovered_once")
 
@@ -23,7 +20,7 @@ TIMES_S = tuple(2.0**-k for k in (9, 8, 7, 6, 5, 4))
 SHAPE = (64, 96)
 
 
-def scene(shape: tuple[int, int] = SHAPE) -> np.ndarray:
+def scene(shape=SHAPE):
     """Return smooth radiances over a factor of some 60 with texture to align by, relative."""
     noise = np.random.default_rng(0).normal(size=shape)
     texture = sum(cv2.GaussianBlur(noise, (0, 0), sigma) * sigma for sigma in (3.0, 7.0))
@@ -31,17 +28,8 @@ def scene(shape: tuple[int, int] = SHAPE) -> np.ndarray:
 
 
 def photographs(
-    folder: Path,
-    light: np.ndarray,
-    *,
-    times_s: tuple[float, ...] = TIMES_S,
-    gamma: float = 2.2,
-    iso: int | None = 100,
-    late_s: float = 0.0,
-    colours: tuple[float, float, float] | None = None,
-    shifts: tuple[float, ...] = (),
-    seed: int = 1,
-) -> Path:
+    folder, light, *, times_s=TIMES_S, gamma=2.2, iso=100, late_s=0.0, colours=None, shifts=(), seed=1, tags=None
+):
     """Write JPEG files as a camera with a response M = 255·H^(1/gamma) takes them, times and speed in EXIF."""
     folder.mkdir(parents=True)
     rng = np.random.default_rng(seed)
@@ -55,13 +43,16 @@ def photographs(
         dn = [255.0 * np.clip(one, 0.0, 1.0) ** (1.0 / gamma) + rng.normal(0.0, 0.6, one.shape) for one in planes]
         pixels = np.clip(np.rint(np.stack(dn, axis=-1)), 0, 255).astype(np.uint8)
         exif = Image.Exif()
+        of_camera = {tag: value for tag, value in (tags or {}).items() if tag < 1000}
+        exif.update(of_camera)
         exif.get_ifd(0x8769).update({33434: label, 33437: 8.0} | ({34855: iso} if iso else {}))
+        exif.get_ifd(0x8769).update({tag: value for tag, value in (tags or {}).items() if tag not in of_camera})
         image = Image.fromarray(pixels if colours else pixels[..., 0])
         image.save(folder / f"p{number}.jpg", exif=exif, quality=98, subsampling=0)
     return folder
 
 
-def exponent(found: rm.Radiance, light: np.ndarray) -> float:
+def exponent(found, light):
     """Return the slope of ln(value) over ln(true radiance) where the map is good."""
     good = (found.mask == 0) & (found.value > 0)
     assert good.mean() > 0.5
@@ -84,14 +75,14 @@ def test_merged_photographs_are_proportional_to_the_scene(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def curve() -> ResponseCurve:
+def curve():
     """Return the response M = 255·H^(1/2.2)."""
     g = 2.2 * np.log(np.maximum(np.arange(256.0), 0.25) / 128.0)
     return ResponseCurve(g, np.full(256, 5e-3), valid_dn=(4, 252))
 
 
 @pytest.fixture
-def calibrated(tmp_path, curve) -> Calibration:
+def calibrated(tmp_path, curve):
     """Return a calibration at ISO 100 by photographs of an even source of 0.5 W·sr⁻¹·m⁻²."""
     known = photographs(tmp_path / "known", np.full((40, 60), 0.5), times_s=TIMES_S[1:4], seed=7)
     found = rm.calibrate(
@@ -99,6 +90,45 @@ def calibrated(tmp_path, curve) -> Calibration:
     )
     assert found.to_mapping()["scale"]["iso"] == 100
     return found.calibration
+
+
+CAMERA_TAGS: dict[int, str | int | float] = {
+    271: "Maker", 272: "Model", 42033: "1", 37386: 50.0, 41987: 1, 41992: 0, 41993: 0, 41985: 0, 41990: 0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({272: "Another"}, "model"), ({42033: "2"}, "serial"), ({37386: 85.0}, "a lens of 50 mm"),
+        ({41987: 0}, "white balance"), ({37384: 3}, "white balance"), ({41992: 2}, "mode Contrast 0"),
+        ({41993: 1}, "Saturation"), ({41985: 1}, "CustomRendered"),
+    ],
+)  # fmt: skip
+def test_photographs_of_another_camera_or_development_are_not_read_by_a_calibration(tmp_path, curve, other, said):
+    """What EXIF states of camera, lens and development is kept by a calibration, and refused where it differs."""
+    even = np.full((40, 60), 0.5)
+    known = photographs(tmp_path / "known", even, times_s=TIMES_S[1:4], seed=7, tags=CAMERA_TAGS)
+    asked = {"response": curve, "patch": (4, 4, 50, 30), "radiance": 0.5, "u_rel": 0.01}
+    calibration = rm.calibrate(known, out=tmp_path / "cal.yaml", **asked).calibration
+    same = photographs(tmp_path / "same", even, times_s=TIMES_S[1:4], seed=8, tags=CAMERA_TAGS)
+    read = rm.measure_photographs(same, (4, 4, 50, 30), calibration=calibration)
+    assert read.radiance.value == pytest.approx(0.5, rel=0.03)
+    changed = photographs(tmp_path / "changed", even, times_s=TIMES_S[1:4], seed=8, tags=CAMERA_TAGS | other)
+    for ask in (lambda: rm.measure_photographs(changed, (4, 4, 50, 30), calibration=calibration),
+                lambda: rm.merge(changed, calibration=calibration)):  # fmt: skip
+        with pytest.raises(CalibrationError, match=said):
+            ask()
+
+
+def test_an_automatic_white_balance_is_an_assumption_of_every_value(tmp_path):
+    """The camera weighs the colours by what it sees; photographs of one bracket must agree in what they state of it."""
+    folder = photographs(tmp_path / "p", scene(), tags=CAMERA_TAGS | {41987: 0})
+    assert any("white balance is automatic" in one for one in rm.merge(folder).assumptions)
+    photographs(tmp_path / "q", scene(), times_s=TIMES_S[:1], tags=CAMERA_TAGS)
+    (tmp_path / "q" / "p0.jpg").rename(folder / "q0.jpg")
+    with pytest.raises(CaptureError, match=r"q0\.jpg manual|white balance automatic, q0"):
+        rm.read_photographs(folder)
 
 
 @pytest.mark.parametrize("iso", [100, 400])
@@ -169,7 +199,7 @@ def test_several_patterns_are_asked_for_by_command_and_function(tmp_path, capsys
     assert median == float(np.median(rm.merge(rm.read(capture), pattern="inverted").value))
 
 
-def two_patterns(folder: Path, **camera: float) -> Path:
+def two_patterns(folder, **camera):
     """Write a capture set of two displayed patterns, 1000 and 2000 DN above a black level of 64 that frames state."""
     from radiometer.data import CameraDescription, CaptureSetWriter, Frame, FrameSettings, LensDescription
 

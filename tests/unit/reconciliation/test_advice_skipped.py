@@ -14,6 +14,7 @@ from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import with_effects
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.veiling_glare import VeilingGlare
+from testing.reconciled import reconcile
 from testing.reduced import start_of
 
 PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] + [{"t": 1e-2, "shutter": "closed"}]
@@ -29,7 +30,7 @@ def test_answer_stands_where_advice_fails(make_capture: Callable[..., Any], monk
     captured = make_capture(seed=31, plan=PLAN, extra_dn=lambda s: 3.0)
     for name in ("limits", "propose", "propose_for_unnamed", "propose_for_blind"):
         monkeypatch.setattr(engine, name, broken)
-    after = engine.reconcile(captured.header, captured.frames)
+    after = reconcile(captured.header, captured.frames)
     assert [effect.name for effect in after.effects] == ["black_level_offset"]
     assert (after.limits, after.next_capture) == ({}, None)
     assert any(text.startswith("the limits could not be computed (IndexError: index 7") for text in after.assumptions)

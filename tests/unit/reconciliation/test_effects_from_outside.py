@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.engine import reconcile
 from simulators.effects.registry import EFFECTS, all_effects, register_file
+from testing.reconciled import reconcile
 
 EFFECTS_OF_A_LABORATORY = '''
 """What is known of the bench in the cellar."""

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from radiometer.data import Frame, FrameEntry, FrameSettings
-from radiometer.reconciliation.engine import examine, reconcile
+from radiometer.reconciliation.engine import examine
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic
 from radiometer.reconciliation.measure.reduce import frame_reader
+from testing.reconciled import reconcile
 
 EXPOSURES = [{"t": float(t)} for t in np.geomspace(2e-4, 5e-3, 7)]
 DARKS = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2)]

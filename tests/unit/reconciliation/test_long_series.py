@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
-from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.engine import jumps
 from radiometer.reconciliation.measure.design import Design, group_captures
+from testing.reconciled import reconcile
 
 BLACK, E_PER_DN, NOISE_E = 200.0, 2.0, 3.0
 STATED = {"conversion_gain_e_per_dn": E_PER_DN, "read_noise_e": NOISE_E, "full_well_e": 3e4, "black_level_dn": BLACK}

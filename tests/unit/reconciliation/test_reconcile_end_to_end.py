@@ -14,8 +14,9 @@ import pytest
 
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
-from radiometer.reconciliation import ReconcileResult, Verdict, reconcile
+from radiometer.reconciliation import ReconcileResult, Verdict
 from simulators.chain.camera_model import CameraModel
+from testing.reconciled import reconcile
 
 pytestmark = pytest.mark.long  # each runs a whole search
 

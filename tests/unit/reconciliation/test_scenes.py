@@ -11,8 +11,8 @@ from scipy.ndimage import gaussian_filter
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
 from radiometer.errors import CaptureError
-from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.measure.frame_order import FineStructure, scenes_of
+from testing.reconciled import reconcile
 
 BLACK, E_PER_DN, READ_E, FULL = 100.0, 2.0, 4.0, 4095
 HEIGHT, WIDTH = 96, 128

@@ -135,7 +135,7 @@ def test_light_moves_what_counts_by_its_sensitivity(design: Design) -> None:
     usable = dict.fromkeys(("mean", "first", "slope_y", "variance", "spatial"), counts)
     none = np.zeros(captures)
     repeats = Repeatability(0.01, np.full(captures, 0.0004), none, none, 0.0)
-    found = {error.name: error for error in shared_errors(design, None, usable, sensitivity, repeats)}  # type: ignore[arg-type]
+    found = {error.name: error for error in shared_errors(design, None, usable, sensitivity, repeats, {})}  # type: ignore[arg-type]
     moved = np.array([120.0, 35.0, 0.0])
     np.testing.assert_allclose(found["light of a capture"].covariance("mean")[0], 1e-4 * np.outer(moved, moved))
     # Five frames: the mean has a fifth of their variance, the first less the mean of the four others five quarters.

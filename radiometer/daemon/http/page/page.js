@@ -45,10 +45,13 @@ const ago = (s) => (s < 2 ? "now" : s < 90 ? `${Math.round(s)} s ago` : s < 5400
 
 // ---- server --------------------------------------------------------------------------------------------------------
 async function send(path, json) {
+  const shown = state.status;
   try {
-    const reply = await ask(path, { json });
+    const reply = await (await ask(path, { json })).json();
     $("refusal").textContent = "";
-    return await reply.json();
+    // The stream brings every change as well. Where it was faster, it may have brought a newer state than this reply.
+    if (reply.devices && state.status === shown) showStatus(reply);
+    return reply;
   } catch (error) {
     $("refusal").textContent = error.message;
     if (state.status) showStatus(state.status);
@@ -270,13 +273,13 @@ $("limits").addEventListener("close", async () => {
   let status = null;
   if ($("limits").returnValue === "save") status = await send("/patches", { name: limited, limits: { low: number("limit-low"), high: number("limit-high") } });
   if ($("limits").returnValue === "delete") { status = await send("/patches/delete", { name: limited }); state.latest.delete(limited); }
-  if (status) { showStatus(status); freshTrends(true); }
+  if (status) freshTrends(true);
 });
 $("name-patch").addEventListener("submit", async (event) => {
   event.preventDefault();
   if (!state.frame) return;
   const status = await send("/patches", { name: $("patch-name").value.trim(), patch: current() });
-  if (status) { $("patch-name").value = ""; showStatus(status); freshTrends(true); }
+  if (status) { $("patch-name").value = ""; freshTrends(true); }
 });
 
 // ---- events --------------------------------------------------------------------------------------------------------
@@ -473,7 +476,7 @@ function moved(from, dx, dy, resizing) {
 async function commitPatch(patch) {
   const status = await send("/settings", { patch });
   state.drag = null;
-  if (status) showStatus(status); else placePatch();
+  placePatch();
   if (status && status.every_s === null) await measureNow();
 }
 $("patch").addEventListener("pointerdown", (event) => {

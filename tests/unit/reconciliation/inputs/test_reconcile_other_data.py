@@ -18,9 +18,10 @@ from radiometer.cli.main import run
 from radiometer.data import Frame, FrameSettings
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing import open_capture
+from radiometer.importing.meter_table import read_meter_table
 from radiometer.reconciliation.inputs import photographs
 from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, outcome, reconcile_photographs
-from radiometer.reconciliation.inputs.tables import read_meter_table, reconcile_meter_table
+from radiometer.reconciliation.inputs.tables import reconcile_meter_table
 from radiometer.reconciliation.result import Verdict
 
 THESIS = """\
