@@ -30,7 +30,6 @@ from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.tile_model import TileModel
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.context import ExposureContext
 
 FRAMES: Final = 4  # of one proposed capture
 _PATCH_U_REL: Final = 3e-3  # how well a patch's radiance is known after a fit
@@ -64,9 +63,9 @@ class CapturePool:
         return cls(Design.of(pool, old.shape), images, state)
 
     @cached_property
-    def context(self) -> ExposureContext:
-        """Return the captures as effects see them, together with the set's own."""
-        return TileModel.of(self.design, self.images).context
+    def model(self) -> TileModel:
+        """Return the ideal camera of the captures."""
+        return TileModel.of(self.design, self.images)
 
     @cached_property
     def is_new(self) -> NDArray[np.bool_]:
@@ -80,7 +79,7 @@ class CapturePool:
 
     def predicted(self, state: FitState) -> Prediction:
         """Return what a fitted model expects of every capture."""
-        model = replace(TileModel.of(self.design, self.images), effects=state.effects, given=state.model.given)
+        model = replace(self.model, effects=state.effects, given=state.model.given)
         old = state.nuisance
         more = len(self.design.patterns) - old.log_radiance.shape[0]
         rows = np.concatenate([np.arange(old.log_radiance.shape[0]), np.zeros(more, dtype=np.intp)])
@@ -281,7 +280,7 @@ def propose_for_blind(
     Returns:
         Settings and what they would open; None where nothing is blind or no capture of the pool helps.
     """
-    able = CapturePool.of(state).context
+    able = CapturePool.of(state).model.context
     models = {}
     for name, limit in limits.items():
         starts = catalogue[name].starts(state.model.context) if name in catalogue else ()

@@ -536,7 +536,7 @@ def _in_units(name: str, value: Array) -> Array:
         return np.asarray(2.0**value)
     if name == "signal":
         return np.asarray(np.maximum(10.0**value - 10.0, 1.0))
-    return np.asarray(10.0**value if name in AXES else value)
+    return np.asarray(10.0**value if axis_label(name)[1] else value)
 
 
 def _along(axes: Axes, covariate: str, what: str) -> None:
@@ -551,40 +551,28 @@ def _along(axes: Axes, covariate: str, what: str) -> None:
 # ---- words ----------------------------------------------------------------------------------------------------------
 
 
-# Covariates drawn on a logarithmic axis, and what stands at the others.
-AXES: Final = {
-    "exposure_s": "exposure in s",
-    "f_number": "f-number",
-    "signal": "signal in e⁻",
-    "patch_level": "radiance of the patch in W·sr⁻¹·m⁻²",
-    "previous_frame": "signal of the capture before in e⁻, plus 1",
-}
-_PLAIN: Final = {
-    "gain_db": "gain in dB",
-    "temperature_C": "sensor temperature in °C",
-    "timestamp_s": "time in s",
-    "source_level": "source level",
-    "image_x": "column in pixels",
-    "image_y": "row in pixels",
-    "field_radius": "distance from the middle of the picture (1 in the corner)",
-    "half_x": "left and right half of the picture",
-    "half_y": "upper and lower half of the picture",
-    "pattern": "displayed pattern",
-}
-_ALONG: Final = {
-    "exposure_s": "with the exposure time",
-    "f_number": "with the f-number",
-    "signal": "with the signal",
-    "patch_level": "with the brightness of the patch",
-    "previous_frame": "with the brightness of the capture before",
-    "gain_db": "with the gain",
-    "temperature_C": "with the sensor's temperature",
-    "timestamp_s": "in the course of time",
-    "source_level": "with the level of the source",
-    "image_x": "across the picture",
-    "image_y": "down the picture",
-    "screen_x": "across the screen",
-    "field_radius": "from the middle of the picture to its corners",
+# What stands at the axis of a covariate, whether that is logarithmic, and along what something changes.
+_COVARIATES: Final = {
+    "exposure_s": ("exposure in s", True, "with the exposure time"),
+    "f_number": ("f-number", True, "with the f-number"),
+    "signal": ("signal in e⁻", True, "with the signal"),
+    "patch_level": ("radiance of the patch in W·sr⁻¹·m⁻²", True, "with the brightness of the patch"),
+    "previous_frame": ("signal of the capture before in e⁻, plus 1", True, "with the brightness of the capture before"),
+    "gain_db": ("gain in dB", False, "with the gain"),
+    "temperature_C": ("sensor temperature in °C", False, "with the sensor's temperature"),
+    "timestamp_s": ("time in s", False, "in the course of time"),
+    "source_level": ("source level", False, "with the level of the source"),
+    "image_x": ("column in pixels", False, "across the picture"),
+    "image_y": ("row in pixels", False, "down the picture"),
+    "field_radius": (
+        "distance from the middle of the picture (1 in the corner)",
+        False,
+        "from the middle of the picture to its corners",
+    ),
+    "half_x": ("left and right half of the picture", False, "along half x"),
+    "half_y": ("upper and lower half of the picture", False, "along half y"),
+    "pattern": ("displayed pattern", False, "along pattern"),
+    "screen_x": ("screen_x", False, "across the screen"),
 }
 _SEEN: Final = {
     "mean": "how bright patches are",
@@ -607,12 +595,12 @@ _SEEN: Final = {
 
 def axis_label(covariate: str) -> tuple[str, bool]:
     """Return what stands at the axis of a covariate, and whether the axis is logarithmic."""
-    return AXES.get(covariate, _PLAIN.get(covariate, covariate)), covariate in AXES
+    return _COVARIATES.get(covariate, (covariate, False, ""))[:2]
 
 
 def along(covariate: str) -> str:
     """Return in words along what something changes."""
-    return _ALONG.get(covariate, f"along {covariate.replace('_', ' ')}")
+    return _COVARIATES[covariate][2] if covariate in _COVARIATES else f"along {covariate.replace('_', ' ')}"
 
 
 def seen_in(block: str) -> str:

@@ -156,73 +156,51 @@ class PictureSurroundings:
 
     def __init__(self, design: Design, images: PatternImages) -> None:
         self._design, self._images = design, images
-        self._spread: dict[tuple[float, Border], Array] = {}
-        self._tiles = self._sampled([images.picture(p) for p in range(len(design.patterns))])
-        self._norm = np.maximum(self._tiles.mean(axis=(1, 2)), 1e-30)
-        self._mean = np.array([images.picture(p).mean() for p in range(len(design.patterns))]) / self._norm
-        self._reflected: dict[float, Array] = {}
-        self._columns: Array | None = None
+        self._pictures = [images.picture(p) for p in range(len(design.patterns))]
+        tiles = np.stack([_looked_up(images, picture, *tile_points(design)) for picture in self._pictures])
+        self._norm = np.maximum(tiles.mean(axis=(1, 2)), 1e-30)
+        self._mean = np.array([picture.mean() for picture in self._pictures]) / self._norm
+        self._known: dict[tuple[object, ...], Array] = {}
 
     def frame_mean(self, signal: Signal) -> Signal:
         """Return the mean over the whole frame, shape (captures, 1, 1)."""
-        return np.asarray(self._level(signal) * self._mean[self._design.pattern_index][:, None, None])
+        return np.asarray(_level(signal) * self._mean[self._design.pattern_index][:, None, None])
 
     def column_mean(self, signal: Signal) -> Signal:
         """Return the mean over the whole column of each point."""
-        if self._columns is None:
-            pictures = [self._images.picture(p) for p in range(len(self._design.patterns))]
-            means = [np.broadcast_to(picture.mean(axis=0), picture.shape) for picture in pictures]
-            self._columns = self._smoothed(means)
-        return self._relative(signal, self._columns)
+        return self._relative(signal, ("column",), lambda picture: np.broadcast_to(picture.mean(axis=0), picture.shape))
 
     def spread(self, signal: Signal, radius_fraction: float, beyond: float = 1.0) -> Signal:
         """Return the signal at each tile spread over a fraction of the frame's longer side.
 
         Beyond the border the picture goes on at a share of what it is there.
         """
-        found = self._softened(round(radius_fraction, 6), "nearest")
-        if beyond != 1.0:
-            found = beyond * found + (1.0 - beyond) * self._softened(round(radius_fraction, 6), "constant")
-        return self._relative(signal, found)
-
-    def _softened(self, radius_fraction: float, border: Border) -> Array:
-        key = (radius_fraction, border)
-        if key not in self._spread:
-            pictures = [_soft(self._images.picture(p), *key) for p in range(len(self._design.patterns))]
-            self._spread[key] = self._smoothed(pictures)
-        return self._spread[key]
+        radius = round(radius_fraction, 6)
+        found = self._relative(signal, ("spread", radius), lambda picture: _soft(picture, radius))
+        if beyond == 1.0:
+            return found
+        dark = self._relative(signal, ("dark beyond", radius), lambda picture: _soft(picture, radius, "constant"))
+        return np.asarray(beyond * found + (1.0 - beyond) * dark)
 
     def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
         """Return the signal at the point reflected about the optical axis, spread where asked for."""
-        key = round(radius_fraction, 6)
-        if key not in self._reflected:
-            pictures = [self._images.picture(p) for p in range(len(self._design.patterns))]
-            soft = [_soft(picture, key) for picture in pictures] if key else pictures
-            self._reflected[key] = self._smoothed([self._turned(picture) for picture in soft])
-        return self._relative(signal, self._reflected[key])
+        radius = round(radius_fraction, 6)
 
-    def _relative(self, signal: Signal, sampled: Array) -> Signal:
-        ratio = sampled / self._norm[:, None, None]
-        return np.asarray(self._level(signal) * ratio[self._design.pattern_index])
+        def turned(picture: Array) -> Array:
+            return self._turned(_soft(picture, radius) if radius else picture)
 
-    def _level(self, signal: Signal) -> Signal:
-        level: Signal = np.asarray(signal.mean(axis=(-2, -1), keepdims=True))
-        return level
+        return self._relative(signal, ("reflected", radius), turned)
 
-    def _sampled(self, pictures: list[Array]) -> Array:
-        x, y = tile_points(self._design)
-        cell = self._images.cell_px
-        return np.stack([_bilinear(picture, (x + 0.5) / cell - 0.5, (y + 0.5) / cell - 0.5) for picture in pictures])
+    def _relative(self, signal: Signal, key: tuple[object, ...], change: Callable[[Array], Array]) -> Signal:
+        """Return the signal times what a change makes of each picture, over the tiles' mean.
 
-    def _smoothed(self, pictures: list[Array]) -> Array:
-        """Return values at the tiles' points that have the mean and the least-squares slopes of each tile's pixels."""
-        x, y = _dense_points(self._design)
-        cell = self._images.cell_px
-        found = []
-        for picture in pictures:
-            values = _bilinear(picture, (x + 0.5) / cell - 0.5, (y + 0.5) / cell - 0.5)
-            found.append(values @ _TO_POINTS)
-        return np.stack(found)
+        Values at the tiles' points have the mean and the least-squares slopes of each tile's pixels.
+        """
+        if key not in self._known:
+            places = _dense_points(self._design)
+            values = (_looked_up(self._images, change(picture), *places) for picture in self._pictures)
+            self._known[key] = np.stack([own @ _TO_POINTS for own in values]) / self._norm[:, None, None]
+        return np.asarray(_level(signal) * self._known[key][self._design.pattern_index])
 
     def _turned(self, picture: Array) -> Array:
         centre = self._design.header.lens.principal_point_px
@@ -397,14 +375,8 @@ def scene_radiance(design: Design, images: PatternImages) -> Array:
     declared camera where nothing is).
     """
     known = np.array([[np.nan if v is None else v for v in tile.radiance] for tile in design.tiles]).T
-    x, y = tile_points(design)
-    cell = images.cell_px
-    seen = np.stack(
-        [
-            _bilinear(images.picture(p), (x + 0.5) / cell - 0.5, (y + 0.5) / cell - 0.5).mean(axis=1)
-            for p in range(len(design.patterns))
-        ]
-    )
+    places, pictures = tile_points(design), [images.picture(p) for p in range(len(design.patterns))]
+    seen = np.stack([_looked_up(images, picture, *places).mean(axis=1) for picture in pictures])
     both = np.isfinite(known) & (seen > 0)
     declared = 1.0 / np.pi  # any positive number serves: the responsivity is fitted
     scale = float(np.sum(known[both]) / np.sum(seen[both])) if both.any() else declared
@@ -413,6 +385,16 @@ def scene_radiance(design: Design, images: PatternImages) -> Array:
     guess = np.add.reduceat(guess, first, axis=1)[:, number] / np.bincount(number)[number]  # parts of a patch are alike
     guess[list(design.same_patches)] = guess[0]
     return np.where(np.isfinite(known) & (known > 0), known, guess)
+
+
+def _level(signal: Signal) -> Signal:
+    level: Signal = np.asarray(signal.mean(axis=(-2, -1), keepdims=True))
+    return level
+
+
+def _looked_up(images: PatternImages, picture: Array, x: Array, y: Array) -> Array:
+    """Return a coarse picture's values at places of the frame in pixels."""
+    return _bilinear(picture, (x + 0.5) / images.cell_px - 0.5, (y + 0.5) / images.cell_px - 0.5)
 
 
 def _bilinear(picture: Array, x: Array, y: Array) -> Array:
@@ -612,9 +594,8 @@ class TileModel:
         def everywhere(values: Signal | float) -> Array:
             return tiles(np.broadcast_to(values, final.mean.shape))
 
-        mean, variance = tiles(final.mean), tiles(final.variance)
+        mean, variance, n = tiles(final.mean), tiles(final.variance), self.design.frame_count[:, None]
         if not self.design.uniform:  # a scene's noise is that of the later frames, without the first one's own light
-            n = self.design.frame_count[:, None]
             variance = variance - np.where(n > 2, gain[..., None] * tiles(final.first_excess) / n, 0.0)
         lines, columns, rows = map(tiles, (final.row_variance, final.fixed_column_variance, final.fixed_row_variance))
         # A frame's mean is taken out of each tile, and with it what its rows have in common.
@@ -624,12 +605,7 @@ class TileModel:
         total = np.maximum(variance + within + band * left.within, _SMALLEST_VARIANCE_DN2)
         white = np.maximum(variance + lines * self.design.rough_rows + band * left.rough, _SMALLEST_VARIANCE_DN2)
         fixed = tiles(final.spatial_variance)
-        spatial = (
-            white / self.design.frame_count[:, None]
-            + fixed
-            + columns * self.design.rough_columns
-            + rows * self.design.rough_rows
-        )
+        spatial = white / n + fixed + columns * self.design.rough_columns + rows * self.design.rough_rows
         fixed = fixed + columns + rows
         rise_x, rise_y = rise_of(final.mean)
         safe = np.maximum(total, 1e-30)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from radiometer.reconciliation.fit.comparison import FAMILY
-from radiometer.reconciliation.fit.linear import descended, leave_one_group_out
+from radiometer.reconciliation.fit.linear import leave_one_group_out
 from radiometer.reconciliation.fit.state import FitState, ModelFit
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
+_ITERATIONS: Final = 25
 _CONVERGED: Final = 0.02
 _DAMPING, _LESS, _MORE, _DAMPINGS = 1e-3, 0.3, 10.0, 5
 _VARIANTS: Final = 12  # each is a whole fit: bounds the time that one name takes, the likeliest first
@@ -82,19 +83,21 @@ def _variants(trials: Sequence[_Trial]) -> list[_Trial]:
 
 def _fitted(state: FitState, start: _Trial) -> _Trial:
     """Return the trial at the least χ² (Levenberg's damping, less after each step that helped)."""
-    damping = _DAMPING / _LESS
-
-    def trials(trial: _Trial) -> Iterator[_Trial]:
-        nonlocal damping
-        damping = damping * _LESS
-        normal, right = trial.normal(state)
+    damping, trial = _DAMPING, start
+    for _ in range(_ITERATIONS if start.effect.free() else 0):
+        lower, normal = None, trial.normal(state)
         for _ in range(_DAMPINGS):
-            further = trial.stepped(state, normal, right, damping)
-            if further is not None:
-                yield further
+            further = trial.stepped(state, *normal, damping)
+            if further is not None and further.cost < trial.cost:
+                lower = further
+                break
             damping = max(damping * _MORE, _DAMPING)
-
-    return descended(start, trials, lambda trial: _CONVERGED * state.misfit) if start.effect.free() else start
+        if lower is None:
+            break
+        gained, trial, damping = trial.cost - lower.cost, lower, damping * _LESS
+        if gained < _CONVERGED * state.misfit:
+            break
+    return trial
 
 
 @dataclass(frozen=True, eq=False)

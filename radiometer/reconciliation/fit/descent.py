@@ -19,7 +19,6 @@ from scipy.linalg import solve_triangular
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
-from radiometer.reconciliation.fit.linear import descended
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, rough_log_responsivity
 from radiometer.reconciliation.fit.state import FitState, reweighted, value_of, weighted, with_effects
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
@@ -105,46 +104,23 @@ def refit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = 
 
     With `early_stop` it ends once it creeps. A name's fit goes on: that it leads to the end of a range is a finding.
     """
-    fixed, pace = _fixed(state), _Pace()
-
-    def trials(at: FitState) -> Iterator[FitState]:
-        if early_stop and pace.creeps(at):
-            return
-        for trial in _trials(at):
-            yield _held_at_bounds(_glided(at, trial, at.cost - trial.cost)[0], fixed) if trial.cost < at.cost else trial
-
-    return descended(_held_at_bounds(state, fixed), trials, lambda at: _CONVERGED * at.misfit, iterations)
+    return _held_at_bounds(coarse_fit(state, iterations, early_stop=early_stop), _fixed(state))
 
 
-class _Pace:
-    """Progress of a fit: where parameters nearly replace each other it has no end, but gains next to nothing."""
+def coarse_fit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = False) -> FitState:
+    """Return the same, for weights that will be brought up to date there: parameters at bounds are not held yet.
 
-    def __init__(self) -> None:
-        self._before: FitState | None = None
-        self._slow = 0
-
-    def creeps(self, at: FitState) -> bool:
-        """Return whether the steps to this point, the next one of a fit, were slow ones for too long."""
-        before, self._before = self._before, at
-        if before is None:
-            return False
-        gained = before.cost - at.cost
-        slow = gained < min(_SLOW * (before.cost - before.promised), _LITTLE * at.misfit)
-        self._slow = self._slow + 1 if slow else 0
-        return self._slow >= _PATIENCE
-
-
-def coarse_fit(state: FitState, *, early_stop: bool = False) -> FitState:
-    """Return the state near the least χ², for weights that will be brought up to date there.
-
-    As `refit`, but the end is where derivatives of one point lead, if they hold all the way: none are taken there to
-    confirm it. Parameters at bounds are not held yet.
+    The end is where derivatives of one point lead, if they hold all the way: none are taken there to confirm it.
     """
-    fixed, pace = _fixed(state), _Pace()
-    for _ in range(_ITERATIONS):
+    fixed, slow, before = _fixed(state), 0, state
+    for number in range(iterations):
         state = _held_at_bounds(state, fixed)
-        if early_stop and pace.creeps(state):
-            break
+        if early_stop and number:  # where parameters nearly replace each other it has no end, but gains next to nothing
+            least = min(_SLOW * (before.cost - before.promised), _LITTLE * state.misfit)
+            slow = slow + 1 if before.cost - state.cost < least else 0
+            if slow >= _PATIENCE:
+                break
+        before = state
         lower = next((trial for trial in _trials(state) if trial.cost < state.cost), None)
         if lower is None:
             break

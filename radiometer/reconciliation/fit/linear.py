@@ -10,11 +10,11 @@ takes in.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Final, Protocol, TypeVar
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from scipy.linalg.lapack import dtrtrs
 
 from radiometer.typing import Array
 
-_ITERATIONS: Final = 25
 _RIDGE = 1e-12  # relative; keeps a Cholesky factor regular
 _OWN_SHARE = 1e-4  # of a trend's square that the parameters must leave for it to be tested
 
@@ -300,38 +299,6 @@ def triangular(factor: Array, right: Array, *, transposed: bool = False) -> Arra
     if singular:
         raise np.linalg.LinAlgError(f"row {singular} of a Cholesky factor is nothing")
     return np.asarray(found)
-
-
-class _Point(Protocol):
-    @property
-    def cost(self) -> float: ...
-
-
-_PointT = TypeVar("_PointT", bound=_Point)
-
-
-def descended(
-    point: _PointT,
-    trials: Callable[[_PointT], Iterable[_PointT]],
-    enough: Callable[[_PointT], float],
-    iterations: int = _ITERATIONS,
-) -> _PointT:
-    """Return the point of least χ² by damped Gauss–Newton steps: of each point's trials the first lower one is taken.
-
-    Args:
-        point: Where to start.
-        trials: Gives what to try from a point, each more damped than the one before.
-        enough: Gives the gain of χ² below which a point is the last.
-        iterations: How many steps at most.
-    """
-    for _ in range(iterations):
-        lower = next((trial for trial in trials(point) if trial.cost < point.cost), None)
-        if lower is None:
-            break
-        gained, point = point.cost - lower.cost, lower
-        if gained < enough(point):
-            break
-    return point
 
 
 # ---- settings held out ----------------------------------------------------------------------------------------------

@@ -93,20 +93,9 @@ class Law:
         return (self.amplitude, *(name for name in self.parameters if name not in fixed))
 
     @property
-    def is_per_frame(self) -> bool:
-        """Return whether the first frame of a series differs from the others."""
-        return any(name in PER_FRAME for name in self.covariates)
-
-    @property
     def is_of_the_series(self) -> bool:
         """Return whether the formula is of all frames of a series: then it is not averaged over them again."""
         return "frame" in self.covariates
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Return the facts of the context, as paths, that the data must state."""
-        known = dict.fromkeys((*self.covariates, *LINKS[self.link].goes_with))
-        return tuple(_NEEDS[name] for name in known if name in _NEEDS)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -117,23 +106,6 @@ class Law:
     def size(self) -> int:
         """Return the number of parameters, the amplitude among them."""
         return 1 + len(self.parameters)
-
-    @property
-    def is_steep(self) -> bool:
-        """Return whether it changes within a tile as no quadratic surface does."""
-        return any(FORMS[term.form].is_steep and set(term.covariates) & set(PLACES) for term in self.terms)
-
-    @property
-    def signal_power(self) -> int | None:
-        """Return the power of the signal that its change scales with; None where the formula holds the signal."""
-        if set(self.covariates) & {"signal", "value", *OF_THE_PICTURE}:
-            return None
-        return 0 if LINKS[self.link].adds else 1
-
-    @property
-    def is_sudden(self) -> bool:
-        """Return whether it jumps along the signal."""
-        return any(term.form == "step" and term.covariate in ("signal", "value") for term in self.terms)
 
     def formula(self) -> str:
         """Return the amplitude times the terms, for people."""
@@ -206,7 +178,8 @@ class LawEffect(CatalogueEffect):
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
         """Return whether the data state what the law depends on."""
-        return all(attrgetter(path)(context) is not None for path in cls.of_law.needs)
+        needed = {*cls.of_law.covariates, *cls.link.goes_with} & _NEEDS.keys()
+        return all(attrgetter(_NEEDS[name])(context) is not None for name in needed)
 
     def _at_its_link(self, code: str, law: Any, signal: Any, context: ExposureContext) -> Any:
         return formula(code.format(law="law"))({"law": law, "signal": signal, "context": context})
@@ -288,7 +261,10 @@ def effect_class(law: Law, amplitude: float) -> type[LawEffect]:
 def _class_of(key: str, terms: tuple[tuple[str, str, Any, Any], ...], amplitude: float) -> type[LawEffect]:
     law = Law(key, tuple(Term(form, where, dict(constants), dict(values)) for form, where, constants, values in terms))
     link = LINKS[key]
-    kind = NoiseLaw if link.is_noise else FrameLaw if law.is_per_frame else SignalLaw
+    along = set(law.covariates)
+    kind = NoiseLaw if link.is_noise else FrameLaw if along & set(PER_FRAME) else SignalLaw
+    is_steep = any(FORMS[term.form].is_steep and set(term.covariates) & set(PLACES) for term in law.terms)
+    scales = is_steep and not along & {"signal", "value", *OF_THE_PICTURE}  # by a power of the signal alone
     unit = getattr(base, link.unit_signal)
     facts = {
         "of_law": law,
@@ -302,9 +278,9 @@ def _class_of(key: str, terms: tuple[tuple[str, str, Any, Any], ...], amplitude:
         "block": "variance" if link.is_noise else "mean",
         "also": () if link.is_noise else ("slope", "first"),
         "acts_by_square": link.is_noise,
-        "is_steep": law.is_steep,
-        "signal_power": law.signal_power if law.is_steep else None,
-        "is_sudden": law.is_sudden,
+        "is_steep": is_steep,  # it changes within a tile as no quadratic surface does
+        "signal_power": int(not link.adds) if scales else None,
+        "is_sudden": any(term.form == "step" and term.covariate in ("signal", "value") for term in law.terms),
         "trials": (_trial(law, amplitude), _trial(law, -amplitude, _NEAR_NOTHING)),
         "fitted": law.fitted,
     }
