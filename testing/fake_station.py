@@ -1,14 +1,18 @@
-"""A fake instrument and light box for a station, and a client that speaks SCPI by lines."""
+"""A fake instrument and light box for a station, and clients that speak HTTP, and SCPI by lines."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partialmethod
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import aiohttp
 import numpy as np
 
 from radiometer.daemon.instrument import DeviceReport, Measurement, MeasurementSettings
@@ -128,6 +132,40 @@ class FakeBox:
             raise DeviceLost("fake box: unplugged")
         self.levels[channel] = level
         return level
+
+
+@dataclass
+class Answer:
+    """What an HTTP server answered."""
+
+    status: int
+    content_type: str
+    headers: Mapping[str, str]
+    body: bytes
+
+    @property
+    def text(self) -> str:
+        return self.body.decode()
+
+    def json(self) -> Any:
+        return json.loads(self.body)
+
+
+class HttpClient:
+    """A client of an HTTP server on a port of loopback."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+        self.session = aiohttp.ClientSession(f"http://127.0.0.1:{port}")
+
+    async def ask(self, method: str, path: str, **options: Any) -> Answer:
+        async with self.session.request(method, path, **options) as reply:
+            return Answer(reply.status, reply.content_type, reply.headers, await reply.read())
+
+    get = partialmethod(ask, "GET")
+    post = partialmethod(ask, "POST")
+    head = partialmethod(ask, "HEAD")
+    delete = partialmethod(ask, "DELETE")
 
 
 @dataclass

@@ -121,11 +121,15 @@ def is_r_file(beginning: bytes) -> bool:
 
 
 @bounded_reader(error=InputError, apart="rdata")
-def read_r_lists(path: Path) -> tuple[str, list[float], list[float]]:
-    """Return name, times and thresholds of the one object with `time` and `thrs` in a file of R.
+def read_r_lists(
+    path: Path, times: tuple[str, ...] = _TIME, thresholds: tuple[str, ...] = _THRESHOLD
+) -> tuple[str, tuple[str, list[float]], tuple[str, list[float]]]:
+    """Return the one object with times and thresholds in a file of R: its name, and name and numbers of both.
 
     Args:
         path: What `save`, `saveRDS` or `save(ascii = TRUE)` wrote.
+        times: Names that times may have.
+        thresholds: Names that thresholds may have.
 
     Raises:
         InputError: If there is none or several, `rdata` is not installed, or the file is damaged.
@@ -145,28 +149,31 @@ def read_r_lists(path: Path) -> tuple[str, list[float], list[float]]:
         raise
     except Exception as error:  # whatever a damaged file makes the library raise
         raise InputError(f"{path}: R's file cannot be read ({error}); write it as text there: {AS_TEXT}") from error
-    found = list(_with_thresholds("", known))
+    found = list(_with_thresholds("", known, times, thresholds))
     if len(found) != 1:
-        problem = "no object with time and thrs" if not found else f"several objects: {', '.join(f[0] for f in found)}"
+        names = f"{' or '.join(times)} and {' or '.join(thresholds)}"
+        problem = f"no object with {names}" if not found else f"several objects: {', '.join(f[0] for f in found)}"
         raise InputError(f"{path}: holds {problem}; write one as text in R: {AS_TEXT}")
-    name, times, thresholds = found[0]
-    if len(times) != len(thresholds):
-        raise InputError(f"{path}: its list has {len(times)} times and {len(thresholds)} thresholds")
-    return name or "it", times, thresholds
+    name, when, levels = found[0]
+    if len(when[1]) != len(levels[1]):
+        raise InputError(f"{path}: its list has {len(when[1])} times and {len(levels[1])} thresholds")
+    return name or "it", when, levels
 
 
-def _with_thresholds(name: str, known: Any) -> Iterator[tuple[str, list[float], list[float]]]:
+def _with_thresholds(
+    name: str, known: Any, times: tuple[str, ...], thresholds: tuple[str, ...]
+) -> Iterator[tuple[str, tuple[str, list[float]], tuple[str, list[float]]]]:
     """Yield what has times and thresholds, in lists and data frames and lists of them."""
     if not (isinstance(known, Mapping) or hasattr(known, "columns")):
         return
     keys = list(known)
-    time = next((key for key in _TIME if key in keys), None)
-    threshold = next((key for key in _THRESHOLD if key in keys), None)
+    time = next((key for key in times if key in keys), None)
+    threshold = next((key for key in thresholds if key in keys), None)
     if time is not None and threshold is not None:
-        yield name, _numbers(known[time]), _numbers(known[threshold])
+        yield name, (time, _numbers(known[time])), (threshold, _numbers(known[threshold]))
     elif isinstance(known, Mapping):
         for key, value in known.items():
-            yield from _with_thresholds(f"{name}${key}" if name else str(key), value)
+            yield from _with_thresholds(f"{name}${key}" if name else str(key), value, times, thresholds)
 
 
 def _numbers(values: Any) -> list[float]:
@@ -200,14 +207,17 @@ def read_table(path: Path, mapped: StatementMap | None = None) -> TakenTable:
     raw = _raw(path)
     if is_journal(raw):
         return _of_journal(path)
+    facts: dict[str, str] = {}
+    known = mapped or StatementMap()
     if is_r_file(raw):
-        name, *numbers = read_r_lists(path)
-        rows = [[str(value) for value in pair] for pair in zip(*numbers, strict=True)]
-        how = [f"a file of R: time and thrs of {name}"]
-        return _taken(path, ["time", "thrs"], list(enumerate(rows, 1)), {}, how, {})
+        named = [tuple(p.name for p in known.places.get(fact, ())[:1]) for fact in ("time", "threshold")]
+        name, *columns = read_r_lists(path, named[0] or _TIME, named[1] or _THRESHOLD)
+        header = [heading for heading, _ in columns]
+        rows = [[str(value) for value in pair] for pair in zip(*(numbers for _, numbers in columns), strict=True)]
+        how = [f"a file of R: {' and '.join(header)} of {name}"]
+        return _taken(path, header, list(enumerate(rows, 1)), facts, how, _settled(path, header, known))
     text = text_table.decode_export(raw)
     lists = _r_lists(path, text)
-    facts: dict[str, str] = {}
     if lists is not None:
         header, rows = ["time", "thrs"], [list(pair) for pair in zip(*lists, strict=False)]
         how = ["an R list with time and thrs (dput of a Dark object)"]
@@ -216,7 +226,7 @@ def read_table(path: Path, mapped: StatementMap | None = None) -> TakenTable:
         numbered = list(enumerate(rows, 1))
     else:
         header, numbered, facts, how = _cells(path, text)
-    chosen = _settled(path, header, mapped or StatementMap())
+    chosen = _settled(path, header, known)
     return _taken(path, header, numbered, facts, how, chosen)
 
 

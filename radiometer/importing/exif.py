@@ -128,8 +128,8 @@ def camera_of(header: Header, where: str) -> dict[str, str | float]:
     """
     found: dict[str, str | float] = {}
     for fact, tag in (("vendor", "Make"), ("model", "Model"), ("serial", "BodySerialNumber")):
-        if (stated := text_stated(fact, header, (tag,), StatementMap(), where)) is not None:
-            found[fact] = stated[1]
+        if (words := text_stated(fact, header, (tag,), StatementMap(), where)) is not None:
+            found[fact] = words[1]
     numbers = {
         tag: stated[1]
         for tag in ("FocalLength", "WhiteBalance", "LightSource", *_DEVELOPMENT)

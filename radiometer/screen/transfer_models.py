@@ -105,8 +105,9 @@ def fit_transfer(name: str, level: ArrayLike, value: ArrayLike, u: ArrayLike) ->
     if not found.success:
         raise ValueError(f"{name}: the fit did not converge ({found.message})")
     missed = 2.0 * found.cost / max(v.size - start.size, 1)  # χ² per degree of freedom (Birge 1932)
+    jacobian = np.asarray(found.jac, dtype=np.float64)
     try:
-        u_gamma = math.sqrt(max(missed, 1.0) * abs(float(np.linalg.inv(found.jac.T @ found.jac)[-1, -1])))
+        u_gamma = math.sqrt(max(missed, 1.0) * abs(float(np.linalg.inv(jacobian.T @ jacobian)[-1, -1])))
     except np.linalg.LinAlgError:
         u_gamma = math.inf
     return _judged(model, found.x, v, y, u_gamma)

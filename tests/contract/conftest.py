@@ -1,7 +1,5 @@
 """The cameras that the contract suite runs over."""
 
-from __future__ import annotations
-
 import fcntl
 import shutil
 import socket

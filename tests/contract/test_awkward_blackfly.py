@@ -1,7 +1,5 @@
 """A Blackfly as awkward as the real one, on the wire: what a plain simulated one never asked of the driver."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

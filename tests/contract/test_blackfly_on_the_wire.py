@@ -1,7 +1,5 @@
 """The simulated Blackfly over GigE Vision: real pictures, real traps, real faults."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 import subprocess

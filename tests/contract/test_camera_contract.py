@@ -1,7 +1,5 @@
 """What every camera must do, real or simulated: above the device layer they cannot be distinguished."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A camera with colour filters on the wire: its frames are the mosaic that it sees, and it says so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

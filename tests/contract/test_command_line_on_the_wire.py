@@ -1,7 +1,5 @@
 """The main job over GigE Vision: commands here, the simulated Blackfly in a process of its own."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

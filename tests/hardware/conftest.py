@@ -1,7 +1,5 @@
 """A real camera, named by RADIOMETER_CAMERA (serial number, device id or address)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 

@@ -3,8 +3,6 @@
 RADIOMETER_CAMERA=22500001 python -m pytest tests/hardware
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Two boxes that speak the light-box protocol, in their own time: the twin, and the firmware in simavr."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Iterator

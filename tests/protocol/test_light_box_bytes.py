@@ -1,7 +1,5 @@
 """Every command and error of docs/reference/light-box-protocol.md, byte for byte, on the twin and on the firmware."""
 
-from __future__ import annotations
-
 import re
 from zlib import crc32
 

@@ -1,9 +1,5 @@
 """What only the firmware has: pins, interrupts, timing."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
 from zlib import crc32
 
 import pytest
@@ -15,7 +11,7 @@ PINS = ("bleach", "spot", "spot_red", "fixation")
 
 
 @pytest.fixture
-def avr(light_box_hex: Path) -> AvrBox:
+def avr(light_box_hex):
     """Return the firmware, powered for 20 ms: it reads its EEPROM first."""
     try:
         box = AvrBox(light_box_hex)
@@ -27,10 +23,10 @@ def avr(light_box_hex: Path) -> AvrBox:
 
 
 @pytest.fixture
-def ask(avr: AvrBox) -> Callable[[str], bytes]:
+def ask(avr):
     """Return a function that sends a request and returns the answer."""
 
-    def asked(body: str, wait_s: float = 0.012) -> bytes:
+    def asked(body, wait_s=0.012):
         avr.send(f"{body}*{crc32(body.encode()):08X}\n".encode())
         avr.run(wait_s)
         return avr.take_sent()
@@ -144,12 +140,12 @@ def test_opening_the_port_gives_no_energy_back(small_bucket_hex):
     avr = AvrBox(small_bucket_hex)
     avr.run(0.05)
 
-    def ask(body: str, wait_s: float = 0.06) -> bytes:
+    def ask(body, wait_s=0.06):
         avr.send(f"{body}*{crc32(body.encode()):08X}\n".encode())
         avr.run(wait_s)
         return avr.take_sent()
 
-    def bucket() -> int:
+    def bucket():
         ask("#00 HI 2")
         return int(ask("#01 RB 5").split()[6].split(b"*")[0])
 

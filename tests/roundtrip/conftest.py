@@ -1,7 +1,5 @@
 """Fixtures of the round trips: sessions with hidden effects, in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """Ten thousand sequences on the simulated desk, two hundred of them by the firmware: no eye gets more than a tenth."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

@@ -1,7 +1,5 @@
 """Every effect that the generator hides is in the pixels, in the statistics that the catalogue names for it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The generator with nothing hidden follows the sensor it declares."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

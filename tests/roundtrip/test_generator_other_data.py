@@ -1,7 +1,5 @@
 """The generator's other kinds of data have the forms that the world uses and the physics that they claim."""
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools

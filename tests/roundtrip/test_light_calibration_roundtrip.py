@@ -1,7 +1,5 @@
 """A light box calibrated by the camera gives the radiance that it is asked for."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

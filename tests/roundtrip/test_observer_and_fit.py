@@ -1,7 +1,5 @@
 """A simulated subject's thresholds, fitted: what went in comes out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

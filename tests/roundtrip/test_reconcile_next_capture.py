@@ -1,7 +1,5 @@
 """What a plain bracket cannot settle, the captures that are asked for do, each taken anew by the generator."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.reconcile_next_capture import asked, captures_needed

@@ -1,7 +1,5 @@
 """Row noise: what its few rows can tell bounds the uncertainty, and tiles side by side see the same rows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -21,7 +21,7 @@ def _ask(session: Session, without: tuple[str, ...] = ()) -> ReconcileResult:
     return reconcile(session.header, list(session.frames()), without=without, with_limits=False)
 
 
-def test_nothing_hidden_nothing_found() -> None:
+def test_nothing_hidden_nothing_found():
     """A session without any hidden effect agrees with the camera that its header declares."""
     answer = _ask(make_session(camera_seed=0))
     assert str(answer.verdict) == "agrees"
@@ -30,7 +30,7 @@ def test_nothing_hidden_nothing_found() -> None:
 
 @pytest.mark.usefixtures("laws_left_out")
 @pytest.mark.parametrize("name", SAMPLE)
-def test_hidden_effect_is_named_first(name: str) -> None:
+def test_hidden_effect_is_named_first(name):
     """At its smallest realistic size the effect is the first name given, and the gap on held-out settings shrinks."""
     answer = _ask(make_session(name, camera_seed=3))
     assert [e.name for e in answer.effects][:1] == [name]
@@ -38,7 +38,7 @@ def test_hidden_effect_is_named_first(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["mains_ripple", "brighter_fatter", "random_telegraph_noise"])
-def test_hidden_effect_is_named_alone(name: str) -> None:
+def test_hidden_effect_is_named_alone(name):
     """What several statistics show (flicker in first frames, charge at edges) is one name, and nothing stays."""
     answer = _ask(make_session(name, camera_seed=1000))
     assert str(answer.verdict) == "effects_found"
@@ -56,9 +56,7 @@ def test_hidden_effect_is_named_alone(name: str) -> None:
         ("dark_frame_subtracted:cut", ("share", "share"), None),
     ],
 )
-def test_hidden_processing_and_a_panel_s_beat_are_named(
-    form: str, parameter: tuple[str, str], allowed: float | None
-) -> None:
+def test_hidden_processing_and_a_panel_s_beat_are_named(form, parameter, allowed):
     """Bits cut off, a black level taken off and cut at zero, a panel's refresh, darks subtracted: right name and size.
 
     Codes within one of rounding, a frequency and the share of the darks' noise within four of their u.
@@ -74,7 +72,7 @@ def test_hidden_processing_and_a_panel_s_beat_are_named(
 
 
 @pytest.mark.usefixtures("laws_left_out")
-def test_a_bend_beyond_the_declared_full_well_keeps_its_name() -> None:
+def test_a_bend_beyond_the_declared_full_well_keeps_its_name():
     """Pixels hold 1.7 times the declared full well: the bend is named, its size in that well, and the wrong well."""
     session = make_session("response_nonlinearity", camera_seed=5401, scale=3.0)
     camera = session.header.camera.model_copy(update={"full_well_e": 0.6 * session.header.camera.full_well_e})
@@ -89,7 +87,7 @@ def test_a_bend_beyond_the_declared_full_well_keeps_its_name() -> None:
 
 
 @pytest.mark.usefixtures("laws_left_out")
-def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
+def test_found_effect_shrinks_the_gap_of_a_fresh_session():
     """With what was found frozen, another session of the same rig is met to a reduced chi-square of 1.05."""
     answer = _ask(make_session("exposure_time_offset", camera_seed=4))
     assert [e.name for e in answer.effects][:1] == ["exposure_time_offset"]
@@ -99,7 +97,7 @@ def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
     assert after <= 1.05
 
 
-def test_power_of_short_times_alone_keeps_its_name() -> None:
+def test_power_of_short_times_alone_keeps_its_name():
     """A negative power up to a threshold is no lamp that settles within the exposure."""
     answer = _ask(make_session("reciprocity_failure:short_only", camera_seed=401))
     assert [e.name for e in answer.effects] == ["reciprocity_failure"]
@@ -107,7 +105,7 @@ def test_power_of_short_times_alone_keeps_its_name() -> None:
 
 @pytest.mark.usefixtures("laws_left_out")
 @pytest.mark.parametrize("form", ["black_level_drift:curved", "mechanical_vignetting:circles"])
-def test_other_equation_of_an_effect_takes_a_flexible_form(form: str) -> None:
+def test_other_equation_of_an_effect_takes_a_flexible_form(form):
     """A bent drift and a pupil cut by the barrel keep their names, alone, and a fresh session is met to 1.05."""
     answer = _ask(make_session(form, camera_seed=9500))
     assert str(answer.verdict) == "effects_found"
@@ -118,7 +116,7 @@ def test_other_equation_of_an_effect_takes_a_flexible_form(form: str) -> None:
     assert after <= 1.05
 
 
-def test_entry_taken_from_the_catalogue_is_not_replaced_by_a_confident_name() -> None:
+def test_entry_taken_from_the_catalogue_is_not_replaced_by_a_confident_name():
     """Without its entry the droop is left unnamed or provisional, and the source's level is among the first places."""
     answer = _ask(make_session("led_thermal_droop", camera_seed=5), without=("led_thermal_droop",))
     assert str(answer.verdict) in ("unnamed_effect", "incomplete")
@@ -127,7 +125,7 @@ def test_entry_taken_from_the_catalogue_is_not_replaced_by_a_confident_name() ->
 
 
 @pytest.mark.usefixtures("laws_left_out")
-def test_doubts_lead_back_to_where_another_entry_was_nearly_chosen() -> None:
+def test_doubts_lead_back_to_where_another_entry_was_nearly_chosen():
     """A hard full well next to rounded exposures: a soft one leads at first, and ends with a label error next to it."""
     hidden = ("exposure_quantisation:round", "full_well_saturation")
     answer = _ask(make_session(*hidden, camera_seed=33061))

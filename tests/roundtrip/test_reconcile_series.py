@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from radiometer.reconciliation.result import Verdict
-from testing.generator.session import Session
 from testing.reconciled import reconcile
 
 PARAMETERS = {
@@ -23,9 +20,7 @@ PARAMETERS = {
 
 
 @pytest.mark.parametrize("name", sorted(PARAMETERS))
-def test_it_is_named_with_its_size(
-    hidden_session: Callable[..., Session], name: str, request: pytest.FixtureRequest
-) -> None:
+def test_it_is_named_with_its_size(hidden_session, name, request):
     """A jumping lamp, unsettled first frames and lines, charge of readout or of traps: named alone, within four u."""
     if name != "lamp_step":
         request.getfixturevalue("laws_left_out")
@@ -39,9 +34,7 @@ def test_it_is_named_with_its_size(
     assert fitted.value == pytest.approx(session.truth[name][true], abs=4.0 * fitted.u)
 
 
-def test_a_leak_is_not_distinguished_from_rows_of_longer_exposure(
-    hidden_session: Callable[..., Session], request: pytest.FixtureRequest
-) -> None:
+def test_a_leak_is_not_distinguished_from_rows_of_longer_exposure(hidden_session, request):
     """The same equation: the one of fewer parameters has the name, the other is next to it."""
     request.getfixturevalue("laws_left_out")
     session = hidden_session("parasitic_light_sensitivity", camera_seed=5102)

@@ -1,7 +1,5 @@
 """A wave along the rows of large frames: the phases of few frames bound what is known of its size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,20 +1,15 @@
 """The whole test through the simulated box: the subject sees its LEDs and presses its button, as on hardware."""
 
-from __future__ import annotations
-
 import math
 import os
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
+from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.outcome import Outcome
-from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach, read_protocol
+from radiometer.adaptation.protocol import FlashBleach, SteadyBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
@@ -28,11 +23,11 @@ BLEACH_CD_M2 = 750.0 / 316.9 * WHITE_LM_PER_W
 
 
 @pytest.fixture(autouse=True)
-def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_waiting_for_the_disk(monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
-def protocol(minutes: float, *, bleach_s: float = 150.0, **spot: Any) -> AdaptationProtocol:
+def protocol(minutes, *, bleach_s=150.0, **spot):
     """Return the shipped box-only protocol, cut short."""
     whole = read_protocol("led-only")
     return whole.model_copy(
@@ -44,16 +39,14 @@ def protocol(minutes: float, *, bleach_s: float = 150.0, **spot: Any) -> Adaptat
     )
 
 
-def run(
-    path: Path, expected: AdaptationProtocol, subject: str | None = "steady", preset: Path | None = None
-) -> tuple[Outcome, RunJournal]:
+def run(path, expected, subject="steady", preset=None):
     """Run a test on the simulated box."""
     request = RunRequest(expected, box="sim", simulate=subject, seed=4, preset=preset)
     with open_box_stage(request) as (stage, checks), RunJournal(path, relive=True) as journal:
         return run_test(expected, stage, journal, subject="A1", seed=5, checks=checks), journal
 
 
-def fitted(outcome: Outcome) -> AdaptationFit:
+def fitted(outcome):
     """Return the fit of a run's thresholds."""
     assert outcome.can_be_fitted, outcome
     series = ThresholdSeries(np.array(outcome.times_min), np.array(outcome.thresholds_log10))
@@ -61,7 +54,7 @@ def fitted(outcome: Outcome) -> AdaptationFit:
 
 
 @pytest.mark.slow
-def test_blue_spot_shows_the_break_of_the_eye_that_the_bleach_left(tmp_path: Path) -> None:
+def test_blue_spot_shows_the_break_of_the_eye_that_the_bleach_left(tmp_path):
     """Break within its interval's width and the method's own delay; plateau where the eye has it on the stated scale.
 
     The product takes the spot for a line at 453 nm (833 lm/W scotopic), the eye sees 756 lm/W: +0.04 log10 units; the
@@ -81,7 +74,7 @@ def test_blue_spot_shows_the_break_of_the_eye_that_the_bleach_left(tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_red_spot_shows_no_break(tmp_path: Path) -> None:
+def test_red_spot_shows_no_break(tmp_path):
     """At 640 nm rods and cones are about equally sensitive: the same subject, bleach and box give one branch."""
     red = protocol(
         14.0, channel="spot_red", peak_nm=640.0, filter_density=1.5, lowest_log10=-6.0, highest_log10=-1.3
@@ -95,7 +88,7 @@ def test_red_spot_shows_no_break(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_short_bleach_leaves_the_rod_branch_alone(tmp_path: Path) -> None:
+def test_short_bleach_leaves_the_rod_branch_alone(tmp_path):
     """After 2 s the rods are the more sensitive from the first threshold on: one branch, far below the cones'."""
     outcome, _ = run(tmp_path / "j", protocol(10.0, bleach_s=2.0))
     found = fitted(outcome)
@@ -103,7 +96,7 @@ def test_short_bleach_leaves_the_rod_branch_alone(tmp_path: Path) -> None:
     assert found.estimates["final_threshold"].value < Eye().cone_log10(30.0, 453.0) - 2.0
 
 
-def test_run_that_died_is_lived_through_again_and_goes_on(tmp_path: Path) -> None:
+def test_run_that_died_is_lived_through_again_and_goes_on(tmp_path):
     """Cut anywhere, even in a line, the journal of the same command equals the undisturbed one byte for byte."""
     chosen = protocol(1.5, bleach_s=10.0)
     run(tmp_path / "whole", chosen)
@@ -115,7 +108,7 @@ def test_run_that_died_is_lived_through_again_and_goes_on(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("subject", "planted"), [("steady", 0.03), ("wanders", 0.4)])
-def test_fixation_losses_are_found_as_they_were_planted(tmp_path: Path, subject: str, planted: float) -> None:
+def test_fixation_losses_are_found_as_they_were_planted(tmp_path, subject, planted):
     """The red LED in the blind spot, in the protocol's bytes: the interval holds the share of glances elsewhere."""
     chosen = protocol(12.0, bleach_s=10.0)
     check = chosen.fixation_check
@@ -131,7 +124,7 @@ def test_fixation_losses_are_found_as_they_were_planted(tmp_path: Path, subject:
     assert bool(journal.of_kind("fixation")) is (subject == "wanders")
 
 
-def test_photographic_flashes_bleach_the_eye_before_the_box(tmp_path: Path) -> None:
+def test_photographic_flashes_bleach_the_eye_before_the_box(tmp_path):
     """5·10⁶ scotopic td·s through 6 mm, 100 J·sr⁻¹·m⁻² each: three flashes, 10 s apart, by the box's trigger.
 
     The eye takes them for 1.81·10⁶ each (640 scotopic lm/W): 1 − exp(−0.543) = 42 % of the rods, a little less for what
@@ -155,7 +148,7 @@ def test_photographic_flashes_bleach_the_eye_before_the_box(tmp_path: Path) -> N
     assert observer.dark_since_s == pytest.approx(fired_ms[-1] / 1000, abs=0.2)
 
 
-def test_flashes_beyond_the_box_are_refused_before_the_first(tmp_path: Path) -> None:
+def test_flashes_beyond_the_box_are_refused_before_the_first(tmp_path):
     """The trigger gives eight in a row: 2·10⁷ td·s would take thirteen, and nothing is fired."""
     flash = FlashBleach(kind="flash", retinal_td_s=2e7, pupil_mm=6.0, source="flash")
     chosen = protocol(5.0).model_copy(update={"bleach": flash})

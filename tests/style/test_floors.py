@@ -1,7 +1,5 @@
 """How the rooms of reconcile stand on each other: imports run one way, on few floors."""
 
-from __future__ import annotations
-
 import ast
 from functools import cache
 from graphlib import TopologicalSorter

@@ -1,7 +1,5 @@
 """Tests use what users of a module use: no private name, no stub of an internal object, no line of the log."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Mistakes drawn at random are plausible ones, and the tests chosen against them are those that can notice them."""
 
-from __future__ import annotations
-
 import ast
 import os
 import resource

@@ -1,7 +1,5 @@
 """Text is plain: short sentences, and none of the words that readers of the field stumble over."""
 
-from __future__ import annotations
-
 import ast
 import re
 import statistics

@@ -3,8 +3,6 @@
 No container can be built in the tests, so the file is read: stages, copied paths, user, health check, commands.
 """
 
-from __future__ import annotations
-
 import http.server
 import json
 import re

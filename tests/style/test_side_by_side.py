@@ -1,7 +1,5 @@
 """Tests in several processes are reported as those of one, whatever becomes of them."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

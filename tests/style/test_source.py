@@ -1,7 +1,5 @@
 """The manner of the source: raised errors documented, tests explained, functions short, nothing of any one machine."""
 
-from __future__ import annotations
-
 import ast
 import gc
 import re

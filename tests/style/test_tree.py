@@ -1,7 +1,5 @@
 """The tree of tests mirrors the packages, so that a subject's tests are found and run by its folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,11 +1,7 @@
 """The page of a running test in a real browser: points grow, pause reaches the run, nothing is green or blue."""
 
-from __future__ import annotations
-
 import asyncio
 import time
-from collections.abc import AsyncIterator, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,19 +10,18 @@ import pytest
 from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.live_page import LivePage
-from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.outcome import Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.simulated_stage import simulated_stage
-from radiometer.data.event_journal import Event
-from testing.chromium import Browser, headless
+from testing.chromium import headless
 from testing.scripted_adaptation import SubjectCurve
 
 PHONE = (390, 844)
 
 
 @pytest.fixture
-async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
+async def browser(tmp_path):
     """Return a headless browser of a phone's size."""
     async with headless(tmp_path / "profile") as driver:
         await driver.be_a_phone(*PHONE)
@@ -34,7 +29,7 @@ async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
 
 
 @pytest.fixture
-def served() -> Iterator[tuple[LivePage, Controls]]:
+def served():
     """Return the open page of a test that has begun, and its controls."""
     controls = Controls()
     with LivePage(read_protocol("classic"), controls, audio=True, health=lambda: {"supply": "5.02 V"}) as page:
@@ -45,7 +40,7 @@ def served() -> Iterator[tuple[LivePage, Controls]]:
         yield page, controls
 
 
-def _tell_trials(page: LivePage, first: int, count: int) -> None:
+def _tell_trials(page, first, count):
     """Tell trials every half minute: thresholds of a healthy curve, one catch that was pressed for every ten."""
     for number in range(first, first + count):
         minutes = 0.5 * (number + 1)
@@ -58,18 +53,16 @@ def _tell_trials(page: LivePage, first: int, count: int) -> None:
         page.publish({**event, "sequence": 11 + 2 * number, "kind": "trial", **trial})
 
 
-async def _text(browser: Browser, name: str) -> str:
+async def _text(browser, name):
     return str(await browser.evaluate(f"document.getElementById('{name}').textContent"))
 
 
-async def _wait_for_text(browser: Browser, name: str, text: str) -> None:
+async def _wait_for_text(browser, name, text):
     await browser.wait_for(f"document.getElementById('{name}').textContent === {text!r}")
 
 
 @pytest.mark.slow
-async def test_page_shows_points_grow_and_survives_a_reload(
-    served: tuple[LivePage, Controls], browser: Browser
-) -> None:
+async def test_page_shows_points_grow_and_survives_a_reload(served, browser):
     """Phase, counts, fit and devices appear; a reload has all of it again; nothing is loaded from elsewhere."""
     page, _ = served
     await browser.command("Page.navigate", url=page.url)
@@ -96,7 +89,7 @@ async def test_page_shows_points_grow_and_survives_a_reload(
 
 
 @pytest.mark.slow
-async def test_nothing_on_the_page_is_green_or_blue(served: tuple[LivePage, Controls], browser: Browser) -> None:
+async def test_nothing_on_the_page_is_green_or_blue(served, browser):
     """At its brightest and with every part shown not one pixel has green or blue; as opened the red stays below 100."""
     page, _ = served
     _tell_trials(page, 0, 40)
@@ -117,7 +110,7 @@ async def test_nothing_on_the_page_is_green_or_blue(served: tuple[LivePage, Cont
 
 
 @pytest.mark.slow
-async def test_every_prompt_has_tones_of_its_own(served: tuple[LivePage, Controls], browser: Browser) -> None:
+async def test_every_prompt_has_tones_of_its_own(served, browser):
     """Rendered without a loudspeaker, each prompt sounds, stays below half of full scale, and differs from the others.
 
     A single tone of 392 Hz crosses zero upwards once in each of its periods: 0.12 s of it do so 47 times.
@@ -139,7 +132,7 @@ async def test_every_prompt_has_tones_of_its_own(served: tuple[LivePage, Control
 
 
 @pytest.mark.slow
-async def test_buttons_reach_the_run_and_a_browser_may_go(served: tuple[LivePage, Controls], browser: Browser) -> None:
+async def test_buttons_reach_the_run_and_a_browser_may_go(served, browser):
     """Pause, resume and, on the second press, stop; the page may be left meanwhile."""
     page, controls = served
     await browser.command("Page.navigate", url=page.url)
@@ -164,7 +157,7 @@ async def test_buttons_reach_the_run_and_a_browser_may_go(served: tuple[LivePage
 
 
 @pytest.mark.slow
-async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path: Path, browser: Browser) -> None:
+async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path, browser):
     """A run pauses where the page asked for it before it began, goes on, and ends: each by the page, in this order."""
     classic = read_protocol("classic")
     protocol = classic.model_copy(update={"end": classic.end.model_copy(update={"duration_min": 120.0})})
@@ -172,11 +165,11 @@ async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path: Path, b
     stage = simulated_stage(protocol, "steady", seed=3)
     with LivePage(protocol, controls) as page:
 
-        def watch(event: Event) -> None:
+        def watch(event):
             page.publish(event)
             time.sleep(0.1 if event["kind"] == "trial" else 0.0)
 
-        def run() -> Outcome:
+        def run():
             with RunJournal(tmp_path / "j") as journal:
                 return run_test(protocol, stage, journal, subject="S1", watch=watch, controls=controls)
 

@@ -1,7 +1,5 @@
 """`radiometer adapt run` as a program: killed and taken up, and its verdicts."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -10,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -21,12 +18,12 @@ VISIT = ["--visit", "2026-03-02T14:30Z"]  # of both runs that are compared: a vi
 PROGRAM = [sys.executable, "-m", "radiometer", "adapt", "run", "quick", *VISIT, "--subject", "S1", "--seed", "5"]
 
 
-def _run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+def _run(*words, cwd):
     return subprocess.run([*PROGRAM, *words], cwd=cwd, capture_output=True, text=True, timeout=within(120), check=False)
 
 
 @pytest.fixture
-def environment(project_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def environment(project_root, monkeypatch):
     """Let the program be found from any folder."""
     monkeypatch.setenv("PYTHONPATH", str(project_root))
 
@@ -34,7 +31,7 @@ def environment(project_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.long
 @pytest.mark.usefixtures("environment")
 @pytest.mark.parametrize("devices", [[], ["--box", "sim"]])
-def test_killed_run_taken_up_has_the_same_events(tmp_path: Path, devices: list[str]) -> None:
+def test_killed_run_taken_up_has_the_same_events(tmp_path, devices):
     """SIGKILL after a trial, then the same command: the journal equals that of an undisturbed run, byte for byte.
 
     With the subject alone the run goes on from the journal; before the simulated box it is lived through again.
@@ -57,9 +54,7 @@ def test_killed_run_taken_up_has_the_same_events(tmp_path: Path, devices: list[s
 
 @pytest.mark.usefixtures("environment")
 @pytest.mark.parametrize(("behaviour", "verdict"), [("never", "no_response"), ("always", "unreliable")])
-def test_subject_who_cannot_be_fitted_is_exit_code_one_with_a_verdict(
-    tmp_path: Path, behaviour: str, verdict: str
-) -> None:
+def test_subject_who_cannot_be_fitted_is_exit_code_one_with_a_verdict(tmp_path, behaviour, verdict):
     """The last JSON line says why."""
     done = _run("--simulate", behaviour, "--json", cwd=tmp_path)
     assert done.returncode == 1
@@ -68,16 +63,14 @@ def test_subject_who_cannot_be_fitted_is_exit_code_one_with_a_verdict(
     assert not list(tmp_path.glob("*.csv"))  # nothing that could be fitted by mistake
 
 
-def _cut(journal: Path) -> bytes:
+def _cut(journal):
     """Cut a journal in its middle, as a crash does, and return what it held."""
     whole = journal.read_bytes()
     journal.write_bytes(whole[: len(whole) // 2])
     return whole
 
 
-def test_second_visit_is_measured_and_an_unfinished_one_is_taken_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_second_visit_is_measured_and_an_unfinished_one_is_taken_up(tmp_path, monkeypatch):
     """Two runs of a subject are two journals, whose names and heads state subject, eye and moment."""
     monkeypatch.chdir(tmp_path)
     about = {"simulate": "steady", "eye": "left", "age": 31.0, "pupil": 6.0}
@@ -99,7 +92,7 @@ def test_second_visit_is_measured_and_an_unfinished_one_is_taken_up(
     assert third.journal.read_bytes() == whole
 
 
-def test_finished_run_is_never_taken_up(tmp_path: Path) -> None:
+def test_finished_run_is_never_taken_up(tmp_path):
     """Naming its journal again is misuse; the message states its date, and how its thresholds are read."""
     journal = tmp_path / "j.jsonl"
     rm.adapt_run("quick", "S7", journal, simulate="steady", visit="2026-03-02T14:30Z")
@@ -124,23 +117,21 @@ def test_finished_run_is_never_taken_up(tmp_path: Path) -> None:
         ({"fixation": 0.1}, "--box"),
     ],
 )
-def test_option_without_the_one_that_it_needs_is_misuse(tmp_path: Path, option: dict[str, Any], needed: str) -> None:
+def test_option_without_the_one_that_it_needs_is_misuse(tmp_path, option, needed):
     """No wish is dropped in silence."""
     (name,) = option
     with pytest.raises(rm.UsageError, match=f"--{name} has no effect without {needed}:"):
         rm.adapt_run("quick", "S7", tmp_path / "j", simulate="steady", **option)
 
 
-def test_the_simulated_box_needs_a_simulated_subject(tmp_path: Path) -> None:
+def test_the_simulated_box_needs_a_simulated_subject(tmp_path):
     """Nobody else can look at it: it is misuse, and no journal begins."""
     with pytest.raises(rm.UsageError, match="the simulated box needs a simulated subject: --simulate steady"):
         rm.adapt_run("quick", "S7", tmp_path / "j", box="sim")
     assert not (tmp_path / "j").exists()
 
 
-def test_practice_run_bleaches_nothing_and_is_no_visit_of_the_test(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_practice_run_bleaches_nothing_and_is_no_visit_of_the_test(tmp_path, monkeypatch):
     """Three minutes of the task; its journal has another protocol's name, and nothing of it is fitted."""
     monkeypatch.chdir(tmp_path)
     done = rm.adapt_run("quick", "S7", simulate="steady", practice=True, visit="2026-03-02T14:30Z")
@@ -152,7 +143,7 @@ def test_practice_run_bleaches_nothing_and_is_no_visit_of_the_test(
     assert done.outcome.catches > 0
 
 
-def test_visits_are_laid_over_each_other_with_their_dates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_visits_are_laid_over_each_other_with_their_dates(tmp_path, monkeypatch):
     """The page names subject, eye and date of each visit; what each found stands side by side."""
     monkeypatch.chdir(tmp_path)
     for day, seed in (("02", 1), ("09", 2)):

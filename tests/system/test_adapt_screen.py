@@ -1,7 +1,5 @@
 """The whole test on a screen: a simulated one with a simulated subject, and a real browser with a real key."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json
@@ -11,20 +9,17 @@ import queue
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.outcome import Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.screen_setup import ScreenStage, SpotLevels, open_screen_stage, within_reach
 from radiometer.bench.screen import lights, open_screen_bench
-from radiometer.data.event_journal import Event
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, UsageError
 from radiometer.screen.browser_page import BrowserStimulus
 from radiometer.screen.calibration import ScreenCalibration
@@ -32,14 +27,14 @@ from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.stimulus import ScreenPicture, Viewing
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
 from simulators.observers.observer import PRIMARY_NM, Habits, Observer
-from testing.chromium import Browser, headless
+from testing.chromium import headless
 from testing.patience import within
 
 LEVELS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 192, 255)
 
 
 @pytest.fixture(scope="module")
-def oled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def oled(tmp_path_factory):
     """Return the calibration of a simulated OLED by the simulated camera."""
     file = tmp_path_factory.mktemp("screen") / "oled.yaml"
     with open_screen_bench("oled", seed=2) as bench:
@@ -47,10 +42,10 @@ def oled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def _run(file: Path, journal: Path, *, subject: str = "steady", dies_after: int | None = None) -> Outcome:
+def _run(file, journal, *, subject="steady", dies_after=None):
     """Return the outcome of a run; one that dies does so after a number of events."""
 
-    def watch(event: Event) -> None:
+    def watch(event):
         if dies_after is not None and event["sequence"] >= dies_after:
             raise DeviceLost("the power failed")
 
@@ -64,7 +59,7 @@ def _run(file: Path, journal: Path, *, subject: str = "steady", dies_after: int 
         return run_test(stage.protocol, stage, open_journal, subject="S1", seed=7, watch=watch)
 
 
-def _by_limits(rng: np.random.Generator) -> float:
+def _by_limits(rng):
     """Return the error of one ascent: from 0.4 below the threshold up by 0.1 until seen, once it was missed."""
     observer, missed, level = Observer(Eye(), Habits(), rng), False, -0.4 + float(rng.uniform(-0.05, 0.05))
     truth = Eye().threshold_log10(30.0, 450.0)
@@ -75,7 +70,7 @@ def _by_limits(rng: np.random.Generator) -> float:
         missed, level = missed or not seen, level - 0.4 if seen else level + 0.1
 
 
-def test_thresholds_are_the_simulated_eyes(oled: Path, tmp_path: Path) -> None:
+def test_thresholds_are_the_simulated_eyes(oled, tmp_path):
     """Where the screen's steps are fine, thresholds less the eye's own are what ascending limits find of any eye.
 
     The screen's luminances are those of its calibration, the eye's those of the simulation: the ratio of their
@@ -95,7 +90,7 @@ def test_thresholds_are_the_simulated_eyes(oled: Path, tmp_path: Path) -> None:
     assert errors.std() < 1.8 * expected.std()
 
 
-def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path: Path) -> None:
+def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path):
     """Its darkest level is above the cones' plateau: the curve ends at once, and behind density 2 it goes on."""
     file = tmp_path / "lcd.yaml"
     with open_screen_bench("lcd", seed=2) as bench:
@@ -118,7 +113,7 @@ def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path: Path) -> None:
     assert counts[1] > 3 * counts[0]
 
 
-def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, project_root: Path) -> None:
+def test_command_runs_it_and_journals_the_prompts(oled, tmp_path, project_root):
     """`adapt run screen-only` before a simulated screen ends well; prompts stand in the journal, bells on stderr."""
     words = ["adapt", "run", "screen-only", "--subject", "S1", "--screen", str(oled), "--display", "oled"]
     done = subprocess.run(
@@ -138,7 +133,7 @@ def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, pr
     assert json.loads(done.stdout.splitlines()[-1])["verdict"] == "floor_reached"
 
 
-def test_what_does_not_go_together_is_refused(oled: Path, tmp_path: Path) -> None:
+def test_what_does_not_go_together_is_refused(oled, tmp_path):
     """No calibration, an old one, no subject, a subject before a real page, a criterion out of reach: all stated."""
     protocol = read_protocol("screen-only")
     old = tmp_path / "old.yaml"
@@ -160,7 +155,7 @@ def test_what_does_not_go_together_is_refused(oled: Path, tmp_path: Path) -> Non
 
 
 @pytest.fixture
-async def shown(tmp_path: Path) -> AsyncIterator[tuple[BrowserStimulus, Browser]]:
+async def shown(tmp_path):
     """Return the test's page in headless Chromium, its Start pressed."""
     addresses: queue.SimpleQueue[str] = queue.SimpleQueue()
     screen = BrowserStimulus(announce=addresses.put, page_timeout_s=60, start_timeout_s=60)
@@ -181,7 +176,7 @@ MARK = VIEWING.ellipse(-4.0, 0.6, (60, 0, 0))
 
 
 @pytest.mark.slow
-async def test_browser_shows_exactly_the_codes_asked_for(shown: tuple[BrowserStimulus, Browser]) -> None:
+async def test_browser_shows_exactly_the_codes_asked_for(shown):
     """Field, mark and spot stand on the composed screen to the code, the spot in its place and size to a pixel."""
     screen, browser = shown
     waiting = await browser.picture()
@@ -203,7 +198,7 @@ async def test_browser_shows_exactly_the_codes_asked_for(shown: tuple[BrowserSti
     assert screen.size == (width, height)
 
 
-async def _tapping(browser: Browser) -> None:
+async def _tapping(browser):
     """Press and release the space bar until cancelled."""
     while True:
         await browser.key("keyDown")
@@ -211,7 +206,7 @@ async def _tapping(browser: Browser) -> None:
 
 
 @pytest.mark.slow
-async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, Browser]) -> None:
+async def test_browser_blinks_and_records_the_key(shown):
     """Presses during a blink come back from its onset, none is invented; a key held down is reported as a hold."""
     screen, browser = shown
     lit, rest = ScreenPicture(shapes=(MARK, VIEWING.ellipse(4.0, 1.5, (0, 0, 90)))), ScreenPicture(shapes=(MARK,))
@@ -239,9 +234,7 @@ async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, 
 
 
 @pytest.mark.slow
-async def test_short_run_in_a_browser_is_journalled_with_its_presses(
-    oled: Path, tmp_path: Path, shown: tuple[BrowserStimulus, Browser]
-) -> None:
+async def test_short_run_in_a_browser_is_journalled_with_its_presses(oled, tmp_path, shown):
     """Three seconds of blinks after a short bleach, the space bar tapped all the while: events and real presses."""
     screen, browser = shown
     text = (
@@ -254,7 +247,7 @@ async def test_short_run_in_a_browser_is_journalled_with_its_presses(
     protocol = within_reach(read_protocol(tmp_path / "brief.yaml"), SpotLevels.of(known, "blue"))
     stage = ScreenStage(screen, known, protocol, VIEWING, time.monotonic, wall_clock=time.time)
 
-    def run() -> Outcome:
+    def run():
         with RunJournal(tmp_path / "j") as journal:
             return run_test(protocol, stage, journal, subject="S1")
 

@@ -1,7 +1,5 @@
 """Bad input to the main job's commands: one clear line, exit code 1 or 2, no traceback, nothing half-written."""
 
-from __future__ import annotations
-
 import pytest
 import yaml
 

@@ -1,7 +1,5 @@
 """The daemon in a process of its own, used by real clients: PyVISA, lxi, curl, a browser."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import http.server
@@ -10,14 +8,12 @@ import json
 import shutil
 import subprocess
 import threading
-from collections.abc import AsyncIterator, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from testing.chromium import Browser, headless
+from testing.chromium import headless
 from testing.daemon_process import DaemonProcess
 from testing.patience import within
 
@@ -25,7 +21,7 @@ BRIGHT, DIM = 0.918, 0.1997  # radiance of the two patches of the small bench, W
 
 
 @pytest.fixture(scope="module")
-def shared_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
+def shared_daemon(tmp_path_factory):
     """Return a daemon that measures five times a second and has a light box."""
     with DaemonProcess(tmp_path_factory.mktemp("daemon"), "--every", "0.2", "--box", "sim") as running:
         running.wait_for_reading()
@@ -33,21 +29,21 @@ def shared_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonPr
 
 
 @pytest.fixture
-def daemon(shared_daemon: DaemonProcess) -> DaemonProcess:
+def daemon(shared_daemon):
     """Return the shared daemon as it was started: its settings reset, its newest readings those of the bright patch."""
     shared_daemon.ask("*RST;*OPC?")
     shared_daemon.post("/measure", {})
     return shared_daemon
 
 
-def _need(program: str) -> str:
+def _need(program):
     path = shutil.which(program)
     if path is None:
         pytest.skip(f"{program} is not installed")
     return path
 
 
-def test_pyvisa_reads_values_settings_and_blocks(daemon: DaemonProcess) -> None:
+def test_pyvisa_reads_values_settings_and_blocks(daemon):
     """A VISA socket resource queries value and uncertainty, sets an exposure, and fetches the picture."""
     pyvisa = pytest.importorskip("pyvisa")
     pytest.importorskip("pyvisa_py")
@@ -73,7 +69,7 @@ def test_pyvisa_reads_values_settings_and_blocks(daemon: DaemonProcess) -> None:
     manager.close()
 
 
-def test_lxi_tools_talk_scpi(daemon: DaemonProcess) -> None:
+def test_lxi_tools_talk_scpi(daemon):
     """`lxi scpi --raw` prints the reply."""
     command = [_need("lxi"), "scpi", "--raw", "--address", "127.0.0.1", "--port", str(daemon.scpi_port), "MEAS:RAD?"]
     reply = subprocess.run(command, capture_output=True, text=True, timeout=within(30), check=True).stdout
@@ -81,7 +77,7 @@ def test_lxi_tools_talk_scpi(daemon: DaemonProcess) -> None:
     assert abs(value - BRIGHT) < 4 * u
 
 
-def test_curl_reads_history_picture_and_stream(daemon: DaemonProcess, tmp_path: Path) -> None:
+def test_curl_reads_history_picture_and_stream(daemon, tmp_path):
     """History as CSV, the picture as PNG, and the first readings of the stream."""
     curl = [_need("curl"), "-sS", "--max-time", "20"]
     table = subprocess.run(
@@ -104,7 +100,7 @@ def test_curl_reads_history_picture_and_stream(daemon: DaemonProcess, tmp_path: 
     assert numbers == list(range(numbers[0], numbers[0] + 2))
 
 
-def test_curl_posts_a_measurement(daemon: DaemonProcess) -> None:
+def test_curl_posts_a_measurement(daemon):
     """POST /measure with a patch of its own."""
     body = '{"patch": {"x": 100, "y": 30, "width": 20, "height": 20}}'
     command = [_need("curl"), "-sS", "-f", "--json", body, f"{daemon.url}/measure"]
@@ -113,13 +109,13 @@ def test_curl_posts_a_measurement(daemon: DaemonProcess) -> None:
 
 
 @pytest.fixture
-async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
+async def browser(tmp_path):
     """Return a headless browser with an empty profile."""
     async with headless(tmp_path / "profile") as driver:
         yield driver
 
 
-async def test_a_browser_drags_the_patch_and_sees_the_value_change(daemon: DaemonProcess, browser: Browser) -> None:
+async def test_a_browser_drags_the_patch_and_sees_the_value_change(daemon, browser):
     """From the bright field to the dim one; nothing from outside is loaded and no script fails."""
     await browser.command("Page.navigate", url=daemon.url + "/")
     await browser.wait_for(f"Math.abs(parseFloat(document.getElementById('value').textContent) - {BRIGHT}) < 0.03")
@@ -144,7 +140,7 @@ async def test_a_browser_drags_the_patch_and_sees_the_value_change(daemon: Daemo
     assert [url for url in browser.requested if not url.startswith((daemon.url, "blob:", "data:", "about:"))] == []
 
 
-async def test_the_red_theme_lights_the_red_channel_only(daemon: DaemonProcess, browser: Browser) -> None:
+async def test_the_red_theme_lights_the_red_channel_only(daemon, browser):
     """Not one pixel of the whole page has green or blue in it, alarm and sliders included: rods stay adapted."""
     await browser.command("Page.navigate", url=daemon.url + "/")
     await browser.wait_for("document.querySelectorAll('#lights input').length >= 4")
@@ -164,17 +160,17 @@ async def test_the_red_theme_lights_the_red_channel_only(daemon: DaemonProcess, 
 
 
 @pytest.fixture
-def foreign_page() -> Iterator[str]:
+def foreign_page():
     """Return the address of an empty page of another origin."""
 
     class Page(http.server.BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
+        def do_GET(self):
             self.send_response(200)
             self.send_header("Content-Type", "text/html")
             self.end_headers()
             self.wfile.write(b"<title>foreign</title>")
 
-        def log_message(self, *_: object) -> None:
+        def log_message(self, *_):
             """Say nothing."""
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
@@ -185,9 +181,7 @@ def foreign_page() -> Iterator[str]:
         serving.join()
 
 
-async def test_a_web_page_cannot_drive_the_scpi_port(
-    daemon: DaemonProcess, browser: Browser, foreign_page: str
-) -> None:
+async def test_a_web_page_cannot_drive_the_scpi_port(daemon, browser, foreign_page):
     """A browser's POST with commands in its body, sent to the SCPI port, lights and changes nothing."""
     await browser.command("Page.navigate", url=foreign_page)
     await browser.wait_for("document.title === 'foreign'")

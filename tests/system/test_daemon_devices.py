@@ -1,9 +1,5 @@
 """Devices that come and go: the camera on the wire, and the light box on a pseudo-terminal."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from benchmarks import daemon_loss
@@ -17,14 +13,14 @@ QUICK = KeeperTimes(first_pause_s=0.02, longest_pause_s=0.1, check_every_s=0.1)
 
 
 @pytest.mark.long
-def test_a_camera_on_the_wire_is_lost_and_found() -> None:
+def test_a_camera_on_the_wire_is_lost_and_found():
     """One cycle here, twenty and their times in the benchmark: every client is notified, and readings come again."""
     pytest.importorskip("gi")
     result = daemon_loss.run(1)
     assert len(result.reported_s) == len(result.recovered_s) == 1
 
 
-async def test_the_light_box_is_set_through_its_driver(tmp_path: Path) -> None:
+async def test_the_light_box_is_set_through_its_driver(tmp_path):
     """A level reaches the LED; above the channel's range it is refused; stopping leaves the box dark."""
     async with box_station(tmp_path) as (station, _, twin):
         assert set(station.light.levels) >= set(OPTICS)
@@ -37,7 +33,7 @@ async def test_the_light_box_is_set_through_its_driver(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-async def test_a_light_box_is_unplugged_and_replugged_twenty_times(tmp_path: Path) -> None:
+async def test_a_light_box_is_unplugged_and_replugged_twenty_times(tmp_path):
     """Each loss is reported and refuses levels; after each return the levels are dark, and that is an alarm."""
     async with box_station(tmp_path, QUICK) as (station, server, _):
         for _ in range(20):
@@ -53,7 +49,7 @@ async def test_a_light_box_is_unplugged_and_replugged_twenty_times(tmp_path: Pat
         assert station.light.keeper.losses == 20
 
 
-def test_serve_drives_the_simulated_box(tmp_path: Path) -> None:
+def test_serve_drives_the_simulated_box(tmp_path):
     """`--box sim`: channels by name and number, levels read back, dark on request."""
     with DaemonProcess(tmp_path, "--box", "sim") as daemon:
         assert daemon.ask("SOUR:LED:CAT?") == '"bleach","spot","spot_red","fixation","spot_green","field"'

@@ -1,7 +1,5 @@
 """Many daemons report into one MQTT broker: Debian's mosquitto on loopback."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json
@@ -9,10 +7,8 @@ import shutil
 import socket
 import subprocess
 import time
-from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -28,7 +24,7 @@ INSTRUMENTS = 50
 
 
 @pytest.fixture
-def broker(tmp_path: Path) -> Iterator[int]:
+def broker(tmp_path):
     """Return the port of a mosquitto of our own."""
     program = shutil.which("mosquitto") or "/usr/sbin/mosquitto"
     if not Path(program).exists():
@@ -51,7 +47,7 @@ def broker(tmp_path: Path) -> Iterator[int]:
 class Subscriber:
     """Collects what is published below radiometer/."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port):
         mqtt = pytest.importorskip("paho.mqtt.client")
         self.messages: list[tuple[str, str, bool]] = []
         self._client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
@@ -60,23 +56,23 @@ class Subscriber:
         self._client.connect("127.0.0.1", port)
         self._client.loop_start()
 
-    def close(self) -> None:
+    def close(self):
         self._client.disconnect()
         self._client.loop_stop()
 
-    def last(self, ending: str) -> dict[str, str]:
+    def last(self, ending):
         """Return the newest payload per serial number of a topic."""
         return {topic.split("/")[1]: text for topic, text, _ in list(self.messages) if topic.endswith(ending)}
 
 
-async def _until(condition: Any, deadline_s: float = 60.0) -> None:
+async def _until(condition, deadline_s=60.0):
     async with asyncio.timeout(within(deadline_s)):
         while not condition():
             await asyncio.sleep(0.05)
 
 
 @contextlib.asynccontextmanager
-async def _stations(folder: Path, port: int, count: int) -> AsyncIterator[list[Station]]:
+async def _stations(folder, port, count):
     stations, publishers = [], []
     for number in range(count):
         home = folder / str(number)
@@ -97,7 +93,7 @@ async def _stations(folder: Path, port: int, count: int) -> AsyncIterator[list[S
             await station.stop()
 
 
-async def test_fifty_instruments_report_into_one_broker(broker: int, tmp_path: Path) -> None:
+async def test_fifty_instruments_report_into_one_broker(broker, tmp_path):
     """One subscriber gets three readings of each of fifty simulated instruments, each under its own topic."""
     subscriber = Subscriber(broker)
     async with _stations(tmp_path, broker, INSTRUMENTS) as stations:
@@ -110,11 +106,11 @@ async def test_fifty_instruments_report_into_one_broker(broker: int, tmp_path: P
     subscriber.close()
 
 
-def _serials() -> list[str]:
+def _serials():
     return [str(22500001 + number) for number in range(INSTRUMENTS)]
 
 
-def _readings_per_instrument(subscriber: Subscriber) -> dict[str, int]:
+def _readings_per_instrument(subscriber):
     numbers: dict[str, set[int]] = {}
     for topic, text, _ in list(subscriber.messages):
         if topic.endswith("/reading") and text:  # an empty one clears what was retained
@@ -124,7 +120,7 @@ def _readings_per_instrument(subscriber: Subscriber) -> dict[str, int]:
     return {serial: len(found) for serial, found in numbers.items()}
 
 
-async def test_the_last_reading_is_retained_and_the_will_says_offline(broker: int, tmp_path: Path) -> None:
+async def test_the_last_reading_is_retained_and_the_will_says_offline(broker, tmp_path):
     """Who subscribes later gets the last reading at once; a limit's alarm and a daemon's end reach the broker."""
     daemon = DaemonProcess(tmp_path, "--every", "0.2", "--mqtt", f"127.0.0.1:{broker}").start()
     daemon.wait_for_reading()
@@ -142,7 +138,7 @@ async def test_the_last_reading_is_retained_and_the_will_says_offline(broker: in
     late.close()
 
 
-async def test_a_broker_that_is_away_is_an_alarm_not_an_end(tmp_path: Path) -> None:
+async def test_a_broker_that_is_away_is_an_alarm_not_an_end(tmp_path):
     """Measuring goes on, and the state says what is wrong."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = int(free.getsockname()[1])
@@ -153,13 +149,13 @@ async def test_a_broker_that_is_away_is_an_alarm_not_an_end(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("text", ["", ":1883", "host:0", "host:99999", "host:abc"])
-def test_a_broker_must_be_named_rightly(text: str) -> None:
+def test_a_broker_must_be_named_rightly(text):
     """HOST or HOST:PORT; anything else is refused."""
     with pytest.raises(UsageError, match="HOST"):
         parse_target(text, "radiometer", None, None, tls=False)
 
 
-def test_a_topic_prefix_has_no_wildcards() -> None:
+def test_a_topic_prefix_has_no_wildcards():
     """A wildcard in a topic to publish to is a mistake."""
     with pytest.raises(UsageError, match="prefix"):
         parse_target("localhost", "lab/#", None, None, tls=False)

@@ -1,7 +1,5 @@
 """Hostile input: the daemon neither crashes nor hangs nor grows."""
 
-from __future__ import annotations
-
 import string
 
 import pytest

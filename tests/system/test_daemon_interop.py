@@ -1,7 +1,5 @@
 """A running daemon read by Bluesky and by the photometer for PsychoPy."""
 
-from __future__ import annotations
-
 import bluesky.plans as bp
 import pytest
 from bluesky import RunEngine

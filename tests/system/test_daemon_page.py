@@ -7,7 +7,6 @@ import contextlib
 import itertools
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -139,7 +138,7 @@ async def _json(browser: Browser, expression: str) -> Any:
     return json.loads(await browser.evaluate(expression))
 
 
-async def test_the_page_fits_and_can_be_read_at_every_size(daemon: DaemonProcess, tmp_path: Path) -> None:
+async def test_the_page_fits_and_can_be_read_at_every_size(daemon, tmp_path):
     """Nothing next to or below the window, no panel scrolls, contrast AA in every theme, name and size of controls."""
     async with headless(tmp_path / "profile") as browser:
         for size in SIZES:
@@ -172,7 +171,7 @@ async def test_the_page_fits_and_can_be_read_at_every_size(daemon: DaemonProcess
         assert [url for url in browser.requested if not url.startswith((daemon.url, "blob:", "data:", "about:"))] == []
 
 
-async def test_the_page_shows_trends_alarms_and_gaps(daemon: DaemonProcess, tmp_path: Path) -> None:
+async def test_the_page_shows_trends_alarms_and_gaps(daemon, tmp_path):
     """Each patch has its panel with its own course; a day has its gap; the alarm of the limit is at the top."""
     async with headless(tmp_path / "profile", SIZES[0]) as browser:
         await _shown(browser, daemon, SIZES[0])
@@ -202,7 +201,7 @@ async def test_the_page_shows_trends_alarms_and_gaps(daemon: DaemonProcess, tmp_
         assert browser.errors == []
 
 
-async def test_a_person_names_limits_and_remarks(daemon: DaemonProcess, tmp_path: Path) -> None:
+async def test_a_person_names_limits_and_remarks(daemon, tmp_path):
     """By touch on a phone: a place gets a name and a panel, limits alarm, a remark stands among the events."""
     async with headless(tmp_path / "profile", SIZES[2]) as browser:
         await _shown(browser, daemon, SIZES[2])
@@ -243,7 +242,7 @@ async def test_a_person_names_limits_and_remarks(daemon: DaemonProcess, tmp_path
         assert browser.errors == []
 
 
-async def test_the_tab_key_goes_through_the_page_as_it_is_seen(daemon: DaemonProcess, tmp_path: Path) -> None:
+async def test_the_tab_key_goes_through_the_page_as_it_is_seen(daemon, tmp_path):
     """Every control is reached, each with a visible focus; card by card on a screen, from top to bottom on a phone."""
     async with headless(tmp_path / "profile", SIZES[0]) as browser:
         for size in (SIZES[0], SIZES[2]):
@@ -270,7 +269,7 @@ async def test_the_tab_key_goes_through_the_page_as_it_is_seen(daemon: DaemonPro
                 assert [first[card] for card in visits] == sorted(first.values())
 
 
-async def test_seven_patches_are_one_glance(daemon: DaemonProcess, tmp_path: Path) -> None:
+async def test_seven_patches_are_one_glance(daemon, tmp_path):
     """At 1440 × 900 each of seven patches has its panel in the window, and an event under the pointer is reported."""
     names = [f"lamp {number}" for number in range(5)]
     for number, name in enumerate(names):
@@ -311,7 +310,7 @@ JSON.stringify([...document.querySelectorAll("#panels, #panels *, main, body")].
   && (e.scrollWidth > e.clientWidth || e.scrollHeight > e.clientHeight)).map((e) => e.id || e.className))"""
 
 
-async def test_patches_of_any_name_and_number_leave_the_page_whole(daemon: DaemonProcess, tmp_path: Path) -> None:
+async def test_patches_of_any_name_and_number_leave_the_page_whole(daemon, tmp_path):
     """Each has its row, its value and its panel; values go on changing, no panel has a scroll bar, nothing fails."""
     async with headless(tmp_path / "profile", SIZES[0]) as browser:
         for count, name in enumerate(_INHERITED, start=3):
@@ -331,9 +330,7 @@ async def test_patches_of_any_name_and_number_leave_the_page_whole(daemon: Daemo
         assert browser.errors == []
 
 
-async def test_the_list_of_patches_is_folded_and_shows_what_was_last_read(
-    daemon: DaemonProcess, tmp_path: Path
-) -> None:
+async def test_the_list_of_patches_is_folded_and_shows_what_was_last_read(daemon, tmp_path):
     """Where nothing is measured any more, every row still has its value; what has no room is a click away."""
     names = [f"lamp {number}" for number in range(9)]
     for number, name in enumerate(names):
@@ -361,9 +358,7 @@ async def test_the_list_of_patches_is_folded_and_shows_what_was_last_read(
 @pytest.mark.parametrize(
     "gone", ["/page.js", "/trends.js", "/response.js", "/uplot.js", "/page.css", "/status", "/events"]
 )
-async def test_lights_off_works_whatever_else_of_the_page_does_not(
-    daemon: DaemonProcess, tmp_path: Path, gone: str
-) -> None:
+async def test_lights_off_works_whatever_else_of_the_page_does_not(daemon, tmp_path, gone):
     """One part that cannot be loaded stops no other; the button is seen and darkens the box."""
     daemon.post("/light", {"channel": "spot", "level": 0.001})
     async with headless(tmp_path / "profile", SIZES[0]) as browser:
@@ -379,7 +374,7 @@ async def test_lights_off_works_whatever_else_of_the_page_does_not(
     assert set(daemon.get("/status")["light"].values()) == {0.0}
 
 
-async def test_a_level_that_cannot_be_known_is_not_shown_as_dark(tmp_path: Path) -> None:
+async def test_a_level_that_cannot_be_known_is_not_shown_as_dark(tmp_path):
     """While the daemon is gone, the level of each channel is unknown and the button is lit."""
     with DaemonProcess(tmp_path, "--every", "0.3", "--box", "sim") as running:
         running.post("/light", {"channel": "spot", "level": 0.001})

@@ -1,7 +1,5 @@
 """The daemon as a process: signals, crashes, load, and its journal afterwards."""
 
-from __future__ import annotations
-
 import json
 import signal
 import socket

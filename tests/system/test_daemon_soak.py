@@ -1,10 +1,6 @@
 """The soaks with losses: a piece of the simulated day, and that their judge sees what is false, missing or unheard."""
 
-from __future__ import annotations
-
 import sqlite3
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +11,7 @@ from testing.soak_world import PATCHES, Witness, judge
 
 
 @pytest.mark.long
-def test_losses_cost_no_reading_and_make_no_value_false(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_losses_cost_no_reading_and_make_no_value_false(monkeypatch):
     """Ten simulated minutes with all four losses: journal, streams and every answer agree with the scene."""
     monkeypatch.setattr(daemon_day_soak, "LOSS_EVERY_S", 120.0)
     result = daemon_day_soak.run(1 / 6)
@@ -28,16 +24,16 @@ def test_losses_cost_no_reading_and_make_no_value_false(monkeypatch: pytest.Monk
     assert result.witness.counts["FETC?"] > 20
 
 
-def _reading(patch: str, value: float, **changes: object) -> Reading:
+def _reading(patch, value, **changes):
     quantity = Quantity(value, 0.005 * value, "W sr-1 m-2")
     return Reading(quantity, Patch(**PATCHES[patch][0]), "22500001", **changes)  # type: ignore[arg-type]
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> Callable[[list[Reading]], tuple[Path, list[Reading]]]:
+def kept(tmp_path):
     """Return a maker of journals with given readings."""
 
-    def make(readings: list[Reading]) -> tuple[Path, list[Reading]]:
+    def make(readings):
         path = tmp_path / "j.sqlite"
         with Journal(path) as journal:
             return path, journal.append(readings)
@@ -45,7 +41,7 @@ def kept(tmp_path: Path) -> Callable[[list[Reading]], tuple[Path, list[Reading]]
     return make
 
 
-def test_the_judge_finds_what_is_wrong(kept: Callable[[list[Reading]], tuple[Path, list[Reading]]]) -> None:
+def test_the_judge_finds_what_is_wrong(kept):
     """Another patch's value, a patch in a foreign stream, a reading that is gone, one that was never heard."""
     bright, dim = PATCHES["bright"][1], PATCHES["dim"][1]
     good = [_reading("bright", bright) for _ in range(4)]

@@ -1,7 +1,5 @@
 """The documentation does what it says: the site builds without a broken link, pages and notebooks run as they stand."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

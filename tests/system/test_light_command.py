@@ -1,7 +1,5 @@
 """`radiometer light` and `radiometer simulate box` as a user runs them."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

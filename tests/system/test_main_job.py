@@ -1,7 +1,5 @@
 """The README's first command as a user runs it: the shipped bench and calibration read the truth off every patch."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

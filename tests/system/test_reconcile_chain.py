@@ -1,7 +1,5 @@
 """The whole chain as a user runs it: hidden effect, bracket, reconcile, the plan that it asks for, reconcile again."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

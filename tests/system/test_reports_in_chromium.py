@@ -1,7 +1,5 @@
 """The reports in a real browser at three widths: they fit, can be read, load nothing, and no name in them acts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`radiometer response` on captures and on photographs, whole and damaged."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

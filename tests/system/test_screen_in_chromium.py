@@ -1,7 +1,5 @@
 """A real browser shows the patches: every level is acknowledged and on its screen as asked."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json
@@ -9,8 +7,6 @@ import shutil
 import subprocess
 import time
 import urllib.request
-from collections.abc import Iterator
-from pathlib import Path
 
 import aiohttp
 import numpy as np
@@ -32,12 +28,12 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no 
 
 
 @pytest.fixture
-def browser(tmp_path: Path) -> Iterator[tuple[BrowserDisplay, Path]]:
+def browser(tmp_path):
     """Return a display that is shown by headless Chromium, and the browser's profile folder."""
     profile = tmp_path / "profile"
     started: list[subprocess.Popen[bytes]] = []
 
-    def launch(url: str) -> None:
+    def launch(url):
         command = [str(CHROMIUM), *FLAGS, f"--user-data-dir={profile}", url]
         started.append(subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
 
@@ -50,7 +46,7 @@ def browser(tmp_path: Path) -> Iterator[tuple[BrowserDisplay, Path]]:
             process.wait(within(20.0))
 
 
-def test_every_level_is_acknowledged_with_its_own_pixels(browser: tuple[BrowserDisplay, Path]) -> None:
+def test_every_level_is_acknowledged_with_its_own_pixels(browser):
     """All 256 greys and some colours are painted; the canvas holds exactly the level asked for, else show() raises."""
     display, _ = browser
     patches = [DisplayPatch((n / 255,) * 3) for n in range(256)]
@@ -63,7 +59,7 @@ def test_every_level_is_acknowledged_with_its_own_pixels(browser: tuple[BrowserD
     assert display.acknowledged["colourDepth"] >= 24
 
 
-async def _screenshot(profile: Path) -> np.ndarray:
+async def _screenshot(profile):
     """Return what the browser composes for its screen, by its own debugging protocol."""
     port = (profile / "DevToolsActivePort").read_text().split()[0]
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=within(10)) as answer:
@@ -80,7 +76,7 @@ async def _screenshot(profile: Path) -> np.ndarray:
     raise AssertionError("the browser did not answer")
 
 
-async def test_screen_holds_patch_and_surround(browser: tuple[BrowserDisplay, Path]) -> None:
+async def test_screen_holds_patch_and_surround(browser):
     """On the composed screen the middle is the patch, the corner the surround, to the code."""
     display, profile = browser
     for level in (0, 1, 2, 63, 128, 254, 255):
@@ -91,7 +87,7 @@ async def test_screen_holds_patch_and_surround(browser: tuple[BrowserDisplay, Pa
         assert corner.tolist() == [40] * 3
 
 
-def test_a_patch_takes_two_frames_at_least(browser: tuple[BrowserDisplay, Path]) -> None:
+def test_a_patch_takes_two_frames_at_least(browser):
     """The acknowledgement waits for the paint: 30 patches take no less than 30 frames of 60 per second."""
     display, _ = browser
     display.show(DisplayPatch((0, 0, 0)))

@@ -1,7 +1,5 @@
 """The main job on the simulated bench: calibrated on a source of known radiance, patches over five decades."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

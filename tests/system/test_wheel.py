@@ -1,7 +1,5 @@
 """The wheel works from anywhere: built, installed into a folder of its own, run from another one."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The suite in two workers: who runs next to whom."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

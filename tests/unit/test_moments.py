@@ -1,7 +1,5 @@
 """Times without a zone: one rule for every file and option, whatever the zone of the machine."""
 
-from __future__ import annotations
-
 import datetime as dt
 import time
 

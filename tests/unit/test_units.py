@@ -1,7 +1,5 @@
 """Units: exact stops behind printed settings, gains, photon energy."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -140,14 +140,19 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
-    frequency = None
-    if period is not None:
-        u_hz = math.hypot(period.u_hz, period.frequency_hz * (u_clock_rel or 0.0))
-        frequency = Quantity(period.frequency_hz, u_hz, "Hz")
-        if u_clock_rel is None:
-            assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
+    frequency, unstated = _frequency(period, u_clock_rel)
+    assumptions += unstated
     k = float(student_t.ppf(0.5 + _COVERAGE / 2.0, blocks - 1)) if blocks else 2.0
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+
+
+def _frequency(period: Period | None, u_clock_rel: float | None) -> tuple[Quantity | None, list[str]]:
+    """Return the frequency of a period, and what its uncertainty leaves out."""
+    if period is None:
+        return None, []
+    u_hz = math.hypot(period.u_hz, period.frequency_hz * (u_clock_rel or 0.0))
+    unstated = "frequency: an error of the record's clock is in no uncertainty; state it by --u-clock"
+    return Quantity(period.frequency_hz, u_hz, "Hz"), [unstated] if u_clock_rel is None else []
 
 
 def _doubted(name: str, shape: ShapeMeasures, drawn: Sequence[ShapeMeasures], off: Sequence[ShapeMeasures]) -> Quantity:

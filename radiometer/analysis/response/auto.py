@@ -444,7 +444,7 @@ def _notes(
 
 
 def _shows_few_lights(result: FittedResponse) -> bool:
-    """Return whether the groups' exposures lie at a few levels that spread by less than the noise of a pixel.
+    """Return whether the groups' exposures are at a few levels that spread by less than the noise of a pixel.
 
     Noise then decides to which group of a level a pixel belongs, and the residuals of neighbouring groups are alike
     without any disagreement of the frames.

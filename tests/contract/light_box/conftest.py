@@ -1,7 +1,5 @@
 """Benches for the light-box contract: the driver on the simulated twin, and on the real firmware in simavr."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import time

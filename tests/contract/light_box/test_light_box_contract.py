@@ -1,7 +1,5 @@
 """Contract of every light box, simulated or with real firmware, also on a line with noise."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,15 +1,15 @@
-"""Fits of dark adaptation: branches, the break between them, and what follows from them."""
-
-from __future__ import annotations
+"""Fits of dark adaptation: branches, the break between them, the report, and bleach by worked numbers."""
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 import radiometer as rm
 from radiometer.adaptation import adaptation_fit as rules
@@ -21,19 +21,31 @@ from radiometer.adaptation.adaptation_fit import (
     fit_adaptation,
     makes_sense,
 )
+from radiometer.adaptation.bleach import (
+    KINETICS,
+    bleached_fraction,
+    bleached_range,
+    pupil_diameter_mm,
+    retinal_illuminance_td,
+)
 from radiometer.adaptation.branch_fit import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH, BranchFit, fit_model, project
 from radiometer.adaptation.intervals import Interval, percentile_interval, profile_interval
+from radiometer.adaptation.report import curve_csv, report_html
+from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.cli.main import run
+from radiometer.data.bleaching_constants import CONE_HALF_BLEACH, CONE_REGENERATION, CONSTANTS
 from radiometer.errors import InputError, MeasurementError, UsageError
+from simulators.observers import eye_kinetics
 from testing.golden.dark_adaptation import DARK_THETA, dark_p7
+from testing.report_checks import HOSTILE
 
 TIMES = np.arange(0.5, 30.0, 0.5)
 
 QUICK = FitRequest(bootstrap_draws=0)
 
 
-def curve(times: np.ndarray, rod_rod: float = 1e9) -> np.ndarray:
+def curve(times, rod_rod=1000000000.0):
     """Return an eye's thresholds: cones to -1 (amplitude 2, 1.6 min), break at 9 min, S2 -0.24, S3 -0.03 per min."""
     found = []
     for time in times:
@@ -46,7 +58,7 @@ def curve(times: np.ndarray, rod_rod: float = 1e9) -> np.ndarray:
     return np.array(found)
 
 
-def series(sigma: float, seed: int = 1, rod_rod: float = 1e9, times: np.ndarray = TIMES) -> ThresholdSeries:
+def series(sigma, seed=1, rod_rod=1000000000.0, times=TIMES):
     """Return that eye's thresholds with noise."""
     return ThresholdSeries(times, curve(times, rod_rod) + np.random.default_rng(seed).normal(0, sigma, times.size))
 
@@ -88,7 +100,7 @@ def test_a_final_threshold_is_not_extrapolated():
     times = np.arange(0.5, 35.0, 0.5)
     level = MODELS[-1].threshold(times, EYE)
     noisy = ThresholdSeries(times, level + np.random.default_rng(11).normal(0, 0.1, times.size))
-    found = fit_adaptation(noisy, FitRequest(bootstrap_draws=60), np.random.default_rng(0))
+    found = fit_adaptation(noisy, FitRequest(bootstrap_draws=30), np.random.default_rng(0))
     for name, truth in (("final_threshold", level[-1]), ("area_log10_min", np.trapezoid(level - level[-1], times))):
         assert found.estimates[name].bootstrap.holds(truth)
 
@@ -183,7 +195,7 @@ def test_the_bias_of_the_method_is_removed_and_its_uncertainty_counts(tmp_path):
     rows = "".join(f"{t},{level}\n" for t, level in zip(data.time_min, data.log_threshold, strict=True))
     for name, facts in (("bare", ""), ("run", "# method_bias_log10: -0.08\n# u_method_bias_log10: 0.036\n")):
         (tmp_path / f"{name}.csv").write_text(f"{facts}time_min,log10_threshold\n{rows}")
-        found.append(rm.adapt_fit(tmp_path / f"{name}.csv", bootstrap=20).fit.estimates)
+        found.append(rm.adapt_fit(tmp_path / f"{name}.csv", bootstrap=5).fit.estimates)
     bare, run = found
     for name, shift, u in (("plateau", 0.08, 0.036), ("final_threshold", 0.08, 0.036), ("break_min", 0.0, 0.0)):
         assert run[name].value == pytest.approx(bare[name].value + shift, abs=2e-3)
@@ -389,7 +401,7 @@ def test_quantities_that_follow_from_a_fit():
 BREAK_TIMES = np.arange(0.25, 25.0, 0.25)
 
 
-def rods_alone(times: np.ndarray) -> np.ndarray:
+def rods_alone(times):
     """Return rods after a weak bleach: S2 −0.24 for 6 min, S3 −0.04 for 8 min, then their final level."""
     return -0.24 * np.minimum(times, 6.0) - 0.04 * np.clip(times - 6.0, 0.0, 8.0)
 
@@ -441,3 +453,197 @@ def test_power_falls_with_scatter_and_with_fewer_thresholds():
     assert times[0] < times[2]
     assert earliest_visible_break(BREAK_TIMES[::4], 0.1, 3.0) > earliest_visible_break(BREAK_TIMES, 0.1, 3.0)
     assert earliest_visible_break(BREAK_TIMES, 3.0, 3.0) is None
+
+
+# The report of a dark-adaptation fit says the break with its interval, or that none is claimed.
+
+
+REPORTED_MIN = np.linspace(0.5, 25.0, 45)
+TRUE_BREAK_MIN, TRUE_S2 = 9.0, -0.23
+
+
+def _fit(*, rods=True, facts=None, **request):
+    noise = np.random.default_rng(3).normal(0.0, 0.08, REPORTED_MIN.size)
+    cones = -1.0 + 2.5 * np.exp(-np.minimum(REPORTED_MIN, TRUE_BREAK_MIN) / 1.6)
+    curve = (
+        cones + TRUE_S2 * np.maximum(REPORTED_MIN - TRUE_BREAK_MIN, 0.0)
+        if rods
+        else -4.0 + 3.0 * np.exp(-REPORTED_MIN / 6.0)
+    )
+    series = ThresholdSeries(REPORTED_MIN, curve + noise, None, facts or {}, ("minutes were taken from seconds",))
+    asked = FitRequest(bootstrap_draws=20, **request)  # type: ignore[arg-type]
+    return fit_adaptation(series, asked, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def broken():
+    """Return the fit of a curve with a break at 9 min."""
+    return _fit()
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_the_break_is_reported_with_its_interval(broken):
+    """Break and S2 with half their 95 % intervals, which hold the true ones."""
+    page = report_html(broken, "eye")
+    text = re.search(
+        r"class='outcome'>Rod–cone break at ([\d.]+)\u00a0±\u00a0([\d.]+) min, then S2 of "
+        r"−([\d.]+)\u00a0±\u00a0([\d.]+) "
+        r"log₁₀ units per min \(95\u00a0% intervals\)\.",
+        page,
+    )
+    assert text is not None
+    time, half, slope, half_slope = map(float, text.groups())
+    interval = broken.estimates["break_min"].profile
+    assert interval is not None
+    assert half == pytest.approx((interval.high - interval.low) / 2, rel=0.05)
+    assert abs(time - TRUE_BREAK_MIN) < 1.5 * half
+    assert abs(slope + TRUE_S2) < 1.5 * half_slope
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_published_values_are_shown_with_their_source_and_what_has_none_is_named(broken):
+    """Final threshold: 0.08 log₁₀ units a decade (Jackson and Owsley 2000); no intercept was fitted: none is shown."""
+    page = report_html(broken, "eye")
+    assert "0.08 log₁₀ units higher for each decade" in page
+    assert "Jackson and Owsley 2000" in page
+    assert "Rod–cone break and S2 slope: no norm by age is known." in page
+    assert "Owsley et al. 2014" not in page
+
+
+def test_the_picture_shows_what_the_sentence_claims(broken, monkeypatch):
+    """A line at the break, a band over its interval, the plateau, the fitted curve, and after the break cones alone."""
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda one, stream, **_: figures.append(one) or stream.write(b"<svg/>"))
+    report_html(broken, "eye")
+    axes, interval = figures[0].axes[0], broken.estimates["break_min"].profile
+    assert [(band.get_x(), band.get_width()) for band in axes.patches] == [
+        (pytest.approx(interval.low), pytest.approx(interval.high - interval.low))
+    ]
+    lines = [np.array(line.get_data(), dtype=float) for line in axes.lines]
+    assert any(set(x) == {broken.estimates["break_min"].value} for x, _ in lines)
+    assert any(set(y) == {broken.chosen.values["plateau"]} for _, y in lines)
+    long = [(x, y) for x, y in lines if x.size > REPORTED_MIN.size]
+    assert any(y == pytest.approx(broken.chosen.threshold(x)) for x, y in long)
+    (later,) = [x for x, y in long if y != pytest.approx(broken.chosen.threshold(x))]
+    assert later.min() >= broken.estimates["break_min"].value > later.min() - 1.0
+
+
+@pytest.mark.slow
+def test_the_curve_in_a_file_is_thresholds_and_what_is_left_of_them(broken):
+    """A line for each threshold: its time, itself, the curve within the noise of the true one, the rest, its weight."""
+    head, *lines = curve_csv(broken).splitlines()
+    assert head == "time_min,log10_threshold,fitted,residual,weight"
+    time, threshold, fitted, residual, weight = np.array([line.split(",") for line in lines], dtype=float).T
+    assert time == pytest.approx(REPORTED_MIN, rel=1e-5)
+    assert threshold == pytest.approx(fitted + residual, abs=2e-5)
+    truth = -1.0 + 2.5 * np.exp(-np.minimum(REPORTED_MIN, TRUE_BREAK_MIN) / 1.6)
+    truth += TRUE_S2 * np.maximum(REPORTED_MIN - TRUE_BREAK_MIN, 0)
+    assert np.sqrt(np.mean((fitted - truth) ** 2)) < 0.05
+    assert np.std(residual) == pytest.approx(0.08, rel=0.3)
+    assert weight.min() > 0.0
+    assert weight.max() <= 1.0
+
+
+@pytest.mark.slow
+def test_what_is_not_claimed_says_so():
+    """One branch: no break in the sentence's words, and the time from which on one would have been seen."""
+    found = _fit(rods=False)
+    page = report_html(found, "eye")
+    assert not found.has_break
+    assert "class='outcome'>No rod–cone break is claimed: one branch, falling to −" in page
+    assert f"break after {found.evidence.earliest_visible_min:.1f} min would have been seen" in page
+    assert "Rod–cone break at" not in page
+    assert "grey is the best curve with a break" in page
+
+
+@pytest.mark.slow
+def test_the_rod_intercept_stands_only_where_its_protocol_has_it(broken):
+    """Without the protocol's rule no word of it; with it its time with ± and its limit."""
+    assert "intercept" not in report_html(broken, "eye").casefold()
+    found = _fit(intercept=InterceptRule(-2.3, 12.3, source="a source", bleach_s=2.5e-4))
+    page = report_html(found, "eye")
+    met = found.estimates["rod_intercept_min"].value
+    assert re.search(f"after {met:.1f} min; [a-z ]+ the limit of 12.3 min \\(a source\\)", page)
+    assert re.search(rf"The time is {met:.1f}\d*\u00a0±\u00a0[\d.]+ min \(95\u00a0%\)", page)
+    missed = report_html(_fit(intercept=InterceptRule(-7.0, 12.3, source="a source")), "eye")
+    assert "not reached within 25.0 min" in missed
+
+
+@pytest.mark.slow
+def test_flags_and_assumptions_stand_before_the_tables(broken):
+    """What was taken of the file's form, and that the stimulus has no uncertainty."""
+    page = report_html(broken, "eye")
+    assert page.index("minutes were taken from seconds") < page.index("<h2>Estimates")
+    assert "No uncertainty of the stimulus" in page
+    assert "No uncertainty of the stimulus" not in report_html(_fit(stimulus_u_log10=0.05), "eye")
+
+
+@pytest.mark.slow
+def test_no_name_of_a_subject_is_markup():
+    """A hostile file name and a hostile subject are shown as they are written."""
+    page = report_html(_fit(facts={"subject": HOSTILE}), HOSTILE)
+    assert "<script" not in page
+    assert page.count("&lt;script&gt;") == 4
+
+
+# Bleach: kinetics, pupil, trolands against worked numbers.
+
+
+@pytest.mark.parametrize(
+    ("light_td", "seconds", "kind", "before", "bleached"),
+    [
+        (25_000, 1e5, "rods", 0.0, 0.5),  # at I0 = Q/τ the steady state is one half
+        (1e7 / 1e-3, 1e-3, "rods", 0.0, 1 - 1 / math.e),  # a flash of Q, too short for regeneration
+        (0.0, 400.0, "rods", 0.9, 0.9 / math.e),
+        (0.0, 120.0, "cones", 0.9, 0.9 / math.e),
+    ],
+)
+def test_pigment_bleaches_and_regenerates_by_its_two_constants(light_td, seconds, kind, before, bleached):
+    """Q of 10⁷ and 2.4·10⁶ td·s, τ of 400 and 120 s; cones are half bleached at 4.3 log td (Rushton and Henry 1968)."""
+    assert bleached_fraction(light_td, seconds, kind, before=before) == pytest.approx(bleached, rel=1e-5)
+    assert KINETICS["rods"].half_bleach_td == 25_000
+    assert KINETICS["cones"].half_bleach_td == pytest.approx(10**4.3, rel=0.01)
+    assert KINETICS["cones"].td_s == pytest.approx(2.4e6)
+
+
+def test_trolands_are_luminance_times_pupil_area():
+    """300 cd/m² through 4 mm are 3770 td."""
+    assert retinal_illuminance_td(300.0, 4.0) == pytest.approx(3769.9, rel=1e-4)
+
+
+def test_pupil_spans_its_known_range_and_shrinks_with_light():
+    """Dark 7.75 mm, 10^6 cd/m² near 2 mm at the reference age; the old have smaller pupils in the dark."""
+    assert pupil_diameter_mm(0.0) == pytest.approx(7.75)
+    assert 2.0 < pupil_diameter_mm(1e6) < 2.3
+    assert pupil_diameter_mm(100.0) < pupil_diameter_mm(1.0)
+    assert pupil_diameter_mm(0.0, age_years=70) < 6
+
+
+def test_range_spans_the_published_constants():
+    """10⁵ td for 600 s: rods lie between those of 1.6·10⁷ td·s with 360 s and of 10⁷ td·s with 450 s."""
+    low, high = bleached_range(1e5, 600.0)
+    least, most = 1e5 / 1.6e7, 1e5 / 1e7
+    assert low == pytest.approx(least / (least + 1 / 360) * (1 - math.exp(-(least + 1 / 360) * 600)))
+    assert high == pytest.approx(most / (most + 1 / 450) * (1 - math.exp(-(most + 1 / 450) * 600)))
+    assert low < bleached_fraction(1e5, 600.0) <= high
+
+
+def test_calculator_eye_and_docs_share_one_table(project_root):
+    """Each value of the table stands in the docs with its spread; the simulated eye bleaches by the same ones."""
+    page = (project_root / "docs" / "reference" / "adaptation-test.md").read_text(encoding="utf-8")
+    for constant in CONSTANTS:
+        assert f"| {constant.name} | {constant.value:g} | {constant.low:g} to {constant.high:g} |" in page
+        assert constant.low <= constant.value <= constant.high
+    assert KINETICS["cones"].half_bleach_td == eye_kinetics.CONE_EXPOSURE_TD_S / eye_kinetics.CONE_REGENERATION_S
+    assert KINETICS["rods"].td_s == eye_kinetics.ROD_EXPOSURE_TD_S
+
+
+def test_range_of_cones_spans_their_own_constants():
+    """I0 and τ of cones are published apart: the extremes are those of I0 with τ, whatever Q they make together."""
+    half, back = CONE_HALF_BLEACH, CONE_REGENERATION
+    ends = []
+    for half_td in (half.low, half.high):
+        for time_s in (back.low, back.high):
+            rate = (1.0 + 1e4 / half_td) / time_s
+            ends.append(1e4 / (1e4 + half_td) * (1.0 - math.exp(-rate * 60.0)))
+    assert bleached_range(1e4, 60.0, "cones") == pytest.approx((min(ends), max(ends)))

@@ -1,32 +1,26 @@
 """Setting up a test on the light box from its protocol."""
 
-from __future__ import annotations
-
 import datetime as dt
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 import radiometer as rm
 from radiometer.adaptation.box_setup import SIMULATED_CALIBRATION, BoxLights, BoxStage, open_box_stage
-from radiometer.adaptation.checks import Finding, judge_age, judge_room
-from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, FlashBleach, read_protocol
+from radiometer.adaptation.checks import judge_age, judge_room
+from radiometer.adaptation.protocol import SHIPPED, FlashBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.bench.boxes import open_light_box
 from radiometer.bench.served_box import served_box
 from radiometer.data.config_files import shipped_config
-from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
+from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.provenance import utc_now
-from radiometer.devices.light_box import ButtonEvent, ChannelMode, ChannelState, DriveLevel, Radiance
+from radiometer.devices.light_box import ButtonEvent, ChannelMode, ChannelState, DriveLevel
 from radiometer.errors import (
     CalibrationError,
     ConfigurationError,
     DeviceError,
     MeasurementError,
-    RadiometerError,
     SettingOutOfRange,
     UnsafeStimulus,
     UsageError,
@@ -36,27 +30,27 @@ NOW = dt.datetime(2026, 11, 21, tzinfo=dt.UTC)
 
 
 @pytest.fixture
-def quick() -> AdaptationProtocol:
+def quick():
     return read_protocol("quick")
 
 
-def before_box(protocol: AdaptationProtocol, **asked: Any) -> RunRequest:
+def before_box(protocol, **asked):
     """Return the request of a run before the simulated box."""
     return RunRequest(protocol, box="sim", **asked)
 
 
-def findings(protocol: AdaptationProtocol, **asked: Any) -> list[Finding]:
+def findings(protocol, **asked):
     """Return what the checks of a simulated box find."""
     with open_box_stage(before_box(protocol, **asked)) as (_, checks):
         return [check() for check in checks]
 
 
-def changed(protocol: AdaptationProtocol, section: str, **values: Any) -> AdaptationProtocol:
+def changed(protocol, section, **values):
     """Return a protocol with other values in a section."""
     return protocol.model_copy(update={section: getattr(protocol, section).model_copy(update=values)})
 
 
-def refusal(protocol: AdaptationProtocol, **asked: Any) -> RadiometerError:
+def refusal(protocol, **asked):
     """Return why a test would not begin."""
     refused = [f.refusal for f in findings(protocol, **asked) if f.refusal is not None]
     assert refused
@@ -64,14 +58,14 @@ def refusal(protocol: AdaptationProtocol, **asked: Any) -> RadiometerError:
 
 
 @pytest.mark.parametrize("name", ["classic", "quick", "led-only", "questplus"])
-def test_shipped_protocols_are_within_the_limits_of_eye_and_box(name: str) -> None:
+def test_shipped_protocols_are_within_the_limits_of_eye_and_box(name):
     """Every one for the box can be run on the reference box, the flash too; the journal gets the hazard fractions."""
     (safety,) = findings(read_protocol(name))
     assert safety.refusal is None
     assert 0 < safety.facts["blue_light"] < safety.facts["allowed_fraction"]
 
 
-def test_calibration_age_against_the_protocols_limit(quick: AdaptationProtocol) -> None:
+def test_calibration_age_against_the_protocols_limit(quick):
     """30 days: 29 pass; 31 are refused with both figures and the way out, or accepted with a mark in the journal."""
     age = {days: (NOW - dt.timedelta(days=days)).isoformat() for days in (29, 31)}
     assert judge_age("box X", age[29], quick, NOW).refusal is None
@@ -85,7 +79,7 @@ def test_calibration_age_against_the_protocols_limit(quick: AdaptationProtocol) 
     assert accepted.facts["accepted_stale"] is True
 
 
-def test_own_calibration_of_a_box_is_checked_for_its_age(tmp_path: Path, quick: AdaptationProtocol) -> None:
+def test_own_calibration_of_a_box_is_checked_for_its_age(tmp_path, quick):
     """The check is made on the file that the levels come from."""
     old = replace(LightCalibration.read(shipped_config(SIMULATED_CALIBRATION)), created="2020-01-01T00:00:00Z")
     old.write(tmp_path / "old.yaml")
@@ -102,13 +96,11 @@ def test_own_calibration_of_a_box_is_checked_for_its_age(tmp_path: Path, quick: 
         (1.0, 8192, "8192 duty steps, the box states 1024"),
     ],
 )
-def test_a_calibration_that_belies_box_or_preset_gives_no_light(
-    tmp_path: Path, factor: float, steps: int, reason: str
-) -> None:
+def test_a_calibration_that_belies_box_or_preset_gives_no_light(tmp_path, factor, steps, reason):
     """By radiances a million times too low, the account of the exposure would count as much less."""
     known = LightCalibration.read(shipped_config(SIMULATED_CALIBRATION))
 
-    def changed(one: ChannelCalibration) -> ChannelCalibration:
+    def changed(one):
         points = tuple(
             p.model_copy(update={"radiance_W_per_sr_m2": factor * p.radiance_W_per_sr_m2}) for p in one.points
         )
@@ -122,9 +114,7 @@ def test_a_calibration_that_belies_box_or_preset_gives_no_light(
 @pytest.mark.parametrize(
     ("created", "warned"), [("2020-01-01T00:00:00Z", True), ("2090-01-01T00:00:00Z", True), (None, False)]
 )
-def test_light_by_a_calibration_out_of_date_is_given_with_a_warning(
-    tmp_path: Path, created: str | None, warned: bool
-) -> None:
+def test_light_by_a_calibration_out_of_date_is_given_with_a_warning(tmp_path, created, warned):
     """Also by one from the future."""
     known = LightCalibration.read(shipped_config(SIMULATED_CALIBRATION))
     replace(known, created=created or utc_now()).write(tmp_path / "c.yaml")
@@ -133,13 +123,13 @@ def test_light_by_a_calibration_out_of_date_is_given_with_a_warning(
     assert any("not within its" in line for line in heard) == warned
 
 
-def test_flash_beyond_the_box_is_refused_with_the_time_it_would_need(quick: AdaptationProtocol) -> None:
+def test_flash_beyond_the_box_is_refused_with_the_time_it_would_need(quick):
     """6e6 td·s in 20 ms are 19 kW/sr/m²; at 2.556 the same energy takes 152 s."""
     flash = quick.model_copy(update={"bleach": FlashBleach(kind="flash", retinal_td_s=6e6, duration_s=0.02)})
     assert "needs 152 s at least for 6e+06 td·s" in str(refusal(flash))
 
 
-def test_bleach_longer_than_the_firmware_allows_is_refused_before_it_begins() -> None:
+def test_bleach_longer_than_the_firmware_allows_is_refused_before_it_begins():
     """The white channel's energy budget ends 800 cd/m² after some 200 s; no half bleach is given."""
     long = changed(read_protocol("led-only"), "bleach", luminance_cd_m2=800.0, duration_s=600.0)
     refused = refusal(long)
@@ -147,7 +137,7 @@ def test_bleach_longer_than_the_firmware_allows_is_refused_before_it_begins() ->
     assert "energy budget" in str(refused)
 
 
-def test_bleach_beyond_the_exposure_limit_is_refused(quick: AdaptationProtocol) -> None:
+def test_bleach_beyond_the_exposure_limit_is_refused(quick):
     """With a ten-thousandth of the limit allowed, the flash (3.4e-4 of it) is refused by IEC 62471's name."""
     with open_box_stage(before_box(quick)) as (stage, checks):
         stage.box.ledger.allowed_fraction = 1e-4  # type: ignore[attr-defined]
@@ -156,20 +146,20 @@ def test_bleach_beyond_the_exposure_limit_is_refused(quick: AdaptationProtocol) 
     assert "IEC 62471" in str(refused)
 
 
-def test_spot_beyond_the_boxs_range_is_refused_with_the_range(quick: AdaptationProtocol) -> None:
+def test_spot_beyond_the_boxs_range_is_refused_with_the_range(quick):
     """Without its filter the spot does not get as dim as the rods see; what it reaches is stated."""
     refused = refusal(changed(quick, "spot", filter_density=0.0))
     assert not isinstance(refused, SettingOutOfRange)
     assert "reaches -1.91 to 3.16 log₁₀ scotopic cd·m⁻²" in str(refused)
 
 
-def test_channel_of_another_colour_is_refused(quick: AdaptationProtocol) -> None:
+def test_channel_of_another_colour_is_refused(quick):
     """A 505 nm protocol on a 453 nm LED would be wrong by a factor of two without anybody noticing."""
     assert "505 nm" in str(refusal(changed(quick, "spot", peak_nm=505.0)))
 
 
 @pytest.mark.slow
-def test_dark_room_is_measured_by_the_camera(quick: AdaptationProtocol) -> None:
+def test_dark_room_is_measured_by_the_camera(quick):
     """In the dark the reading is 0 within its uncertainty; at 0.01 cd/m² it is that, and refused."""
     dark = findings(quick, measure_room=True)[-1]
     assert dark.refusal is None
@@ -181,18 +171,18 @@ def test_dark_room_is_measured_by_the_camera(quick: AdaptationProtocol) -> None:
 
 
 @pytest.mark.parametrize(("value", "u", "message"), [(2e-3, 1e-5, "darken it"), (5e-4, 1e-3, "does not show")])
-def test_room_must_be_shown_to_be_dark(quick: AdaptationProtocol, value: float, u: float, message: str) -> None:
+def test_room_must_be_shown_to_be_dark(quick, value, u, message):
     """Too bright, and not known well enough, are distinguished."""
     assert message in str(judge_room(value, u, quick).refusal)
 
 
-def test_simulated_subject_sits_before_the_simulated_box_only(quick: AdaptationProtocol) -> None:
+def test_simulated_subject_sits_before_the_simulated_box_only(quick):
     """No box is opened for the refusal."""
     with pytest.raises(UsageError, match="--box sim"), open_box_stage(RunRequest(quick, box="LB1", simulate="steady")):
         pass
 
 
-def test_red_mark_has_the_protocols_luminance(quick: AdaptationProtocol) -> None:
+def test_red_mark_has_the_protocols_luminance(quick):
     """0.1 cd/m² at the channel's 640 nm (119.5 lm/W, V = 0.175) unless a radiance is stated."""
     with open_box_stage(before_box(quick)) as (stage, _):
         assert stage.lights.fixation_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
@@ -201,7 +191,7 @@ def test_red_mark_has_the_protocols_luminance(quick: AdaptationProtocol) -> None
         assert stage.lights.fixation_w_sr_m2 == 0.0
 
 
-def test_served_box_has_its_subject_before_the_twin_only(tmp_path: Path) -> None:
+def test_served_box_has_its_subject_before_the_twin_only(tmp_path):
     """The firmware in simavr has pins, no LEDs."""
     with pytest.raises(UsageError, match="leave out one"):
         served_box("TWIN0001", tmp_path / "port", firmware=tmp_path / "x.hex", subject="steady")
@@ -209,7 +199,7 @@ def test_served_box_has_its_subject_before_the_twin_only(tmp_path: Path) -> None
         served_box("TWIN0001", tmp_path / "port", subject="asleep")
 
 
-def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick: AdaptationProtocol) -> None:
+def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick):
     """0.1 cd/m² at 640 nm (119.5 lm/W); the reference box has it 15.5° temporal."""
     with open_box_stage(before_box(quick)) as (stage, _):
         assert stage.checks_fixation
@@ -217,14 +207,14 @@ def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick: AdaptationProto
         assert "no_fixation_check" not in stage.facts()
 
 
-def test_light_in_the_blind_spot_beyond_the_channel_is_refused(quick: AdaptationProtocol) -> None:
+def test_light_in_the_blind_spot_beyond_the_channel_is_refused(quick):
     """10⁻⁹ cd/m² is below what the red LED can be dimmed to: the message names the protocol's key."""
     assert quick.fixation_check is not None
     dim = quick.model_copy(update={"fixation_check": quick.fixation_check.model_copy(update={"luminance_cd_m2": 1e-9})})
     assert "fixation_check.luminance_cd_m2" in str(refusal(dim))
 
 
-def _preset(path: Path, text: str) -> Path:
+def _preset(path, text):
     """Write the reference preset with another place of its red channel."""
     whole = shipped_config("light_boxes/reference.yaml").read_text(encoding="utf-8")
     stated = "place: {temporal_deg: 15.5, below_deg: 1.5}"
@@ -236,27 +226,25 @@ def _preset(path: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("stated", "why"), [("", "states no `place`"), (", place: {temporal_deg: 5, below_deg: 0}", "is 5° temporal")]
 )
-def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
-    tmp_path: Path, quick: AdaptationProtocol, stated: str, why: str
-) -> None:
+def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(tmp_path, quick, stated, why):
     """The test is run all the same, and the journal shows why."""
     with open_box_stage(before_box(quick, preset=_preset(tmp_path / "p.yaml", stated))) as (stage, _):
         assert not stage.checks_fixation
         assert why in str(stage.facts()["no_fixation_check"])
 
 
-def test_spot_of_a_channel_that_stands_elsewhere_is_refused(quick: AdaptationProtocol) -> None:
+def test_spot_of_a_channel_that_stands_elsewhere_is_refused(quick):
     """The red channel of the reference box stands in the blind spot: no one would see it as a test spot."""
     assert "is 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_protocols_are_valid(name: str) -> None:
+def test_shipped_protocols_are_valid(name):
     """Each is read by its name and carries it."""
     assert read_protocol(name).name == name
 
 
-def test_classic_is_the_test_of_the_literature() -> None:
+def test_classic_is_the_test_of_the_literature():
     """9,000 cd/m² for 180 s through 7 mm, 505 nm, 2° at 5°, up to 40 min; the blue one 453 nm at 8°."""
     classic = read_protocol("classic")
     assert (classic.bleach.luminance_cd_m2, classic.bleach.duration_s) == (9000, 180)
@@ -275,7 +263,7 @@ def test_classic_is_the_test_of_the_literature() -> None:
         ("duration_min: 40", "duration_min: 40, criterion_log10: -9", "outside the spot's levels"),
     ],
 )
-def test_wrong_protocols_are_refused(tmp_path: Path, project_root: Path, old: str, new: str, message: str) -> None:
+def test_wrong_protocols_are_refused(tmp_path, project_root, old, new, message):
     """The error names what is wrong."""
     text = (project_root / "configs" / "protocols" / "classic.yaml").read_text()
     assert old in text
@@ -285,7 +273,7 @@ def test_wrong_protocols_are_refused(tmp_path: Path, project_root: Path, old: st
         read_protocol(file)
 
 
-def test_unknown_protocol_lists_the_shipped_ones() -> None:
+def test_unknown_protocol_lists_the_shipped_ones():
     """The way out is in the message."""
     with pytest.raises(ConfigurationError, match="classic, classic-blue, rapid, quick"):
         read_protocol("nothing.yaml")
@@ -294,26 +282,26 @@ def test_unknown_protocol_lists_the_shipped_ones() -> None:
 class RecordingBox:
     """A box that notes what it is asked and hands out presses that were laid down."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.asked: list[tuple[object, ...]] = []
         self.presses: list[float] = []
         self.held: list[tuple[float, float]] = []
         self.time = 100.0
         self.level = 1000
 
-    def pulse(self, channel: str, level: Radiance, duration_s: float) -> None:
+    def pulse(self, channel, level, duration_s):
         self.asked.append((channel, level.radiance_w_sr_m2, duration_s))
 
-    def set_level(self, channel: str, level: Radiance) -> None:
+    def set_level(self, channel, level):
         self.asked.append((channel, level.radiance_w_sr_m2))
 
-    def read_channel(self, channel: str) -> ChannelState:
+    def read_channel(self, channel):
         return ChannelState(channel, ChannelMode.PULSE, DriveLevel(self.level), 0, 1.0)
 
-    def off(self, channel: str) -> None:
+    def off(self, channel):
         self.asked.append((channel, "off"))
 
-    def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
+    def buttons(self, timeout_s):
         self.time += timeout_s
         for number, time_s in enumerate(self.presses):
             yield ButtonEvent(True, time_s, 1e-4, time_s, number)
@@ -325,30 +313,30 @@ class RecordingBox:
 
 
 @pytest.fixture
-def box() -> RecordingBox:
+def box():
     return RecordingBox()
 
 
 @pytest.fixture
-def stage(box: RecordingBox) -> BoxStage:
-    def sleep(seconds: float) -> None:
+def stage(box):
+    def sleep(seconds):
         box.time += seconds
 
     lights = BoxLights(read_protocol("led-only"), 300.0, 600.0, 900.0, fixation_w_sr_m2=1e-4)
     return BoxStage(box, lights, lambda: box.time, sleep)  # type: ignore[arg-type]
 
 
-def test_bleach_is_the_protocols_light_and_then_the_mark(stage: BoxStage, box: RecordingBox) -> None:
+def test_bleach_is_the_protocols_light_and_then_the_mark(stage, box):
     """300 cd/m² at 300 lm/W are 1 W/sr/m² for 120 s; the red mark follows."""
     stage.bleach(stage.lights.protocol)
     assert box.asked == [("bleach", pytest.approx(2.5), 150.0), ("fixation", 1e-4)]
     assert stage.now_s() == pytest.approx(150.0)
 
 
-def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage: BoxStage, box: RecordingBox) -> None:
+def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage, box):
     """In the bleach: it is over within a quarter of a second, and neither mark nor spot follows."""
 
-    def sleep(seconds: float) -> None:
+    def sleep(seconds):
         box.time += seconds
         box.switched_off = box.time >= 102.0  # type: ignore[attr-defined]
 
@@ -359,12 +347,12 @@ def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage: 
     assert stage.now_s() == pytest.approx(3.0, abs=0.3)
 
 
-def test_a_bleach_that_the_box_ends_by_itself_is_no_bleach(stage: BoxStage, box: RecordingBox) -> None:
+def test_a_bleach_that_the_box_ends_by_itself_is_no_bleach(stage, box):
     """Its energy budget, or its button: a curve after a tenth of the bleach would be taken for one after all of it."""
 
     dark_s = [102.0, 100.0 + 0.99 * 150.0]  # then a box whose clock is 1 % fast
 
-    def sleep(seconds: float) -> None:
+    def sleep(seconds):
         box.time += seconds + 0.01  # what reading back takes
         box.level = 0 if box.time >= dark_s[0] else 1000
 
@@ -378,7 +366,7 @@ def test_a_bleach_that_the_box_ends_by_itself_is_no_bleach(stage: BoxStage, box:
     assert box.time == pytest.approx(250.0, abs=0.02)
 
 
-def test_stop_ends_the_bleach(stage: BoxStage, box: RecordingBox) -> None:
+def test_stop_ends_the_bleach(stage, box):
     """Within a quarter of a second, and no mark follows."""
     stage.wall_clock, stage.ended = (lambda: 1.7e9), lambda: box.time >= 102.0
     stage.bleach(stage.lights.protocol)
@@ -386,40 +374,40 @@ def test_stop_ends_the_bleach(stage: BoxStage, box: RecordingBox) -> None:
     assert stage.now_s() == pytest.approx(2.0, abs=0.3)
 
 
-def test_blink_is_one_pulse_of_the_levels_radiance(stage: BoxStage, box: RecordingBox) -> None:
+def test_blink_is_one_pulse_of_the_levels_radiance(stage, box):
     """-3 log scotopic cd/m² behind a filter of density 3 at 900 lm/W, for the protocol's 0.3 s, in a cycle of 1 s."""
     stage.blink(-3.0, 0, 0)
     assert box.asked == [("spot", pytest.approx(1.0 / 900), 0.3)]
     assert stage.now_s() == pytest.approx(1.0)
 
 
-def test_presses_count_from_the_onset_and_releases_do_not(stage: BoxStage, box: RecordingBox) -> None:
+def test_presses_count_from_the_onset_and_releases_do_not(stage, box):
     """A press before the onset is not an answer."""
     box.presses = [99.9, 100.4]
     assert stage.blink(-3.0, 0, 0) == [pytest.approx(0.4)]
 
 
-def test_catch_lights_nothing(stage: BoxStage, box: RecordingBox) -> None:
+def test_catch_lights_nothing(stage, box):
     """No level, no pulse."""
     stage.blink(None, 0, 0)
     assert box.asked == []
 
 
-def test_flash_gives_its_scotopic_troland_seconds(stage: BoxStage, box: RecordingBox) -> None:
+def test_flash_gives_its_scotopic_troland_seconds(stage, box):
     """4e5 td·s in 15 s through 6 mm (28.27 mm²) are 943 scotopic cd/m², at 600 lm/W 1.572 W/sr/m²."""
     stage.lights = BoxLights(read_protocol("quick"), 300.0, 600.0, 900.0)
     stage.bleach(stage.lights.protocol)
     assert box.asked == [("bleach", pytest.approx(4e5 / 15 / 28.274 / 600, rel=1e-4), 15.0)]
 
 
-def test_resuming_counts_on_with_the_mark_lit(stage: BoxStage, box: RecordingBox) -> None:
+def test_resuming_counts_on_with_the_mark_lit(stage, box):
     """After a crash the time goes on, and the subject has something to look at again."""
     stage.resume_at(500.0)
     assert stage.now_s() == pytest.approx(500.0)
     assert box.asked == [("fixation", 1e-4)]
 
 
-def test_long_press_is_reported_once_and_a_short_one_never(stage: BoxStage, box: RecordingBox) -> None:
+def test_long_press_is_reported_once_and_a_short_one_never(stage, box):
     """Presses of 0.1 s are answers; one that is held is reported with its beginning, on the stage's clock."""
     box.presses = [100.4]
     stage.blink(-3.0, 0, 0)
@@ -430,14 +418,14 @@ def test_long_press_is_reported_once_and_a_short_one_never(stage: BoxStage, box:
     assert stage.long_press(2.0) is None
 
 
-def test_button_that_is_still_held_is_a_long_press(stage: BoxStage, box: RecordingBox) -> None:
+def test_button_that_is_still_held_is_a_long_press(stage, box):
     """No one has to let go first."""
     box.held = [(100.5, 999.0)]
     stage.rest(4.0)
     assert stage.long_press(2.0) == pytest.approx(0.5)
 
 
-def test_light_in_the_blind_spot_is_one_pulse_of_its_own_channel(stage: BoxStage, box: RecordingBox) -> None:
+def test_light_in_the_blind_spot_is_one_pulse_of_its_own_channel(stage, box):
     """No filter stands before it; presses count as for the spot."""
     stage.lights = BoxLights(read_protocol("led-only"), 300.0, 600.0, 900.0, blind_spot_w_sr_m2=8e-4)
     box.presses = [100.5]
@@ -446,7 +434,7 @@ def test_light_in_the_blind_spot_is_one_pulse_of_its_own_channel(stage: BoxStage
     assert box.asked == [("spot_red", 8e-4, 0.3)]
 
 
-def test_box_without_a_light_there_checks_no_fixation(stage: BoxStage, box: RecordingBox) -> None:
+def test_box_without_a_light_there_checks_no_fixation(stage, box):
     """And refuses to pretend."""
     assert not stage.checks_fixation
     with pytest.raises(UsageError, match="blind spot"):

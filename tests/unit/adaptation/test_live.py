@@ -1,14 +1,9 @@
 """The state of a running test, in a terminal and on the page that browsers see."""
 
-from __future__ import annotations
-
 import json
 import re
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import aiohttp
 import numpy as np
@@ -28,17 +23,17 @@ from testing.patience import within
 from testing.scripted_adaptation import SubjectCurve
 
 
-def _event(kind: str, time_s: float, **facts: Any) -> Event:
+def _event(kind, time_s, **facts):
     return {"sequence": round(10 * time_s), "kind": kind, "time_s": time_s, **facts}
 
 
-def _trial(time_s: float, threshold: float | None, *, false: bool = False, catch: bool = False) -> Event:
+def _trial(time_s, threshold, *, false=False, catch=False):
     minutes = {} if catch else {"minutes": (time_s - 120) / 60}
     return _event("trial", time_s, catch=catch, false_press=false, threshold=threshold, **minutes)
 
 
 @pytest.fixture
-def state() -> LiveState:
+def state():
     """Return the state of a test that has just gone dark, after 120 s."""
     state = LiveState(read_protocol("classic"))
     for event in (_event("start", 0.0, subject="S1"), _event("bleach", 0.1), _event("dark", 120.0)):
@@ -46,7 +41,7 @@ def state() -> LiveState:
     return state
 
 
-def test_phases_follow_the_events(state: LiveState) -> None:
+def test_phases_follow_the_events(state):
     """Bleach, fixation, threshold, pause and the end; notes in between change nothing."""
     seen = [state.phase]
     for event in (
@@ -64,7 +59,7 @@ def test_phases_follow_the_events(state: LiveState) -> None:
     assert state.to_mapping()["subject"] == "S1"
 
 
-def test_false_presses_are_caught_and_hasty_ones(state: LiveState) -> None:
+def test_false_presses_are_caught_and_hasty_ones(state):
     """One pressed catch of two and one hasty press make two false presses; the hasty trial has no threshold."""
     for event in (
         _trial(130, None, catch=True),
@@ -79,7 +74,7 @@ def test_false_presses_are_caught_and_hasty_ones(state: LiveState) -> None:
     assert mapping["missed"] == [0.5]
 
 
-def test_trial_that_a_long_press_voided_is_taken_back(state: LiveState) -> None:
+def test_trial_that_a_long_press_voided_is_taken_back(state):
     """The pause names the trial; its threshold is on no curve."""
     state.take(_trial(130, 0.2))
     state.take(_trial(140, -0.1))
@@ -87,7 +82,7 @@ def test_trial_that_a_long_press_voided_is_taken_back(state: LiveState) -> None:
     assert [value for _, value in state.points] == [0.2]
 
 
-def test_running_fit_finds_the_break_and_says_why_there_is_none() -> None:
+def test_running_fit_finds_the_break_and_says_why_there_is_none():
     """Too few thresholds and a flat curve are stated so; a whole curve with 0.05 log10 of noise has its break at 9 min.
 
     The break of 70 thresholds is known to about 0.3 min (`benchmarks/adaptation_cohort`); 4 sigmas are allowed.
@@ -102,7 +97,7 @@ def test_running_fit_finds_the_break_and_says_why_there_is_none() -> None:
     assert "no fit yet" in running_fit([(t, -1.0) for t, _ in whole]).text
 
 
-def test_chart_sets_dots_where_the_points_are() -> None:
+def test_chart_sets_dots_where_the_points_are():
     """The corners of the ranges are the corner dots; a point outside is not drawn."""
     chart = TerminalChart(4, 2, (0.0, 1.0), (0.0, 1.0))
     chart.dots([(0.0, 0.0), (1.0, 1.0), (0.5, 2.0)])
@@ -112,7 +107,7 @@ def test_chart_sets_dots_where_the_points_are() -> None:
     assert (top[:6], bottom[:6]) == ("   1 ┤", "   0 ┤")
 
 
-def test_terminal_shows_clock_curve_and_counts(state: LiveState) -> None:
+def test_terminal_shows_clock_curve_and_counts(state):
     """The axis by name, then 11 rows of chart between the clock and the counts, and the level that blinks."""
     for minute in range(1, 12):
         state.take(_trial(120.0 + 60 * minute, SubjectCurve().threshold(minute)))
@@ -126,7 +121,7 @@ def test_terminal_shows_clock_curve_and_counts(state: LiveState) -> None:
     assert max(map(len, lines)) < 80
 
 
-def test_prompts_follow_the_phases() -> None:
+def test_prompts_follow_the_phases():
     """Every phase and every threshold has its sound, catches and misses have none."""
     text = {kind: prompts_after(_event(kind, 1.0)) for kind in ("start", "bleach", "dark", "pause", "resume", "end")}
     assert text["dark"] == ("dark", "mark")
@@ -137,7 +132,7 @@ def test_prompts_follow_the_phases() -> None:
 
 
 @pytest.mark.parametrize("given", [0, 1, 2])
-def test_prompts_that_a_crash_left_out_are_given_once(tmp_path: Path, given: int) -> None:
+def test_prompts_that_a_crash_left_out_are_given_once(tmp_path, given):
     """With none, one or both of two prompts in the journal, taking it up leaves both there, in order."""
     heard: list[Event] = []
     with RunJournal(tmp_path / "j") as journal:
@@ -151,7 +146,7 @@ def test_prompts_that_a_crash_left_out_are_given_once(tmp_path: Path, given: int
     assert len(heard) == 2 - given
 
 
-def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(state: LiveState) -> None:
+def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(state):
     """Counts of looks away and lapses are shown; they are neither catches nor thresholds."""
     look = {"catch": True, "false_press": False, "threshold": None}
     for event in (
@@ -205,12 +200,12 @@ def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(st
         (_trial(180, -6.0), "1.00 min -6.00 log₁₀ scotopic cd·m⁻²"),
     ],
 )
-def test_without_a_terminal_each_event_is_a_line(event: Event, line: str) -> None:
+def test_without_a_terminal_each_event_is_a_line(event, line):
     """What a pipe or a log gets: checks with figures, phases, trials with minutes and threshold; else nothing."""
     assert " ".join((event_line(event) or "").split()) == line
 
 
-def test_the_terminal_shows_the_running_curve() -> None:
+def test_the_terminal_shows_the_running_curve():
     """In a terminal what the journal held counts too: phase, time in the dark, and the counts of points."""
     known = [_event("start", 0.0, subject="S1"), _event("bleach", 0.1), _event("dark", 120.0)]
     screen = LiveText(read_protocol("classic"), known)
@@ -221,7 +216,7 @@ def test_the_terminal_shows_the_running_curve() -> None:
     assert "2 thresholds   1 not seen   0 catches   0 false presses" in shown
 
 
-def test_bleach_is_counted_down(state: LiveState) -> None:
+def test_bleach_is_counted_down(state):
     """After 50 s of the bleach the clock shows what is left of the protocol's time."""
     lasts_s = int(state.protocol.bleach.duration_s)
     state = LiveState(state.protocol)
@@ -240,20 +235,20 @@ BEGIN = [
 ]
 
 
-def _page_trial(number: int) -> dict[str, object]:
+def _page_trial(number):
     facts = {"catch": False, "false_press": False, "threshold": 1.0 - 0.1 * number, "minutes": 0.2 * number}
     return {"sequence": number, "kind": "trial", "time_s": 120.0 + 12 * number, **facts}
 
 
 @pytest.fixture
-def page() -> Iterator[LivePage]:
+def page():
     """Return the open page of a test whose bleach is over."""
     with LivePage(read_protocol("classic"), Controls()) as page:
         replayed(page, BEGIN)
         yield page
 
 
-async def _until(socket: aiohttp.ClientWebSocketResponse, key: str, expected: object) -> dict[str, object]:
+async def _until(socket, key, expected):
     """Return the first message in which a key has a value."""
     while True:
         message = json.loads((await socket.receive(timeout=within(20))).data)
@@ -261,7 +256,7 @@ async def _until(socket: aiohttp.ClientWebSocketResponse, key: str, expected: ob
             return dict(message)
 
 
-async def test_every_browser_gets_the_whole_state_and_what_follows(page: LivePage) -> None:
+async def test_every_browser_gets_the_whole_state_and_what_follows(page):
     """Two browsers, one of them late, see the same; one that goes away is missed by no one."""
     address = page.url.replace("/?", "/socket?")
     async with aiohttp.ClientSession() as session, session.ws_connect(address) as first:
@@ -280,7 +275,7 @@ async def test_every_browser_gets_the_whole_state_and_what_follows(page: LivePag
         assert len(fitted["points"]) == 22  # type: ignore[arg-type]
 
 
-async def test_prompts_are_reported_as_they_come_and_not_again(page: LivePage) -> None:
+async def test_prompts_are_reported_as_they_come_and_not_again(page):
     """A browser that comes later does not get the old ones."""
     async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
         await _until(socket, "phase", "fixation")
@@ -288,7 +283,7 @@ async def test_prompts_are_reported_as_they_come_and_not_again(page: LivePage) -
         assert (await _until(socket, "kind", "prompt"))["say"] == "threshold"
 
 
-async def test_nonsense_from_a_browser_is_passed_over() -> None:
+async def test_nonsense_from_a_browser_is_passed_over():
     """Neither broken JSON nor unknown words stop the server or reach the run."""
     controls = Controls()
     with LivePage(read_protocol("classic"), controls) as page:
@@ -300,10 +295,10 @@ async def test_nonsense_from_a_browser_is_passed_over() -> None:
     assert controls.stopped_by is None
 
 
-async def test_devices_that_do_not_answer_are_shown_so() -> None:
+async def test_devices_that_do_not_answer_are_shown_so():
     """The run is not disturbed by a box that does not report its state."""
 
-    def silent() -> dict[str, str]:
+    def silent():
         raise DeviceTimeout("the box does not answer")
 
     with LivePage(read_protocol("classic"), Controls(), health=silent) as page:
@@ -311,7 +306,7 @@ async def test_devices_that_do_not_answer_are_shown_so() -> None:
             assert (await _until(socket, "phase", "starting"))["devices"] == {"devices": "the box does not answer"}
 
 
-def test_strangers_and_a_taken_port(page: LivePage) -> None:
+def test_strangers_and_a_taken_port(page):
     """Without the key there is no page; a second server on the port is refused with the port's number."""
     with pytest.raises(urllib.error.HTTPError) as refused:
         urllib.request.urlopen(page.url.split("?")[0], timeout=within(10))
@@ -322,7 +317,7 @@ def test_strangers_and_a_taken_port(page: LivePage) -> None:
         pass
 
 
-def test_page_holds_no_colour_but_red_and_nothing_from_elsewhere(page: LivePage) -> None:
+def test_page_holds_no_colour_but_red_and_nothing_from_elsewhere(page):
     """Every rgb() of the page has no green and no blue, and no address stands in it."""
     with urllib.request.urlopen(page.url, timeout=within(10)) as answer:
         text = answer.read().decode()
@@ -332,11 +327,11 @@ def test_page_holds_no_colour_but_red_and_nothing_from_elsewhere(page: LivePage)
     assert "http" not in text.replace("ws://", "")
 
 
-async def test_lights_off_darkens_the_box_and_ends_the_test() -> None:
+async def test_lights_off_darkens_the_box_and_ends_the_test():
     """The box is darkened at once, whoever holds it; the run is asked to end, or its next blink would light it."""
     controls, asked = Controls(), []
 
-    def darken() -> str:
+    def darken():
         asked.append(controls.stopped_by)
         return "dark: light box AAAA0001"
 
@@ -347,10 +342,10 @@ async def test_lights_off_darkens_the_box_and_ends_the_test() -> None:
     assert asked == ["lights off"]
 
 
-async def test_a_box_that_cannot_be_darkened_is_reported_to_be_lit() -> None:
+async def test_a_box_that_cannot_be_darkened_is_reported_to_be_lit():
     """The page shows why and how else; the server goes on."""
 
-    def stuck() -> str:
+    def stuck():
         raise DeviceInUse("process 7 holds light box AAAA0001 and does not darken it; hold its button for 3 s")
 
     with LivePage(read_protocol("classic"), Controls(), darken=stuck) as page:

@@ -1,7 +1,5 @@
 """Reliability of an eye's answers, and tests that are repeated."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The rod intercept: when the criterion is met, by whose rules, and which protocols report one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import t as student
@@ -19,7 +17,7 @@ TIMES = np.arange(0.5, 12.0, 0.25)
 RULE = InterceptRule(-2.301, 6.5, source="J")
 
 
-def falling(times: np.ndarray = TIMES) -> np.ndarray:
+def falling(times=TIMES):
     """Return cones at −1.5 until 3 min, then −0.24 per min: −2.301 is met at 6.3375 min."""
     return -1.5 - 0.24 * np.maximum(times - 3.0, 0.0)
 
@@ -165,9 +163,7 @@ def test_facts_of_a_run_lead_to_its_intercept():
         (3.0, None, "not judged: the limit of 3 min"),
     ],
 )
-def test_intercept_is_judged_where_its_limit_was_published_for_such_a_bleach(
-    limit_min: float, bleach_s: float | None, judgement: str
-) -> None:
+def test_intercept_is_judged_where_its_limit_was_published_for_such_a_bleach(limit_min, bleach_s, judgement):
     """The line falls through the criterion at 6.34 min; a bleach of seconds is no flash, an unknown one is unknown."""
     noise = np.random.default_rng(1).normal(0, 0.05, TIMES.size)
     rule = InterceptRule(-2.301, limit_min, bleach_s=bleach_s)

@@ -1,7 +1,5 @@
 """A screen as the stage: which levels it has, what is shown where, whose presses count."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -77,7 +75,7 @@ def _added(code: int) -> float:
     return math.log10((WHITE - BLACK) * 0.3 * (code / 255) ** 2.2 * EFFICACIES["blue"][1])
 
 
-def test_levels_are_what_each_code_adds_to_black(screen: ScreenCalibration) -> None:
+def test_levels_are_what_each_code_adds_to_black(screen):
     """At every code the spot is right within four of its stated sigmas, and these shrink towards white."""
     levels = SpotLevels.of(screen, "blue")
     z = [(v - _added(int(n))) / u for n, v, u in zip(levels.codes, levels.log10, levels.u_log10, strict=True)]
@@ -86,7 +84,7 @@ def test_levels_are_what_each_code_adds_to_black(screen: ScreenCalibration) -> N
     assert levels.u_common_log10 == pytest.approx(0.01 / math.log(10))
 
 
-def test_darkest_level_is_the_first_that_is_distinguished_from_black(screen: ScreenCalibration) -> None:
+def test_darkest_level_is_the_first_that_is_distinguished_from_black(screen):
     """The first code used is known to a factor of two, the one before it is not; a less certain black raises it."""
     sharp, blurred = (
         SpotLevels.of(replace(screen, channels={**screen.channels, "blue": _curve("blue", 0.3, u)}), "blue")
@@ -102,14 +100,14 @@ def test_darkest_level_is_the_first_that_is_distinguished_from_black(screen: Scr
     assert blurred.codes[0] > sharp.codes[0]
 
 
-def test_black_that_was_not_detected_bounds_the_levels(screen: ScreenCalibration) -> None:
+def test_black_that_was_not_detected_bounds_the_levels(screen):
     """No level below the limit of detection is used."""
     curve = replace(screen.channels["blue"], detection_limit=1e-3)
     levels = SpotLevels.of(replace(screen, channels={**screen.channels, "blue": curve}), "blue")
     assert 10 ** levels.log10[0] > 1e-3 * EFFICACIES["blue"][1]
 
 
-def test_protocol_is_narrowed_to_the_screens_reach(screen: ScreenCalibration) -> None:
+def test_protocol_is_narrowed_to_the_screens_reach(screen):
     """The spot goes no lower than the screen; a criterion beyond it is refused with both figures."""
     levels = SpotLevels.of(screen, "blue")
     asked = read_protocol("screen-only")
@@ -121,7 +119,7 @@ def test_protocol_is_narrowed_to_the_screens_reach(screen: ScreenCalibration) ->
         within_reach(chosen, levels)
 
 
-def test_bleach_is_the_protocols_luminance_or_refused(screen: ScreenCalibration) -> None:
+def test_bleach_is_the_protocols_luminance_or_refused(screen):
     """The field's grey shows it to the nearest level; what the screen does not reach is refused with its best."""
     code = field_code(screen, 120.0, "p")
     shown = screen.channel("grey").at(code[0], LUMINANCE).value
@@ -132,7 +130,7 @@ def test_bleach_is_the_protocols_luminance_or_refused(screen: ScreenCalibration)
         field_code(screen, 300.0, "p")
 
 
-def test_mark_is_red_and_dim(screen: ScreenCalibration) -> None:
+def test_mark_is_red_and_dim(screen):
     """0.1 cd/m² above black by the red primary; by a share of grey, and stated so, where red was not measured."""
     rgb, measured = mark_code(screen, 0.1)
     red = screen.channel("red")
@@ -143,7 +141,7 @@ def test_mark_is_red_and_dim(screen: ScreenCalibration) -> None:
     assert not known
 
 
-def test_mark_and_spot_stand_where_the_eye_sees_them(stage: ScreenStage, watched: RecordingScreen) -> None:
+def test_mark_and_spot_stand_where_the_eye_sees_them(stage, watched):
     """Eight degrees lie between their middles for an eye at 600 mm, and the spot subtends 1.5°."""
     stage.blink(0.0, 0, 0)
     (mark, spot), pixel = watched.blinks[0][0].shapes, 0.27
@@ -155,7 +153,7 @@ def test_mark_and_spot_stand_where_the_eye_sees_them(stage: ScreenStage, watched
     assert 2 * math.degrees(math.atan(spot.height * pixel / 2 / away)) == pytest.approx(1.5, abs=0.01)
 
 
-def test_blink_shows_the_nearest_level_and_reports_it(stage: ScreenStage, watched: RecordingScreen) -> None:
+def test_blink_shows_the_nearest_level_and_reports_it(stage, watched):
     """The code shown is the one whose light is nearest; what the run journals is that light."""
     for asked in (0.31, -0.2, stage.protocol.spot.lowest_log10):
         stage.blink(asked, 0, 0)
@@ -167,7 +165,7 @@ def test_blink_shows_the_nearest_level_and_reports_it(stage: ScreenStage, watche
         assert (on_s, cycle_s) == (0.3, 1.0)
 
 
-def test_catch_shows_the_mark_alone_and_presses_come_back(stage: ScreenStage, watched: RecordingScreen) -> None:
+def test_catch_shows_the_mark_alone_and_presses_come_back(stage, watched):
     """No spot; the presses are those of the screen, from the onset."""
     watched.presses = (0.4, 0.9)
     assert stage.blink(None, 0, 0) == [0.4, 0.9]
@@ -175,7 +173,7 @@ def test_catch_shows_the_mark_alone_and_presses_come_back(stage: ScreenStage, wa
     assert stage.now_s() == pytest.approx(1.0)
 
 
-def test_bleach_fills_the_screen_for_its_time_and_leaves_the_mark(stage: ScreenStage, watched: RecordingScreen) -> None:
+def test_bleach_fills_the_screen_for_its_time_and_leaves_the_mark(stage, watched):
     """A grey field without shapes for 300 s, then the mark on black."""
     stage.bleach(stage.protocol)
     field, rest = watched.shown
@@ -185,7 +183,7 @@ def test_bleach_fills_the_screen_for_its_time_and_leaves_the_mark(stage: ScreenS
     assert stage.now_s() == pytest.approx(300.0)
 
 
-def test_long_press_is_reported_once_with_its_beginning(stage: ScreenStage, watched: RecordingScreen) -> None:
+def test_long_press_is_reported_once_with_its_beginning(stage, watched):
     """A press that has lasted 2.5 s and goes on is reported as begun 2.5 s ago, and not again while it lasts."""
     watched.hold = Hold(1.0, 1.0)
     stage.rest(1.0)
@@ -199,9 +197,7 @@ def test_long_press_is_reported_once_with_its_beginning(stage: ScreenStage, watc
 
 
 @pytest.mark.parametrize(("later_s", "reported"), [(0.15, False), (0.25, True)])
-def test_beginnings_close_together_are_one_press(
-    stage: ScreenStage, watched: RecordingScreen, later_s: float, reported: bool
-) -> None:
+def test_beginnings_close_together_are_one_press(stage, watched, later_s, reported):
     """A page's times scatter: what seems to begin 0.2 s after a reported press is that press, later another."""
     watched.hold = Hold(2.5, 2.5)
     stage.rest(2.5)
@@ -212,7 +208,7 @@ def test_beginnings_close_together_are_one_press(
     assert stage.long_press(2.0) == (pytest.approx(later_s) if reported else None)
 
 
-def test_journal_learns_what_the_screen_is(stage: ScreenStage) -> None:
+def test_journal_learns_what_the_screen_is(stage):
     """Reach, steps, uncertainties, place of the eye and the page's warnings; a press is known to some 30 ms."""
     facts = stage.facts()
     assert facts["screen"] == "desk"
@@ -222,9 +218,7 @@ def test_journal_learns_what_the_screen_is(stage: ScreenStage) -> None:
     assert "F11" in stage.health()["page"]
 
 
-def test_what_does_not_fit_is_refused(
-    screen: ScreenCalibration, protocol: AdaptationProtocol, watched: RecordingScreen
-) -> None:
+def test_what_does_not_fit_is_refused(screen, protocol, watched):
     """A phone held too far away has no room for 8°; a flash is beyond any screen."""
     watched.size = (390, 844)
     with pytest.raises(ConfigurationError, match="sit closer"):
@@ -236,9 +230,7 @@ def test_what_does_not_fit_is_refused(
 
 
 @pytest.mark.parametrize(("eye", "side"), [("right", 1), ("left", -1)])
-def test_light_in_the_blind_spot_stands_temporal_of_the_mark(
-    screen: ScreenCalibration, protocol: AdaptationProtocol, watched: RecordingScreen, eye: str, side: int
-) -> None:
+def test_light_in_the_blind_spot_stands_temporal_of_the_mark(screen, protocol, watched, eye, side):
     """15.5° from the mark and 1.5° below it, red, for an eye 600 mm away; the spot is on the same side."""
     viewing = Viewing(600.0, 0.27)
     stage = ScreenStage(watched, screen, protocol, viewing, lambda: watched.time, eye=eye)
@@ -256,9 +248,7 @@ def test_light_in_the_blind_spot_stands_temporal_of_the_mark(
     assert side * watched.blinks[1][0].shapes[-1].x > 0
 
 
-def test_page_without_room_for_the_blind_spot_says_so(
-    screen: ScreenCalibration, protocol: AdaptationProtocol, watched: RecordingScreen
-) -> None:
+def test_page_without_room_for_the_blind_spot_says_so(screen, protocol, watched):
     """Mark and spot fit into 600 pixels, the light at 11.5° does not: the test goes on without."""
     watched.size = (600, 400)
     stage = ScreenStage(watched, screen, protocol, Viewing(600.0, 0.27), lambda: watched.time)

@@ -1,7 +1,5 @@
 """Files of thresholds: tables, R and OPI."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import math
@@ -177,9 +175,9 @@ def _strings(values: list[str]) -> list[str]:
     return ["16", str(len(values)), *(word for value in values for word in ("262153", str(len(value)), value))]
 
 
-def _dark(time: list[float], thrs: list[float]) -> list[str]:
+def _dark(time: list[float], thrs: list[float], names: tuple[str, str] = ("time", "thrs")) -> list[str]:
     """Return a list of class "dark" as R serialises it: R Internals, section 1.8 (a list with attributes: 787)."""
-    attributes = ["1026", *_symbol("names"), *_strings(["time", "thrs"])]
+    attributes = ["1026", *_symbol("names"), *_strings([*names])]
     attributes += ["1026", *_symbol("class"), *_strings(["dark"]), NIL]
     return ["787", "2", *_reals(time), *_reals(thrs), *attributes]
 
@@ -200,7 +198,7 @@ PACKED: dict[str, Callable[[bytes], bytes]] = {"plain": lambda raw: raw, "gzip":
 
 @pytest.mark.parametrize("packed", PACKED)
 @pytest.mark.parametrize("form", ["rds", "rda"])
-def test_dark_object_that_r_saved_is_read(tmp_path: Path, form: str, packed: str) -> None:
+def test_dark_object_that_r_saved_is_read(tmp_path, form, packed):
     """`saveRDS` and `save`, in the packings that R uses: minutes, log10 thresholds, and the object's name."""
     raw = _rds(_dark(MINUTES, LEVELS)) if form == "rds" else _rda({"subject7": _dark(MINUTES, LEVELS)})
     file = tmp_path / f"curve.{form}"
@@ -215,13 +213,13 @@ def test_dark_object_that_r_saved_is_read(tmp_path: Path, form: str, packed: str
     ("raw", "message"),
     [
         (_rda({"a": _dark(MINUTES, LEVELS), "b": _dark(MINUTES, LEVELS)}), "several objects: a, b"),
-        (_rda({"a": _reals(LEVELS)}), "no object with time and thrs"),
+        (_rda({"a": _reals(LEVELS)}), "no object with time or Time or t and thrs"),
         (_rds(_dark(MINUTES, LEVELS[:2])), "3 times and 2 thresholds"),
         (b"RDX3\nX\n\x00\x00", "cannot be read"),
         (gzip.compress(b"no R at all", mtime=0), "cannot be read"),
     ],
 )
-def test_r_file_without_one_curve_is_refused_with_the_way_out(tmp_path: Path, raw: bytes, message: str) -> None:
+def test_r_file_without_one_curve_is_refused_with_the_way_out(tmp_path, raw, message):
     """Named, with the line that writes text in R where that helps."""
     (tmp_path / "x.rda").write_bytes(raw)
     with pytest.raises(InputError, match=r"x\.rda") as refused:
@@ -229,7 +227,18 @@ def test_r_file_without_one_curve_is_refused_with_the_way_out(tmp_path: Path, ra
     assert message in str(refused.value)
 
 
-def test_without_its_reader_the_line_for_r_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("names", [("time", "thrs"), ("when", "lum")])
+def test_columns_and_units_of_an_r_object_are_those_that_the_user_states(tmp_path, names):
+    """Seconds and natural logarithms, under any names, as of any other table; a name that is not there is refused."""
+    file = tmp_path / "x.rds"
+    file.write_bytes(_rds(_dark([60.0 * one for one in MINUTES], [math.log(10.0) * one for one in LEVELS], names)))
+    stated = StatementMap.parse([f"time={names[0]}:s", f"threshold={names[1]}:ln cd/m2"])
+    np.testing.assert_allclose(read_table(file, stated).rows, np.column_stack([MINUTES, LEVELS]))
+    with pytest.raises(InputError, match="nowhere"):
+        read_table(file, StatementMap.parse(["time=nowhere:s"]))
+
+
+def test_without_its_reader_the_line_for_r_is_reported(tmp_path, monkeypatch):
     """The extra, or `write.csv`."""
     monkeypatch.setitem(sys.modules, "rdata", None)
     (tmp_path / "x.rds").write_bytes(_rds(_dark(MINUTES, LEVELS)))
@@ -253,7 +262,7 @@ def _trials(threshold_db: float, *, reaction: bool = True) -> str:
     return head + "\n" + "\n".join(rows) + "\n"
 
 
-def test_opi_trials_give_a_threshold_wherever_the_answer_changes(tmp_path: Path) -> None:
+def test_opi_trials_give_a_threshold_wherever_the_answer_changes(tmp_path):
     """Seen at 20 dB, not at 22: 21 dB below 10 000/π cd/m², at the mean of the two onsets, not at reaction times."""
     (tmp_path / "t.csv").write_text("# OPI: Octopus900\n# level: dB\n" + _trials(20.0).replace("level", "level_dB"))
     found = read_table(tmp_path / "t.csv")
@@ -262,7 +271,7 @@ def test_opi_trials_give_a_threshold_wherever_the_answer_changes(tmp_path: Path)
     assert any("a list of 12 trials: 3 thresholds" in text for text in found.taken)
 
 
-def test_the_steps_of_a_search_say_how_far_apart_two_levels_may_be(tmp_path: Path) -> None:
+def test_the_steps_of_a_search_say_how_far_apart_two_levels_may_be(tmp_path):
     """Steps up of 0.1 count and new beginnings 0.4 lower do not, though there are as many; of steps down alone, all."""
     ascents = [(0, -1.0, "no"), (2, -0.9, "yes"), (4, -1.3, "no"), (6, -1.2, "yes"), (8, -1.6, "no"), (10, -1.5, "yes")]
     descents = [(0, -1.0, "yes"), (2, -1.4, "no"), (4, -0.6, "yes"), (6, -1.0, "no")]
@@ -272,7 +281,7 @@ def test_the_steps_of_a_search_say_how_far_apart_two_levels_may_be(tmp_path: Pat
         assert read_table(tmp_path / name).rows[:, 1] == pytest.approx(found)
 
 
-def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path: Path) -> None:
+def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path):
     """A dim level seen, then a brighter one not: one of the answers was wrong, neither change counts."""
     text = "onset_s,log10_level,seen\n0,-1.0,no\n2,-0.9,no\n4,-1.4,yes\n6,-0.9,no\n8,-0.8,yes\n"
     (tmp_path / "t.csv").write_text(text)
@@ -288,7 +297,7 @@ def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path: Path) -> None
         ("onset_s,colour,seen\n0,1,TRUE\n2,2,FALSE\n", "without a column `level`"),
     ],
 )
-def test_trials_that_give_no_thresholds_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_trials_that_give_no_thresholds_are_refused(tmp_path, text, message):
     """What is missing is named; reaction times are not taken for times in the dark."""
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(InputError) as refused:
@@ -314,9 +323,7 @@ ASCENDING, REACTIONS, LEVELS_SHOWN = ("0", "2", "2", "5.5"), ("400", "-1", "350"
         ({"downtime": ASCENDING, "timer": ASCENDING, "level": LEVELS_SHOWN}, None),
     ],
 )
-def test_the_time_of_a_trial_is_a_column_by_its_name_and_its_numbers(
-    columns: dict[str, tuple[str, ...]], when: int | None
-) -> None:
+def test_the_time_of_a_trial_is_a_column_by_its_name_and_its_numbers(columns, when):
     """The best known of the names, alone or as the first or last word, of a column that ascends; a count is no time."""
     header = [*columns, "seen"]
     rows = [[*row, "TRUE"] for row in zip(*columns.values(), strict=True)]

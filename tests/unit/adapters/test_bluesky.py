@@ -1,7 +1,5 @@
 """Bluesky plans over the simulated light box and a simulated motor: radiance ± u in the documents."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 import bluesky.plans as bp

@@ -1,7 +1,5 @@
 """The photometer without PsychoPy: what PsychoPy asks of one (`make interop` asks it with the real package)."""
 
-from __future__ import annotations
-
 import pytest
 
 from radiometer.adapters.psychopy import ADDRESS_VARIABLE, RadiometerPhotometer

@@ -1,7 +1,5 @@
 """A desk with what the examples name: benches, captures, photographs, tables, a journal."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Wrong types in calls of the public functions: refused as a RadiometerError, before any work."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import math

@@ -1,7 +1,5 @@
 """Every command of the command line and its function give the same result on the same input, bit for bit."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

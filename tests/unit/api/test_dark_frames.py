@@ -1,7 +1,5 @@
 """What every function does with dark frames: with those of the same exposures, with others, and without any."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The examples of all public names run as they stand, and so do those of the Python page."""
 
-from __future__ import annotations
-
 import dataclasses
 import doctest
 import re

@@ -1,7 +1,5 @@
 """The Python interface, as a notebook uses it, and the names that `import radiometer` offers."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor

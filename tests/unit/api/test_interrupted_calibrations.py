@@ -1,7 +1,5 @@
 """A calibration that is interrupted keeps what was measured, and the same call goes on from there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What differs between a capture and its calibration does the same to a radiance, a colour and a flux."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

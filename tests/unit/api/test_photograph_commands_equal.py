@@ -1,7 +1,5 @@
 """`--json` and functions give the same numbers, bit for bit: merge, response, calibrate, flux, measure, reconcile."""
 
-from __future__ import annotations
-
 import datetime as dt
 import json
 from collections.abc import Callable

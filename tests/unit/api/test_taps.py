@@ -1,7 +1,5 @@
 """Sensors with several output amplifiers in merge, readings and calibrations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,7 +21,7 @@ OVERSCAN = [(48, 0), (56, 0), (48, 32), (56, 32)]
 PATCHES = [(x + 8, y + 4, 24, 24) for x, y in PLACES]
 
 
-def described(*, overscan: bool = True) -> tuple[TapDescription, ...]:
+def described(*, overscan=True):
     """Return the taps as a capture set describes them."""
     return tuple(
         TapDescription(
@@ -33,9 +31,7 @@ def described(*, overscan: bool = True) -> tuple[TapDescription, ...]:
     )  # fmt: skip
 
 
-def frame(
-    rng: np.random.Generator, time_s: float, light_e: np.ndarray | float, *, ramp_dn: float = 0.0, dark: bool = False
-) -> Frame:
+def frame(rng, time_s, light_e, *, ramp_dn=0.0, dark=False):
     """Return a frame whose black level rises by a ramp along the rows of every tap."""
     x = np.arange(112)
     right, lit = x >= 56, (x < 48) | (x >= 64)
@@ -58,14 +54,14 @@ def write(
     return folder
 
 
-def bracket(seed: int, dark_times_s: Sequence[float], **ramp: float) -> list[Frame]:
+def bracket(seed, dark_times_s, **ramp):
     """Return pairs of even light of every exposure, and of dark frames."""
     rng = np.random.default_rng(seed)
     darks = [frame(rng, t, 0.0, dark=True, **ramp) for t in dark_times_s for _ in range(2)]
     return darks + [frame(rng, t, E_PER_S * t, **ramp) for t in TIMES_S for _ in range(2)]
 
 
-def camera_file(tmp_path: Path, *, overscan: bool) -> Path:
+def camera_file(tmp_path, *, overscan):
     """Return the camera file of a characterisation of the camera with its taps."""
     flats = write(tmp_path / "flats", described(overscan=overscan), bracket(4701, TIMES_S))
     found = rm.characterise(flats)
@@ -78,9 +74,7 @@ def camera_file(tmp_path: Path, *, overscan: bool) -> Path:
     [(True, (), 25.0, "overscan"), (True, TIMES_S, 25.0, "overscan"), (False, (0.05,), 0.0, "dark frames"),
      (False, TIMES_S, 0.0, "dark frames")],
 )  # fmt: skip
-def test_every_tap_has_the_radiance_of_the_even_source(
-    tmp_path: Path, overscan: bool, dark_times_s: tuple[float, ...], ramp_dn: float, says: str
-) -> None:
+def test_every_tap_has_the_radiance_of_the_even_source(tmp_path, overscan, dark_times_s, ramp_dn, says):
     """Taps of other gains and black levels show one radiance within 2 u: in maps, and in readings of patches."""
     known, folder = camera_file(tmp_path, overscan=overscan), tmp_path / "set"
     write(folder, described(overscan=overscan), bracket(4702, dark_times_s, ramp_dn=ramp_dn))
@@ -101,7 +95,7 @@ def test_every_tap_has_the_radiance_of_the_even_source(
 
 
 @pytest.mark.parametrize("how", ["2x2", "find"])
-def test_steps_between_taps_are_doubted_until_their_gains_are_known(tmp_path: Path, how: str) -> None:
+def test_steps_between_taps_are_doubted_until_their_gains_are_known(tmp_path, how):
     """Undescribed taps are reported by their step, described ones without gains by a note and a flag of readings."""
     frames = [one for one in bracket(4703, ()) if not one.settings.is_dark]
     lit = np.r_[0:48, 64:112]
@@ -125,7 +119,7 @@ def test_steps_between_taps_are_doubted_until_their_gains_are_known(tmp_path: Pa
     assert abs(other.radiance.value - 1.0) < 2.0 * other.radiance.u
 
 
-def test_black_levels_of_undescribed_taps_show_in_dark_frames(tmp_path: Path) -> None:
+def test_black_levels_of_undescribed_taps_show_in_dark_frames(tmp_path):
     """A busy scene hides the border between taps; a dark frame shows it."""
     rng = np.random.default_rng(4707)
     light = np.kron(rng.uniform(0.1, 1.0, (8, 14)), np.ones((8, 8))) * E_PER_S * 0.1
@@ -134,7 +128,7 @@ def test_black_levels_of_undescribed_taps_show_in_dark_frames(tmp_path: Path) ->
     assert any("dark frames step along" in text for text in rm.merge(folder).assumptions)
 
 
-def test_scenes_of_one_amplifier_raise_no_doubt_of_taps(tmp_path: Path) -> None:
+def test_scenes_of_one_amplifier_raise_no_doubt_of_taps(tmp_path):
     """Bars of other radiances that meet at the middle of the frame are a scene."""
     light = np.repeat([1.0, 0.5, 0.7, 0.3], 24)[None, :] * np.ones((64, 1))
     rng = np.random.default_rng(4704)
@@ -144,7 +138,7 @@ def test_scenes_of_one_amplifier_raise_no_doubt_of_taps(tmp_path: Path) -> None:
     assert not any("step along" in text for text in rm.merge(folder).assumptions)
 
 
-def test_overscan_does_not_bound_the_dark_current(tmp_path: Path) -> None:
+def test_overscan_does_not_bound_the_dark_current(tmp_path):
     """A dark current that nothing states is bounded by the darkest pixels that gather light: u holds it."""
     rng, dark_e_per_s = np.random.default_rng(4705), 15.0
     frames = [frame(rng, t, (100.0 + dark_e_per_s) * t) for t in (8.0, 16.0, 32.0)]
@@ -161,9 +155,7 @@ def test_overscan_does_not_bound_the_dark_current(tmp_path: Path) -> None:
     ((40, 4, 24, 24), None, "overscan"),
     (PATCHES[0], "5x2", "no such equal parts"),
 ])  # fmt: skip
-def test_patches_in_overscan_and_impossible_taps_are_refused(
-    tmp_path: Path, patch: tuple[int, int, int, int], taps: str | None, says: str
-) -> None:
+def test_patches_in_overscan_and_impossible_taps_are_refused(tmp_path, patch, taps, says):
     """A patch that reaches into overscan is refused with the places that gather light; so are taps that cannot be."""
     folder = write(tmp_path / "set", described(), bracket(4706, ()))
     with pytest.raises((MeasurementError, UsageError), match=says):

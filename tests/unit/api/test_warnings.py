@@ -1,9 +1,5 @@
 """No command shows a warning of a numerical library: each has a cause, which is found or refused."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -48,13 +44,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_no_command_warns_in_the_words_of_a_library(
-    words: list[str],
-    desk: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_no_command_warns_in_the_words_of_a_library(words, desk, tmp_path, monkeypatch, capsys):
     """One pixel, four levels, no light, light of 10³⁰⁸: a result, or a line that says what is wrong."""
     for name, text in TABLES.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
@@ -67,7 +57,7 @@ def test_no_command_warns_in_the_words_of_a_library(
     assert "defect" not in printed
 
 
-def test_a_region_of_one_pixel_has_its_value_and_no_spread(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_region_of_one_pixel_has_its_value_and_no_spread(desk, monkeypatch):
     """Its mean is the pixel's; how far pixels of it differ is not known, and so not 0."""
     monkeypatch.chdir(desk)
     found = rm.analyse("map.tiff", regions={"a": (4, 4, 1, 1), "b": (4, 4, 2, 2)}).regions

@@ -1,7 +1,5 @@
 """Small archives of capture sets."""
 
-from __future__ import annotations
-
 import datetime as dt
 
 import numpy as np

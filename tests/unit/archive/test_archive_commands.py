@@ -1,7 +1,5 @@
 """The commands over archives as a user meets them: tables, sentences, what failed, and the ways out."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

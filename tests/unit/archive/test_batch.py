@@ -1,7 +1,5 @@
 """Batches: every capture once, failures reported and passed by, resumable, the same on any number of workers."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

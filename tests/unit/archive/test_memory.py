@@ -1,7 +1,5 @@
 """Memory that a worker keeps."""
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Passports: one dark law over sessions, gains held against what headers state, the lamp kept apart from the camera."""
 
-from __future__ import annotations
-
 import datetime as dt
 import json
 import math

@@ -1,7 +1,5 @@
 """Light boxes: ports, and who holds them."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty
@@ -12,7 +10,6 @@ import tty
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -35,7 +32,7 @@ def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
 
 
-def test_light_off_works_while_another_program_holds_the_box(capsys: pytest.CaptureFixture[str]) -> None:
+def test_light_off_works_while_another_program_holds_the_box(capsys):
     """The box on its port is lit and held; `light off` has its holder darken it, and says who that was."""
     with served_box("HELD0001", None).server as server, open_light_box(server.port) as opened:
         opened.box.set_level("spot", DriveLevel(1000))
@@ -51,9 +48,7 @@ def test_light_off_works_while_another_program_holds_the_box(capsys: pytest.Capt
 
 @pytest.mark.parametrize("named", [False, True])
 @pytest.mark.parametrize("session", [None, "another"])
-def test_light_off_works_from_another_session(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, session: str | None, named: bool
-) -> None:
+def test_light_off_works_from_another_session(tmp_path, monkeypatch, session, named):
     """The holder was started at a desk; cron or a service has no XDG_RUNTIME_DIR or TMPDIR of that desk."""
     with served_box("HELD0001", tmp_path / "link").server as server, open_light_box(server.port) as opened:
         opened.box.set_level("spot", DriveLevel(1000))
@@ -66,9 +61,7 @@ def test_light_off_works_from_another_session(
 
 
 @pytest.mark.parametrize("link", [False, True])
-def test_light_off_finds_the_holder_of_a_port_by_the_port(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], link: bool
-) -> None:
+def test_light_off_finds_the_holder_of_a_port_by_the_port(tmp_path, monkeypatch, capsys, link):
     """The holder keeps its state elsewhere; the port is named by another of its names, too."""
     with served_box("HELD0001", tmp_path / "link").server as server, open_light_box(server.port) as opened:
         opened.box.set_level("spot", DriveLevel(1000))
@@ -83,7 +76,7 @@ def test_light_off_finds_the_holder_of_a_port_by_the_port(
     assert f"light box HELD0001: dark, by process {os.getpid()}" in capsys.readouterr().out
 
 
-def test_a_box_that_stays_lit_is_an_error_of_every_program(tmp_path: Path) -> None:
+def test_a_box_that_stays_lit_is_an_error_of_every_program(tmp_path):
     """Whoever had it open learns at the end that it did not go dark."""
     with served_box("LIES0001", tmp_path / "link").server as server:
         opening = open_light_box(server.port)
@@ -102,9 +95,7 @@ class StaysLit(LineFaults):
         return request_line(int(raw[1:3], 16), "ST") if b" OF " in raw else raw
 
 
-def test_light_off_darkens_all_that_answer_whatever_else_is_there(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_light_off_darkens_all_that_answer_whatever_else_is_there(capsys, tmp_path):
     """Two boxes, a link that leads nowhere, a holder that does not answer, a damaged calibration: both are dark."""
     folder = own_folder("simulated-boxes")
     (folder / "DEAD0001").symlink_to("/dev/pts/99999")
@@ -125,7 +116,7 @@ def test_light_off_darkens_all_that_answer_whatever_else_is_there(
         assert "MUTE0001" in printed.err
 
 
-def test_light_off_asks_only_the_holder_of_the_box_named(capsys: pytest.CaptureFixture[str]) -> None:
+def test_light_off_asks_only_the_holder_of_the_box_named(capsys):
     """Another box stays as it is."""
     dark: list[str] = []
     with (
@@ -139,9 +130,7 @@ def test_light_off_asks_only_the_holder_of_the_box_named(capsys: pytest.CaptureF
     assert held_boxes() == []
 
 
-def test_a_program_that_hangs_while_it_holds_a_box_is_named(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_program_that_hangs_while_it_holds_a_box_is_named(capsys, monkeypatch):
     """A stopped program takes the question and never answers: `light off` fails with its number."""
     with holding("AAAA0001", "/dev/a", lambda: None):
         monkeypatch.chdir(held_boxes()[0].address.parent)
@@ -152,13 +141,13 @@ def test_a_program_that_hangs_while_it_holds_a_box_is_named(
     assert f"process {os.getppid()} holds light box" in capsys.readouterr().err
 
 
-def test_what_answers_otherwise_is_no_box() -> None:
+def test_what_answers_otherwise_is_no_box():
     """Whoever shows no number of a process is passed over, and the boxes next to it are found."""
     with holding("who is", "/dev/a", lambda: None), holding("BBBB0001", "/dev/b", lambda: None):
         assert [(box.serial, box.pid) for box in held_boxes()] == [("BBBB0001", os.getpid())]
 
 
-def test_a_port_is_reported_whole_however_deep_its_folder_is() -> None:
+def test_a_port_is_reported_whole_however_deep_its_folder_is():
     """A path may have 4095 bytes: cut off, `light off --box PORT` would find no holder."""
     port = "/" + "/".join(["folder"] * 584)
     assert len(port) == 4088
@@ -166,7 +155,7 @@ def test_a_port_is_reported_whole_however_deep_its_folder_is() -> None:
         assert [(box.serial, box.port) for box in held_boxes()] == [("AAAA0001", port)]
 
 
-def test_a_holder_that_does_not_darken_is_named() -> None:
+def test_a_holder_that_does_not_darken_is_named():
     """The message gives the process and the ways that are left."""
 
     def stuck() -> None:
@@ -178,7 +167,7 @@ def test_a_holder_that_does_not_darken_is_named() -> None:
             ask_for_darkness(held)
 
 
-def test_pages_darken_every_box_that_is_held() -> None:
+def test_pages_darken_every_box_that_is_held():
     """Lights off of a page asks all holders, the one after a stuck one too, and says who is dark."""
     dark: list[str] = []
 
@@ -193,7 +182,7 @@ def test_pages_darken_every_box_that_is_held() -> None:
     assert dark == ["b", "b"]
 
 
-def test_what_a_killed_holder_left_behind_is_removed(tmp_path: Path) -> None:
+def test_what_a_killed_holder_left_behind_is_removed(tmp_path):
     """A socket without a server is no holder."""
     with holding("AAAA0001", "/dev/a", lambda: None):
         left = held_boxes()[0].address.with_name("left")
@@ -204,7 +193,7 @@ def test_what_a_killed_holder_left_behind_is_removed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("spoil", ["open to others", "a link", "a file"])
-def test_a_folder_that_others_could_have_made_is_refused(tmp_path: Path, spoil: str) -> None:
+def test_a_folder_that_others_could_have_made_is_refused(tmp_path, spoil):
     """Ports and requests of another user are not believed: neither served there nor looked for there."""
     folder = simulated_port_folder()
     elsewhere = tmp_path / "elsewhere"
@@ -224,7 +213,7 @@ def test_a_folder_that_others_could_have_made_is_refused(tmp_path: Path, spoil: 
         served_box("TWIN0001", None)
 
 
-def test_a_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_of_another_user_is_refused(tmp_path, monkeypatch):
     """Who owns the folder could put any port into it."""
     folder = simulated_port_folder()
     folder.mkdir(mode=0o700)
@@ -233,7 +222,7 @@ def test_a_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest
     assert not is_ours(folder)
 
 
-def test_a_folder_that_is_not_there_has_no_owner(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_has_no_owner(tmp_path):
     """Neither a missing folder nor one below a file is ours; one made by this user and closed to others is."""
     own, file = tmp_path / "own", tmp_path / "file"
     own.mkdir(mode=0o755)
@@ -245,7 +234,7 @@ def test_a_folder_that_is_not_there_has_no_owner(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_light_that_the_box_ends_is_reported(capsys: pytest.CaptureFixture[Any]) -> None:
+def test_light_that_the_box_ends_is_reported(capsys):
     """The bleach's energy budget lasts 200 s at its limit: 230 s end with exit code 1 and the time it lasted."""
     words = ["light", "set", "bleach", "--level", "60000", "--for", "230s", "--box", "sim"]
     assert run(words) == 1
@@ -289,7 +278,7 @@ def _plug(monkeypatch: pytest.MonkeyPatch, *ports: SerialPort) -> None:
     monkeypatch.setattr(boxes, "list_serial_ports", lambda: list(ports))
 
 
-def test_a_foreign_port_never_gets_a_byte(stranger: Stranger, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_foreign_port_never_gets_a_byte(stranger, monkeypatch):
     """Neither by looking for all boxes nor, over and over, for one serial number; the message names the port."""
     _plug(monkeypatch, SerialPort(stranger.port, 0x0403, 0x6001, "FTDI FT232R"), SerialPort("/dev/ttyS0"))
     for _ in range(3):
@@ -308,18 +297,14 @@ def test_a_foreign_port_never_gets_a_byte(stranger: Stranger, monkeypatch: pytes
         SerialPort("/dev/a"),
     ],
 )
-def test_no_name_that_usb_gives_makes_a_box(
-    stranger: Stranger, monkeypatch: pytest.MonkeyPatch, port: SerialPort
-) -> None:
+def test_no_name_that_usb_gives_makes_a_box(stranger, monkeypatch, port):
     """Whatever a device calls itself: any Arduino is reset by being asked, and any text can be written into a chip."""
     _plug(monkeypatch, port._replace(device=stranger.port))
     assert find_boxes() == ([], [])
     assert stranger.received() == b""
 
 
-def test_a_box_is_found_by_itself_once_its_port_was_named(
-    stranger: Stranger, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_box_is_found_by_itself_once_its_port_was_named(stranger, monkeypatch, tmp_path):
     """By its USB serial number, whatever its port is next time; one without a serial number is never known."""
     with served_box("TEST0001", tmp_path / "port").server as served:
         for usb_serial, found in (("8543", 1), ("", 0)):
@@ -336,7 +321,7 @@ def test_a_box_is_found_by_itself_once_its_port_was_named(
     assert stranger.received().count(b"\n") == 1  # another program is on it now: asked once, then left alone
 
 
-def test_the_link_of_a_killed_box_is_no_port(stranger: Stranger, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_link_of_a_killed_box_is_no_port(stranger, monkeypatch):
     """Its terminal has another owner since: nothing is written to it. Two links to one box are one port."""
     _plug(monkeypatch)
     folder = simulated_port_folder()
@@ -351,7 +336,7 @@ def test_the_link_of_a_killed_box_is_no_port(stranger: Stranger, monkeypatch: py
     assert candidate_ports() == []
 
 
-def test_a_port_that_is_named_is_asked(stranger: Stranger, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_that_is_named_is_asked(stranger, monkeypatch):
     """On request any port is asked, as often as its answer takes."""
     _plug(monkeypatch)
     monkeypatch.setattr("drivers.light_box.box.START_UP_S", 0.3)

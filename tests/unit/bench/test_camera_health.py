@@ -1,7 +1,5 @@
 """Health of a camera and the frames that an instrument takes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bench files and the cameras that they name."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import closing
 

@@ -1,13 +1,10 @@
 """Live view, and devices that are opened again."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import io
 import threading
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import aiohttp
@@ -30,18 +27,18 @@ scene: {kind: uniform, radiance_W_per_sr_m2: 0.3}   # an even source
 """
 
 
-def test_patch_drawn_on_the_page_is_printed_and_written_into_the_bench_file(tmp_path: Path) -> None:
+def test_patch_drawn_on_the_page_is_printed_and_written_into_the_bench_file(tmp_path):
     """The page gets picture, histogram and clipping; a rectangle becomes the patch, comments of the file stay."""
     bench, printed = tmp_path / "lab.yaml", list[str]()
     bench.write_text("format: radiometer-bench/1\n" + BENCH, encoding="utf-8")
     address: list[str] = []
     ready = threading.Event()
 
-    def announce(url: str) -> None:
+    def announce(url):
         address.append(url)
         ready.set()
 
-    def run() -> None:
+    def run():
         found.append(rm.view(bench=bench, frames=40, every_s=0.05, announce=announce, notice=printed.append))
 
     found: list[rm.Patch] = []
@@ -62,7 +59,7 @@ def test_patch_drawn_on_the_page_is_printed_and_written_into_the_bench_file(tmp_
     assert "# an even source" in text
 
 
-async def _draw(url: str, patch: list[int]) -> tuple[dict[str, Any], dict[str, Any]]:
+async def _draw(url, patch):
     async with aiohttp.ClientSession() as session, session.ws_connect(url.replace("/?", "/socket?")) as socket:
         first = await socket.receive_json(timeout=60)
         await socket.send_json({"kind": "patch", "patch": [90, 0, 50, 50]})  # leaves the frame: refused
@@ -73,7 +70,7 @@ async def _draw(url: str, patch: list[int]) -> tuple[dict[str, Any], dict[str, A
         return first, message
 
 
-def test_file_that_is_no_bench_stays_as_it_is(tmp_path: Path) -> None:
+def test_file_that_is_no_bench_stays_as_it_is(tmp_path):
     """A patch is not written into what would not be a bench afterwards."""
     file = tmp_path / "x.yaml"
     file.write_text("colour: red\n", encoding="utf-8")
@@ -85,32 +82,32 @@ def test_file_that_is_no_bench_stays_as_it_is(tmp_path: Path) -> None:
 class LostCamera:
     """A camera that can be set only while it is open, and that is away for some tries."""
 
-    def __init__(self, away: int) -> None:
+    def __init__(self, away):
         self.away, self.is_open, self.settings = away, True, CameraSettings(exposure_s=0.01)
         self.identity = CameraIdentity("Fake", "F-1", "4711", "fake")
 
-    def close(self) -> None:
+    def close(self):
         self.is_open = False
 
-    def open(self) -> None:
+    def open(self):
         if self.away:
             self.away -= 1
             raise DeviceLost("unplugged")
         self.is_open = True
 
-    def configure(self, settings: CameraSettings) -> None:
+    def configure(self, settings):
         if not self.is_open:
             raise DeviceLost("not open")
         self.settings = settings
 
 
 @pytest.mark.parametrize("away", [0, 2])
-def test_a_camera_that_is_back_is_open_with_its_settings(away: int) -> None:
+def test_a_camera_that_is_back_is_open_with_its_settings(away):
     """It is let go, opened again after as many pauses as it was away for, and only then set."""
     camera: Any = LostCamera(away)
     pauses: list[float] = []
 
-    def pause(seconds: float) -> None:
+    def pause(seconds):
         pauses.append(seconds)
         if len(pauses) > away:
             pytest.fail("a camera that is there is not opened")
@@ -120,15 +117,13 @@ def test_a_camera_that_is_back_is_open_with_its_settings(away: int) -> None:
     assert (camera.is_open, camera.settings, len(pauses)) == (True, requested, away)
 
 
-def test_each_reason_is_reported_once_and_a_camera_that_does_not_open_is_let_go(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_each_reason_is_reported_once_and_a_camera_that_does_not_open_is_let_go(monkeypatch):
     """Who waits hears of a new reason and not of the same one again; between two tries nothing is held open."""
     reasons = ["unplugged", "unplugged", "in use", "in use"]
     camera: Any = LostCamera(0)
     plain_open, others = camera.open, ["4712", "4711"]
 
-    def fail_first() -> None:
+    def fail_first():
         if reasons:
             camera.is_open = True  # an opening that fails half way
             raise DeviceLost(reasons.pop(0))
@@ -144,11 +139,11 @@ def test_each_reason_is_reported_once_and_a_camera_that_does_not_open_is_let_go(
     assert (reported, held, camera.is_open) == (["unplugged", "in use"], [False] * 5, True)
 
 
-def test_a_camera_that_can_never_be_opened_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_that_can_never_be_opened_is_not_waited_for(monkeypatch):
     """Without its library no pause helps: the error comes at the first try."""
     camera: Any = LostCamera(0)
 
-    def fail() -> None:
+    def fail():
         raise MissingLibrary("aravis")
 
     monkeypatch.setattr(camera, "open", fail)

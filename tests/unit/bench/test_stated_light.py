@@ -1,7 +1,5 @@
 """What a bench or a capture states of its light is the light that is read, whatever the calibration was made with."""
 
-from __future__ import annotations
-
 import pytest
 import yaml
 

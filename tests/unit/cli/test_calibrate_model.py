@@ -1,7 +1,5 @@
 """What reconcile found is in the calibration, and readings are corrected for it."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 from dataclasses import replace

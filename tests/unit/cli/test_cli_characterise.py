@@ -1,6 +1,4 @@
-"""`radiometer characterise` and `radiometer flux`."""
-
-from __future__ import annotations
+"""`radiometer characterise`, `flux`, `quality`, `screen` and `adapt`: files, JSON, exit codes."""
 
 import json
 import math
@@ -8,13 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+import radiometer as rm
+from radiometer.adaptation.protocol import SHIPPED
 from radiometer.cli.main import run
+from radiometer.cli.main import run as main
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.devices import CameraPreset
+from radiometer.screen import ScreenCalibration
+from radiometer.screen.calibration import LUMINANCE
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import LedScene, UniformScene
+from testing import quality_stations as stations
 from testing.simulated_capture import simulate_capture
 
 
@@ -37,9 +42,7 @@ def capture(tmp_path: Path) -> Path:
     return tmp_path / "set"
 
 
-def test_json_and_camera_file_hold_the_same_figures(
-    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_and_camera_file_hold_the_same_figures(capture, tmp_path, capsys):
     """Standard output is one JSON object; the YAML file is a camera preset with the same conversion gain."""
     assert run(["characterise", str(capture), "-o", str(tmp_path / "camera.yaml"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -50,9 +53,7 @@ def test_json_and_camera_file_hold_the_same_figures(
 
 
 @pytest.mark.slow
-def test_table_names_symbols_and_report_is_written(
-    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_table_names_symbols_and_report_is_written(capture, tmp_path, capsys):
     """The table shows symbols with k = 2 uncertainties; the datasheet is an HTML page."""
     assert run(["characterise", str(capture), "--report", str(tmp_path / "sheet.html")]) == 0
     out = capsys.readouterr().out
@@ -62,7 +63,7 @@ def test_table_names_symbols_and_report_is_written(
 
 
 @pytest.mark.slow
-def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path: Path) -> None:
+def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path):
     """With --camera sim the frames are taken from the bench file's camera, and the file can be simulated again."""
     bench = {
         "camera": {"kind": "simulated", "preset": "BFS-U3-19S4M", "width": 64, "height": 48},
@@ -89,9 +90,7 @@ def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path: Path) -> No
         (["nowhere", "--camera", "sim"], 2, "one of both"),
     ],
 )
-def test_misuse_is_one_line_with_its_exit_code(
-    words: list[str], code: int, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_misuse_is_one_line_with_its_exit_code(words, code, message, capsys):
     """Neither or both of capture and camera is misuse; a missing folder is a failure."""
     assert run(["characterise", *words]) == code
     error = capsys.readouterr().err
@@ -124,7 +123,7 @@ def flux_capture(tmp_path: Path) -> Path:
     return tmp_path / "set"
 
 
-def test_json_gives_thesis_and_emitted_flux(flux_capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_gives_thesis_and_emitted_flux(flux_capture, capsys):
     """The emitted flux is 5 mW within its k = 2 uncertainty; the thesis's figure is next to it."""
     words = ["--half-angle", "60", "--distance", "80", "--diameter", "3", "--datasheet-mw", "5", "--json"]
     assert run(["flux", str(flux_capture), *words]) == 0
@@ -135,7 +134,7 @@ def test_json_gives_thesis_and_emitted_flux(flux_capture: Path, capsys: pytest.C
     assert set(printed["emitted"]) == {"fraction_through_pupil", "radiance_times_area"}
 
 
-def test_table_shows_how_the_gap_closes(flux_capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_shows_how_the_gap_closes(flux_capture, capsys):
     """Each step has its flux and the share that it closes."""
     assert run(["flux", str(flux_capture), "--half-angle", "60", "--distance", "80", "--datasheet-mw", "5"]) == 0
     out = capsys.readouterr().out
@@ -143,9 +142,7 @@ def test_table_shows_how_the_gap_closes(flux_capture: Path, capsys: pytest.Captu
     assert "open: " in out
 
 
-def test_without_a_half_angle_the_way_to_the_emitted_flux_is_named(
-    flux_capture: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_half_angle_the_way_to_the_emitted_flux_is_named(flux_capture, capsys):
     """Only the flux through the sensor is given."""
     assert run(["flux", str(flux_capture)]) == 0
     assert "for the emitted flux give --half-angle" in capsys.readouterr().out
@@ -160,9 +157,7 @@ def test_without_a_half_angle_the_way_to_the_emitted_flux_is_named(
         (["--patch", "90,0,40,40"], 1, "is not on the frame of 96 × 96"),
     ],
 )
-def test_misuse_is_one_line(
-    flux_capture: Path, words: list[str], code: int, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_misuse_is_one_line(flux_capture, words, code, message, capsys):
     """What is missing or impossible is stated with the way out."""
     if words[:2] == ["--half-angle", "95"]:
         words = [*words, "--distance", "80"]
@@ -172,9 +167,7 @@ def test_misuse_is_one_line(
     assert error.count("\n") == 1
 
 
-def test_characterised_camera_gives_the_scale_and_its_uncertainty(
-    flux_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_characterised_camera_gives_the_scale_and_its_uncertainty(flux_capture, tmp_path, capsys):
     """With a camera file the 3 % of an uncharacterised camera no longer count; with a calibration it is misuse."""
     file = {
         "format": "radiometer-camera/1",
@@ -187,3 +180,319 @@ def test_characterised_camera_gives_the_scale_and_its_uncertainty(
     flux = json.loads(capsys.readouterr().out)["on_sensor"]
     assert flux["u"] / flux["value"] == pytest.approx(0.01, rel=0.05)
     assert run([*words, "--calibration", "x.yaml"]) == 2
+
+
+# `radiometer quality` on the simulated bench: captures by step, the table, JSON and the datasheet.
+
+
+BENCH = {
+    "format": "radiometer-bench/1",
+    "camera": {"kind": "simulated", "preset": "BFS-U3-19S4M", "width": 160, "height": 120},
+    "lens": {"focal_length_mm": 16, "f_number": 4},
+    "scene": {"kind": "uniform", "radiance_W_per_sr_m2": 0.2},
+    "patch": {"x": 60, "y": 40, "width": 40, "height": 40},
+}
+
+
+@pytest.fixture
+def bench(tmp_path):
+    file = tmp_path / "bench.yaml"
+    file.write_text(yaml.safe_dump(BENCH))
+    return file
+
+
+def test_plan_lists_every_index(capsys):
+    """Symbols, definitions and steps of all twelve."""
+    assert main(["quality", "plan", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert {"f1′", "f3", "f6", "f7", "f8", "f11", "f12", "f21", "edge", "smear", "VGI"} < {
+        one["symbol"] for one in listed
+    }
+    assert next(one for one in listed if one["name"] == "glare")["steps"][1]["name"] == "black"
+
+
+def test_steps_are_captured_one_by_one_and_reported(bench, tmp_path, capsys):
+    """Two steps of one bench: a focus that changes nothing, in the table and in JSON, with its interval."""
+    session = tmp_path / "session"
+    for step in ("far", "near"):
+        assert main(["quality", "take", str(session), "focus", step, "--bench", str(bench)]) == 0
+    capsys.readouterr()
+    assert main(["quality", "report", str(session), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    focus = next(one for one in printed["indices"] if one["index"] == "focus")
+    assert focus["measured"]
+    assert focus["value"] <= focus["expanded"]
+    assert focus["expanded"] == pytest.approx(focus["coverage_factor"] * focus["u"])
+    assert [one["index"] for one in printed["indices"] if one["measured"]] == ["focus"]
+
+
+@pytest.mark.slow
+def test_a_ladder_reaches_down_to_a_fortieth(bench, tmp_path, capsys):
+    """Linearity captures exposures over a range of 40, several frames each, with darks of the same times."""
+    assert main(["quality", "take", str(tmp_path / "s"), "linearity", "ladder", "--bench", str(bench)]) == 0
+    header = yaml.safe_load((tmp_path / "s" / "linearity" / "ladder" / "capture.yaml").read_text())
+    times = [one["exposure_s"] for one in header["frames"] if one["shutter"] == "open"]
+    dark = {one["exposure_s"] for one in header["frames"] if one["shutter"] == "closed"}
+    assert max(times) / min(times) == pytest.approx(40.0, rel=0.02)
+    assert {times.count(t) for t in times} == {4}
+    assert dark == set(times)
+
+
+def test_a_step_named_by_a_gain_is_taken_at_it(bench, tmp_path, capsys):
+    """12dB is captured at 12 dB; a capture at another gain than its name says is no index, and the way out is named."""
+    session = tmp_path / "s"
+    for step in ("0dB", "12dB"):
+        assert main(["quality", "take", str(session), "range", step, "--bench", str(bench)]) == 0
+    header = yaml.safe_load((session / "range" / "12dB" / "capture.yaml").read_text())
+    assert {frame["gain_db"] for frame in header["frames"]} == {12.0}
+    (session / "range" / "0dB").rename(session / "range" / "6dB")
+    capsys.readouterr()
+    assert main(["quality", "report", str(session), "--json"]) == 0
+    (change,) = (one for one in json.loads(capsys.readouterr().out)["indices"] if one["index"] == "range")
+    assert not change["measured"]
+    assert "step '6dB' was captured at 0 dB; remove" in change["reason"]
+
+
+def test_several_steps_need_a_hand(bench, tmp_path, capsys):
+    """Without a terminal nothing is captured of two steps that differ by what stands before the camera."""
+    assert main(["quality", "take", str(tmp_path / "s"), "focus", "--bench", str(bench)]) == 1
+    assert "name one step at a time" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nonsense", "far"], "is no procedure"),
+        (["focus", "middle"], "is no step of focus"),
+        (["size", "../x"], "no step"),
+        *((["range", name], "no step") for name in ("12,5dB", "+12dB", "1e1dB", "nandB", "12dBm", "gain12dB")),
+        *((["polarisation", name], "no step") for name in ("nan", "1e999", "45\n")),
+    ],
+)
+def test_unknown_names_are_misuse(words, message, tmp_path, capsys):
+    """Procedures and steps that there are not; a step's name never leaves the session's folder."""
+    assert main(["quality", "take", str(tmp_path / "s"), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_step_is_not_taken_twice(bench, tmp_path, capsys):
+    """A capture that is there is left alone, and stated."""
+    words = ["quality", "take", str(tmp_path / "s"), "focus", "far", "--bench", str(bench)]
+    assert main(words) == 0
+    written = (tmp_path / "s" / "focus" / "far" / "capture.yaml").stat().st_mtime_ns
+    assert main(words) == 0
+    assert "all steps are there" in capsys.readouterr().err
+    assert (tmp_path / "s" / "focus" / "far" / "capture.yaml").stat().st_mtime_ns == written
+
+
+def test_datasheet_opens_with_the_outcome_and_hides_no_gap(tmp_path, capsys):
+    """One HTML file: the largest index in the first sentence, the not measured last, hostile names escaped."""
+    stations.refocused(tmp_path / "s", 4)
+    for step in ("far", "near"):
+        header = tmp_path / "s" / "focus" / step / "capture.yaml"
+        text = yaml.safe_load(header.read_text())
+        text["camera"]["model"] = "<script>alert(1)</script>"
+        header.write_text(yaml.safe_dump(text))
+    sheet = tmp_path / "sheet.html"
+    assert main(["quality", "report", str(tmp_path / "s"), "-o", str(sheet)]) == 0
+    page = sheet.read_text(encoding="utf-8")
+    assert "1 of 12 indices measured; the largest is focus distance (f12): 3.8" in page
+    assert "<script>" not in page
+    assert "http" not in page.replace("http-equiv", "")
+    assert page.index("focus distance") < page.index("Not measured") < page.index("What was assumed")
+
+
+def test_nothing_to_report_says_the_way(tmp_path, capsys):
+    """An empty session fails with what to do."""
+    assert main(["quality", "report", str(tmp_path)]) == 1
+    assert "radiometer quality take" in capsys.readouterr().err
+
+
+# `radiometer screen`: files, JSON, exit codes.
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the file that `screen calibrate --quick` makes of the simulated OLED."""
+    file = tmp_path_factory.mktemp("screen") / "oled.yaml"
+    assert run(["screen", "calibrate", "--display", "oled", "--quick", "-o", str(file), "--export", "csv,ti3"]) == 0
+    return file
+
+
+@pytest.mark.slow
+def test_calibrate_writes_calibration_and_exports(calibration):
+    """The file reads back with seven levels; the exports is next to it."""
+    assert ScreenCalibration.read(calibration).channel().levels == (0, 32, 64, 96, 128, 192, 255)
+    assert calibration.with_suffix(".csv").exists()
+    assert calibration.with_suffix(".ti3").exists()
+
+
+def test_level_answers_in_json(calibration, capsys):
+    """Level and what it shows with uncertainty, near the target."""
+    assert run(["screen", "level", str(calibration), "50", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["shown"]["value"] == pytest.approx(50, abs=0.5)
+    assert answer["shown"]["u"] > 0
+
+
+@pytest.mark.slow
+def test_level_out_of_reach_fails_in_one_line(calibration, capsys):
+    """Exit code 1, the limits in the message."""
+    assert run(["screen", "level", str(calibration), "5000"]) == 1
+    assert "allowed is" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_export_names_what_it_wrote(calibration, tmp_path, capsys):
+    """Every kind asked for is written into the folder."""
+    assert run(["screen", "export", str(calibration), "psychopy,vcgt", "-o", str(tmp_path)]) == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"oled.json", "oled.vcgt"}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["screen", "calibrate", "--display", "plasma"],
+        ["screen", "calibrate", "--display", "oled", "--levels", "few"],
+        ["screen", "calibrate", "--display", "oled", "--export", "xlsx"],
+        ["screen", "calibrate", "--display", "oled", "--channels", "gray"],
+    ],
+)
+def test_misuse_is_exit_code_two(words, tmp_path, capsys):
+    """A wrong word is named and nothing is written."""
+    assert run([*words, "-o", str(tmp_path / "x.yaml")]) == 2
+    assert capsys.readouterr().err.startswith("error:")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_json_and_argyll_speak_for_programs(tmp_path, capsys):
+    """--json is one object; --argyll prints a line of spotread's for every level."""
+    options = ["--display", "oled", "--levels", "0,128,255", "-o", str(tmp_path / "o.yaml")]
+    assert run(["screen", "calibrate", *options, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["format"] == "radiometer-screen/1"
+    assert run(["screen", "calibrate", *options, "--argyll", "--force"]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith(" Result is XYZ:")]
+    assert len(lines) == 3
+
+
+@pytest.mark.slow
+def test_own_export_is_imported_and_a_kept_calibration_is_verified(calibration, tmp_path):
+    """The CSV gives the luminances back to its six digits; the OLED agrees with itself, the LCD does not."""
+    back = rm.screen_import(calibration.with_suffix(".csv"), tmp_path / "back.yaml")
+    known = ScreenCalibration.read(calibration).channel()
+    for level in known.levels[1:]:
+        assert back.calibration.channel().at(level, LUMINANCE).value == pytest.approx(
+            known.at(level, LUMINANCE).value, rel=1e-5
+        )
+    assert run(["screen", "verify", str(calibration), "--display", "oled", "--levels", "0,128,255"]) == 0
+    assert run(["screen", "verify", str(calibration), "--display", "lcd", "--levels", "0,128,255"]) == 1
+
+
+@pytest.mark.parametrize("words", [["calibrate", "-o", "x.yaml"], ["verify", "CALIBRATION"]])
+def test_real_screen_needs_a_real_camera(words, calibration, tmp_path, monkeypatch):
+    """Without --camera or --bench a browser's page is not measured by the simulated camera; nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    assert run(["screen", *(str(calibration) if word == "CALIBRATION" else word for word in words)]) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+# `radiometer adapt bleach`, `protocols`, `retest` and what `fit` reports of the subject.
+
+
+def test_bleach_calculator_gives_trolands_and_fractions(capsys: pytest.CaptureFixture[str]) -> None:
+    """300 cd/m² for 120 s through 4 mm: 3770 td; rods by Rushton's kinetics at twice the trolands."""
+    assert run(["adapt", "bleach", "300", "120", "--pupil", "4", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["retinal_td"] == pytest.approx(3769.9, rel=1e-4)
+    assert found["rods_bleached"] == pytest.approx(0.0749, abs=0.0005)
+    assert 0 < found["cones_bleached"] < 0.2
+
+
+def test_protocols_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    """All of them, each with what it is for."""
+    assert run(["adapt", "protocols"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(SHIPPED)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["nothing", "--subject", "A", "--simulate", "steady"],
+        ["classic", "--subject", "A", "--simulate", "asleep"],
+        ["classic", "--subject", "A", "--simulate", "steady", "--box", "LB000001"],
+    ],
+)
+def test_misuse_of_adapt_is_exit_code_two(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Unknown protocol, unknown subject, and a simulated subject before a real box."""
+    assert run(["adapt", "run", *words]) == 2
+    assert capsys.readouterr().err.startswith("error:")
+
+
+def _table(path: Path, break_min: float, seed: int, head: str = "") -> str:
+    """Write thresholds of two branches with a break."""
+    times = np.arange(0.3, 20, 0.2)
+    cones = -1.5 + 2.5 * np.exp(-times / 1.5)
+    levels = np.where(times > break_min, -1.5 - 0.25 * (times - break_min), cones)
+    levels = levels + np.random.default_rng(seed).normal(0, 0.05, times.size)
+    rows = "".join(f"{t:.3f},{v:.4f}\n" for t, v in zip(times, levels, strict=True))
+    path.write_text(f"{head}time_min,log10_threshold\n{rows}")
+    return str(path)
+
+
+@pytest.mark.slow
+def test_retest_gives_limits_of_agreement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Three subjects whose break is 1, 1.5 and 2 min later: mean 1.5, limits 1.5 ± 0.98, to what the fits leave."""
+    files = [_table(tmp_path / f"{n}{k}.csv", 8.0 + k * (1 + 0.5 * n), 2 * n + k) for n in range(3) for k in (0, 1)]
+    assert run(["adapt", "retest", *files, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["break_min"]["agreement"]
+    assert found["mean"]["value"] == pytest.approx(1.5, abs=0.3)
+    assert found["upper"]["value"] - found["mean"]["value"] == pytest.approx(1.96 * found["sd"], rel=1e-4)
+    assert found["upper"]["low"] < found["upper"]["value"] < found["upper"]["high"]
+    assert run(["adapt", "retest", *files[:3]]) == 2
+    assert "two for each subject" in capsys.readouterr().err
+    others = [_table(tmp_path / f"{one}.csv", 8.0, 1, f"# subject: {one}\n# eye: right\n") for one in ("S1", "S2")]
+    assert run(["adapt", "retest", *others]) == 2
+    assert "of subject S1 and S2" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_fit_reports_false_alarms_lapses_and_looks_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From the counts in the table's head, in terminal, JSON and page."""
+    head = "# false_alarms: 2/100\n# lapses: 1/20\n# seen_at_blind_spot: 6/30\n"
+    file, page = _table(tmp_path / "a.csv", 8.0, 1, head), tmp_path / "a.html"
+    assert run(["adapt", "fit", file, "--bootstrap", "0", "--report", str(page)]) == 0
+    assert "Fixation lost                    19.3 %" in capsys.readouterr().out
+    assert run(["adapt", "fit", file, "--bootstrap", "0", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)["reliability"]
+    assert printed["fixation_losses"]["share"] == pytest.approx((0.2 - 0.02) / (0.98 * 0.95))
+    assert (printed["lapses"]["hits"], printed["lapses"]["of"]) == (1, 20)
+    assert "<h2>The subject</h2>" in page.read_text(encoding="utf-8")
+
+
+THRESHOLDS = [(0, -1), (1, -1.5), (2, -2), (4, -2.2), (8, -2.6), (12, -3.5), (20, -4.5), (30, -4.8)]
+
+
+@pytest.mark.parametrize(
+    ("words", "row", "code", "shown"),
+    [
+        (["adapt", "fit"], (20_000, -4.9), 1, "time: 20000 min is outside 0 to 1440 min"),
+        (["adapt", "fit"], (-5, -1), 1, "time: -5 min is outside"),
+        (["adapt", "fit"], (40, -22), 1, "log10 threshold after 40 min: -22 is outside"),
+        (["log", "--after", "99999999999999999999"], None, 2, "after: 1e+20 is outside"),
+        (["log", "--budget", "99999999999999999999"], None, 1, "reading 99999999999999999999"),
+    ],
+)
+def test_numbers_beyond_all_are_refused_in_one_line(words, row, code, shown, tmp_path, capsys):
+    """A mistake of unit or power of ten is named with the range, and nothing is calculated with it."""
+    if row is not None:
+        rows = sorted([*THRESHOLDS, row])
+        (tmp_path / "t.csv").write_text("time_min,log10_threshold\n" + "".join(f"{t},{v}\n" for t, v in rows))
+        words = [*words, str(tmp_path / "t.csv")]
+    assert run(words) == code
+    printed = capsys.readouterr()
+    assert shown in printed.err
+    assert len(printed.err.strip().splitlines()) == 1
+    assert printed.out == ""

@@ -1,9 +1,8 @@
-"""The command line itself: arguments, keys, completion, logging, exit codes."""
-
-from __future__ import annotations
+"""The command line itself: arguments, keys, completion, outputs, logging, exit codes."""
 
 import contextlib
 import importlib
+import inspect
 import io
 import json
 import logging
@@ -14,15 +13,17 @@ import subprocess
 import sys
 import termios
 import threading
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import structlog
+import typer
 
+import radiometer as rm
+from radiometer.bench.boxes import calibration_file
+from radiometer.bench.served_camera import served_camera
 from radiometer.cli.arguments import (
     parse_bounds,
     parse_exposure,
@@ -37,9 +38,9 @@ from radiometer.cli.commands import COMMANDS
 from radiometer.cli.light.adapt import listening
 from radiometer.cli.logging_setup import configure_logging
 from radiometer.cli.main import run
-from radiometer.cli.tree import application
+from radiometer.cli.tree import application, command_tree
 from radiometer.daemon.journal import Journal
-from radiometer.errors import UsageError
+from radiometer.errors import ConfigurationError, UsageError
 from testing.patience import within
 
 
@@ -102,9 +103,8 @@ def test_a_standard_stream_that_takes_nothing(words, streams, code):
         assert ended.stderr.count("error:") == 1
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
 @pytest.mark.parametrize("words", [[], ["--json"]], ids=["text", "JSON"])
-def test_a_result_is_printed_whatever_the_encoding(encoding, words, tmp_path):
+def test_a_result_is_printed_whatever_the_encoding(words, tmp_path):
     """Signs that the encoding of the output does not have are escaped, as JSON does it: no reading is lost."""
     for number in (1, 2):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((40, 40), 20_000 * number, np.uint16))
@@ -112,16 +112,17 @@ def test_a_result_is_printed_whatever_the_encoding(encoding, words, tmp_path):
     call = [sys.executable, "-m", "radiometer", "measure", "--photographs", str(tmp_path), "--linear"]
     call += ["--uncalibrated", "--patch", "9,9,9,9", *words]
     printed = []
-    for one in (encoding, "utf-8"):
+    for one in ("utf-8", "ascii", "latin-1"):
         ended = subprocess.run(call, capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": one})
         assert (ended.returncode, b"defect" in ended.stderr) == (0, False)
         printed.append(ended.stdout.decode(one))
-    escaped, whole = printed
-    if words:
-        assert json.loads(escaped).keys() == json.loads(whole).keys()
-    else:
-        assert "±" in whole
-        assert len(re.sub(r"\\u[0-9a-f]{4}", "?", escaped)) == len(whole)
+    whole, *others = printed
+    for escaped in others:
+        if words:
+            assert json.loads(escaped).keys() == json.loads(whole).keys()
+        else:
+            assert "±" in whole
+            assert len(re.sub(r"\\u[0-9a-f]{4}", "?", escaped)) == len(whole)
 
 
 def test_version_is_reported(capsys):
@@ -168,11 +169,11 @@ def test_names_of_files_stay_in_one_line(name, tmp_path, monkeypatch):
 class _Terminal(io.StringIO):
     """Standard error as a terminal."""
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
-def _given_options(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _given_options(command, *path):
     """Yield each option of a command and of those below it, after the words of its command."""
     for option in command.params:
         if option.param_type_name == "option" and option.name != "help":
@@ -260,7 +261,7 @@ def test_what_is_implausible_is_misuse(words, way_out, capsys, tmp_path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
-def _options(command: Any, *path: str) -> Iterator[tuple[str, ...]]:
+def _options(command, *path):
     """Yield each option of a command and of those below it, after the words of its command."""
     yield from ((*path, option.opts[0]) for option in command.params)
     for name, inner in getattr(command, "commands", {}).items():
@@ -279,7 +280,7 @@ def test_a_relative_quantity_of_five_is_misuse(name, capsys, tmp_path, monkeypat
 
 
 @pytest.fixture
-def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+def keyboard(monkeypatch):
     """Return the other end of a terminal that is standard input."""
     outer, inner = pty.openpty()
     with os.fdopen(inner, "r") as stream:
@@ -288,7 +289,7 @@ def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     os.close(outer)
 
 
-def test_keys_call_their_actions_without_enter(keyboard: int) -> None:
+def test_keys_call_their_actions_without_enter(keyboard):
     """Other keys do nothing; echo and line mode are back after the block."""
     heard, paused, stopped = [], threading.Event(), threading.Event()
     before = termios.tcgetattr(sys.stdin.fileno())
@@ -302,7 +303,7 @@ def test_keys_call_their_actions_without_enter(keyboard: int) -> None:
     assert termios.tcgetattr(sys.stdin.fileno()) == before
 
 
-def test_nothing_is_read_where_input_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_read_where_input_is_no_terminal(monkeypatch):
     """A pipe belongs to whoever wrote into it."""
     monkeypatch.setattr(sys, "stdin", io.StringIO("ppp"))
     with listening({"p": pytest.fail}):  # type: ignore[dict-item]
@@ -314,7 +315,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture
-def scripts(tmp_path: Path) -> Path:
+def scripts(tmp_path):
     """Return a folder with a program `radiometer` that is this checkout."""
     program = tmp_path / "radiometer"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m radiometer "$@"\n', encoding="utf-8")
@@ -322,7 +323,7 @@ def scripts(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def environment(scripts: Path, **more: str) -> dict[str, str]:
+def environment(scripts, **more):
     """Return the environment of a shell that finds the program."""
     found = {**os.environ, **more, "PATH": f"{scripts}:{os.environ['PATH']}"}
     return found | {"PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}"}
@@ -375,7 +376,7 @@ def test_another_shell_is_misuse(capsys):
     assert "choose one of bash, zsh, fish" in capsys.readouterr().err
 
 
-def _failed(message: str) -> None:
+def _failed(message):
     secret_table = list(range(50_000))  # what a traceback with its variables would print
     try:
         raise ZeroDivisionError(message, len(secret_table))
@@ -402,7 +403,7 @@ def test_who_asks_for_everything_gets_the_traceback_without_its_variables(capsys
     assert "49999" not in printed
 
 
-def _numbers(command: Any, *path: str) -> Iterator[tuple[str, ...]]:
+def _numbers(command, *path):
     """Yield each option of a command and of those below it that takes a number, after the words of its command."""
     for option in command.params:
         if option.param_type_name == "option" and option.type_descriptor.annotation is float:
@@ -450,3 +451,243 @@ def test_what_a_library_says_of_a_damaged_file_is_for_who_asks_for_everything(ca
         configure_logging(verbosity)
         logging.getLogger("tifffile").error("invalid value offset")
         assert capsys.readouterr().err.splitlines() == lines
+
+
+# Commands that are made of a public function say what the function says.
+
+
+MADE = {
+    ("alpha-opic",): "alpha_opic",
+    ("analyse",): "analyse",
+    ("certificate",): "certificate",
+    ("colour", "calibrate"): "colour_calibrate",
+    ("colour", "measure"): "colour_measure",
+    ("flicker",): "flicker",
+    ("screen", "report"): "screen_report",
+}
+_SERVED = {"ask", "announce", "notice", "progress"}  # by the terminal
+
+
+@pytest.mark.parametrize("path", MADE, ids=" ".join)
+def test_a_command_has_the_parameters_of_its_function_and_its_words(path):
+    """One entry per parameter, defaults and text alike; besides those only files of the result, --json and --force."""
+    function = getattr(rm, MADE[path])
+    found = next(one for one in command_tree() if one.path == path)
+    document = " ".join((inspect.getdoc(function) or "").split())
+    assert document.startswith(" ".join(found.text.split()))
+    parameters = {name: one for name, one in inspect.signature(function).parameters.items() if name not in _SERVED}
+    entries = [*found.arguments, *found.options]
+    own = [name for name, _ in entries if name.split()[0] in ("--plot", "--csv", "--json")]
+    own += ["--force"] * ("force" not in parameters and any(name.startswith("--force") for name, _ in entries))
+    own += ["--report"] * ("report" not in parameters and any(name.startswith("--report") for name, _ in entries))
+    assert len(entries) == len(parameters) + len(own)
+    numbers = [one.default for one in parameters.values() if isinstance(one.default, int | float)]
+    shown = " ".join(text for _, text in entries)
+    assert all(f"[default: {number}" in shown for number in numbers if not isinstance(number, bool))
+
+
+def test_the_help_of_a_command_imports_no_library_of_arrays():
+    """Help and completion answer at once: the function is imported when it is called."""
+    code = (
+        "import sys; from radiometer.cli.main import run; run(['flicker', '--help']); "
+        "print('scipy' in sys.modules, 'radiometer.api.flicker' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "False False"
+
+
+# Every command that writes checks its outputs before its work: their folder, and that nothing is overwritten.
+
+
+_WRITES = re.compile(r"\b(write|written(?! by)|draw|drawn|create|keep the frames)\b", re.IGNORECASE)
+_JOURNALS = {("batch", "out"), ("adapt run", "out"), ("serve", "journal")}  # taken up where they end, never replaced
+
+
+def _leaves(path, found):
+    inner = getattr(found, "commands", None)
+    if not inner:
+        yield path, found
+    for name, single in (inner or {}).items():
+        yield from _leaves((*path, name), single)
+
+
+def _commands():
+    for name, entry in COMMANDS.items():
+        module = importlib.import_module(entry.module)
+        if hasattr(module, "command"):
+            app = typer.Typer()
+            app.command(name=name)(module.command)
+            yield (name,), typer.main.get_command(app)
+        elif isinstance(module.app, typer.Typer):
+            yield from _leaves((name,), typer.main.get_command(module.app))
+
+
+_ALL = list(_commands())
+_OUTPUTS = [
+    pytest.param(path, command, name, id=f"{'-'.join(path)}-{name}")
+    for path, command in _ALL
+    for name in (
+        *getattr(command.callback, "output_files", ()),
+        *filter(None, [getattr(command.callback, "output_folder", None)]),
+    )
+]
+
+
+def _words(path, command, name, target):
+    """Return a call in which everything required is given, and one output."""
+    words = list(path)
+    for one in command.params:
+        value = str(target) if one.name == name else "1" if one.required else None
+        if value is not None:
+            words += [value] if one.param_type_name == "argument" else [one.opts[0], value]
+    return words
+
+
+def test_every_option_that_names_an_output_is_checked():
+    """By the words of its help: what writes, draws, creates or keeps is declared, or asks for --force itself."""
+    unchecked = [
+        f"{' '.join(path)} {one.name}"
+        for path, command in _ALL
+        for one in command.params
+        if "Path" in str(one.type_descriptor.annotation) and _WRITES.search(one.help or "")
+        if one.name not in getattr(command.callback, "output_files", ())
+        if one.name != getattr(command.callback, "output_folder", None)
+        if (" ".join(path), one.name) not in _JOURNALS
+    ]
+    assert unchecked == []
+
+
+@pytest.mark.parametrize(("path", "command", "name"), _OUTPUTS)
+def test_an_output_is_checked_before_the_work(path, command, name, tmp_path, capsys):
+    """A folder that is missing and a file that is there: exit code 2, one line, and the file stays as it was."""
+    is_folder = getattr(command.callback, "output_folder", None) == name  # made with those above it
+    if not is_folder:
+        assert run(_words(path, command, name, tmp_path / "absent" / "out.yaml")) == 2
+        assert "absent does not exist" in capsys.readouterr().err
+    there = tmp_path / "there.yaml"
+    there.write_text("precious")
+    assert run(_words(path, command, name, there)) == 2
+    assert "there.yaml exists already" in capsys.readouterr().err
+    assert there.read_text() == "precious"
+    assert is_folder or any("--force" in one.opts for one in command.params)
+
+
+@pytest.mark.parametrize(
+    ("words", "precious"),
+    [
+        ("merge set -o set/frames/0.png", "set/frames/0.png"), ("response set -o set/capture.yaml", "set/capture.yaml"),
+        ("merge photos -o photos/a.png", "photos/a.png"), ("adapt fit f.csv --csv f.csv", "f.csv"),
+        ("adapt fit f.csv --report link.csv", "f.csv"),
+    ],
+)  # fmt: skip
+def test_no_output_replaces_an_input(words, precious, tmp_path, monkeypatch, capsys):
+    """Not with --force either, under whatever name: exit code 2 and the file as it was."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("set/frames/0.png", "set/capture.yaml", "photos/a.png", "f.csv"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).write_text("file: frames/0.png")
+    Path("link.csv").symlink_to("f.csv")
+    assert run([*words.split(), "--force"]) == 2
+    assert "no input is replaced" in capsys.readouterr().err
+    assert Path(precious).read_text() == "file: frames/0.png"
+
+
+def test_no_command_replaces_a_file_unasked():
+    """--force is off unless it is given, in every command that has it."""
+    asked = {" ".join(path): one.default for path, command in _ALL for one in command.params if "--force" in one.opts}
+    assert len(asked) > 20
+    assert {name for name, default in asked.items() if default} == set()
+
+
+_HOSTILE = ("..", "../../out", "/etc/x", "a/b", "-o", ".hidden", "x" * 300, "a\0b", "")
+
+
+@pytest.mark.parametrize("serial", _HOSTILE)
+def test_a_box_cannot_choose_where_its_calibration_is_written(serial, tmp_path, monkeypatch):
+    """Whatever serial number it sends: one file in the folder for them."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert calibration_file(serial).resolve().parent == tmp_path / "radiometer" / "light_boxes"
+
+
+def test_a_file_cannot_choose_where_its_frames_are_written(tmp_path):
+    """Whatever camera name a FITS header states: every capture set is a separate folder in that of -o."""
+    fits = pytest.importorskip("astropy.io.fits")
+    source, out = tmp_path / "source", tmp_path / "a" / "out"
+    source.mkdir()
+    out.parent.mkdir()
+    names = [name for name in _HOSTILE if len(name) < 60 and name.isprintable()]
+    for number, name in enumerate(names):
+        unit = fits.PrimaryHDU(np.full((6, 8), 100 + number, np.int16))
+        unit.header["INSTRUME"], unit.header["EXPTIME"] = name, 1.0
+        unit.writeto(source / f"{number}.fits")
+    before = {path for path in tmp_path.rglob("*") if not path.is_relative_to(out)}
+    assert run(["import", str(source), "-o", str(out)]) == 0
+    assert {path for path in tmp_path.rglob("*") if not path.is_relative_to(out)} == before
+    assert len([path for path in out.iterdir() if (path / "capture.yaml").is_file()]) == len(names)
+
+
+def test_a_file_that_is_no_journal_is_never_emptied(tmp_path, monkeypatch, capsys):
+    """`adapt run -o` takes up a journal, also one whose first line a crash tore; a text without a line end stays."""
+    monkeypatch.chdir(tmp_path)
+    words = ["adapt", "run", "quick", "--subject", "S01", "--simulate", "steady", "-o"]
+    for content in ("precious", "precious\n", '{"a": 1}'):
+        Path("notes.txt").write_text(content)
+        assert run([*words, "notes.txt"]) != 0
+        assert Path("notes.txt").read_text() == content
+    assert "no journal of a measurement" in capsys.readouterr().err
+    Path("torn.jsonl").write_text('{"sequence": 0, "ki')
+    assert run([*words, "torn.jsonl"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "shown"),
+    [
+        (["--help"], 0, "camera"),
+        ([], 2, "camera"),
+        (["camrea"], 2, "'camera'"),
+        (["camera", "--scene", "no/none.yaml"], 2, "none.yaml"),
+    ],
+)
+def test_devices_are_listed_and_what_is_not_there_is_reported(capsys, words, code, shown):
+    """A mistyped device gets a hint; a missing scene is one line."""
+    assert run(["simulate", *words]) == code
+    printed = capsys.readouterr()
+    assert shown in printed.out + printed.err
+
+
+def test_a_scene_with_an_unknown_kind_is_refused(tmp_path):
+    """The message names the file and the kinds that there are."""
+    file = tmp_path / "scene.yaml"
+    file.write_text("kind: moonlight\n", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"scene\.yaml.*moonlight"):
+        served_camera(scene=str(file))
+
+
+def test_only_a_simulated_bench_can_be_served(tmp_path):
+    """A bench with a real camera has nothing to serve."""
+    file = tmp_path / "bench.yaml"
+    file.write_text(
+        "format: radiometer-bench/1\ncamera: {kind: genicam, id: '1'}\nlens: {focal_length_mm: 16, f_number: 4}\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(ConfigurationError, match="only a simulated one can be served"):
+        served_camera(file)
+
+
+@pytest.mark.parametrize("kind", ["uniform", "screen", "led"])
+def test_a_kind_of_scene_can_be_named(kind):
+    """A scene that needs nothing reported is named by its kind."""
+    assert served_camera(scene=kind, serial="5").label == "simulated camera FLIR BFS-U3-19S4M 5"
+
+
+def test_a_picture_can_be_the_scene(tmp_path):
+    """A picture file is a scene of its own."""
+    file = tmp_path / "scene.png"
+    cv2.imwrite(str(file), np.full((20, 30), 128, np.uint8))
+    assert served_camera(scene=str(file)).label
+
+
+def test_the_awkward_camera_has_a_hexadecimal_number_unless_one_is_given():
+    """It is known by model and number; those of the bench are not its own."""
+    assert served_camera(awkward=True).label == "simulated camera FLIR Blackfly S BFS-PGE-19S4M 0138C343"
+    assert served_camera(awkward=True, serial="0138C344").label.endswith("0138C344")

@@ -1,7 +1,5 @@
 """Options of `radiometer measure`: f-number, ISO and what else it is given."""
 
-from __future__ import annotations
-
 import json
 import math
 
@@ -11,6 +9,7 @@ from PIL import Image
 
 from radiometer.cli.main import run
 from radiometer.data import Calibration, ResponseCurve
+from testing.photograph_folder import eight_bits, write_photographs
 
 
 @pytest.mark.slow
@@ -32,14 +31,11 @@ def folder(tmp_path):
     """Return a folder of photographs of an even surface whose times stand in a list, a curve next to it."""
     dn = np.arange(256.0)
     ResponseCurve(np.log(np.maximum(dn, 0.25) / 128), np.full(256, 1e-4), valid_dn=(1, 254)).write(tmp_path / "c.yaml")
-    (tmp_path / "photos").mkdir()
     rng = np.random.default_rng(1)
-    for index in range(3):
-        numbers = np.round(128 + rng.normal(0, 0.6, (24, 24))).astype(np.uint8)
+    pictures = [eight_bits(128 + rng.normal(0, 0.6, (24, 24))) for _ in range(3)]
+    for numbers in pictures:
         numbers[:, 22:] = 1  # a dark edge: no dark signal is above it
-        Image.fromarray(numbers).save(tmp_path / "photos" / f"{index}.png")
-    (tmp_path / "photos" / "exposures.txt").write_text("".join(f"{i}.png 0.125\n" for i in range(3)))
-    return tmp_path / "photos"
+    return write_photographs(tmp_path / "photos", pictures, [0.125] * 3)
 
 
 def calibrate(folder, *more: str) -> int:
@@ -119,17 +115,8 @@ def calibration(tmp_path, linear_curve):
 def reading(capsys, folder, calibration, *more: str) -> dict:
     """Return what `radiometer measure --photographs` prints."""
     capsys.readouterr()
-    command = [
-        "measure",
-        "--photographs",
-        str(folder),
-        "--calibration",
-        str(calibration),
-        "--patch",
-        ISO_PATCH,
-        "--json",
-    ]
-    assert run([*command, *more]) == 0
+    command = ["measure", "--photographs", str(folder), "--calibration", str(calibration), "--patch", ISO_PATCH]
+    assert run([*command, "--json", *more]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -206,17 +193,10 @@ def test_photographs_stand_in_for_a_camera(capsys, words):
 @pytest.mark.slow
 def test_known_ratio_fixes_the_exponent(tmp_path, capsys):
     """Times stated 2.2-fold for 2-fold: with one ratio known as 2 the others come out as 2, and the gauge says why."""
-    dn = np.arange(256)[None, :].repeat(64, axis=0)
-    folder = tmp_path / "ladder"
-    folder.mkdir()
-    lines = []
-    rng = np.random.default_rng(3)
-    for index in range(7):
-        light = np.exp(np.linspace(-5.5, 0.5, 256))[None, :] * 2.0 ** (index - 3) * np.ones_like(dn)
-        numbers = 255 * np.clip(light * (1 + 0.01 * rng.standard_normal(light.shape)), 0, 1) ** (1 / 1.8)
-        Image.fromarray(np.round(numbers).astype(np.uint8)).save(folder / f"{index}.png")
-        lines.append(f"{index}.png {2.2**index / 100}")
-    (folder / "exposures.txt").write_text("\n".join(lines))
+    rng, ramp = np.random.default_rng(3), np.tile(np.exp(np.linspace(-5.5, 0.5, 256)), (64, 1))
+    lights = (ramp * 2.0 ** (k - 3) * (1 + 0.01 * rng.standard_normal(ramp.shape)) for k in range(7))
+    pictures = (eight_bits(255 * np.clip(light, 0, 1) ** (1 / 1.8)) for light in lights)
+    folder = write_photographs(tmp_path / "ladder", pictures, [2.2**k / 100 for k in range(7)])
     command = ["response", str(folder), "--method", "mitsunaga1999", "--json"]
     assert run([*command, "--known-ratio", "2=2.0"]) == 0
     found = json.loads(capsys.readouterr().out)["curves"][0]

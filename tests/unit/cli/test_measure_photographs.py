@@ -1,19 +1,19 @@
 """`radiometer measure --photographs` without a calibration: through the response that they tell themselves."""
 
-from __future__ import annotations
-
 import json
 import math
 
 import numpy as np
 import pytest
 import tifffile
-from PIL import Image
 
 from radiometer.cli.main import run
+from testing.photograph_folder import eight_bits, write_photographs
 
 TIMES = (0.004, 0.01, 0.025, 0.0625, 0.15)
 LIGHT = np.geomspace(0.4, 200.0, 12)  # fields of a chart, one next to the other
+Y, X = np.mgrid[:144, :192]
+FIELDS = LIGHT[(X // 48) + 4 * (Y // 48)]
 
 
 pytestmark = pytest.mark.usefixtures("recovered_once")
@@ -23,13 +23,8 @@ pytestmark = pytest.mark.usefixtures("recovered_once")
 def chart(tmp_path):
     """Return a folder of photographs of a chart, stored as the root of the light: M = 255·√(H/2) and noise of 1 DN."""
     rng = np.random.default_rng(31)
-    y, x = np.mgrid[:144, :192]
-    fields = LIGHT[(x // 48) + 4 * (y // 48)]
-    for k, seconds in enumerate(TIMES):
-        dn = 255.0 * np.sqrt(fields * seconds / 2.0) + rng.normal(0.0, 1.0, fields.shape)
-        Image.fromarray(np.clip(np.rint(dn), 0, 255).astype(np.uint8)).save(tmp_path / f"p{k}.png")
-    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(TIMES)))
-    return tmp_path
+    pictures = (eight_bits(255.0 * np.sqrt(FIELDS * s / 2.0) + rng.normal(0.0, 1.0, FIELDS.shape)) for s in TIMES)
+    return write_photographs(tmp_path, pictures, TIMES)
 
 
 def _read(folder, field, *words):
@@ -69,15 +64,10 @@ def test_one_photograph_holds_no_response(chart, capsys):
 @pytest.fixture
 def film(tmp_path):
     """Return photographs of the chart on film: fog at 20 DN in every frame, above it the root of the light."""
-    rng = np.random.default_rng(32)
-    times = [5e-6 * 4.0**k for k in range(9)]
-    y, x = np.mgrid[:144, :192]
-    fields = LIGHT[(x // 48) + 4 * (y // 48)]
-    for k, seconds in enumerate(times):
-        dn = 20.0 + 215.0 * np.sqrt(fields * seconds / 2.0) + rng.normal(0.0, 1.0, fields.shape)
-        Image.fromarray(np.clip(np.rint(dn), 0, 255).astype(np.uint8)).save(tmp_path / f"p{k}.png")
-    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(times)))
-    return tmp_path
+    rng, times = np.random.default_rng(32), [5e-6 * 4.0**k for k in range(9)]
+    noise = (rng.normal(0.0, 1.0, FIELDS.shape) for _ in times)
+    pictures = (eight_bits(20.0 + 215.0 * np.sqrt(FIELDS * s / 2.0) + n) for s, n in zip(times, noise, strict=True))
+    return write_photographs(tmp_path, pictures, times)
 
 
 @pytest.mark.slow
@@ -104,16 +94,10 @@ def test_the_fog_of_a_film_is_black(film, tmp_path, capsys):
 
 def test_numbers_of_12_bits_in_files_of_16_are_white_where_they_end(tmp_path, capsys):
     """Linear photographs that clip at 4095 of 65535: every field of the map is the light, though most frames clip."""
-    rng = np.random.default_rng(33)
-    y, x = np.mgrid[:144, :192]
-    fields = LIGHT[(x // 48) + 4 * (y // 48)]
-    folder = tmp_path / "linear"
-    folder.mkdir()
-    times = [0.002 * 4.0**k for k in range(5)]
-    for k, seconds in enumerate(times):
-        electrons = rng.poisson(fields * seconds * 2e4) + rng.normal(0.0, 4.0, fields.shape)
-        Image.fromarray(np.clip(np.rint(electrons / 2.0), 0, 4095).astype(np.uint16)).save(folder / f"p{k}.png")
-    (folder / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(times)))
+    rng, times = np.random.default_rng(33), [0.002 * 4.0**k for k in range(5)]
+    electrons = (rng.poisson(FIELDS * s * 2e4) + rng.normal(0.0, 4.0, FIELDS.shape) for s in times)
+    pictures = (np.clip(np.rint(e / 2.0), 0, 4095).astype(np.uint16) for e in electrons)
+    folder = write_photographs(tmp_path / "linear", pictures, times)
     words = ["--linear", "--align", "off", "--json", "-o", str(tmp_path / "map.tiff")]
     assert run(["merge", str(folder), *words]) == 0
     assert json.loads(capsys.readouterr().out)["pixels"]["below_noise"] == 0

@@ -1,7 +1,5 @@
 """Linear photographs merged as they are: the values of a raw file, and 16-bit pictures that are stated as linear."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -17,6 +15,7 @@ from radiometer.data import Bracket, CameraDescription, Frame, FrameSettings, Le
 from radiometer.data.setup import Setup
 from radiometer.photographs.response import in_their_own_depth, relative_calibration
 from testing.edge_devices import dng_bytes
+from testing.photograph_folder import eight_bits, write_photographs
 
 BLACK, WHITE, ELECTRONS_PER_DN = 64, 4095, 2.5
 TIMES = (1.0, 2.0, 4.0, 8.0, 16.0)
@@ -40,16 +39,15 @@ def _agrees(picture, truth):
     assert np.sqrt(np.mean(z[bright] ** 2)) == pytest.approx(1.0, abs=0.15)
 
 
-def _waves(folder: Path, shifts, level=2000.0):
+def _waves(folder, shifts, level=2000.0):
     """Write linear photographs of waves along the rows, each displaced by so many pixels."""
-    folder.mkdir()
-    rng, column = np.random.default_rng(8), np.arange(96.0)
-    for k, (seconds, shift) in enumerate(zip(TIMES, shifts, strict=False)):
-        light = np.exp(0.5 * np.sin(2.0 * np.pi * (column + shift) / 12.0))
-        electrons = rng.poisson(np.broadcast_to(level * seconds * light, (72, 96)))
-        cv2.imwrite(str(folder / f"p{k}.png"), np.clip(electrons, 0, 65535).astype(np.uint16))
-    (folder / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(TIMES[: len(shifts)])))
-    return folder
+    rng, column, times = np.random.default_rng(8), np.arange(96.0), TIMES[: len(shifts)]
+    lights = (np.exp(0.5 * np.sin(2.0 * np.pi * (column + shift) / 12.0)) for shift in shifts)
+    pictures = (
+        np.clip(rng.poisson(np.broadcast_to(level * seconds * light, (72, 96))), 0, 65535).astype(np.uint16)
+        for seconds, light in zip(times, lights, strict=True)
+    )
+    return write_photographs(folder, pictures, times)
 
 
 def _reported(folder: Path, target: Path, capsys, *words):
@@ -91,11 +89,8 @@ def test_raw_files_need_no_response(tmp_path, capsys):
     rng = np.random.default_rng(1)
     radiance = np.kron(_scene(rng), np.ones((2, 2)))
     tint = np.tile([[0.5, 1.0], [1.0, 0.7]], (60, 80))  # of red, the greens, and blue
-    folder = tmp_path / "raw"
-    folder.mkdir()
-    for seconds in TIMES:
-        (folder / f"t{seconds:g}.dng").write_bytes(dng_bytes(_mosaic(rng, radiance * tint, seconds), BLACK))
-    (folder / "exposures.txt").write_text("".join(f"t{s:g}.dng {s}\n" for s in TIMES))
+    files = (dng_bytes(_mosaic(rng, radiance * tint, seconds), BLACK) for seconds in TIMES)
+    folder = write_photographs(tmp_path / "raw", files, TIMES, ".dng")
     assert run(["merge", "--force", str(folder), "-o", str(tmp_path / "map.tiff")]) == 0
     capsys.readouterr()
     assert not list(tmp_path.glob("*response*"))
@@ -112,13 +107,8 @@ def test_sixteen_bit_pictures_are_linear_where_that_is_stated(tmp_path, capsys, 
     """With --linear no response is recovered; two programs' files of 16 bits are taken as they stand."""
     rng = np.random.default_rng(2)
     radiance = _scene(rng)
-    folder = tmp_path / "p"
-    folder.mkdir()
-    for seconds in TIMES:
-        electrons = rng.poisson(radiance * seconds * 300.0)
-        dn = np.clip(np.round(electrons * 4.0), 0, 65535).astype(np.uint16)
-        cv2.imwrite(str(folder / f"t{seconds:g}{ending}"), dn)
-    (folder / "exposures.txt").write_text("".join(f"t{s:g}{ending} {s}\n" for s in TIMES))
+    pictures = (np.clip(rng.poisson(radiance * s * 300.0) * 4, 0, 65535).astype(np.uint16) for s in TIMES)
+    folder = write_photographs(tmp_path / "p", pictures, TIMES, ending)
     assert run(["merge", "--force", str(folder), "--linear", "-o", str(tmp_path / "map.tiff")]) == 0
     assert "response" not in capsys.readouterr().out
     _agrees(tmp_path / "map.tiff", radiance)
@@ -128,15 +118,11 @@ def test_sixteen_bit_pictures_are_linear_where_that_is_stated(tmp_path, capsys, 
 @pytest.mark.parametrize(("gamma", "grows"), [(1.0, None), (2.2, "1.37")])
 def test_photographs_that_are_not_linear_are_reported(tmp_path, capsys, gamma, grows):
     """Behind a gamma of 1/2.2 twice the exposure makes numbers 2^(1/2.2) as large: stated next to map and in it."""
-    rng, folder = np.random.default_rng(6), tmp_path / "p"
+    rng = np.random.default_rng(6)
     radiance = _scene(rng)
-    folder.mkdir()
-    for seconds in TIMES:
-        dn = 255.0 * np.clip(radiance * seconds / 60.0, 0.0, 1.0) ** (1.0 / gamma) + rng.normal(
-            0.0, 0.3, radiance.shape
-        )
-        cv2.imwrite(str(folder / f"t{seconds:g}.png"), np.clip(np.rint(dn), 0, 255).astype(np.uint8))
-    (folder / "exposures.txt").write_text("".join(f"t{s:g}.png {s}\n" for s in TIMES))
+    bent = (255.0 * np.clip(radiance * seconds / 60.0, 0.0, 1.0) ** (1.0 / gamma) for seconds in TIMES)
+    pictures = (eight_bits(dn + rng.normal(0.0, 0.3, radiance.shape)) for dn in bent)
+    folder = write_photographs(tmp_path / "p", pictures, TIMES)
     assert run(["merge", "--force", str(folder), "--linear", "-o", str(tmp_path / "map.exr"), "--json"]) == 0
     printed = capsys.readouterr()
     doubts = [text for text in json.loads(printed.out)["assumptions"] if "--linear was given" in text]
@@ -171,11 +157,8 @@ def test_raw_files_are_filled_in_for_pictures(tmp_path, capsys):
     pytest.importorskip("rawpy")
     rng = np.random.default_rng(4)
     tint = np.tile([[0.5, 1.0], [1.0, 0.7]], (30, 40))
-    folder = tmp_path / "raw"
-    folder.mkdir()
-    for seconds in TIMES:
-        (folder / f"t{seconds:g}.dng").write_bytes(dng_bytes(_mosaic(rng, 0.8 * tint, seconds), BLACK))
-    (folder / "exposures.txt").write_text("".join(f"t{s:g}.dng {s}\n" for s in TIMES))
+    files = (dng_bytes(_mosaic(rng, 0.8 * tint, seconds), BLACK) for seconds in TIMES)
+    folder = write_photographs(tmp_path / "raw", files, TIMES, ".dng")
     assert run(["merge", "--force", str(folder), "--demosaic", "-o", str(tmp_path / "map.tiff")]) == 0
     capsys.readouterr()
     value = tifffile.imread(tmp_path / "map.tiff", key=0).astype(float)

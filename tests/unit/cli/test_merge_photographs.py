@@ -1,11 +1,8 @@
 """Merging photographs, and the report of a merge."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -16,6 +13,7 @@ from radiometer.analysis.response.debevec1997 import recover_response_debevec199
 from radiometer.cli.analyse.merge import displacement_in_words, show_map_report
 from radiometer.cli.main import run
 from radiometer.data import PixelMask, Provenance, RadianceMap, ResponseCurve, provenance
+from testing.photograph_folder import eight_bits, write_photographs
 
 TIMES = (1.0, 2.0, 4.0, 8.0)
 
@@ -32,17 +30,14 @@ def _light(x, y):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Return a folder of four linear photographs of 16 bits, shifted, with a bright ball that rolls through."""
-    path = tmp_path_factory.mktemp("hand")
-    rng = np.random.default_rng(13)
+    rng, pictures = np.random.default_rng(13), []
     y, x = np.mgrid[:120, :160].astype(float)
     for k, (seconds, (dx, dy)) in enumerate(zip(TIMES, SHIFTS, strict=True)):
         light = _light(x - dx, y - dy)
         if k != 2:
             light[(x - 30 - 30 * k) ** 2 + (y - 60) ** 2 < 36] = 4.0
-        electrons = rng.poisson(light * seconds * 900.0)
-        cv2.imwrite(str(path / f"p{k}.png"), np.clip(electrons * 2.0, 0, 65535).astype(np.uint16))
-    (path / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(TIMES)))
-    return path
+        pictures.append(np.clip(rng.poisson(light * seconds * 900.0) * 2.0, 0, 65535).astype(np.uint16))
+    return write_photographs(tmp_path_factory.mktemp("hand"), pictures, TIMES)
 
 
 def _merged(folder, target, *words):
@@ -129,12 +124,9 @@ def test_a_patch_of_photographs_from_the_hand_is_read_where_it_is(folder, tmp_pa
 def test_what_holds_of_every_colour_is_reported_once(tmp_path, capsys):
     """Grey photographs at whole stops: the remark on whole stops stands in one line, with the colours it holds of."""
     y, x = np.mgrid[:120:3, :160:3].astype(float)
-    rng = np.random.default_rng(14)
-    for k in range(4):
-        light = 20.0 * _light(x, y) * 2.0**k
-        dn = np.clip(rng.normal(light[..., None], 0.5, (*light.shape, 3)), 0, 255)
-        cv2.imwrite(str(tmp_path / f"p{k}.png"), np.rint(dn).astype(np.uint8))
-    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {2**k}\n" for k in range(4)))
+    rng, light = np.random.default_rng(14), 20.0 * _light(x, y)[..., None]
+    pictures = (eight_bits(rng.normal(light * s, 0.5, (*x.shape, 3))) for s in TIMES)
+    write_photographs(tmp_path, pictures, TIMES)
     assert run(["merge", str(tmp_path), "-o", str(tmp_path / "map.exr"), "--align", "off"]) == 0
     printed = capsys.readouterr()
     lines = [
@@ -179,11 +171,9 @@ def test_a_fall_off_that_is_not_known_is_refused_before_the_work(folder, tmp_pat
 def few_colours(tmp_path, monkeypatch):
     """Return a folder of colour photographs, and how often their response is recovered; each time as by a root."""
     y, x = np.mgrid[:120:3, :160:3].astype(float)
-    rng = np.random.default_rng(15)
-    for k in range(3):
-        dn = np.clip(rng.normal(60.0 * np.sqrt(_light(x, y) * 2.0**k)[..., None], 0.7, (40, 54, 3)), 0, 255)
-        cv2.imwrite(str(tmp_path / f"p{k}.png"), np.rint(dn).astype(np.uint8))
-    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {2**k}\n" for k in range(3)))
+    rng, light = np.random.default_rng(15), _light(x, y)[..., None]
+    pictures = (eight_bits(rng.normal(60.0 * np.sqrt(light * s), 0.7, (40, 54, 3))) for s in TIMES[:3])
+    write_photographs(tmp_path, pictures, TIMES[:3])
     recovered = []
 
     def recover(brackets):
@@ -216,26 +206,19 @@ def test_a_colour_by_itself_does_not_take_up_what_three_colours_determined(few_c
     """Labels are judged by all colours together: red alone is recovered by itself, and the three together again."""
     folder, recovered = few_colours
     for channel in ("each", "red", "each"):
-        assert (
-            run(
-                ["merge", "--force", str(folder), "-o", str(folder / "out.exr"), "--align", "off", "--channel", channel]
-            )
-            == 0
-        )
+        words = ["-o", str(folder / "out.exr"), "--align", "off", "--channel", channel]
+        assert run(["merge", "--force", str(folder), *words]) == 0
     assert recovered == [3, 1, 3]
 
 
 @pytest.fixture(scope="module")
 def bent(tmp_path_factory):
     """Return a folder of four shifted photographs of 8 bits stored as a root of the light: M = 90·√H, noise of 1 DN."""
-    path = tmp_path_factory.mktemp("bent")
     rng = np.random.default_rng(16)
     y, x = np.mgrid[:120, :160].astype(float)
-    for k, (seconds, (dx, dy)) in enumerate(zip(TIMES, SHIFTS, strict=True)):
-        dn = 90.0 * np.sqrt(_light(x - dx, y - dy) * seconds) + rng.normal(0.0, 1.0, x.shape)
-        cv2.imwrite(str(path / f"p{k}.png"), np.clip(np.rint(dn), 0, 255).astype(np.uint8))
-    (path / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(TIMES)))
-    return path
+    exposures = (_light(x - dx, y - dy) * seconds for seconds, (dx, dy) in zip(TIMES, SHIFTS, strict=True))
+    pictures = (eight_bits(90.0 * np.sqrt(one) + rng.normal(0.0, 1.0, x.shape)) for one in exposures)
+    return write_photographs(tmp_path_factory.mktemp("bent"), pictures, TIMES)
 
 
 @pytest.mark.slow
@@ -264,10 +247,9 @@ def test_photographs_from_the_hand_are_reconciled_in_one_place(bent, capsys):
 def test_pictures_of_a_row_have_no_place_to_be_brought_to(tmp_path, capsys):
     """Photographs one pixel high cannot be aligned: they are taken as they lie, no library's assertion."""
     light = np.geomspace(0.02, 1.0, 600)[None]
-    for k in range(4):
-        dn = np.random.default_rng(k).normal(250.0 * np.sqrt(light * 2.0 ** (k - 3)), 0.6)
-        cv2.imwrite(str(tmp_path / f"p{k}.png"), np.rint(np.clip(dn, 0, 255)).astype(np.uint8))
-    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {2**k}\n" for k in range(4)))
+    roots = (250.0 * np.sqrt(light * s / 8.0) for s in TIMES)
+    pictures = (eight_bits(np.random.default_rng(k).normal(root, 0.6)) for k, root in enumerate(roots))
+    write_photographs(tmp_path, pictures, TIMES)
     assert run(["response", str(tmp_path)]) == 0
     assert "aligned to" not in capsys.readouterr().err
 

@@ -1,7 +1,5 @@
 """A response recovered with a shutter's offset, given for other photographs of the camera or in a calibration."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cameras and benches that commands find, make or do without."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import sys

@@ -1,7 +1,5 @@
 """Files of reconcile, and a response that says nothing."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,19 +1,19 @@
 """A running station on a fake instrument and light box, its servers and clients."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from radiometer.data import Patch, Quantity, Reading
-from testing.fake_station import PORTS, QUICK, FakeBox, FakeInstrument, LineClient
+from testing.fake_station import PORTS, QUICK, FakeBox, FakeInstrument, HttpClient, LineClient
 from testing.patience import within
 from testing.watched_sqlite import Watched, watch
 
@@ -93,3 +93,25 @@ async def client(connect: Callable[[], Awaitable[LineClient]]) -> LineClient:
     line_client = await connect()
     await line_client.send("*CLS")
     return line_client
+
+
+@pytest.fixture
+async def serve(station: Station) -> AsyncIterator[Callable[..., Awaitable[HttpClient]]]:
+    """Return a starter of HTTP servers, each with options of its own, that gives a client."""
+    servers: list[tuple[HttpServer, HttpClient]] = []
+
+    async def start(**options: Any) -> HttpClient:
+        server = HttpServer(station, **options)
+        servers.append((server, HttpClient(await server.listen("127.0.0.1", 0))))
+        return servers[-1][1]
+
+    yield start
+    for server, client in servers:
+        await client.session.close()
+        await server.close()
+
+
+@pytest.fixture
+async def http(serve: Callable[..., Awaitable[HttpClient]]) -> HttpClient:
+    """Return a client of a server with default limits."""
+    return await serve()

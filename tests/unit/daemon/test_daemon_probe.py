@@ -1,22 +1,18 @@
 """The line of the health report that shows whether a daemon runs."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import threading
-from typing import Any
 
 import pytest
 
 from radiometer.bench.doctor import check_daemon
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.scpi.server import ScpiServer
-from radiometer.daemon.station import Station
 from radiometer.devices import Health
 
 
-async def _probe(station: Station) -> Any:
+async def _probe(station):
     scpi, http = ScpiServer(station), HttpServer(station)
     ports = await scpi.listen_tcp("127.0.0.1", 0), await http.listen("127.0.0.1", 0)
     finding = await asyncio.to_thread(check_daemon, *ports)
@@ -25,14 +21,14 @@ async def _probe(station: Station) -> Any:
     return finding
 
 
-async def test_a_running_daemon_is_named(station: Station) -> None:
+async def test_a_running_daemon_is_named(station):
     """Its identity is shown and all is well."""
     finding = await _probe(station)
     assert (finding.check, finding.health) == ("daemon", Health.OK)
     assert "Fake,F-1,4711" in finding.message
 
 
-async def test_alarms_of_a_running_daemon_are_shown(station: Station) -> None:
+async def test_alarms_of_a_running_daemon_are_shown(station):
     """A daemon in trouble is a warning that names the alarm."""
     station.alarms.put_up("calibration", "of another camera")
     finding = await _probe(station)
@@ -40,7 +36,7 @@ async def test_alarms_of_a_running_daemon_are_shown(station: Station) -> None:
     assert "calibration" in finding.message
 
 
-def test_no_daemon_is_a_note_with_the_way_to_start_one() -> None:
+def test_no_daemon_is_a_note_with_the_way_to_start_one():
     """Not a fault: one can measure without."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = int(free.getsockname()[1])
@@ -50,12 +46,12 @@ def test_no_daemon_is_a_note_with_the_way_to_start_one() -> None:
 
 
 @pytest.mark.parametrize("reply", [b"Keysight,34465A,MY1,A.02\n", b""])
-def test_a_stranger_on_the_port_is_named(reply: bytes) -> None:
+def test_a_stranger_on_the_port_is_named(reply):
     """Another program there, or one that says nothing, is a warning with what it stated and the way round."""
     with socket.create_server(("127.0.0.1", 0)) as stranger:
         port = int(stranger.getsockname()[1])
 
-        def answer() -> None:
+        def answer():
             line, _ = stranger.accept()
             with line:
                 assert line.recv(100) == b"*IDN?\n"
@@ -71,7 +67,7 @@ def test_a_stranger_on_the_port_is_named(reply: bytes) -> None:
 
 
 @pytest.mark.slow  # waits in real time
-def test_one_that_says_nothing_is_not_waited_for_long() -> None:
+def test_one_that_says_nothing_is_not_waited_for_long():
     """A program that takes the call and is silent is a stranger, not no one."""
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = int(silent.getsockname()[1])

@@ -1,7 +1,5 @@
 """pvAccess: a real p4p client reads value, unit, alarm, time stamp, display limits and the map."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from dataclasses import replace

@@ -1,14 +1,11 @@
 """What HTTP makes of queries, bodies, events and pictures: each piece by itself, without a server."""
 
-from __future__ import annotations
-
 import asyncio
 import io
 import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +25,6 @@ from radiometer.daemon.http.picture import (
 from radiometer.daemon.http.requests import MeasureBody, SettingsBody
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.instrument import Measurement
-from radiometer.daemon.station import Station
 from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading, ResponseCurve
 
 
@@ -44,13 +40,13 @@ from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading, Resp
         ({"wavelength_nm": None}, {"wavelength_nm": None}),
     ],
 )
-def test_only_what_a_body_names_is_changed(body: dict[str, Any], changes: dict[str, Any]) -> None:
+def test_only_what_a_body_names_is_changed(body, changes):
     """Defaults change nothing; a stated exposure switches the automatic one off, unless both are stated."""
     assert MeasureBody.model_validate(body).changes() == changes
     assert SettingsBody.model_validate({**body, "every_s": 0.5}).changes() == changes
 
 
-def measured(*frames: tuple[float, float, float], dn: np.ndarray[Any, Any] | None = None) -> Measurement:
+def measured(*frames, dn=None):
     """Return a measurement of frames of (number, exposure in s, gain in dB), its patch read as 2."""
     pictures = tuple(
         Frame(
@@ -63,7 +59,7 @@ def measured(*frames: tuple[float, float, float], dn: np.ndarray[Any, Any] | Non
     return Measurement(Reading(Quantity(2.0, 0.1, "1"), Patch(0, 0, 4, 4), "1"), pictures)
 
 
-def test_a_picture_is_in_the_unit_of_the_reading() -> None:
+def test_a_picture_is_in_the_unit_of_the_reading():
     """The patch shows the reading's value; half the light above black shows half; gain is no light."""
     dn = np.full((8, 8), 64 + 1000)
     dn[6, 6] = 64 + 500
@@ -77,7 +73,7 @@ def test_a_picture_is_in_the_unit_of_the_reading() -> None:
     assert composite(measured((64 + 50, 100.0, 0.0)), None, 3).radiance[0, 0] == pytest.approx(2.0)  # below 1 DN/s
 
 
-def test_a_picture_goes_through_the_curve_in_use() -> None:
+def test_a_picture_goes_through_the_curve_in_use():
     """Of a square law, half the number is a quarter of the light."""
     with np.errstate(divide="ignore"):
         curve = ResponseCurve(2.0 * np.log(np.arange(4096) / 2048.0), np.zeros(4096))
@@ -88,7 +84,7 @@ def test_a_picture_goes_through_the_curve_in_use() -> None:
 
 
 @pytest.mark.parametrize(("scale", "message"), [("auto", "log"), ("linear", "linear"), ("log", "log")])
-def test_the_scale_of_a_picture_is_reported(scale: str, message: str) -> None:
+def test_the_scale_of_a_picture_is_reported(scale, message):
     """From the half-per-cent dimmest to the 0.2 % brightest; a factor of 100 is drawn in logarithms by itself."""
     radiance = np.geomspace(1.0, 100.0, 64 * 64).reshape(64, 64).astype(np.float32)
     picture = ServedPicture(radiance, np.zeros((64, 64), bool), "W", 5)
@@ -102,7 +98,7 @@ def test_the_scale_of_a_picture_is_reported(scale: str, message: str) -> None:
     assert (headers["Radiometer-Unit"], headers["Radiometer-Sequence"]) == ("W", "5")
 
 
-def test_clipped_pixels_stand_out_in_every_map() -> None:
+def test_clipped_pixels_stand_out_in_every_map():
     """In a colour that no map has; in the red map, for a dark room, as a hatching of red and black."""
     clipped = np.zeros((64, 64), bool)
     clipped[:32] = True
@@ -120,7 +116,7 @@ def test_clipped_pixels_stand_out_in_every_map() -> None:
     assert coloured(np.array([[-1.0, 0.5, 2.0]]), "grey")[0, :, 0].tolist() == [0, 127, 255]
 
 
-def test_a_picture_is_made_once_for_a_measurement() -> None:
+def test_a_picture_is_made_once_for_a_measurement():
     """Asked again it is the same; of the next measurement another."""
     cache, one, other = PictureCache(), measured((500, 0.01, 0.0)), measured((600, 0.01, 0.0))
     first = cache.get(one, None, 1)
@@ -129,7 +125,7 @@ def test_a_picture_is_made_once_for_a_measurement() -> None:
 
 
 @pytest.mark.parametrize(("clipped", "shown"), [(0, 0.04), (4, 0.04), (5, 0.02), (4096, 0.02)])
-def test_the_frame_shown_is_the_longest_in_which_less_than_a_thousandth_clips(clipped: int, shown: float) -> None:
+def test_the_frame_shown_is_the_longest_in_which_less_than_a_thousandth_clips(clipped, shown):
     """Of 4096 pixels four may clip; where all frames clip, the shortest is shown."""
     dn = np.full(4096, 900)
     dn[:clipped] = 4095
@@ -150,7 +146,7 @@ def test_the_frame_shown_is_the_longest_in_which_less_than_a_thousandth_clips(cl
 
 
 @pytest.mark.parametrize("height", [60, 200])
-def test_the_bar_runs_from_its_brightest_at_the_top_to_its_end(height: int) -> None:
+def test_the_bar_runs_from_its_brightest_at_the_top_to_its_end(height):
     """34 pixels, or a quarter, from the top, and 14, or half, from the bottom; beyond it there is background."""
     picture = ServedPicture(np.linspace(1.0, 2.0, height * 100, dtype=np.float32).reshape(height, 100),
                       np.zeros((height, 100), bool), "W sr-1 m-2", 3)  # fmt: skip
@@ -165,7 +161,7 @@ def test_the_bar_runs_from_its_brightest_at_the_top_to_its_end(height: int) -> N
     assert len(set(bar[bottom:].tolist())) == 1
 
 
-def test_the_numbers_next_to_the_bar_are_those_of_its_scale() -> None:
+def test_the_numbers_next_to_the_bar_are_those_of_its_scale():
     """Half way up stands the geometric mean of a logarithmic bar's ends, of a linear one's the arithmetic mean."""
     places = np.array([0.0, 0.5, 1.0])
     assert next_to_bar(1.0, 100.0, places, logarithmic=True) == pytest.approx([1.0, 10.0, 100.0])
@@ -182,13 +178,13 @@ def test_the_numbers_next_to_the_bar_are_those_of_its_scale() -> None:
         ([1.5e5, 1.5002e5], 2, ["1.5000e+05", "1.5002e+05"]),
     ],
 )
-def test_neighbouring_numbers_next_to_the_bar_differ(values: list[float], digits: int, texts: list[str]) -> None:
+def test_neighbouring_numbers_next_to_the_bar_differ(values, digits, texts):
     """As few digits as tell them apart, rounded by hand."""
     assert bar_labels(np.array(values), digits) == texts
 
 
 @given(st.floats(1e-6, 1e6), st.floats(1.001, 1e4), st.booleans())
-def test_no_two_numbers_next_to_the_bar_are_one(low: float, ratio: float, logarithmic: bool) -> None:
+def test_no_two_numbers_next_to_the_bar_are_one(low, ratio, logarithmic):
     """Whatever the scale: it spans 0.1 % at least."""
     values = next_to_bar(low, low * ratio, np.linspace(0.0, 1.0, 6), logarithmic=logarithmic)
     texts = bar_labels(values, 2)
@@ -196,7 +192,7 @@ def test_no_two_numbers_next_to_the_bar_are_one(low: float, ratio: float, logari
     assert [float(text) for text in texts] == pytest.approx(list(values), rel=0.05)
 
 
-def test_what_lies_at_black_is_dim_and_not_a_thousand() -> None:
+def test_what_lies_at_black_is_dim_and_not_a_thousand():
     """Numbers at or below black are a thousandth of a DN, the patch is what was read, and a patch in the dark is 1."""
     dn = np.full((8, 8), 64 + 1000)
     dn[6, 6] = 40
@@ -211,7 +207,7 @@ _THEMES = {"light": r":root \{", "dark": r':root\[data-theme="dark"\] \{', "red"
 _NEEDED = {"ink": 4.5, "quiet": 4.5, "accent": 4.5, "good": 4.5, "bad": 4.5, "edge": 3.0}
 
 
-def _palette(theme: str) -> dict[str, tuple[int, int, int]]:
+def _palette(theme):
     block = re.split(_THEMES[theme], _CSS)[1].partition("}")[0]
     found = {}
     for name, digits in re.findall(r"--([\w-]+): #([0-9a-f]{3,6})\b", block):
@@ -220,12 +216,12 @@ def _palette(theme: str) -> dict[str, tuple[int, int, int]]:
     return found
 
 
-def _luminance(colour: tuple[int, int, int]) -> float:
+def _luminance(colour):
     linear = [c / 255 / 12.92 if c / 255 <= 0.04045 else ((c / 255 + 0.055) / 1.055) ** 2.4 for c in colour]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-def _contrast(one: tuple[int, int, int], other: tuple[int, int, int]) -> float:
+def _contrast(one, other):
     bright, dark = sorted((_luminance(one), _luminance(other)), reverse=True)
     return (bright + 0.05) / (dark + 0.05)
 
@@ -237,7 +233,7 @@ def test_the_contrast_is_that_of_the_guideline():
 
 
 @pytest.mark.parametrize("theme", _THEMES)
-def test_every_colour_of_a_theme_can_be_distinguished_from_what_it_lies_on(theme: str):
+def test_every_colour_of_a_theme_can_be_distinguished_from_what_it_lies_on(theme):
     """Text and lines of plots on cards and on the page; the rims of fields and sliders on cards."""
     palette = _palette(theme)
     for name, needed in _NEEDED.items():
@@ -254,7 +250,7 @@ def test_the_red_theme_lights_nothing_but_red():
 
 
 @pytest.mark.parametrize(("spread", "message"), [(19.0, "linear"), (20.0, "linear"), (21.0, "log")])
-def test_a_scene_of_more_than_twenty_to_one_is_drawn_in_logarithms(spread: float, message: str) -> None:
+def test_a_scene_of_more_than_twenty_to_one_is_drawn_in_logarithms(spread, message):
     """A factor between the half-per-cent dimmest and the 0.2 % brightest; 0 in it is a ten-thousandth at least."""
     radiance = np.repeat(np.array([1.0, spread], np.float32), 2048).reshape(64, 64)
     shown = ServedPicture(radiance, np.zeros((64, 64), bool), "W", 5)
@@ -264,7 +260,7 @@ def test_a_scene_of_more_than_twenty_to_one_is_drawn_in_logarithms(spread: float
     assert (kind, float(low) / float(high)) == ("log", pytest.approx(1e-4, rel=1e-4))
 
 
-def test_an_even_picture_and_a_black_one_have_a_scale() -> None:
+def test_an_even_picture_and_a_black_one_have_a_scale():
     """A thousandth of what is shown, or 1e-12 where nothing is: no division by nothing, and both ends in order."""
     for level, ends in ((5.0, (5.0, 5.005)), (0.0, (0.0, 1e-12))):
         even = ServedPicture(np.full((64, 64), level, np.float32), np.zeros((64, 64), bool), "W", 5)
@@ -272,7 +268,7 @@ def test_an_even_picture_and_a_black_one_have_a_scale() -> None:
         assert [float(end) for end in headers["Radiometer-Scale"].split(",")[1:]] == pytest.approx(list(ends))
 
 
-def test_the_hatching_of_a_dark_room_has_stripes_of_four_pixels() -> None:
+def test_the_hatching_of_a_dark_room_has_stripes_of_four_pixels():
     """Diagonals, black first in the upper left corner: along a row and along a column four by four."""
     white = ServedPicture(np.full((64, 64), 5.0, np.float32), np.ones((64, 64), bool), "W", 5)
     page, _ = render(white, width=64, scale="linear", colours="red", bar=False)
@@ -283,7 +279,7 @@ def test_the_hatching_of_a_dark_room_has_stripes_of_four_pixels() -> None:
 
 
 @pytest.mark.parametrize(("part", "marked"), [(2, False), (3, True)])
-def test_a_shown_pixel_is_clipped_where_more_than_half_of_its_own_are(part: int, marked: bool) -> None:
+def test_a_shown_pixel_is_clipped_where_more_than_half_of_its_own_are(part, marked):
     """Of blocks of 2 × 2 pixels two do not count, three do; the colour is one that no map has."""
     clipped = np.zeros((128, 128), bool)
     clipped[::2, ::2] = clipped[1::2, ::2] = True
@@ -295,10 +291,10 @@ def test_a_shown_pixel_is_clipped_where_more_than_half_of_its_own_are(part: int,
     assert headers["Radiometer-Frame"] == "128,128"
 
 
-async def test_connections_are_counted_while_there_is_a_server(station: Station) -> None:
+async def test_connections_are_counted_while_there_is_a_server(station):
     """None before it listens, each that is open, none once it is closed."""
 
-    def shown() -> str:
+    def shown():
         return next(line for line in station.metrics.render().decode().splitlines() if 'interface="http"' in line)
 
     server = HttpServer(station)
@@ -316,7 +312,7 @@ async def test_connections_are_counted_while_there_is_a_server(station: Station)
 
 
 @pytest.mark.parametrize("height", [64, 200])
-def test_the_bar_leaves_the_picture_as_it_is(height: int) -> None:
+def test_the_bar_leaves_the_picture_as_it_is(height):
     """With the bar the picture stands left of it, pixel by pixel as without."""
     rng = np.random.default_rng(2)
     shown = ServedPicture(

@@ -1,7 +1,5 @@
 """What a kept device leaves behind when a call to it fails, and when a late one is called late."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc
@@ -26,57 +24,6 @@ from radiometer.errors import (
     SettingOutOfRange,
 )
 from testing.patience import within
-
-
-class LibraryObject:
-    """What a driver holds of its library: at its end it talks to the camera."""
-
-    def answer(self) -> None:
-        """Fail as the library does."""
-        raise OSError("timeout")
-
-
-class BrokenDevice:
-    """A device that is lost while it is being opened."""
-
-    late_at = None
-
-    def __init__(self) -> None:
-        self.held: list[weakref.ref[LibraryObject]] = []
-
-    def open(self) -> None:
-        """Take something of the library in hand and fail."""
-        half_open = LibraryObject()
-        self.held.append(weakref.ref(half_open))
-        try:
-            half_open.answer()
-        except OSError as error:
-            raise DeviceLost("stopped answering") from error
-
-    def close(self) -> None:
-        """Close nothing."""
-
-    def check(self) -> DeviceReport:
-        """Return an empty report."""
-        return DeviceReport()
-
-
-@pytest.fixture
-def broken() -> BrokenDevice:
-    """Return a device that cannot be opened."""
-    return BrokenDevice()
-
-
-async def test_failed_call_keeps_nothing_of_the_device(broken: BrokenDevice) -> None:
-    """What the call had in hand is freed when it fails, not at the next garbage collection."""
-    keeper = DeviceKeeper("camera", broken, Alarms(lambda *_: None))
-    gc.disable()
-    try:
-        assert not await keeper.open_once()
-        assert [held() for held in broken.held] == [None]
-    finally:
-        gc.enable()
-        await keeper.close()
 
 
 def test_patience_grows_by_what_came_late_and_fades() -> None:
@@ -162,6 +109,35 @@ async def running(bench: Bench) -> Any:
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await task
+        await bench.keeper.close()
+
+
+class LibraryObject:
+    """What a driver holds of its library: at its end it talks to the camera."""
+
+    def answer(self) -> None:
+        raise OSError("timeout")
+
+
+async def test_failed_call_keeps_nothing_of_the_device():
+    """What the call had in hand is freed when it fails, not at the next garbage collection."""
+    bench, held = Bench(Device()), []
+
+    def fail():
+        half_open = LibraryObject()
+        held.append(weakref.ref(half_open))
+        try:
+            half_open.answer()
+        except OSError as error:
+            raise DeviceLost("stopped answering") from error
+
+    bench.device.open = fail
+    gc.disable()
+    try:
+        assert not await bench.keeper.open_once()
+        assert [one() for one in held] == [None]
+    finally:
+        gc.enable()
         await bench.keeper.close()
 
 

@@ -1,19 +1,15 @@
 """What a broker is given: each patch as long as it is measured; and what happens where it acknowledges nothing."""
 
-from __future__ import annotations
-
 import asyncio
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import replace
 from fnmatch import fnmatch
-from typing import Any
 
 import pytest
 
 from radiometer.daemon.mqtt import MqttPublisher, MqttTarget
-from radiometer.daemon.station import Station
 from radiometer.data import Patch
 
 pytest.importorskip("paho.mqtt.client")
@@ -24,27 +20,27 @@ LAMP = Patch(5, 6, 7, 8)
 class Broker:
     """As much of MQTT 3.1.1 as one publisher needs, on a loopback socket; deaf, it acknowledges nothing."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.retained: dict[str, bytes] = {}
         self.published: list[tuple[str, bytes]] = []
         self.deaf = False
         self._writers: list[asyncio.StreamWriter] = []
         self._unanswered: list[Callable[[], None]] = []
 
-    def hear(self) -> None:
+    def hear(self):
         """Acknowledge what was published while deaf, and all from now on."""
         self.deaf = False
         for answer in self._unanswered:
             answer()
         self._unanswered.clear()
 
-    def announce(self, topic: str, payload: bytes) -> None:
+    def announce(self, topic, payload):
         """Publish a last will to everybody."""
         self.retained[topic] = payload
         for writer in self._writers:
             _send(writer, topic, payload)
 
-    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def serve(self, reader, writer):
         self._writers.append(writer)
         with suppress(asyncio.IncompleteReadError, ConnectionError):
             while True:
@@ -57,7 +53,7 @@ class Broker:
                 self._take(kind, await reader.readexactly(length), writer)
         writer.close()
 
-    def _take(self, kind: int, body: bytes, writer: asyncio.StreamWriter) -> None:
+    def _take(self, kind, body, writer):
         if kind >> 4 == 1:
             writer.write(b"\x20\x02\x00\x00")
         elif kind >> 4 == 8:
@@ -80,18 +76,18 @@ class Broker:
             writer.write(b"\xd0\x00")
 
 
-def _send(writer: asyncio.StreamWriter, topic: str, payload: bytes) -> None:
+def _send(writer, topic, payload):
     name = topic.encode()
     content = len(name).to_bytes(2, "big") + name + payload
     writer.write(b"\x31" + _varint(len(content)) + content)
 
 
-def _varint(number: int) -> bytes:
+def _varint(number):
     return bytes([number]) if number < 128 else bytes([number & 127 | 128]) + _varint(number >> 7)
 
 
 @pytest.fixture
-async def broker() -> AsyncIterator[tuple[Broker, int]]:
+async def broker():
     """Return a broker and its port."""
     made = Broker()
     server = await asyncio.start_server(made.serve, "127.0.0.1", 0)
@@ -100,7 +96,7 @@ async def broker() -> AsyncIterator[tuple[Broker, int]]:
 
 
 @pytest.fixture
-async def published(station: Station, broker: tuple[Broker, int]) -> AsyncIterator[tuple[Broker, MqttPublisher]]:
+async def published(station, broker):
     """Return a broker that held readings of an earlier daemon, and a publisher that has reached it."""
     made, port = broker
     made.retained["radiometer/4711/patch/gone/reading"] = b"{}"
@@ -110,9 +106,7 @@ async def published(station: Station, broker: tuple[Broker, int]) -> AsyncIterat
     await publisher.stop()
 
 
-async def test_each_patch_is_retained_as_long_as_it_is_measured(
-    station: Station, published: tuple[Broker, MqttPublisher], eventually: Eventually
-) -> None:
+async def test_each_patch_is_retained_as_long_as_it_is_measured(station, published, eventually):
     """What an earlier daemon left, what was deleted, moved or ended is cleared; a client's own is never published."""
     broker, publisher = published
     station.patches.define("a b", LAMP)
@@ -135,9 +129,7 @@ async def test_each_patch_is_retained_as_long_as_it_is_measured(
     assert 40 not in {reading["patch"]["x"] for reading in read}
 
 
-async def test_the_last_will_of_an_earlier_daemon_comes_late(
-    published: tuple[Broker, MqttPublisher], eventually: Eventually
-) -> None:
+async def test_the_last_will_of_an_earlier_daemon_comes_late(published, eventually):
     """Its connection ended by a power cut, say: a daemon that runs is online again at once, one that ended is not."""
     broker, publisher = published
     await eventually(lambda: broker.retained.get("radiometer/4711/state") == b"online")
@@ -147,11 +139,7 @@ async def test_the_last_will_of_an_earlier_daemon_comes_late(
     await eventually(lambda: broker.retained["radiometer/4711/state"] == b"offline")
 
 
-async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(
-    station: Station,
-    published: tuple[Broker, MqttPublisher],
-    eventually: Eventually,
-) -> None:
+async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(station, published, eventually):
     """Connected is not enough: what waits, and what was dropped for want of room, is in the alarm."""
     broker, publisher = published
     publisher.acknowledged_within_s = 0.3
@@ -159,7 +147,7 @@ async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(
     broker.deaf = True
     await station.acquisition.measure()
 
-    def message() -> Any:
+    def message():
         return next((alarm.message for alarm in station.alarms.active if alarm.name == "mqtt"), "")
 
     await eventually(lambda: "has not acknowledged" in message())
@@ -172,9 +160,7 @@ async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(
     await eventually(lambda: not message())
 
 
-async def test_another_daemon_of_the_same_instrument_is_an_alarm(
-    station: Station, published: tuple[Broker, MqttPublisher], eventually: Eventually
-) -> None:
+async def test_another_daemon_of_the_same_instrument_is_an_alarm(station, published, eventually):
     """Each says who it is; the readings of two would be mixed under one topic. What it says itself is no other one."""
     broker, publisher = published
     await eventually(lambda: [payload for topic, payload in broker.published if topic.endswith("/daemon")])

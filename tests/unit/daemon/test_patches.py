@@ -1,29 +1,30 @@
-"""Patches with names: measured in every period, limited without flapping, drawn with their gaps."""
+"""Patches with names: measured in every period, limited without flapping, drawn with their gaps, and logged."""
 
-from __future__ import annotations
-
+import datetime as dt
 import json
+import logging
 import math
+import sqlite3
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
-import aiohttp
+import numpy as np
 import pytest
+import structlog
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+import radiometer as rm
+from radiometer.cli.main import run
 from radiometer.daemon.http.patches import trend_columns
-from radiometer.daemon.http.server import HttpServer
-from radiometer.daemon.instrument import Measurement
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.mqtt import topic_level
 from radiometer.daemon.patches import NamedPatch, PatchLimits, PatchWatch, check_name
+from radiometer.daemon.serving import LogThrottle
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import iso_time, microseconds
-from radiometer.data import Flag, Patch, Quantity, Reading
+from radiometer.data import Flag, Patch, Quantity
 from radiometer.errors import UsageError
 
 Eventually = Callable[..., Awaitable[None]]
@@ -31,9 +32,7 @@ LAMP = Patch(5, 6, 7, 8)  # the fake instrument's radiance is 1 + x
 START_US = microseconds("2026-06-01T00:00:00Z")
 
 
-async def test_a_patch_with_a_name_is_measured_next_to_the_shared_one(
-    station: Station, client: Any, eventually: Eventually
-) -> None:
+async def test_a_patch_with_a_name_is_measured_next_to_the_shared_one(station, client, eventually):
     """Each period gives one reading of each; FETC? and FETC:PATC? keep them apart, and so do stream and figures."""
     listener = station.hub.subscribe()
     await client.send('SENS:PATC:DEF "lamp",5,6,7,8;:TRIG:TIM 0.02')
@@ -53,7 +52,7 @@ async def test_a_patch_with_a_name_is_measured_next_to_the_shared_one(
     assert b'radiometer_radiance{unit="W sr-1 m-2"} 17.0' in station.metrics.render()
 
 
-async def test_a_client_that_stops_measuring_silences_no_limit(station: Station) -> None:
+async def test_a_client_that_stops_measuring_silences_no_limit(station):
     """With limits it is an alarm until measuring goes on or the limits go; the journal keeps every change."""
     station.set_every(5.0)
     station.set_every(None)
@@ -73,7 +72,7 @@ async def test_a_client_that_stops_measuring_silences_no_limit(station: Station)
     assert [alarm.name for alarm in station.alarms.active] == []
 
 
-async def test_patches_and_limits_outlive_a_restart(instrument: Any, tmp_path: Path, eventually: Eventually) -> None:
+async def test_patches_and_limits_outlive_a_restart(instrument, tmp_path, eventually):
     """They are kept in the journal; a deleted one is not."""
     for turn in range(2):
         station = Station(instrument, Journal(tmp_path / "j.sqlite"))
@@ -98,8 +97,8 @@ async def test_patches_and_limits_outlive_a_restart(instrument: Any, tmp_path: P
 )  # fmt: skip
 @pytest.mark.parametrize("name", ["main", "lamp"])
 async def test_limits_that_no_measurement_watches_are_an_alarm_of_any_daemon(
-    name: str, before_s: float | None, after_s: float | None, alarmed: bool, instrument: Any, tmp_path: Path
-) -> None:
+    name, before_s, after_s, alarmed, instrument, tmp_path
+):
     """They belong to the period at which they were set, or the first one after it, in whatever daemon; health says so.
 
     To set them again changes nothing; to take them off and set them anew takes the period in force.
@@ -126,7 +125,7 @@ async def test_limits_that_no_measurement_watches_are_an_alarm_of_any_daemon(
 
 
 @pytest.mark.parametrize("name", ["main", "lamp"])
-async def test_new_limits_are_compared_at_once(station: Station, eventually: Eventually, name: str) -> None:
+async def test_new_limits_are_compared_at_once(station, eventually, name):
     """With the longest period too the patch is measured next, not in a day."""
     station.set_every(86_400.0)
     await eventually(lambda: station.shown.latest)
@@ -138,9 +137,7 @@ async def test_new_limits_are_compared_at_once(station: Station, eventually: Eve
     assert station.troubles() == []
 
 
-async def test_a_limit_is_compared_with_its_own_unit_only(
-    instrument: Any, tmp_path: Path, eventually: Eventually, make_reading: Callable[..., Reading]
-) -> None:
+async def test_a_limit_is_compared_with_its_own_unit_only(instrument, tmp_path, eventually, make_reading):
     """A daemon that measures relative numbers alarms that limits in W·sr⁻¹·m⁻² are not compared, as does `breach`."""
     station = Station(instrument, Journal(tmp_path / "j.sqlite"))
     await station.start()
@@ -166,19 +163,17 @@ async def test_a_limit_is_compared_with_its_own_unit_only(
             assert limits.breach(reading, standing=False) == limits.breach(reading, standing=True) == "unseen"
 
 
-def _in_unit(measurement: Measurement, unit: str) -> Measurement:
+def _in_unit(measurement, unit):
     reading = measurement.reading
     return replace(measurement, reading=replace(reading, radiance=replace(reading.radiance, unit=unit)))
 
 
 @pytest.mark.parametrize("patch", [None, LAMP])
-async def test_a_patch_that_is_saturated_everywhere_is_an_alarm(
-    station: Station, instrument: Any, eventually: Eventually, patch: Patch | None
-) -> None:
+async def test_a_patch_that_is_saturated_everywhere_is_an_alarm(station, instrument, eventually, patch):
     """What every frame clips is a lower bound, not measured; the alarm ends with the first reading that is none."""
     whole, clipped = instrument.measure, [True]
 
-    def measure(settings: Any) -> Measurement:
+    def measure(settings):
         found = whole(settings)
         flags = (Flag.SATURATED,) if clipped[0] and settings.patch == patch else ()
         return replace(found, reading=replace(found.reading, flags=flags))
@@ -193,9 +188,7 @@ async def test_a_patch_that_is_saturated_everywhere_is_an_alarm(
     await eventually(lambda: station.troubles() == [])
 
 
-async def test_a_limit_alarms_on_every_interface(
-    station: Station, client: Any, instrument: Any, eventually: Eventually
-) -> None:
+async def test_a_limit_alarms_on_every_interface(station, client, instrument, eventually):
     """Two readings beyond it: alarm, error queue, Prometheus and state; back inside: all clear."""
     await client.send('TRIG:TIM 0.01;:SENS:PATC:LIM "main",NONE,16.5')
     await eventually(lambda: [alarm.name for alarm in station.alarms.active] == ["limit main"])
@@ -209,11 +202,11 @@ async def test_a_limit_alarms_on_every_interface(
     assert b'radiometer_limit_alarm{patch="main"} 0.0' in station.metrics.render()
 
 
-def test_an_alarm_does_not_flap(make_reading: Callable[..., Reading]) -> None:
+def test_an_alarm_does_not_flap(make_reading):
     """Noise about the limit puts it up once; it goes only where two readings are inside by the hysteresis."""
     watch = PatchWatch(PatchLimits(high=1.0, hysteresis_rel=0.05))
 
-    def course(*values: float) -> list[str]:
+    def course(*values):
         changes = []
         for value in values:
             if watch.take(make_reading(radiance=Quantity(value, 0.01, "W sr-1 m-2"))):
@@ -230,7 +223,7 @@ def test_an_alarm_does_not_flap(make_reading: Callable[..., Reading]) -> None:
     assert course(-0.85, -0.85) == ["well"]
 
 
-def test_a_saturated_reading_ends_no_alarm_and_raises_one(make_reading: Callable[..., Reading]) -> None:
+def test_a_saturated_reading_ends_no_alarm_and_raises_one(make_reading):
     """A lamp above its limit that saturates an exposure fixed meanwhile stays above; unseen from the start is one."""
     bright = make_reading(radiance=Quantity(1.5, 0.01, "W sr-1 m-2"))
     bound = make_reading(radiance=Quantity(0.15, 0.3, "W sr-1 m-2"), flags=(Flag.SATURATED,))
@@ -256,23 +249,21 @@ def test_a_saturated_reading_ends_no_alarm_and_raises_one(make_reading: Callable
         (Flag.BELOW_NOISE, 0.5, "low"),
     ],
 )
-def test_a_bound_breaks_only_the_limit_it_is_beyond(
-    make_reading: Callable[..., Reading], flag: Flag, value: float, breach: str
-) -> None:
+def test_a_bound_breaks_only_the_limit_it_is_beyond(make_reading, flag, value, breach):
     """A saturated value is at least so large, one below the noise at most: neither shows that it is within."""
     reading = make_reading(radiance=Quantity(value, 0.1, "W sr-1 m-2"), flags=(flag,))
     assert PatchLimits(1.0, 2.0).breach(reading, standing=False) == breach
 
 
 @pytest.mark.parametrize("name", ["", "main", "MAIN", " lamp", "a/b", "lämp", "x" * 33, "a\nb", '"'])
-def test_names_that_lead_astray_are_refused(name: str) -> None:
+def test_names_that_lead_astray_are_refused(name):
     """Nothing that a path, a topic or a line of SCPI could stumble over."""
     with pytest.raises(UsageError):
         check_name(name)
 
 
 @pytest.mark.parametrize(("low", "high"), [(2.0, 2.0), (3.0, 2.0), (math.nan, None), (None, math.inf)])
-def test_limits_that_nothing_can_keep_are_refused(low: float | None, high: float | None) -> None:
+def test_limits_that_nothing_can_keep_are_refused(low, high):
     """A radiance cannot lie above 2 and below 2, nor be held against no number; the hysteresis is half at most."""
     with pytest.raises(UsageError):
         PatchLimits(low, high)
@@ -281,23 +272,21 @@ def test_limits_that_nothing_can_keep_are_refused(low: float | None, high: float
         PatchLimits(1.0, 2.0, 0.51)
 
 
-def test_a_name_may_have_what_no_interface_stumbles_over() -> None:
+def test_a_name_may_have_what_no_interface_stumbles_over():
     """32 letters, digits and a few signs between them: each such name comes back as it is."""
     for name in ("x" * 32, "a", "mains", "Lamp 1.b_c-d+e"):
         assert check_name(name) == name
 
 
 @pytest.mark.parametrize("limits", [PatchLimits(), PatchLimits(low=-1.0), PatchLimits(0.5, 2.5, 0.125)])
-def test_a_kept_patch_is_read_as_it_was_written(limits: PatchLimits) -> None:
+def test_a_kept_patch_is_read_as_it_was_written(limits):
     """Place, size and limits come back from the line each in its own place."""
     named = NamedPatch("lamp", Patch(1, 2, 3, 4), limits)
     assert NamedPatch.from_json("lamp", named.to_json()) == named
 
 
 @pytest.mark.parametrize(("value", "text"), [(3.0, "above its high limit 2"), (0.5, "below its low limit 1")])
-def test_an_alarm_names_the_limit_that_was_passed(
-    make_reading: Callable[..., Reading], value: float, text: str
-) -> None:
+def test_an_alarm_names_the_limit_that_was_passed(make_reading, value, text):
     """The side and the number are those of the limit broken, not of the other one."""
     watch = PatchWatch(PatchLimits(1.0, 2.0))
     for _ in range(2):
@@ -310,7 +299,7 @@ def test_an_alarm_names_the_limit_that_was_passed(
     assert not watch.take(watch.latest), "what was reported before the limits were set counts no longer"
 
 
-async def test_wrong_patches_are_refused(station: Station) -> None:
+async def test_wrong_patches_are_refused(station):
     """Outside the picture, too many, unknown, upside down: each with its reason, and nothing is changed."""
     for number in range(12):
         station.patches.define(f"p{number}", LAMP)
@@ -328,7 +317,7 @@ async def test_wrong_patches_are_refused(station: Station) -> None:
     assert len(station.acquisition.named) == 12
 
 
-def _journal_of_a_day(path: Path, make_reading: Callable[..., Reading]) -> None:
+def _journal_of_a_day(path, make_reading):
     """Two readings a minute for a day, with 38 minutes missing, rising by one an hour."""
     times = [START_US + k * 30_000_000 for k in range(2880) if not 600 * 2 <= k < 638 * 2]
     with Journal(path) as journal:
@@ -343,7 +332,7 @@ def _journal_of_a_day(path: Path, make_reading: Callable[..., Reading]) -> None:
         )
 
 
-def test_a_day_is_drawn_with_its_gap(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+def test_a_day_is_drawn_with_its_gap(tmp_path, make_reading):
     """True times and means, no other client's readings, and 38 missing minutes are a row of nulls."""
     _journal_of_a_day(tmp_path / "j.sqlite", make_reading)
     points = JournalReader(tmp_path / "j.sqlite").trend("", START_US, START_US + 86_400_000_000, 480)
@@ -360,7 +349,7 @@ def test_a_day_is_drawn_with_its_gap(tmp_path: Path, make_reading: Callable[...,
     assert max(value for value in values if value) < 26
 
 
-def test_an_hour_is_drawn_from_the_readings(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+def test_an_hour_is_drawn_from_the_readings(tmp_path, make_reading):
     """Up to two hours each reading counts; the gap is found there too."""
     _journal_of_a_day(tmp_path / "j.sqlite", make_reading)
     since_us = START_US + 560 * 60_000_000
@@ -374,9 +363,7 @@ def test_an_hour_is_drawn_from_the_readings(tmp_path: Path, make_reading: Callab
     "other", [{"patch": Patch(0, 0, 11, 10)}, {"instrument": "4712"}, {"patch": Patch(1, 0, 10, 10)}]
 )
 @pytest.mark.parametrize("minutes", [90, 24 * 60])
-def test_a_trend_does_not_mix_places(
-    tmp_path: Path, make_reading: Callable[..., Reading], other: dict[str, Any], minutes: int
-) -> None:
+def test_a_trend_does_not_mix_places(tmp_path, make_reading, other, minutes):
     """A patch that was moved, or read by another camera: no mean holds both, and no line joins them."""
     readings = []
     for k in range(60):
@@ -394,7 +381,7 @@ def test_a_trend_does_not_mix_places(
     assert values.count(None) == 1
 
 
-def test_a_slow_period_is_no_gap() -> None:
+def test_a_slow_period_is_no_gap():
     """Readings asked for every ten minutes stand ten minutes apart."""
     points = [TrendPoint(START_US + k * 600_000_000, 1.0, 0.1, 1.0, 1.0, 1, 0, "u") for k in (0, 1, 2)]
     assert None not in trend_columns(points, 600.0)["value"]
@@ -404,7 +391,7 @@ def test_a_slow_period_is_no_gap() -> None:
 @pytest.mark.parametrize(
     ("usual_s", "every_s", "longest_s"), [(0.02, None, 3.0), (0.02, 0.02, 3.0), (10.0, None, 30.0), (2.0, 60.0, 180.0)]
 )
-def test_readings_are_missing_after_three_periods(usual_s: float, every_s: float | None, longest_s: float) -> None:
+def test_readings_are_missing_after_three_periods(usual_s, every_s, longest_s):
     """Of those asked for, or of those that there were where these are longer, and never within 3 s."""
     for pause_s, gaps in ((0.98 * longest_s, 0), (1.02 * longest_s, 1)):
         times = [0.0, usual_s, 2.0 * usual_s, 2.0 * usual_s + pause_s]
@@ -412,55 +399,43 @@ def test_readings_are_missing_after_three_periods(usual_s: float, every_s: float
         assert trend_columns(points, every_s)["value"].count(None) == gaps
 
 
-async def test_http_serves_patches_trends_and_remarks(station: Station, eventually: Eventually) -> None:
+async def test_http_serves_patches_trends_and_remarks(http, station, eventually):
     """Define, limit, measure, draw, remark, delete: each by its route, each refused with its reason where wrong."""
-    server = HttpServer(station)
-    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
-    async with aiohttp.ClientSession() as session:
 
-        async def post(path: str, body: dict[str, Any]) -> tuple[int, Any]:
-            async with session.post(base + path, json=body) as reply:
-                return reply.status, await reply.json()
+    async def post(path, body):
+        reply = await http.post(path, json=body)
+        return reply.status, reply.json()
 
-        place = {"x": 5, "y": 6, "width": 7, "height": 8}
-        status, state = await post("/patches", {"name": "lamp", "patch": place, "limits": {"low": 1, "high": 20}})
-        assert (status, state["patches"]["lamp"]["limits"]["high"], state["patches"]["lamp"]["patch"]) == (
-            200,
-            20,
-            place,
-        )
-        assert (await post("/patches", {"name": "../x", "patch": place}))[0] == 400
-        assert (await post("/patches", {"name": "lamp", "limits": {"low": 3, "high": 2}}))[0] == 400
-        station.set_every(0.02)
-        await eventually(lambda: station.patches.watches["lamp"].latest)
-        async with session.get(f"{base}/trend", params={"stream": "patch lamp", "since": "10min"}) as reply:
-            trend = await reply.json()
-        assert (trend["unit"], trend["value"][0]) == ("W sr-1 m-2", 6.0)
-        for wrong in ("stream=own2", "stream=all", "points=1", "since=1h&until=2h"):
-            async with session.get(f"{base}/trend?{wrong}") as reply:
-                assert reply.status == 400
-        assert (await post("/events", {"message": "lamp  exchanged\n"}))[1]["message"] == "lamp exchanged"
-        assert (await post("/events", {"message": " "}))[0] == 400
-
-        async def messages() -> list[str]:
-            async with session.get(f"{base}/events?since=1h") as reply:
-                return [event["message"] for event in await reply.json()]
-
-        async with session.get(f"{base}/events?limit=0") as reply:
-            assert reply.status == 400
-        while "lamp exchanged" not in await messages():
-            pass
-        assert (await post("/patches/delete", {"name": "lamp"}))[0] == 200
-        assert (await post("/patches/delete", {"name": "lamp"}))[0] == 400
-        assert b'patch="lamp",unit' not in station.metrics.render()
-    await server.close()
+    place = {"x": 5, "y": 6, "width": 7, "height": 8}
+    status, state = await post("/patches", {"name": "lamp", "patch": place, "limits": {"low": 1, "high": 20}})
+    lamp = state["patches"]["lamp"]
+    assert (status, lamp["limits"]["high"], lamp["patch"]) == (200, 20, place)
+    assert (await post("/patches", {"name": "../x", "patch": place}))[0] == 400
+    assert (await post("/patches", {"name": "lamp", "limits": {"low": 3, "high": 2}}))[0] == 400
+    station.set_every(0.02)
+    await eventually(lambda: station.patches.watches["lamp"].latest)
+    trend = (await http.get("/trend", params={"stream": "patch lamp", "since": "10min"})).json()
+    assert (trend["unit"], trend["value"][0]) == ("W sr-1 m-2", 6.0)
+    for wrong in (
+        "trend?stream=own2",
+        "trend?stream=all",
+        "trend?points=1",
+        "trend?since=1h&until=2h",
+        "events?limit=0",
+    ):
+        assert (await http.get(f"/{wrong}")).status == 400
+    assert (await post("/events", {"message": "lamp  exchanged\n"}))[1]["message"] == "lamp exchanged"
+    assert (await post("/events", {"message": " "}))[0] == 400
+    while "lamp exchanged" not in [event["message"] for event in (await http.get("/events?since=1h")).json()]:
+        pass
+    assert (await post("/patches/delete", {"name": "lamp"}))[0] == 200
+    assert (await post("/patches/delete", {"name": "lamp"}))[0] == 400
+    assert b'patch="lamp",unit' not in station.metrics.render()
 
 
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(limit=st.floats(-10.0, 10.0), share=st.floats(0.01, 0.5), away=st.floats(-0.9, 0.9), standing=st.booleans())
-def test_a_low_limit_is_the_mirror_of_a_high_one(
-    make_reading: Callable[..., Reading], limit: float, share: float, away: float, standing: bool
-) -> None:
+def test_a_low_limit_is_the_mirror_of_a_high_one(make_reading, limit, share, away, standing):
     """Of any sign; one that is broken counts as broken until it is left by the hysteresis, a share of its size."""
     value = limit + away * abs(limit)
     outside = away > (-share if standing else 0.0)
@@ -473,9 +448,188 @@ def test_a_low_limit_is_the_mirror_of_a_high_one(
 
 
 @given(names=st.lists(st.text(" ._-+aB1", min_size=1, max_size=8), min_size=2, unique=True))
-def test_no_two_patches_share_a_topic(names: list[str]) -> None:
+def test_no_two_patches_share_a_topic(names):
     """Each name is one level of its own, without wildcards; a plain name stays as it is."""
     levels = [topic_level(name) for name in names]
     assert len(set(levels)) == len(names)
     assert not any(sign in level for level in levels for sign in "+#/ ")
     assert topic_level("lamp_1.b-c") == "lamp_1.b-c"
+
+
+# The log of a journal that holds readings of several places: each has its own mean, and its own line in a picture.
+
+
+@pytest.fixture
+def journal(tmp_path, make_reading):
+    """Return a journal of a wall at 0.30 and, read once in between, a lamp at 0.90."""
+    places = [(0.300, Patch(1, 2, 3, 4)), (0.90, Patch(50, 60, 7, 8)), (0.303, Patch(1, 2, 3, 4))]
+    with Journal(tmp_path / "j.sqlite") as written:
+        for value, patch in places:
+            written.append([make_reading(radiance=Quantity(value, 0.003, "W sr-1 m-2"), patch=patch)])
+    return tmp_path / "j.sqlite"
+
+
+def test_readings_of_another_place_do_not_count_in_a_mean(journal, capsys, monkeypatch):
+    """The wall's standard deviation is 0.0021 (0.7 %), not the 69 % of all three; the lamp has its own line."""
+    monkeypatch.setenv("COLUMNS", "160")
+    assert run(["log", str(journal)]) == 0
+    *table, wall, lamp = capsys.readouterr().out.splitlines()
+    assert [("1,2 3" in line, "50,60" in line) for line in table[2:]] == [(True, False), (False, True), (True, False)]
+    assert wall.startswith("patch 1,2 3 × 4: 2 readings")
+    assert wall.endswith("mean 0.3015, standard deviation 0.0021 W·sr⁻¹·m⁻² (0.7 %)")
+    assert lamp.startswith("patch 50,60 7 × 8: 1 readings")
+
+
+def test_each_place_is_a_line_of_its_own_in_the_picture(journal, tmp_path):
+    """Two lines with a name each; a name without a picture's ending is refused."""
+    lines = rm.log(journal).plot().get_lines()
+    assert [line.get_label() for line in lines] == ["patch 1,2 3 × 4", "patch 50,60 7 × 8"]
+    rm.log(journal).write_plot(tmp_path / "log.png")
+    assert (tmp_path / "log.png").stat().st_size > 1000
+    with pytest.raises(rm.UsageError, match=r"one of \.png"):
+        rm.log(journal).write_plot(tmp_path / "log.txt")
+
+
+def hours(make_reading, *minutes, **how):
+    """Return readings of 0.3 W·sr⁻¹·m⁻² at minutes of one day."""
+    start = dt.datetime(2026, 11, 20, 8, tzinfo=dt.UTC)
+    times = [(start + dt.timedelta(minutes=m)).isoformat(timespec="milliseconds") for m in minutes]
+    return [make_reading(radiance=Quantity(0.3, 0.004, "W sr-1 m-2"), time=at, **how) for at in times]
+
+
+def test_a_line_and_its_band_end_where_the_readings_pause(tmp_path, make_reading):
+    """A reading a minute, an hour without, one alone, an hour, and more: two pieces and a dot, nothing between."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, 2, 3, 4, 63, 123, 124, 129, 130))
+    axes = rm.log(tmp_path / "j.sqlite").plot()
+    line, dot = axes.get_lines()
+    assert [int(np.isnan(v)) for v in line.get_ydata()] == [0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0]
+    assert (list(dot.get_ydata()), dot.get_linestyle()) == ([0.3], "None")
+    (band,) = axes.collections
+    assert len(band.get_paths()) >= 2
+
+
+@pytest.mark.parametrize(
+    ("limits", "drawn", "legend"),
+    [
+        (PatchLimits(0.29, 0.31), [0.29, 0.31], "lamp (limits 0.29 to 0.31)"),
+        (PatchLimits(high=0.305), [0.305], "lamp (limits none to 0.305)"),
+        (PatchLimits(low=0.0), [], "lamp (limits 0 to none)"),
+        (PatchLimits(low=9.0), [9.0], "lamp (limits 9 to none)"),
+        (PatchLimits(high=0.01), [0.01], "lamp (limits none to 0.01)"),
+        (PatchLimits(high=0.305, unit="relative"), [], "lamp"),
+        (PatchLimits(), [], "lamp"),
+    ],
+)
+def test_limits_are_in_the_picture_where_they_are_near_and_named_always(tmp_path, make_reading, limits, drawn, legend):
+    """Those of a patch with a name and of its unit; one far from its readings only where the newest is beyond it."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, 2, name="lamp"))
+        written.keep_patch("lamp", NamedPatch("lamp", Patch(1, 2, 3, 4), limits).to_json())
+    axes = rm.log(tmp_path / "j.sqlite").plot()
+    line, *dashed = axes.get_lines()
+    bottom, top = axes.get_ylim()
+    assert line.get_label() == legend
+    assert [bound for one in dashed if bottom < (bound := one.get_ydata()[0]) < top] == drawn
+
+
+def test_limits_far_from_their_readings_are_drawn_where_another_patch_is_there(tmp_path, make_reading):
+    """A patch that reads nothing widens the picture to 0: the low limit of the bright one lies in it."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, 2, name="lamp"))
+        dark = hours(make_reading, 3, 4, name="dark")
+        written.append([replace(one, radiance=Quantity(0.0, 0.004, "W sr-1 m-2")) for one in dark])
+        written.keep_patch("lamp", NamedPatch("lamp", Patch(1, 2, 3, 4), PatchLimits(low=0.1)).to_json())
+    axes = rm.log(tmp_path / "j.sqlite").plot()
+    bottom, top = axes.get_ylim()
+    assert bottom < 0.1 < top
+    assert [0.1, 0.1] in [list(line.get_ydata()) for line in axes.get_lines()]
+
+
+def test_limits_of_the_patch_for_all_are_of_where_it_is_now(tmp_path, make_reading):
+    """It was moved, and a client measured for itself since; neither has limits."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, patch=Patch(1, 2, 3, 4)))
+        written.append(hours(make_reading, 2, 3, patch=Patch(50, 60, 7, 8)))
+        written.append(hours(make_reading, 4, 5, patch=Patch(9, 9, 9, 9), session="web"))
+        written.keep_patch("main", NamedPatch("main", Patch(0, 0, 0, 0), PatchLimits(high=0.31)).to_json())
+        written.keep_patch("damaged", "{")
+    labels = [line.get_label() for line in rm.log(tmp_path / "j.sqlite").plot().get_lines()]
+    assert [label for label in labels if "limits" in label] == ["patch 50,60 7 × 8 (limits none to 0.31)"]
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_dates_units_and_numbers_stay_whole_in_80_columns(tmp_path, make_reading, capsys, monkeypatch, mixed):
+    """Places and flags are folded; unit and k are in the heading, or columns where readings differ in them."""
+    monkeypatch.setenv("COLUMNS", "80")
+    lux = Quantity(103.2, 0.9, "cd m-2")
+    many = {"luminance": lux, "flags": (Flag.FLICKER, Flag.SATURATED)}
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(hours(make_reading, 0, 1, name="lamp", **many))
+        written.append(hours(make_reading, 2, patch=Patch(800, 600, 120, 120), **many))
+        if mixed:
+            written.append([make_reading(radiance=Quantity(2.0, 0.1, "relative"), coverage_factor=2.87)])
+    assert run(["log", str(tmp_path / "j.sqlite")]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("2026-11-20 08:0") == 3
+    for whole in (
+        "W·sr⁻¹·m⁻²",
+        "0.3000",
+        "103.2 ± 1.8",
+        "relative" if mixed else "k = 2",
+        "2.87" if mixed else "0.0080",
+    ):
+        assert whole in printed
+    if not mixed:
+        assert max(map(len, printed.splitlines()[:-2])) <= 80
+
+
+@pytest.mark.parametrize("library", [False, True])
+def test_a_flood_is_ten_lines_a_minute_and_a_count(library):
+    """61 000 equal lines in a minute become 20 and a count; each different line is written."""
+    now = [0.0]
+    throttle = LogThrottle(clock=lambda: now[0])
+    lines: list[str] = []
+
+    def say(text):
+        if library:
+            record = logging.LogRecord("asyncio", logging.WARNING, "", 0, text, None, None)
+            lines.extend([record.getMessage()] if throttle.filter(record) else [])
+        else:
+            try:
+                lines.append(str(throttle(None, "warning", {"event": text})))
+            except structlog.DropEvent:
+                return
+
+    for second in range(61):
+        now[0] = float(second)
+        for _ in range(1000):
+            say("client refused")
+        say(f"alarm {second}")
+    assert sum("client refused" in line for line in lines) == 20
+    assert sum("59990" in line for line in lines) == 1
+    assert sum("alarm" in line for line in lines) == 61
+
+
+def test_an_installed_throttle_bounds_what_is_written(capsys):
+    """Of a hundred equal events ten lines reach standard error; what differs does too."""
+    before = structlog.get_config()["processors"]
+    try:
+        LogThrottle().install()
+        for _ in range(100):
+            structlog.get_logger().warning("refused")
+        structlog.get_logger().warning("another")
+        assert len(capsys.readouterr().err.splitlines()) == 11
+    finally:
+        structlog.configure(processors=before)
+
+
+@pytest.mark.parametrize("damage", ["{", "[" * 100_000, '{"time": "2026"}', b"\x00"])
+def test_a_damaged_row_is_left_out_and_counted(journal, capsys, damage):
+    """The other readings are shown."""
+    with sqlite3.connect(journal) as connection:
+        connection.execute("UPDATE readings SET json = ? WHERE sequence = 2", (damage,))
+    assert run(["log", str(journal)]) == 0
+    printed = capsys.readouterr()
+    assert "1 rows of the journal are damaged" in printed.err
+    assert "patch 1,2 3 × 4: 2 readings" in printed.out

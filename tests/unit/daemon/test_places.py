@@ -1,19 +1,14 @@
 """Slow, idle and noisy clients lock no client out."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Any
 
-import aiohttp
 import pytest
 
-from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.places import Places
-from radiometer.daemon.station import Station
+from testing.fake_station import HttpClient
 from testing.patience import within
 
 Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
@@ -39,7 +34,7 @@ def _made(limit: int, now: list[float]) -> Places[str]:
     return Places(limit, patience_s=1.0, idle_s=2.0, clock=lambda: now[0])
 
 
-def test_the_silent_go_first_then_the_longest_idle() -> None:
+def test_the_silent_go_first_then_the_longest_idle():
     """A stranger after its patience, then the known one that has been idle longest; the busy stay."""
     now = [0.0]
     places = _made(4, now)
@@ -67,7 +62,7 @@ def test_the_silent_go_first_then_the_longest_idle() -> None:
     assert places.make_room("127.0.0.1") is None
 
 
-def test_a_crowd_of_silent_ones_makes_room_at_once() -> None:
+def test_a_crowd_of_silent_ones_makes_room_at_once():
     """So many at a time are no accident: their patience is not waited for."""
     now = [0.0]
     places = _made(16, now)
@@ -77,7 +72,7 @@ def test_a_crowd_of_silent_ones_makes_room_at_once() -> None:
     assert places.make_room("127.0.0.1") == "0"
 
 
-def test_one_address_beyond_loopback_has_a_quarter() -> None:
+def test_one_address_beyond_loopback_has_a_quarter():
     """Others find room; loopback is one address for all of this machine and has no such limit."""
     now = [0.0]
     places = _made(8, now)
@@ -95,26 +90,20 @@ def test_one_address_beyond_loopback_has_a_quarter() -> None:
     assert places.make_room("10.0.0.1") is None
 
 
-async def test_half_open_connections_lock_no_client_out_of_http(station: Station, opened: Any) -> None:
+async def test_half_open_connections_lock_no_client_out_of_http(http, opened):
     """140 sockets that never finish their request: the next client is served at once."""
-    server = HttpServer(station)
-    port = await server.listen("127.0.0.1", 0)
     for _ in range(140):
-        _, writer = await opened(port)
+        _, writer = await opened(http.port)
         writer.write(b"GET /status HTTP/1.1\r\nHost: local")
-    async with aiohttp.ClientSession() as session, asyncio.timeout(within(20)):
-        for _ in range(3):
-            async with session.get(f"http://127.0.0.1:{port}/status") as reply:
-                assert reply.status == 200
-    await server.close()
+    async with asyncio.timeout(within(20)):
+        assert [(await http.get("/status")).status for _ in range(3)] == [200] * 3
 
 
-async def test_a_request_head_has_a_deadline(station: Station, opened: Any) -> None:
+async def test_a_request_head_has_a_deadline(serve, opened):
     """A connection that sends its head drop by drop is ended; one that has made a request may stay."""
-    server = HttpServer(station, limits=Limits(head_s=within(0.3)))
-    port = await server.listen("127.0.0.1", 0)
-    reader, writer = await opened(port)
-    good_reader, good = await opened(port)
+    http = await serve(limits=Limits(head_s=within(0.3)))
+    reader, writer = await opened(http.port)
+    good_reader, good = await opened(http.port)
     writer.write(b"GET /status HT")
     good.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
     async with asyncio.timeout(within(20)):
@@ -124,41 +113,30 @@ async def test_a_request_head_has_a_deadline(station: Station, opened: Any) -> N
     good.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
     async with asyncio.timeout(within(20)):
         await good_reader.readuntil(b"HTTP/1.1 200")
-    await server.close()
 
 
-async def test_a_noisy_connection_does_not_take_the_others_rate(station: Station) -> None:
+async def test_a_noisy_connection_does_not_take_the_others_rate(serve):
     """One client runs into its rate; another one of the same address is served all the time."""
-    server = HttpServer(station, limits=Limits(http_requests_per_s=20.0))
-    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
-    async with aiohttp.ClientSession() as noisy, aiohttp.ClientSession() as calm:
+    noisy = await serve(limits=Limits(http_requests_per_s=20.0))
+    calm = HttpClient(noisy.port)
 
-        async def statuses(session: aiohttp.ClientSession, count: int) -> list[int]:
-            found = []
-            for _ in range(count):
-                async with session.get(f"{base}/healthz") as reply:
-                    found.append(reply.status)
-            return found
+    async def statuses(client, count):
+        return [(await client.get("/healthz")).status for _ in range(count)]
 
+    async with calm.session:
         assert 429 in await statuses(noisy, 400)
         assert await statuses(calm, 5) == [200] * 5
         assert 429 in await statuses(noisy, 100)
-    await server.close()
 
 
 @pytest.mark.slow
-async def test_noisy_new_connections_wait_and_others_get_their_turn(station: Station) -> None:
+async def test_noisy_new_connections_wait_and_others_get_their_turn(serve):
     """A client that opens a connection per request is slowed down, not given an allowance each time."""
-    server = HttpServer(station, limits=Limits(http_requests_per_s=20.0))
-    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    http = await serve(limits=Limits(http_requests_per_s=20.0))
     begun = asyncio.get_running_loop().time()
-
-    async def one() -> int:
-        async with aiohttp.ClientSession() as session, session.get(f"{base}/healthz") as reply:
-            return reply.status
-
     async with asyncio.timeout(within(30)):
-        found = [await one() for _ in range(40)]
-    assert found == [200] * 40
+        for _ in range(40):
+            client = HttpClient(http.port)
+            async with client.session:
+                assert (await client.get("/healthz")).status == 200
     assert asyncio.get_running_loop().time() - begun > 0.9  # 20 at once, 20 more at 20 per second
-    await server.close()

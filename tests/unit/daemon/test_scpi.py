@@ -1,15 +1,11 @@
 """The SCPI server: parsing, errors, status, and every example of the manual."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket
 import sqlite3
 import threading
 from collections.abc import Awaitable, Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,7 +13,6 @@ from radiometer.daemon.limits import Limits
 from radiometer.daemon.scpi.document import manual
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.scpi.table import command_table
-from radiometer.daemon.station import Station
 from radiometer.errors import OutputError
 
 Eventually = Callable[..., Awaitable[None]]
@@ -25,7 +20,7 @@ TABLE = command_table()
 
 
 @pytest.mark.parametrize("command", TABLE.commands, ids=lambda command: command.pattern)
-async def test_the_example_of_every_command_runs(client: Any, command: Any) -> None:
+async def test_the_example_of_every_command_runs(client, command):
     """Each example gives as many replies as it has queries and leaves no error."""
     queries = command.example.count("?")
     if queries:
@@ -38,19 +33,19 @@ async def test_the_example_of_every_command_runs(client: Any, command: Any) -> N
 
 
 @pytest.mark.parametrize("command", TABLE.commands, ids=lambda command: command.pattern)
-def test_every_spelling_is_understood(command: Any) -> None:
+def test_every_spelling_is_understood(command):
     """Short and long forms of every node, in small letters too, are all found."""
     for spelling in command.spellings():
         for header in (spelling.replace("<n>", "2"), spelling.replace("<n>", "").lower()):
             assert TABLE.find(header, "")[0] is command
 
 
-def test_the_manual_is_up_to_date(project_root: Path) -> None:
+def test_the_manual_is_up_to_date(project_root):
     """docs/reference/scpi.md is what the command table says."""
     assert (project_root / "docs/reference/scpi.md").read_text(encoding="utf-8") == manual()
 
 
-def test_no_default_limit_differs_from_the_manual() -> None:
+def test_no_default_limit_differs_from_the_manual():
     """The limits that the manual states are those in force."""
     limits = Limits()
     assert (limits.scpi_connections, limits.line_bytes, limits.messages_per_s, limits.stuck_s) == (
@@ -61,13 +56,13 @@ def test_no_default_limit_differs_from_the_manual() -> None:
     )
 
 
-async def test_value_and_uncertainty_come_together(client: Any) -> None:
+async def test_value_and_uncertainty_come_together(client):
     """MEAS:RAD? replies value,u; UNC? of the same message is that u."""
     value, u, again = (await client.ask("MEAS:RAD? 5,6,7,8;:FETC:UNC?")).replace(";", ",").split(",")
     assert (float(value), float(u), float(again)) == (6.0, 0.01, 0.01)
 
 
-async def test_a_patch_is_given_shared_or_the_middle(client: Any, instrument: Any) -> None:
+async def test_a_patch_is_given_shared_or_the_middle(client, instrument):
     """Four numbers are this measurement's own, CENT is the middle, none is the shared patch."""
     await client.send("SENS:PATC 7,8,9,10")
     for arguments, x in ((" 5,6,7,8", 5), ("", 7), (" CENT", 16)):
@@ -75,19 +70,19 @@ async def test_a_patch_is_given_shared_or_the_middle(client: Any, instrument: An
     assert await client.ask("SENS:PATC?") == "7,8,9,10"
 
 
-async def test_compounds_follow_the_path_of_the_header_before(client: Any) -> None:
+async def test_compounds_follow_the_path_of_the_header_before(client):
     """A header without leading colon continues in the subsystem; common commands do not change it."""
     assert await client.ask("SENS:GAIN 6;*OPC?;GAIN?;EXP:AUTO?;AUTO?;:SYST:VERS?") == "1;6.000000000E+00;1;1;1999.0"
 
 
-async def test_what_precedes_an_error_is_executed_and_what_follows_is_not(client: Any) -> None:
+async def test_what_precedes_an_error_is_executed_and_what_follows_is_not(client):
     """A command error throws the rest of the message away; an execution error does not."""
     assert await client.ask("SENS:GAIN 3;GAIN?;NONSENSE;GAIN 9") == "3.000000000E+00"
     assert await client.ask(":SENS:GAIN?") == "3.000000000E+00"
     assert await client.ask("SENS:GAIN 99;GAIN 12;GAIN?") == "1.200000000E+01"
 
 
-async def test_init_overlaps_and_opc_reports_when_it_is_over(client: Any, instrument: Any) -> None:
+async def test_init_overlaps_and_opc_reports_when_it_is_over(client, instrument):
     """INIT returns at once, a second one is ignored (-213), *OPC? waits, FETC? replies."""
     instrument.let_go = threading.Event()
     await client.send("INIT;INIT")
@@ -99,7 +94,7 @@ async def test_init_overlaps_and_opc_reports_when_it_is_over(client: Any, instru
     assert len((await client.ask("FETC?")).split(",")) == 2
 
 
-async def test_opc_sets_its_bit_and_esr_clears_itself(client: Any) -> None:
+async def test_opc_sets_its_bit_and_esr_clears_itself(client):
     """*OPC sets bit 0 when nothing is pending; reading the register clears it."""
     await client.send("*ESR?;*OPC")
     await client.reader.readline()
@@ -107,15 +102,13 @@ async def test_opc_sets_its_bit_and_esr_clears_itself(client: Any) -> None:
     assert await client.ask("*ESR?") == "0"
 
 
-async def test_status_byte_sums_up_errors_and_events(client: Any) -> None:
+async def test_status_byte_sums_up_errors_and_events(client):
     """An error sets bit 2, through *ESE bit 5, through *SRE bit 6."""
     await client.send("*ESE 32;*SRE 32;NO:SUCH")
     assert int(await client.ask("*STB?")) == 4 + 32 + 64
 
 
-async def test_a_lost_camera_reaches_the_error_queue_and_the_status(
-    connect: Any, instrument: Any, eventually: Eventually, station: Station
-) -> None:
+async def test_a_lost_camera_reaches_the_error_queue_and_the_status(connect, instrument, eventually, station):
     """Every client finds -240 and the questionable bit."""
     clients = [await connect() for _ in range(3)]
     for one in clients:
@@ -129,7 +122,7 @@ async def test_a_lost_camera_reaches_the_error_queue_and_the_status(
         assert (await one.ask("SYST:ERR?")).startswith("-240")
 
 
-async def test_the_json_of_a_reading_is_the_documented_line(client: Any, station: Station) -> None:
+async def test_the_json_of_a_reading_is_the_documented_line(client, station):
     """FETC:JSON? is the journal's line in a block."""
     reply = await client.ask("READ?;:FETC:JSON?")
     line = reply[reply.index("{") :]
@@ -137,7 +130,7 @@ async def test_the_json_of_a_reading_is_the_documented_line(client: Any, station
     assert json.loads(line) == station.shown.latest.to_mapping()
 
 
-async def test_light_levels_are_set_by_number(client: Any, box: Any) -> None:
+async def test_light_levels_are_set_by_number(client, box):
     """SOUR:LED2 is the second channel; a fraction may be given in per cent."""
     assert float(await client.ask("SOUR:LED2:LEV 50 PCT;LEV?")) == 0.5
     assert float(await client.ask("SOUR:LED:LEV?")) == 0.0
@@ -147,7 +140,7 @@ async def test_light_levels_are_set_by_number(client: Any, box: Any) -> None:
     assert box.levels == {"white": 0.0, "red": 0.0}
 
 
-async def test_settings_are_shared_and_status_is_not(connect: Any) -> None:
+async def test_settings_are_shared_and_status_is_not(connect):
     """One client's gain is the other's; its errors are its own."""
     one, other = await connect(), await connect()
     await one.send("NONSENSE")
@@ -157,7 +150,7 @@ async def test_settings_are_shared_and_status_is_not(connect: Any) -> None:
 
 
 @pytest.mark.slow
-async def test_a_blocked_journal_is_a_mass_storage_error(client: Any, station: Station, eventually: Eventually) -> None:
+async def test_a_blocked_journal_is_a_mass_storage_error(client, station, eventually):
     """A reading that cannot be committed is not shown: -250 in its stead."""
     station.acquisition.journal_patience_s = 0.2
     other = sqlite3.connect(station.journal_path, isolation_level=None)
@@ -173,7 +166,7 @@ async def test_a_blocked_journal_is_a_mass_storage_error(client: Any, station: S
     other.close()
 
 
-async def test_self_test_counts_faults(client: Any, instrument: Any) -> None:
+async def test_self_test_counts_faults(client, instrument):
     """0 is passed; a fault is counted and queued."""
     assert await client.ask("*TST?") == "0"
     instrument.failing = True
@@ -181,7 +174,7 @@ async def test_self_test_counts_faults(client: Any, instrument: Any) -> None:
     assert "dark level" in await client.ask("SYST:ERR?")
 
 
-async def test_a_client_that_takes_no_replies_is_dropped(station: Station, eventually: Eventually) -> None:
+async def test_a_client_that_takes_no_replies_is_dropped(station, eventually):
     """Replies that are not read stop the execution, then end the connection; memory stays bounded."""
     server = ScpiServer(station, limits=Limits(stuck_s=0.3, reply_bytes_waiting=10_000))
     port = await server.listen_tcp("127.0.0.1", 0)
@@ -194,7 +187,7 @@ async def test_a_client_that_takes_no_replies_is_dropped(station: Station, event
     await server.close()
 
 
-async def test_what_another_program_uses_is_never_removed(station: Station, tmp_path: Path) -> None:
+async def test_what_another_program_uses_is_never_removed(station, tmp_path):
     """A socket that is listened on and a file stay at the start; at the end, what another put in our place stays."""
     file, busy, ours = tmp_path / "file", tmp_path / "busy.sock", tmp_path / "ours.sock"
     file.write_text("precious")

@@ -1,7 +1,5 @@
 """One SCPI connection on a socket that is none, in virtual time: framing, patience, rates, order, and who must go."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import tracemalloc

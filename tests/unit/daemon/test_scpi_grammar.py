@@ -1,13 +1,14 @@
-"""The grammar of messages, numbers, units, registers and replies, without a socket."""
-
-from __future__ import annotations
+"""The grammar of SCPI messages, status registers, and what one session sees of the instrument; without a socket."""
 
 import asyncio
+import itertools
 import math
+import struct
+from collections.abc import Coroutine
 from dataclasses import replace
-from decimal import Decimal
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -16,15 +17,15 @@ from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.limits import TokenBucket
 from radiometer.daemon.scpi import formats
-from radiometer.daemon.scpi.errors import ScpiError, scpi_error
+from radiometer.daemon.scpi.errors import MESSAGES, ScpiError, scpi_error
 from radiometer.daemon.scpi.formats import reading_elements
 from radiometer.daemon.scpi.lexer import Argument, Kind, split_message
 from radiometer.daemon.scpi.measure_commands import ELEMENTS
 from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, Text
 from radiometer.daemon.scpi.session import Session
-from radiometer.daemon.scpi.status import QUEUE_LENGTH, Status
+from radiometer.daemon.scpi.status import QUEUE_LENGTH, Register, Status
 from radiometer.daemon.scpi.table import command_table
-from radiometer.data import Flag, Patch, Quantity, Reading
+from radiometer.data import Flag, Patch, Quantity, Reading, ResponseCurve
 from radiometer.errors import (
     CalibrationError,
     DeviceLost,
@@ -63,7 +64,7 @@ def number(unit: str = "", limits: ParameterLimits = WIDE, **more: Any) -> Numbe
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_suffixes_multiply_by_what_the_standard_says(unit: str) -> None:
+def test_suffixes_multiply_by_what_the_standard_says(unit):
     """Each suffix, in any case, with and without blanks; no other is taken."""
     for suffix, by in UNITS[unit].items():
         for written in (f"2.5{suffix}", f"2.5 {suffix.lower()}"):
@@ -76,7 +77,7 @@ def test_suffixes_multiply_by_what_the_standard_says(unit: str) -> None:
 
 @settings(max_examples=150)
 @given(NUMBERS, st.sampled_from(["{}", "+{}", "{}e0", "{} E +1", "{}E-2"]))
-def test_every_decimal_number_is_read_as_it_is_written(value: Decimal, form: str) -> None:
+def test_every_decimal_number_is_read_as_it_is_written(value, form):
     """<NRf>: sign, point and exponent, with blanks about the E."""
     text = form.format(abs(value) if form.startswith("+") else value)
     scale = {"{} E +1": 10.0, "{}E-2": 0.01}.get(form, 1.0)
@@ -86,7 +87,7 @@ def test_every_decimal_number_is_read_as_it_is_written(value: Decimal, form: str
 
 @settings(max_examples=60)
 @given(st.integers(0, 2**31))
-def test_hexadecimal_octal_and_binary_are_whole_numbers(value: int) -> None:
+def test_hexadecimal_octal_and_binary_are_whole_numbers(value):
     """#H, #Q and #B of the same number."""
     found = [
         read(number(fraction="rounded"), f"#{mark}{value:{form}}")
@@ -97,7 +98,7 @@ def test_hexadecimal_octal_and_binary_are_whole_numbers(value: int) -> None:
 
 @settings(max_examples=60)
 @given(st.floats(-1e3, 1e3), st.floats(0.001, 1e3), st.floats(-2e3, 3e3))
-def test_limits_hold_on_both_sides(low: float, span: float, value: float) -> None:
+def test_limits_hold_on_both_sides(low, span, value):
     """Inside is taken, outside refused (−222); MIN, MAX and DEF are the limits and the default."""
     low, high = abs(low), abs(low) + span
     bounded = number(limits=ParameterLimits(low, high, low))
@@ -110,7 +111,7 @@ def test_limits_hold_on_both_sides(low: float, span: float, value: float) -> Non
     assert [read(bounded, word) for word in ("MIN", "maximum", "Def")] == [low, high, low]
 
 
-def test_words_choices_texts_and_switches() -> None:
+def test_words_choices_texts_and_switches():
     """Short and long forms are taken and nothing between; 0 is off, all else on; quotes are doubled."""
     also = number(also=("NONE", "CENTer"))
     assert [read(also, word) for word in ("none", "CENT", "center")] == ["NONE", "CENTer", "CENTer"]
@@ -137,7 +138,7 @@ def test_words_choices_texts_and_switches() -> None:
 
 @settings(max_examples=80)
 @given(units, st.sampled_from([";", " ; ", ";\t"]))
-def test_a_message_comes_apart_as_it_was_put_together(parts: list[tuple[str, bool, int]], between: str) -> None:
+def test_a_message_comes_apart_as_it_was_put_together(parts, between):
     """Headers, question marks and arguments of every unit, in order."""
     texts = [header + "?" * query + (" " + ",".join("123"[:count]) if count else "") for header, query, count in parts]
     units, error = split_message(between.join(texts))
@@ -150,7 +151,7 @@ def test_a_message_comes_apart_as_it_was_put_together(parts: list[tuple[str, boo
 
 @settings(max_examples=60)
 @given(st.text(st.characters(max_codepoint=255), max_size=30))
-def test_a_block_and_a_string_hold_any_text(content: str) -> None:
+def test_a_block_and_a_string_hold_any_text(content):
     """#<digits><length><bytes>, #0 to the end, and quotes give back what was put in."""
     length = str(len(content))
     ((one, two), error) = split_message(f"A #{len(length)}{length}{content};B 1")
@@ -163,7 +164,7 @@ def test_a_block_and_a_string_hold_any_text(content: str) -> None:
     assert formats.block(content.encode("latin-1")) == f"#{len(length)}{length}{content}"
 
 
-def test_the_error_queue_keeps_the_oldest() -> None:
+def test_the_error_queue_keeps_the_oldest():
     """First in, first out; of too many the last says so; each sets the event bit of its hundred."""
     status = Status()
     assert status.take_event_status() == 128
@@ -179,7 +180,7 @@ def test_the_error_queue_keeps_the_oldest() -> None:
     assert [int(entry.split(",")[0]) for entry in entries] == [-113] * 31 + [-350]
 
 
-def test_our_errors_have_the_standard_s_numbers() -> None:
+def test_our_errors_have_the_standard_s_numbers():
     """Each kind of error by its number; what no one foresaw is −310."""
     expected = {
         SettingOutOfRange("camera", "gain", 1.0, 0.0, 0.5, "dB"): -222,
@@ -202,12 +203,12 @@ def test_our_errors_have_the_standard_s_numbers() -> None:
     [(0.1, "1.000000000E-01"), (-1234.5678901, "-1.234567890E+03"), (math.nan, "9.91E+37"), (math.inf, "9.9E+37"),
      (-math.inf, "-9.9E+37"), (0.0, "0.000000000E+00")],
 )  # fmt: skip
-def test_numbers_are_written_as_the_standard_says(value: float, text: str) -> None:
+def test_numbers_are_written_as_the_standard_says(value, text):
     """<NR3> with ten digits; not a number and infinity as SCPI-99, 7.2.1.5, has them."""
     assert formats.number(value) == text
 
 
-def test_the_elements_of_a_reading_come_in_the_order_asked_for() -> None:
+def test_the_elements_of_a_reading_come_in_the_order_asked_for():
     """Value, u, time, number and flags of radiance or luminance; what is not there is not a number."""
     reading = Reading(
         Quantity(2.0, 0.25, "W sr-1 m-2"), Patch(0, 0, 1, 1), "1", Quantity(300.0, 4.0, "cd m-2"),
@@ -230,7 +231,7 @@ class Clock:
 
 @settings(max_examples=60)
 @given(st.floats(1.0, 1000.0), st.lists(st.floats(0.0, 0.5), min_size=1, max_size=40))
-def test_no_more_than_rate_and_burst_is_let_through(per_s: float, pauses: list[float]) -> None:
+def test_no_more_than_rate_and_burst_is_let_through(per_s, pauses):
     """In any time at most a burst of one second and the rate; whoever waits as reported is let through next."""
     clock = Clock()
     bucket, taken, start = TokenBucket(per_s, clock), int(per_s), clock.now_s
@@ -275,9 +276,8 @@ SETTINGS = [
 
 
 @pytest.mark.parametrize(("message", "name", "value"), SETTINGS, ids=[entry[0] for entry in SETTINGS])
-async def test_a_setting_is_that_of_the_next_measurement(station: Any, message: str, name: str, value: Any) -> None:
+async def test_a_setting_is_that_of_the_next_measurement(session, station, message, name, value):
     """In s, dB, pixels and nm; the query gives it back."""
-    session = Session(station, TABLE)
     assert session.execute(message) is None
     assert session.status.error_count == 0
     found = getattr(station.settings, name)
@@ -292,10 +292,9 @@ async def test_a_setting_is_that_of_the_next_measurement(station: Any, message: 
     ("query", "low", "high", "default"),
     [("SENS:EXP?", 1e-5, 30.0, 0.01), ("SENS:GAIN?", 0.0, 48.0, 0.0), ("SENS:CORR:WAV?", 300.0, 1200.0, 550.0)],
 )
-async def test_limits_are_the_camera_s(station: Any, query: str, low: float, high: float, default: float) -> None:
+async def test_limits_are_the_camera_s(session, query, low, high, default):
     """MIN, MAX and DEF of what the camera can do."""
-    session = Session(station, TABLE)
-    found = [float(session.execute(f"{query} {word}")) for word in ("MIN", "MAX", "DEF")]  # type: ignore[arg-type]
+    found = [float(session.execute(f"{query} {word}")) for word in ("MIN", "MAX", "DEF")]
     if "WAV" in query:
         assert found[0] < 400.0 < 700.0 < found[1]
         assert found[2] == default
@@ -305,9 +304,8 @@ async def test_limits_are_the_camera_s(station: Any, query: str, low: float, hig
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mask=st.integers(0, 255))
-async def test_masks_are_given_back(station: Any, mask: int) -> None:
+async def test_masks_are_given_back(session, mask):
     """*ESE and the enable registers whole, *SRE without its own bit 6."""
-    session = Session(station, TABLE)
     assert session.execute(f"*ESE {mask};*ESE?") == str(mask)
     assert session.execute(f"*SRE {mask};*SRE?") == str(mask & ~64)
     for name in ("OPER", "QUES"):
@@ -335,9 +333,8 @@ def test_what_stands_before_a_mistake_is_still_there():
 _NOT_RESET = ("*", "STATus", "INITiate", "TRIGger", "SOURce", "OUTPut", "SENSe:PATCh:LIMits")
 
 
-async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) -> None:
+async def test_reset_gives_back_every_setting_that_can_be_asked(session):
     """Each setting is changed; after *RST every query answers as it did at the start."""
-    session = Session(station, TABLE)
     both = [c for c in TABLE.commands if c.do and c.ask and not c.pattern.startswith(_NOT_RESET)]
     queries = [c.spellings()[-1].replace("<n>", "1") + "?" for c in both]
     at_start, changed = [session.execute(query) for query in queries], set()
@@ -383,11 +380,8 @@ _PLACES_BETWEEN_PIXELS = ("1.5,2,3,4", "1,1.5,3,4", "1,2,1.5,4", "1,2,3,15E-1", 
         ("FETC?", -230, "READ? makes one"),
     ],
 )  # fmt: skip
-async def test_what_is_wrong_is_named_by_the_standard_s_number(
-    station: Any, message: str, number: int, text: str
-) -> None:
+async def test_what_is_wrong_is_named_by_the_standard_s_number(session, message, number, text):
     """SCPI-99, 21.8: separators, missing and unknown parameters, a suffix of a header beyond the channels, no data."""
-    session = Session(station, TABLE)
     reply = session.execute(message)
     assert (await reply if asyncio.iscoroutine(reply) else reply) is None
     entry = session.status.next_error()
@@ -395,36 +389,346 @@ async def test_what_is_wrong_is_named_by_the_standard_s_number(
     assert session.status.error_count == 0
 
 
-@pytest.fixture
-def reading(make_reading):
-    """Two frames that disagree: one degree of freedom, k = 13.97."""
-    return replace(
-        make_reading(),
-        radiance=Quantity(2.0, 0.05, "W sr-1 m-2"),
-        luminance=Quantity(300.0, 9.0, "cd m-2"),
-        coverage_factor=13.97,
-        flags=frozenset({Flag.FLICKER}),
-        sequence=7,
-    )
-
-
-def reply_of(reading, function):
-    return dict(zip(ELEMENTS, reading_elements(reading, function, ELEMENTS).split(","), strict=True))
-
-
-@pytest.mark.parametrize(("function", "value", "u"), [("RADiance", 2.0, 0.05), ("LUMinance", 300.0, 9.0)])
-def test_expanded_is_k_times_u(reading, function, value, u):
-    """Value, u, U and k of the asked quantity, in the order of the list."""
-    elements = reply_of(reading, function)
-    assert float(elements["READing"]) == value
-    assert float(elements["UNCertainty"]) == u
+@pytest.mark.parametrize(
+    ("function", "value", "u"), [("RADiance", 2.0, 0.05), ("LUMinance", 300.0, 9.0), ("LUMinance", math.nan, math.nan)]
+)
+def test_expanded_is_k_times_u(make_reading, function, value, u):
+    """Value, u, U and k of two frames that disagree: k = 13.97; in near-infrared no number for luminance."""
+    luminance = None if math.isnan(value) else Quantity(300.0, 9.0, "cd m-2")
+    reading = make_reading(
+        radiance=Quantity(2.0, 0.05, "W sr-1 m-2"), luminance=luminance, coverage_factor=13.97,
+        flags=frozenset({Flag.FLICKER}), sequence=7,
+    )  # fmt: skip
+    elements = dict(zip(ELEMENTS, reading_elements(reading, function, ELEMENTS).split(","), strict=True))
+    expected = [9.91e37] * 3 if luminance is None else [value, u, 13.97 * u]
+    assert [float(elements[name]) for name in ("READing", "UNCertainty", "EXPanded")] == pytest.approx(expected)
     assert float(elements["COVerage"]) == 13.97
-    assert float(elements["EXPanded"]) == pytest.approx(13.97 * u)
     assert (elements["SEQuence"], elements["FLAGs"]) == ("7", '"flicker"')
 
 
-def test_what_is_not_known_is_no_number(reading):
-    """Near-infrared has no luminance: SCPI's not-a-number for it, its u and its U."""
-    elements = reply_of(replace(reading, luminance=None), "LUMinance")
-    assert {elements[name] for name in ("READing", "UNCertainty", "EXPanded")} == {"9.91E+37"}
-    assert math.isfinite(float(elements["COVerage"]))
+# Status registers. Golden numbers: IEEE 488.2-1992, 11.2.1 (status byte) and 11.5.1 (standard event status register);
+# SCPI-99, volume 1, figure 9-1, and volume 2, 21.8 (which error sets which event).
+
+
+WORDS = st.integers(0, 0x7FFF)
+OPERATION_COMPLETE, QUERY, DEVICE, EXECUTION, COMMAND, POWER_ON = 1, 4, 8, 16, 32, 128
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "bit"),
+    [(-199, -100, COMMAND), (-299, -200, EXECUTION), (-399, -300, DEVICE), (-499, -400, QUERY)],
+)
+def test_each_hundred_of_errors_sets_its_event(first, last, bit, monkeypatch):
+    """Both ends of a class belong to it, whatever numbers are in use; no error and our own numbers set none."""
+    for number in (first, last, first + 37):
+        monkeypatch.setitem(MESSAGES, number, "any")
+        status = Status()
+        assert status.take_event_status() == POWER_ON
+        status.push(ScpiError(number))
+        assert status.event_status == bit
+        assert ScpiError(number).is_command_error == (bit == COMMAND)
+    for number in (0, -99, -500, 7):
+        monkeypatch.setitem(MESSAGES, number, "any")
+        assert ScpiError(number).event_bit == 0
+        assert not ScpiError(number).is_command_error
+
+
+def test_an_entry_is_one_line_of_ascii_of_255_characters_at_most():
+    """Quotes are doubled, what is no ASCII is a question mark, signs of times and degrees are spelled or left out."""
+    assert ScpiError(-222, 'a "b" 2 × 3 °C\n€').entry == '-222,"Data out of range;a ""b"" 2 x 3 C??"'
+    assert ScpiError(0).entry == '0,"No error"'
+    assert len(ScpiError(-222, "x" * 400).entry) == len('-222,""') + 255
+
+
+@given(st.lists(st.tuples(st.sampled_from(["update", "take", "enable"]), WORDS), max_size=30))
+@settings(max_examples=60, deadline=None, database=None, derandomize=True)
+def test_an_event_is_a_condition_that_rose_since_it_was_read(steps):
+    """Bit by bit, against a set: reading clears events alone, a falling condition clears nothing."""
+    register, condition, event, enable = Register(), set[int](), set[int](), set[int]()
+    for what, word in steps:
+        bits = {bit for bit in range(15) if word >> bit & 1}
+        if what == "update":
+            event |= bits - condition
+            condition = bits
+            register.update(word)
+        elif what == "take":
+            assert register.take_event() == sum(1 << bit for bit in event)
+            event = set()
+        else:
+            enable, register.enable = bits, word
+        assert register.condition == sum(1 << bit for bit in condition)
+        assert register.event == sum(1 << bit for bit in event)
+        assert register.summary is bool(event & enable)
+
+
+@pytest.mark.parametrize("service_enable", [0, 4, 8, 16, 32, 64, 128, 255])
+def test_the_status_byte_sums_up(service_enable):
+    """Bits 2 to 5 and 7 say what is queued, questionable, available, an event, operating; bit 6 any that is enabled."""
+    for queued, questionable, available, event, operation in itertools.product((False, True), repeat=5):
+        status = Status()
+        status.take_event_status()
+        status.service_enable, status.event_enable = service_enable, COMMAND | OPERATION_COMPLETE
+        for register, there in ((status.questionable, questionable), (status.operation, operation)):
+            register.enable = 2
+            register.update(2 if there else 1)
+        if queued:
+            status.push(ScpiError(-222))  # an execution error: an event that is not enabled
+        if event:
+            status.complete()
+        byte = 4 * queued + 8 * questionable + 16 * available + 32 * event + 128 * operation
+        master = 64 * bool(byte & service_enable & ~64)
+        assert status.status_byte(message_available=available) == byte + master
+        assert status.status_byte() == (byte - 16 * available) + 64 * bool(
+            (byte - 16 * available) & service_enable & ~64
+        )
+
+
+def test_clearing_spares_what_is_enabled_and_presetting_what_has_happened():
+    """*CLS empties queue and events, not enables (IEEE 488.2, 10.3); STATus:PRESet the enables of SCPI's part alone."""
+    status = Status()
+    status.event_enable, status.service_enable = 60, 36
+    for register in (status.operation, status.questionable):
+        register.enable = 5
+        register.update(3)
+    status.push(ScpiError(-113))
+    status.preset()
+    assert (status.operation.enable, status.questionable.enable) == (0, 0)
+    assert (status.event_enable, status.service_enable) == (60, 36)
+    assert (status.operation.event, status.questionable.event, status.error_count) == (3, 3, 1)
+    status.operation.enable = 5
+    status.clear()
+    assert (status.operation.event, status.questionable.event, status.event_status, status.error_count) == (0, 0, 0, 0)
+    assert (status.operation.condition, status.operation.enable, status.event_enable) == (3, 5, 60)
+
+
+@pytest.mark.parametrize("message", ["SENS:EXP #\u00b2ab", "SENS:EXP #1\u00b2ab", "SENS:EXP #\u00b912"])
+def test_only_digits_of_ascii_count_a_block(message):
+    """A raised two of Latin-1 is a digit to Python, and no number: the block is refused (-161), nothing breaks."""
+    units, error = split_message(message)
+    assert units == ()
+    assert error is not None
+    assert error.number == -161
+
+
+# What one SCPI session sees of the instrument: whose reading, which bits, in which order; without a socket.
+
+
+CALIBRATION, BOX_LOST, FLAGGED = 1 << 8, 1 << 10, 1 << 11
+
+
+@pytest.fixture
+def session(station):
+    return Session(station, TABLE)
+
+
+async def ask(session, message):
+    """Return the reply to a message, waiting where it has to."""
+    reply = session.execute(message)
+    return await reply if isinstance(reply, Coroutine) else reply
+
+
+async def errors(session):
+    return [entry.partition(",")[0] for entry in (await ask(session, "SYST:ERR:ALL?")).split('",')]
+
+
+async def test_continuous_measurement_is_switched_off_and_keeps_its_period_when_on(session, station):
+    """OFF stops; ON while it runs is no new start with another period."""
+    await ask(session, "TRIG:TIM 0.5;:INIT:CONT ON")
+    assert (float(await ask(session, "TRIG:TIM?")), await ask(session, "INIT:CONT?")) == (0.5, "1")
+    await ask(session, "INIT:CONT OFF")
+    assert (station.acquisition.every_s, await ask(session, "INIT:CONT?")) == (None, "0")
+
+
+async def test_a_reading_of_the_patch_before_is_not_fetched(session):
+    """After another patch was chosen there is none (−230) until it is measured."""
+    assert float((await ask(session, "MEAS:RAD? 5,6,7,8")).split(",")[0]) == 6.0
+    await ask(session, "CONF:RAD 9,6,7,8")
+    assert await ask(session, "FETC?") is None
+    assert await errors(session) == ["-230"]
+    assert float((await ask(session, "READ?")).split(",")[0]) == 10.0
+    await ask(session, "CONF:RAD 5,6,7,8;:CONF:RAD 9,6,7,8")  # there and back again
+    assert await ask(session, "FETC?") is None
+
+
+@pytest.mark.parametrize(
+    ("flags", "bits"),
+    [
+        ((), 0),
+        ((Flag.SATURATED,), FLAGGED),
+        ((Flag.UNCALIBRATED,), CALIBRATION),
+        ((Flag.STALE_CALIBRATION, Flag.FLICKER), CALIBRATION | FLAGGED),
+    ],
+)
+async def test_flags_of_the_latest_reading_are_bits(session, station, instrument, monkeypatch, flags, bits):
+    """What a reading is warned of is questionable: the calibration by one bit, all else by another."""
+    exact = instrument.measure
+
+    def flagged(settings):
+        measurement = exact(settings)
+        return replace(measurement, reading=replace(measurement.reading, flags=flags))
+
+    monkeypatch.setattr(instrument, "measure", flagged)
+    await station.acquisition.measure()
+    found = int(await ask(session, "STAT:QUES:COND?"))
+    assert found & (CALIBRATION | FLAGGED) == bits
+    assert found & BOX_LOST == 0
+
+
+async def test_a_lost_light_box_is_questionable(session, station, box, eventually):
+    """Its bit is up while it is gone, and down when it is back."""
+    box.unplugged = True
+    await eventually(lambda: station.alarms.active)
+    assert int(await ask(session, "STAT:QUES:COND?")) & BOX_LOST
+    box.unplugged = False
+    await eventually(lambda: not station.alarms.active)
+    assert int(await ask(session, "STAT:QUES:COND?")) & BOX_LOST == 0
+
+
+async def test_clearing_takes_errors_and_events_and_leaves_what_is_enabled(session):
+    """*CLS: the queue is empty, *ESR? is 0, *ESE stays."""
+    await ask(session, "*ESE 32;NO:SUCH")
+    await ask(session, "*CLS")
+    assert await ask(session, "SYST:ERR:COUN?;*ESR?;*ESE?") == "0;0;32"
+    assert await errors(session) == ["0"]
+
+
+async def test_pictures_come_in_the_order_of_bytes_that_was_chosen(session):
+    """NORMal is the big end first, as IEEE 488.2 has it, and the state at start; SWAPped the small one."""
+    await ask(session, "READ?")
+    for chosen, form in (("", ">"), ("FORM:BORD SWAP;:", "<"), ("FORM:BORD NORM;:", ">")):
+        block = (await ask(session, f"{chosen}TRAC:DATA? IMAG")).encode("latin-1")
+        assert block[:6] == b"#46144"
+        assert struct.unpack(f"{form}3072H", block[6:]) == tuple(range(3072))
+
+
+async def test_history_runs_forward(session):
+    """The newest comes last, and no more than asked for."""
+    for x in (3, 5, 7):
+        await ask(session, f"SENS:PATC {x},2,4,4;:READ?")
+    for chosen, form in (("", ">"), ("FORM:BORD SWAP;:", "<")):
+        block = (await ask(session, f"{chosen}TRAC:DATA? HIST,2")).encode("latin-1")
+        assert struct.unpack(f"{form}6d", block[4:]) == (2.0, 6.0, 0.01, 3.0, 8.0, 0.01)
+
+
+async def test_the_response_is_a_pair_of_numbers_for_every_code(session, station, monkeypatch):
+    """ln H and its u, code by code, in the order of bytes chosen; −230 where digital numbers are taken as linear."""
+    monkeypatch.setattr(type(station.instrument), "response", None)
+    assert await ask(session, "TRAC:DATA? RESP") is None
+    assert await errors(session) == ["-230"]
+    curve = ResponseCurve(np.linspace(-3.0, 2.0, 256), 0.01 + 1e-4 * np.arange(256.0))
+    monkeypatch.setattr(type(station.instrument), "response", curve)
+    for chosen, form in (("", ">"), ("FORM:BORD SWAP;:", "<")):
+        block = (await ask(session, f"{chosen}TRAC:DATA? RESP")).encode("latin-1")
+        assert block[:6] == b"#44096"
+        values = struct.unpack(f"{form}512d", block[6:])
+        assert values[::2] == pytest.approx(np.linspace(-3.0, 2.0, 256))
+        assert values[1::2] == pytest.approx(0.01 + 1e-4 * np.arange(256.0))
+
+
+async def test_a_measurement_that_fails_in_the_background_is_in_the_error_queue(session, station):
+    """INITiate replies nothing; what it could not measure is reported when it is asked for, once."""
+    station.instrument.failing = True
+    await ask(session, "INIT")
+    await ask(session, "*OPC?")
+    found = await errors(session)
+    assert len(found) == 1
+    assert found[0] != "0"
+    station.instrument.failing = False
+    await ask(session, "INIT")
+    await ask(session, "*OPC?")
+    assert await errors(session) == ["0"]
+
+
+async def test_history_without_a_number_is_the_newest_hundred(session, station, make_reading):
+    """Of 103 readings the numbers 4 to 103."""
+    for committed in [station.writer.submit(make_reading()) for _ in range(103)]:
+        await committed
+    block = (await ask(session, "TRAC:DATA? HIST")).encode("latin-1")
+    values = struct.unpack(">300d", block[2 + int(block[1:2]) :])
+    assert values[::3] == tuple(range(4, 104))
+
+
+async def test_limits_of_a_patch_are_those_that_were_set(session):
+    """Low, high and hysteresis in their order; NONE is no bound; the hysteresis is 1 % unless stated otherwise."""
+    await ask(session, 'SENS:PATC:LIM "main",2,10,5 PCT')
+    assert [float(v) for v in (await ask(session, 'SENS:PATC:LIM? "main"')).split(",")] == [2.0, 10.0, 0.05]
+    await ask(session, 'SENS:PATC:LIM "main",NONE,10')
+    assert (await ask(session, 'SENS:PATC:LIM? "main"')).split(",")[0] == "NONE"
+    assert float((await ask(session, 'SENS:PATC:LIM? "main"')).split(",")[2]) == 0.01
+
+
+@pytest.mark.parametrize(("up", "bit"), [((), 0), (("camera",), 0), (("camera", "journal"), 1 << 12)])
+async def test_a_blocked_journal_is_one_alarm_among_others(session, station, up, bit):
+    """Its bit is up with its own alarm and with no other; bits of devices that are there are down."""
+    for name in up:
+        station.alarms.put_up(name, "something is wrong")
+    assert int(await ask(session, "STAT:QUES:COND?")) & (0b111 << 9 | 1 << 12) == bit
+
+
+async def test_units_and_signs_are_legible_in_ascii(session, station):
+    """An alarm's value keeps its sign and its unit."""
+    station.alarms.put_up("limit light", "0.9 ± 0.1 W·sr⁻¹·m⁻²")
+    assert await ask(session, "SYST:ALAR?") == '"limit light: 0.9 +- 0.1 W sr-1 m-2"'
+
+
+@pytest.mark.parametrize("command", ["ABOR", "*CLS", "*RST"])
+async def test_what_is_aborted_does_not_go_on(session, command):
+    """ABORt, *CLS and *RST end the measurement itself, not only the waiting for it."""
+    task = session.start()
+    await ask(session, command)
+    assert session.pending is None
+    with pytest.raises(asyncio.CancelledError):
+        await task
+
+
+@pytest.mark.parametrize("place", ["60,0,5,5", "0,44,5,5", "0,0,0,5"])
+async def test_a_patch_beyond_the_picture_is_refused_when_it_is_chosen(session, instrument, place):
+    """64 by 48 pixels: a patch over the edge, or of no size, is −222 at once and nothing is measured with it."""
+    await ask(session, f"CONF:RAD {place}")
+    assert await errors(session) == ["-222"]
+    assert session.own_patch is None
+    assert not instrument.measured
+
+
+async def test_full_light_is_one(session, box):
+    """MAX is a level of 1, MIN and DEF darkness; 1.01 is refused by what the command takes."""
+    await ask(session, "SOUR:LED1:LEV MAX;:SOUR:LED2:LEV 0.5")
+    assert box.levels == {"white": 1.0, "red": 0.5}
+    await ask(session, "SOUR:LED1:LEV DEF;:SOUR:LED2:LEV MIN;:SOUR:LED1:LEV 1.01")
+    assert box.levels == {"white": 0.0, "red": 0.0}
+    assert (await ask(session, "SYST:ERR?")).endswith('outside 0 to 1"')
+
+
+@pytest.mark.parametrize("quantity", ["RAD", "LUM"])
+async def test_a_quantity_is_chosen_with_its_patch_or_without(session, quantity):
+    """CONFigure alone takes the patch that is measured for all."""
+    await ask(session, f"CONF:{quantity} 5,6,7,8")
+    await ask(session, f"CONF:{quantity}")
+    assert (session.own_patch, await ask(session, "CONF?")) == (None, f'"{quantity}"')
+    assert await errors(session) == ["0"]
+
+
+async def test_who_waits_for_a_measurement_that_is_given_up_is_reported(session):
+    """READ? ends with −230 when its measurement is aborted, and the session goes on."""
+    waiting = asyncio.ensure_future(ask(session, "READ?"))
+    while session.pending is None:
+        await asyncio.sleep(0)
+    session.abort()
+    assert await waiting is None
+    assert (await ask(session, "SYST:ERR?")).endswith('the measurement was aborted"')
+    assert await errors(session) == ["0"]
+    assert float((await ask(session, "READ?")).split(",")[0]) > 0.0
+
+
+async def test_a_measurement_has_two_minutes(session, station, monkeypatch):
+    """READ? gives it no less and no more: a camera that is silent for longer is a trouble that is reported."""
+    given_s = []
+    measure = station.acquisition.measure
+
+    async def timed(settings, deadline_s, name):
+        given_s.append(deadline_s)
+        return await measure(settings, deadline_s, name)
+
+    monkeypatch.setattr(station.acquisition, "measure", timed)
+    await ask(session, "READ?")
+    assert given_s == [120.0]

@@ -1,7 +1,5 @@
 """Random sequences of SCPI messages: the daemon lives through all of them."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 

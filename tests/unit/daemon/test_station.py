@@ -1,7 +1,5 @@
 """The core measures, commits before it shows, and survives the loss of devices and journal."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import sqlite3
@@ -11,13 +9,10 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
-import aiohttp
 import pytest
 
-from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
@@ -25,7 +20,7 @@ from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.patches import PatchLimits
 from radiometer.daemon.state import identity_mapping
 from radiometer.daemon.station import Station
-from radiometer.data import Flag, Patch, Reading
+from radiometer.data import Flag, Patch
 from radiometer.devices import CameraIdentity
 from radiometer.errors import (
     DeviceError,
@@ -41,14 +36,14 @@ from testing.patience import within
 Eventually = Callable[..., Awaitable[None]]
 
 
-async def test_a_reading_is_in_the_journal_when_it_is_seen(station: Station) -> None:
+async def test_a_reading_is_in_the_journal_when_it_is_seen(station):
     """What `measure` returns can be read from the file at that moment."""
     reading = await station.acquisition.measure()
     assert JournalReader(station.journal_path).lines(ReadingFilter()) == [reading.to_json()]
     assert station.shown.latest == reading
 
 
-async def test_continuous_measurement_keeps_its_period(station: Station, eventually: Eventually) -> None:
+async def test_continuous_measurement_keeps_its_period(station, eventually):
     """One reading at once and one a period: never more, however long the machine lets it wait."""
     begun = time.monotonic()
     station.set_every(0.05)
@@ -56,21 +51,21 @@ async def test_continuous_measurement_keeps_its_period(station: Station, eventua
     assert time.monotonic() - begun > 8.5 * 0.05
 
 
-async def test_on_demand_goes_before_continuous(station: Station, instrument: Any) -> None:
+async def test_on_demand_goes_before_continuous(station, instrument):
     """A request is served although measuring runs as fast as it goes."""
     station.set_every(0.0)
     reading = await station.acquisition.measure(station.configure(patch=Patch(1, 2, 3, 4)), 20.0)
     assert reading.patch == Patch(1, 2, 3, 4)
 
 
-async def test_requests_for_the_same_settings_share_a_measurement(station: Station, instrument: Any) -> None:
+async def test_requests_for_the_same_settings_share_a_measurement(station, instrument):
     """Fifty clients that ask at once cost at most two measurements."""
     readings = await asyncio.gather(*(station.acquisition.measure() for _ in range(50)))
     assert len({reading.sequence for reading in readings}) <= 2
     assert len(instrument.measured) <= 2
 
 
-async def test_settings_out_of_range_are_refused_and_change_nothing(station: Station) -> None:
+async def test_settings_out_of_range_are_refused_and_change_nothing(station):
     """The error names value, limits and unit; the old settings stay."""
     before = station.settings
     with pytest.raises(SettingOutOfRange, match="1e-05 to 30 s"):
@@ -80,9 +75,7 @@ async def test_settings_out_of_range_are_refused_and_change_nothing(station: Sta
     assert station.settings == before
 
 
-async def test_a_lost_camera_is_reported_and_reopened(
-    station: Station, instrument: Any, eventually: Eventually
-) -> None:
+async def test_a_lost_camera_is_reported_and_reopened(station, instrument, eventually):
     """Loss puts the alarm up and fails requests at once; the return clears it, and measuring goes on."""
     station.set_every(0.01)
     await eventually(lambda: station.shown.latest)
@@ -99,9 +92,7 @@ async def test_a_lost_camera_is_reported_and_reopened(
     assert station.camera.losses == 1
 
 
-async def test_a_camera_that_does_not_return_is_reported_before_it_gives_up(
-    station: Station, instrument: Any, eventually: Eventually
-) -> None:
+async def test_a_camera_that_does_not_return_is_reported_before_it_gives_up(station, instrument, eventually):
     """While a call hangs the alarm is up; once answers come in time again it goes, and no loss is counted."""
     instrument.let_go, instrument.late_at = threading.Event(), time.monotonic() + 0.2
     measuring = asyncio.create_task(station.acquisition.measure())
@@ -114,9 +105,7 @@ async def test_a_camera_that_does_not_return_is_reported_before_it_gives_up(
     assert station.camera.losses == 0
 
 
-async def test_a_late_camera_that_turns_out_lost_is_announced_again(
-    station: Station, instrument: Any, eventually: Eventually
-) -> None:
+async def test_a_late_camera_that_turns_out_lost_is_announced_again(station, instrument, eventually):
     """Listeners hear of the delay, then of the loss, as two events."""
     instrument.let_go, instrument.late_at = threading.Event(), time.monotonic() + 0.1
     listener = station.hub.subscribe()
@@ -134,9 +123,7 @@ async def test_a_late_camera_that_turns_out_lost_is_announced_again(
     assert reported == ["overdue", "lost"]
 
 
-async def test_a_camera_that_is_absent_at_start_is_waited_for(
-    instrument: Any, tmp_path: Path, eventually: Eventually
-) -> None:
+async def test_a_camera_that_is_absent_at_start_is_waited_for(instrument, tmp_path, eventually):
     """The daemon comes up without its camera and takes it when it appears."""
     instrument.unplugged = True
     station = Station(instrument, Journal(tmp_path / "j.sqlite"))
@@ -148,9 +135,7 @@ async def test_a_camera_that_is_absent_at_start_is_waited_for(
     await station.stop()
 
 
-async def test_a_light_box_that_comes_back_is_known_to_be_dark(
-    station: Station, box: Any, eventually: Eventually
-) -> None:
+async def test_a_light_box_that_comes_back_is_known_to_be_dark(station, box, eventually):
     """Levels set before the loss are not believed after it; that they ended is an alarm until the channel is set."""
     assert await station.light.set_level("red", 0.5) == 0.5
     box.unplugged = True
@@ -164,7 +149,7 @@ async def test_a_light_box_that_comes_back_is_known_to_be_dark(
     assert not station.alarms.active
 
 
-async def test_failed_measurements_put_an_alarm_up(station: Station, instrument: Any, eventually: Eventually) -> None:
+async def test_failed_measurements_put_an_alarm_up(station, instrument, eventually):
     """A saturated scene is reported; when it is over the alarm goes."""
     instrument.failing = True
     station.set_every(0.01)
@@ -173,7 +158,7 @@ async def test_failed_measurements_put_an_alarm_up(station: Station, instrument:
     await eventually(lambda: not station.alarms.active)
 
 
-async def test_a_listener_that_falls_behind_is_cut_off(station: Station) -> None:
+async def test_a_listener_that_falls_behind_is_cut_off(station):
     """Its queue does not grow; the others go on."""
     slow, quick = station.hub.subscribe(2), station.hub.subscribe(64)
     for _ in range(5):
@@ -183,7 +168,7 @@ async def test_a_listener_that_falls_behind_is_cut_off(station: Station) -> None
     assert not quick.closed
 
 
-async def test_events_are_in_the_journal(station: Station, instrument: Any, eventually: Eventually) -> None:
+async def test_events_are_in_the_journal(station, instrument, eventually):
     """Loss and return of the camera can be read later."""
     instrument.unplugged = True
     await eventually(lambda: station.alarms.active)
@@ -194,9 +179,7 @@ async def test_events_are_in_the_journal(station: Station, instrument: Any, even
     assert [event["kind"] for event in reader.events()] == ["alarm", "cleared"]
 
 
-async def test_ending_continuous_measurement_while_it_fails_ends_nothing_else(
-    station: Station, instrument: Any, eventually: Eventually
-) -> None:
+async def test_ending_continuous_measurement_while_it_fails_ends_nothing_else(station, instrument, eventually):
     """The measurement in hand fails after its period was taken away; the loop that measures goes on."""
     instrument.failing, instrument.let_go = True, threading.Event()
     station.set_every(0.0)
@@ -209,7 +192,7 @@ async def test_ending_continuous_measurement_while_it_fails_ends_nothing_else(
     assert (await station.acquisition.measure(deadline_s=within(20.0))).sequence == 1
 
 
-async def test_what_is_counted_of_measurements(station: Station, instrument: Any) -> None:
+async def test_what_is_counted_of_measurements(station, instrument):
     """Three readings are three committed and three measured, each with its time; a failure is one, and no reading."""
     instrument.measure_s = 0.01
     for _ in range(3):
@@ -227,14 +210,14 @@ async def test_what_is_counted_of_measurements(station: Station, instrument: Any
     assert measuring >= 3 * 0.01
 
 
-def test_a_hexadecimal_serial_number_is_reported_in_decimal_too() -> None:
+def test_a_hexadecimal_serial_number_is_reported_in_decimal_too():
     """The state, and with it the page, shows the number as USB reports it and as its label has it."""
     blackfly = identity_mapping(CameraIdentity("FLIR", "BFS-U3-19S4M", "0138C343", "id"))
     assert (blackfly["serial"], blackfly["serial_also"]) == ("0138C343", "20497219")
     assert identity_mapping(CameraIdentity("FLIR", "BFS", "20497219", "id"))["serial_also"] == ""
 
 
-async def test_another_period_clears_no_alarm_and_its_end_does(station: Station) -> None:
+async def test_another_period_clears_no_alarm_and_its_end_does(station):
     """What is wrong with measuring is no better for being asked less often; where nothing is asked it is over."""
     station.alarms.put_up("measurement", "every pixel is saturated")
     station.set_every(3600.0)
@@ -243,9 +226,7 @@ async def test_another_period_clears_no_alarm_and_its_end_does(station: Station)
     assert station.alarms.active == ()
 
 
-async def test_nobody_waits_long_for_a_journal_that_is_known_to_be_blocked(
-    station: Station, eventually: Eventually
-) -> None:
+async def test_nobody_waits_long_for_a_journal_that_is_known_to_be_blocked(station, eventually):
     """The journal's patience at most instead of two minutes, and the error names the journal's trouble."""
     assert station.acquisition.journal_patience_s == 5.0
     station.acquisition.journal_patience_s = 0.3
@@ -261,9 +242,7 @@ async def test_nobody_waits_long_for_a_journal_that_is_known_to_be_blocked(
     other.close()
 
 
-async def test_no_kind_of_measurement_waits_for_more_than_two_of_the_others(
-    station: Station, instrument: Any, eventually: Eventually
-) -> None:
+async def test_no_kind_of_measurement_waits_for_more_than_two_of_the_others(station, instrument, eventually):
     """Clients that ask without end for patches of their own, and patches with names, leave the shared one its turn."""
     shared, named = Patch(16, 12, 32, 24), {f"p{k}": Patch(k, 0, 2, 2) for k in range(3)}
     station.configure(patch=shared)
@@ -297,8 +276,8 @@ async def test_no_kind_of_measurement_waits_for_more_than_two_of_the_others(
     "error", [DeviceLost("gone"), DeviceTimeout("late"), DeviceError("exposure of 0 s"), KeyError(1)]
 )
 async def test_a_camera_that_fails_at_every_measurement_is_an_alarm_until_a_reading_comes(
-    station: Station, instrument: Any, eventually: Eventually, error: Exception
-) -> None:
+    station, instrument, eventually, error
+):
     """However it fails, and however often its port opens again: never "ready", one alarm, a handful of events."""
     measure = instrument.measure
     failures = 0
@@ -352,7 +331,7 @@ CHANGES: dict[str, tuple[Callable[[Station], Any], Callable[[dict[str, Any]], An
 
 
 @pytest.mark.parametrize("what", CHANGES)
-async def test_every_change_is_reported_once_with_the_state_after_it(station: Station, what: str) -> None:
+async def test_every_change_is_reported_once_with_the_state_after_it(station, what):
     """Each listener within the program is called, and each subscriber has one line of the new state."""
     change, look, expected = CHANGES[what]
     station.patches.define("old", LAMP)
@@ -367,7 +346,7 @@ async def test_every_change_is_reported_once_with_the_state_after_it(station: St
     assert look(station.status()) == expected
 
 
-async def test_light_that_is_set_is_reported(station: Station) -> None:
+async def test_light_that_is_set_is_reported(station):
     """The new level is in the state that the subscriber gets."""
     subscription = station.hub.subscribe()
     assert await station.light.set_level("red", 0.25) == 0.25
@@ -380,9 +359,7 @@ async def test_light_that_is_set_is_reported(station: Station) -> None:
     ("field", "low", "high", "further"),
     [("gain_db", 0.0, 48.0, {}), ("exposure_s", 1e-5, 30.0, {"auto_exposure": False})],
 )
-async def test_what_is_at_a_limit_is_allowed_and_what_is_beyond_is_not(
-    station: Station, field: str, low: float, high: float, further: dict[str, Any]
-) -> None:
+async def test_what_is_at_a_limit_is_allowed_and_what_is_beyond_is_not(station, field, low, high, further):
     """Both ends of a range belong to it; an exposure is looked at only where the daemon does not choose it."""
     for value in (low, high):
         assert getattr(station.configure(**further, **{field: value}), field) == value
@@ -393,7 +370,7 @@ async def test_what_is_at_a_limit_is_allowed_and_what_is_beyond_is_not(
         assert station.configure(exposure_s=2 * high, auto_exposure=True).auto_exposure
 
 
-async def test_levels_are_0_to_1(station: Station, box: Any) -> None:
+async def test_levels_are_0_to_1(station, box):
     """Full and dark are levels; what is beyond is refused before it reaches the box."""
     assert [await station.light.set_level("red", level) for level in (1.0, 0.0)] == [1.0, 0.0]
     for level in (-0.01, 1.01):
@@ -402,7 +379,7 @@ async def test_levels_are_0_to_1(station: Station, box: Any) -> None:
     assert box.levels["red"] == 0.0
 
 
-async def test_settings_as_at_first_forget_a_reading_of_another_patch_only(station: Station) -> None:
+async def test_settings_as_at_first_forget_a_reading_of_another_patch_only(station):
     """A reset that measures the same keeps what was measured; one that moves the patch has no reading yet."""
     station.configure(gain_db=6.0)
     reading = await station.acquisition.measure()
@@ -415,7 +392,7 @@ async def test_settings_as_at_first_forget_a_reading_of_another_patch_only(stati
     assert (station.shown.latest, station.shown.line, station.shown.measurement) == (None, "", None)
 
 
-async def test_without_a_box_no_light_is_believed(instrument: Any, tmp_path: Any) -> None:
+async def test_without_a_box_no_light_is_believed(instrument, tmp_path):
     """A station that has none says so, of one channel and of all, and shows none in its state."""
     alone = Station(instrument, Journal(tmp_path / "journal.sqlite"))
     for call in (alone.light.set_level("red", 0.0), alone.light.off()):
@@ -430,7 +407,7 @@ async def test_without_a_box_no_light_is_believed(instrument: Any, tmp_path: Any
         alone.configure(gain_db=1.0)
 
 
-async def test_gauges_show_the_devices_as_they_are(station: Station, instrument: Any) -> None:
+async def test_gauges_show_the_devices_as_they_are(station, instrument):
     """Up, how often lost, how warm, how many alarms: as the camera and its keeper say."""
     station.camera.losses = 3
     station.alarms.put_up("lens", "dusty")
@@ -449,7 +426,7 @@ async def test_gauges_show_the_devices_as_they_are(station: Station, instrument:
 ALL_X, OTHER_X = 7, 20  # the fake instrument's radiance is 1 + x
 
 
-async def test_another_clients_patch_is_never_fetched(connect: Any, station: Station, instrument: Any) -> None:
+async def test_another_clients_patch_is_never_fetched(connect, station, instrument):
     """B measures a patch of its own all the time; A polls and sees the shared patch only, whoever goes first."""
     a, b = await connect(), await connect()
     await a.send(f"SENS:PATC {ALL_X},1,2,3;:TRIG:TIM 0")
@@ -461,7 +438,7 @@ async def test_another_clients_patch_is_never_fetched(connect: Any, station: Sta
         assert float((await b.ask("FETC:RAD?")).split(",")[0]) == 1.0 + OTHER_X
 
 
-async def test_a_one_off_enters_no_shared_interface(station: Station, connect: Any, eventually: Eventually) -> None:
+async def test_a_one_off_enters_no_shared_interface(station, connect, eventually):
     """Stream, latest value, picture, figures and history of all stay those of the shared patch."""
     listener = station.hub.subscribe()
     await station.acquisition.measure(station.configure(patch=Patch(ALL_X, 1, 2, 3)))
@@ -481,36 +458,26 @@ async def test_a_one_off_enters_no_shared_interface(station: Station, connect: A
     assert struct.unpack(">3d", history[4:28].encode("latin-1")) == (1.0, 1.0 + ALL_X, 0.01)
 
 
-async def test_a_one_off_stays_out_of_history_and_stream_of_http(station: Station) -> None:
+async def test_a_one_off_stays_out_of_history_and_stream_of_http(http, station):
     """GET /readings and the stream's replay leave it out unless asked for; the journal says whose it is."""
-    server = HttpServer(station)
-    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
-    async with aiohttp.ClientSession() as session:
-        await station.acquisition.measure()
-        body = {"patch": {"x": OTHER_X, "y": 1, "width": 2, "height": 3}}
-        async with session.post(f"{base}/measure", json=body) as reply:
-            own = await reply.json()
-        await station.acquisition.measure()
+    await station.acquisition.measure()
+    body = {"patch": {"x": OTHER_X, "y": 1, "width": 2, "height": 3}}
+    own = (await http.post("/measure", json=body)).json()
+    await station.acquisition.measure()
 
-        async def numbers(query: str) -> list[int]:
-            async with session.get(f"{base}/readings{query}") as reply:
-                return [reading["sequence"] for reading in await reply.json()]
+    async def numbers(query):
+        return [reading["sequence"] for reading in (await http.get(f"/readings{query}")).json()]
 
-        assert (await numbers(""), await numbers("?stream=own"), await numbers("?stream=all")) == (
-            [1, 3],
-            [2],
-            [1, 2, 3],
-        )
-        async with session.get(f"{base}/readings?stream=mine") as reply:
-            assert reply.status == 400
-        async with session.get(f"{base}/readings/stream?after=0&format=jsonl") as reply:
-            replayed = [json.loads(await reply.content.readline())["sequence"] for _ in range(2)]
+    assert (await numbers(""), await numbers("?stream=own")) == ([1, 3], [2])
+    assert await numbers("?stream=all") == [1, 2, 3]
+    assert (await http.get("/readings?stream=mine")).status == 400
+    async with http.session.get("/readings/stream?after=0&format=jsonl") as reply:
+        replayed = [json.loads(await reply.content.readline())["sequence"] for _ in range(2)]
     assert replayed == [1, 3]
     assert own["session"].startswith("http-")
-    await server.close()
 
 
-async def test_two_that_ask_for_one_patch_share_the_measurement(station: Station, instrument: Any) -> None:
+async def test_two_that_ask_for_one_patch_share_the_measurement(station, instrument):
     """The reading names both, and no third one."""
     expected = station.settings.__class__(patch=Patch(OTHER_X, 1, 2, 3))
     first, second = await asyncio.gather(
@@ -519,7 +486,7 @@ async def test_two_that_ask_for_one_patch_share_the_measurement(station: Station
     assert (first, first.session, len(instrument.measured)) == (second, "a,b", 1)
 
 
-async def test_what_is_measured_with_the_settings_in_force_belongs_to_all(connect: Any, station: Station) -> None:
+async def test_what_is_measured_with_the_settings_in_force_belongs_to_all(connect, station):
     """READ? without a patch of its own is everybody's reading: the page shows it."""
     client = await connect()
     await client.ask("READ?")
@@ -527,7 +494,7 @@ async def test_what_is_measured_with_the_settings_in_force_belongs_to_all(connec
     assert station.shown.latest.session == ""
 
 
-async def test_a_moved_patch_has_no_reading_yet(client: Any, station: Station) -> None:
+async def test_a_moved_patch_has_no_reading_yet(client, station):
     """After the shared patch was moved, nothing states the reading of the old place; exposure alone changes nothing."""
     assert await client.ask("READ?")
     await client.send("SENS:EXP 4 MS")
@@ -541,9 +508,7 @@ async def test_a_moved_patch_has_no_reading_yet(client: Any, station: Station) -
     assert (await client.ask("SYST:ERR?")).startswith("-230")
 
 
-async def test_a_patch_moved_while_measuring_is_not_believed(
-    station: Station, instrument: Any, eventually: Eventually
-) -> None:
+async def test_a_patch_moved_while_measuring_is_not_believed(station, instrument, eventually):
     """The reading in hand when the patch moves is kept, but is no one's latest."""
     instrument.let_go = threading.Event()
     begun = asyncio.create_task(station.acquisition.measure())
@@ -554,7 +519,7 @@ async def test_a_patch_moved_while_measuring_is_not_believed(
     assert station.shown.latest is None
 
 
-async def test_each_session_gets_the_picture_of_its_reading(connect: Any, instrument: Any) -> None:
+async def test_each_session_gets_the_picture_of_its_reading(connect, instrument):
     """TRAC:DATA? IMAGe after a session's own measurement is its own frame, another's is the shared one."""
     a, b = await connect(), await connect()
     await a.ask("READ?")
@@ -565,7 +530,7 @@ async def test_each_session_gets_the_picture_of_its_reading(connect: Any, instru
     assert (await b.ask("SYST:ERR?")).startswith("-230")  # its frames are gone; another's are not given in their stead
 
 
-def test_the_journal_of_the_version_before_is_taken_over(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+def test_the_journal_of_the_version_before_is_taken_over(tmp_path, make_reading):
     """Its readings belong to all, their trend is made up, and new ones are added; it can be read before that too."""
     path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
@@ -589,7 +554,7 @@ def test_the_journal_of_the_version_before_is_taken_over(tmp_path: Path, make_re
     upgraded.close()
 
 
-def test_the_table_says_whose_a_reading_is(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+def test_the_table_says_whose_a_reading_is(tmp_path, make_reading):
     """Name and session are columns of the CSV; a reading that belongs to all has neither in its JSON."""
     with Journal(tmp_path / "j.sqlite") as journal:
         journal.append([make_reading(), make_reading(name="lamp"), make_reading(session="scpi-3")])

@@ -1,10 +1,6 @@
 """The watch on a camera knows by when a call should be over."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
@@ -24,21 +20,21 @@ from testing.daemon_process import write_small_bench
 class _Camera:
     """Notes what the watch says while a call runs."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.settings = CameraSettings(0.5)
         self.seen: list[float | None] = []
         self.watch: Any = None
 
-    def capture(self, count: int = 1) -> list[Any]:
+    def capture(self, count=1):
         self.seen.append(self.watch.late_at)
         return []
 
-    def configure(self, settings: CameraSettings) -> CameraSettings:
+    def configure(self, settings):
         self.seen.append(self.watch.late_at)
         raise ValueError("refused")
 
 
-def test_a_capture_is_late_after_twice_its_exposures_and_a_grace() -> None:
+def test_a_capture_is_late_after_twice_its_exposures_and_a_grace():
     """1.4 s, counted from the call's begin; after the call nothing is late."""
     camera: Any = _Camera()
     camera.watch = watched = WatchedCamera(camera, clock=lambda: 100.0)
@@ -47,7 +43,7 @@ def test_a_capture_is_late_after_twice_its_exposures_and_a_grace() -> None:
     assert watched.late_at is None
 
 
-def test_a_refused_call_is_not_late_for_ever() -> None:
+def test_a_refused_call_is_not_late_for_ever():
     """An error ends the call too."""
     camera: Any = _Camera()
     camera.watch = watched = WatchedCamera(camera, clock=lambda: 100.0)
@@ -58,12 +54,12 @@ def test_a_refused_call_is_not_late_for_ever() -> None:
     assert watched.late_at is None
 
 
-def test_it_is_a_camera() -> None:
+def test_it_is_a_camera():
     """It has every member of the Protocol."""
     assert [name for name in dir(Camera) if not name.startswith("_") and not hasattr(WatchedCamera, name)] == []
 
 
-def test_every_call_reaches_the_camera_and_what_it_returns_comes_back() -> None:
+def test_every_call_reaches_the_camera_and_what_it_returns_comes_back():
     """Nothing is held back, exchanged or made up: each member is the camera's own, with the arguments given."""
     camera = MagicMock()
     camera.capture.return_value, camera.stream.return_value = [], iter([])
@@ -86,11 +82,11 @@ def test_every_call_reaches_the_camera_and_what_it_returns_comes_back() -> None:
     camera.set_shutter.assert_called_once_with(closed=True)
 
 
-def _instrument(folder: Path, monkeypatch: pytest.MonkeyPatch, tamper: Callable[[Frame], Frame]) -> BenchInstrument:
+def _instrument(folder, monkeypatch, tamper):
     """Return the simulated bench whose camera's frames come tampered with, open."""
     genuine = bench_instrument.open_camera
 
-    def open_camera(*arguments: Any) -> Any:
+    def open_camera(*arguments):
         camera = genuine(*arguments)
         capture = camera.capture
         camera.capture = lambda count=1: [tamper(frame) for frame in capture(count)]
@@ -102,17 +98,17 @@ def _instrument(folder: Path, monkeypatch: pytest.MonkeyPatch, tamper: Callable[
     return instrument
 
 
-def _repeating() -> Callable[[Frame], Frame]:
+def _repeating():
     first: list[Frame] = []
 
-    def tamper(frame: Frame) -> Frame:
+    def tamper(frame):
         first.append(frame)
         return replace(frame, dn=first[0].dn)
 
     return tamper
 
 
-def _stating(factor: float) -> Callable[[Frame], Frame]:
+def _stating(factor):
     return lambda f: replace(f, settings=replace(f.settings, exposure_s=factor * f.settings.exposure_s))
 
 
@@ -127,9 +123,7 @@ def _stating(factor: float) -> Callable[[Frame], Frame]:
         (_repeating(), {Flag.REPEATED_FRAME}),
     ],
 )
-def test_a_camera_that_cannot_be_believed_flags_the_reading(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tamper: Callable[[Frame], Frame], flags: set[Flag], auto: bool
-) -> None:
+def test_a_camera_that_cannot_be_believed_flags_the_reading(tmp_path, monkeypatch, tamper, flags, auto):
     """Another exposure time than was set, one frame for ever: each reading says so; an honest one never does."""
     instrument = _instrument(tmp_path, monkeypatch, tamper)
     settings = MeasurementSettings(instrument.default_patch(), auto_exposure=auto, exposure_s=0.01)
@@ -140,9 +134,7 @@ def test_a_camera_that_cannot_be_believed_flags_the_reading(
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
-def test_an_impossible_exposure_time_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factor: float
-) -> None:
+def test_an_impossible_exposure_time_is_reported(tmp_path, monkeypatch, factor):
     """It is no reading without a word: the error names the exposure time."""
     instrument = _instrument(tmp_path, monkeypatch, _stating(factor))
     with pytest.raises(DeviceError, match="exposure time"):
@@ -150,13 +142,11 @@ def test_an_impossible_exposure_time_is_reported(
     instrument.close()
 
 
-def test_another_camera_in_the_place_of_the_one_that_was_lost_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_camera_in_the_place_of_the_one_that_was_lost_is_refused(tmp_path, monkeypatch):
     """Its readings would pass for those of the first, which is taken again once it is back."""
     genuine, serial = bench_instrument.open_camera, ["22500001"]
 
-    def open_camera(config: Any, *arguments: Any) -> Any:
+    def open_camera(config, *arguments):
         there = config.camera.model_copy(update={"serial": serial[0]})
         return genuine(config.model_copy(update={"camera": there}), *arguments)
 
@@ -175,7 +165,7 @@ def test_another_camera_in_the_place_of_the_one_that_was_lost_is_refused(
 FIXED = MeasurementSettings(patch=None, auto_exposure=False, exposure_s=1e-3, gain_db=6.0)
 
 
-def test_a_measurement_is_taken_at_its_own_gain_and_exposure(tmp_path: Path) -> None:
+def test_a_measurement_is_taken_at_its_own_gain_and_exposure(tmp_path):
     """6 dB and 1 ms are asked for and taken, then 0 dB again; a wavelength needs no calibration to be named."""
     instrument = BenchInstrument(write_small_bench(tmp_path), uncalibrated=True)
     with pytest.raises(DeviceError, match="not open"):
@@ -197,11 +187,9 @@ def test_a_measurement_is_taken_at_its_own_gain_and_exposure(tmp_path: Path) -> 
     [({"model": "other"}, {}), ({}, {"focal_length_mm": 35.0}), ({}, {"transmittance": None})],
     ids=["camera", "lens", "transmittance"],
 )
-def test_a_calibration_that_no_reading_could_use_is_refused_at_once(
-    of_camera: dict[str, Any], of_lens: dict[str, Any], tmp_path: Path
-) -> None:
+def test_a_calibration_that_no_reading_could_use_is_refused_at_once(of_camera, of_lens, tmp_path):
     """Read again, one of another camera or lens is refused, and the old one goes on."""
-    camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.4, black_level_dn=64.0)
+    camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=5.95, read_noise_e=2.4, black_level_dn=64.0)
     lens = LensDescription(f_number=4.0, transmittance=0.95)
     scale = Scale(value=1e-6, u_rel=0.01, method="known_radiance", f_number=4.0)
     path = tmp_path / "cal.yaml"
@@ -219,7 +207,7 @@ def test_a_calibration_that_no_reading_could_use_is_refused_at_once(
     instrument.close()
 
 
-def test_what_the_bench_says_of_itself(tmp_path: Path) -> None:
+def test_what_the_bench_says_of_itself(tmp_path):
     """Before it was open, while it is, and after: limits, identity, counters, the patch, temperature, errors."""
     instrument = BenchInstrument(write_small_bench(tmp_path), uncalibrated=True)
     with pytest.raises(DeviceError, match="has not been open yet, so its limits are not known"):
@@ -242,7 +230,7 @@ def test_what_the_bench_says_of_itself(tmp_path: Path) -> None:
         instrument.check()
 
 
-def test_a_wavelength_without_meaning_is_refused_before_a_frame_is_taken() -> None:
+def test_a_wavelength_without_meaning_is_refused_before_a_frame_is_taken():
     """Where the calibration would need it: 5 nm is no light."""
     instrument = BenchInstrument()
     instrument.open()
@@ -253,7 +241,7 @@ def test_a_wavelength_without_meaning_is_refused_before_a_frame_is_taken() -> No
     instrument.close()
 
 
-def test_the_ports_are_those_that_are_documented(project_root: Path) -> None:
+def test_the_ports_are_those_that_are_documented(project_root):
     """SCPI on 5025, its registered port, and HTTP on 8080, for this machine alone; the docs say the same."""
     options = ServiceOptions()
     assert (options.scpi_port, options.http_port) == (5025, 8080)
@@ -263,7 +251,7 @@ def test_the_ports_are_those_that_are_documented(project_root: Path) -> None:
     assert "8080" in page
 
 
-def test_a_device_is_looked_for_and_asked_twice_a_second() -> None:
+def test_a_device_is_looked_for_and_asked_twice_a_second():
     """By itself first after 0.2 s, then at most half a second apart; a call is late after a second."""
     times = KeeperTimes()
     assert (times.first_pause_s, times.longest_pause_s, times.check_every_s, times.overdue_s) == (0.2, 0.5, 0.5, 1.0)

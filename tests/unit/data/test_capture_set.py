@@ -1,7 +1,5 @@
 """Capture sets: written, read, and taken up by any sequence of steps."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from pathlib import Path

@@ -1,30 +1,50 @@
-"""Guards against files that would take all memory or time."""
-
-from __future__ import annotations
+"""Guards against files that take all memory or time, TIFF of every layout, and values that cannot be."""
 
 import contextlib
+import copy
+import functools
+import importlib
+import itertools
 import math
+import operator
 import os
+import pkgutil
+import random
+import re
+import resource
 import struct
 import threading
 import time
 import unicodedata
 import zlib
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
+import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
+from PIL import Image
+from pydantic import TypeAdapter, ValidationError
 
+import radiometer
+import radiometer as rm
+from radiometer.adaptation.protocol import Fixation, FixationCheck, SteadyBleach, read_protocol
+from radiometer.bench.boxes import read_preset
 from radiometer.cli.main import run
-from radiometer.data import reader_limits
-from radiometer.data.capture_set import read_digital_numbers
+from radiometer.data import (
+    Calibration,
+    CameraDescription,
+    FoundEffects,
+    LensDescription,
+    Scale,
+    SourceDescription,
+    reader_limits,
+)
+from radiometer.data.capture_set import FrameEntry, read_digital_numbers
 from radiometer.data.guards import (
     MOST_PICTURE_BYTES,
     is_file,
@@ -34,19 +54,25 @@ from radiometer.data.guards import (
     safe_file_name,
     safe_name,
 )
+from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.reader_limits import bounded_reader, unpacked
 from radiometer.data.storage import read_yaml
+from radiometer.data.validation import ConfigSection, FileSection, validate
+from radiometer.devices import CameraPreset
 from radiometer.errors import CaptureError, ConfigurationError, InputError, MissingLibrary, RadiometerError, UsageError
+from radiometer.importing.photograph_pixels import read_photograph
+from radiometer.importing.tiff_files import read_tiff_pixels
 from radiometer.reporting.plain_text import one_line, printable, spreadsheet_cell
+from simulators.effects.lens import Lens
 from simulators.scenes.image_file import ImageScene
 from testing import faulty_readers
 from testing.reader_fuzz import Fuzzed, bombs, fuzz, hostile, seeds
 
 
-def _png(width: int, height: int, bits: int = 16, colour: int = 0, data: bytes = b"") -> bytes:
+def _png(width, height, bits=16, colour=0, data=b""):
     """Return a PNG with the header stated and data that need not fit it."""
 
-    def chunk(kind: bytes, content: bytes) -> bytes:
+    def chunk(kind, content):
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
     header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
@@ -63,7 +89,7 @@ def _png(width: int, height: int, bits: int = 16, colour: int = 0, data: bytes =
         _png(2**31 - 1, 2**31 - 1, 16, colour=6),
     ],
 )
-def test_a_picture_bomb_is_refused_by_its_header(tmp_path: Path, content: bytes) -> None:
+def test_a_picture_bomb_is_refused_by_its_header(tmp_path, content):
     """Some bytes that state gigapixels are never decoded; the message gives the size and the limit."""
     path = tmp_path / "0.png"
     path.write_bytes(content)
@@ -71,7 +97,7 @@ def test_a_picture_bomb_is_refused_by_its_header(tmp_path: Path, content: bytes)
         read_digital_numbers(path)
 
 
-def test_hdr_and_exr_bombs_are_refused_by_their_headers(tmp_path: Path) -> None:
+def test_hdr_and_exr_bombs_are_refused_by_their_headers(tmp_path):
     """Whichever way the axes run; what fits is left to its decoder."""
     hdr = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 50000\n"
     window = struct.pack("<4i", -10, -20, 69_989, 59_979)
@@ -84,7 +110,7 @@ def test_hdr_and_exr_bombs_are_refused_by_their_headers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("head", "seen"), [(65_536, True), (65_537, False)])
-def test_a_picture_s_extents_are_sought_in_its_first_64_kib(tmp_path: Path, head: int, seen: bool) -> None:
+def test_a_picture_s_extents_are_sought_in_its_first_64_kib(tmp_path, head, seen):
     """What stands behind that is no header: its decoder says what the file is."""
     start, size = b"#?RADIANCE\n", b"-Y 60000 +X 50000\n"
     content = start + b"#" * (head - len(start) - len(size) - 1) + b"\n" + size
@@ -92,7 +118,7 @@ def test_a_picture_s_extents_are_sought_in_its_first_64_kib(tmp_path: Path, head
         refuse_large_picture(tmp_path / "a", content)
 
 
-def test_a_scene_that_is_no_picture_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_scene_that_is_no_picture_is_refused_in_one_line(tmp_path):
     """An array that states more than it holds, one of another kind, an empty picture, text: never a traceback."""
     np.save(tmp_path / "words.npy", np.array(["a", "b"]))
     with (tmp_path / "huge.npy").open("wb") as stream:
@@ -110,7 +136,7 @@ def test_a_scene_that_is_no_picture_is_refused_in_one_line(tmp_path: Path) -> No
     assert ImageScene(file=tmp_path / "good.npy").render(2, 2).radiance.tolist() == [[0.5, 0.5], [0.5, 0.5]]
 
 
-def test_a_tiff_bomb_is_refused_by_its_header(tmp_path: Path) -> None:
+def test_a_tiff_bomb_is_refused_by_its_header(tmp_path):
     """Little and big endian, width and height as 16 and 32 bits, several samples."""
     for order in "<>":
         tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint16), byteorder=order)
@@ -125,7 +151,7 @@ def test_a_tiff_bomb_is_refused_by_its_header(tmp_path: Path) -> None:
             refuse_large_picture(tmp_path / "a.tif", bytes(content))
 
 
-def test_pictures_of_real_sensors_are_read(tmp_path: Path) -> None:
+def test_pictures_of_real_sensors_are_read(tmp_path):
     """151 million pixels of 16 bits are within the limit, one byte more than the limit is not."""
     refuse_size(tmp_path, (10_652, 14_204), 2)
     refuse_size(tmp_path, (MOST_PICTURE_BYTES,), 1)
@@ -144,7 +170,7 @@ def test_pictures_of_real_sensors_are_read(tmp_path: Path) -> None:
      "\n".join(" " * n + f"k{n}:" for n in range(2000))],
     ids=["lists", "mappings", "sequences", "keys", "indented"],
 )  # fmt: skip
-def test_deep_yaml_is_refused(tmp_path: Path, text: str) -> None:
+def test_deep_yaml_is_refused(tmp_path, text):
     """What would overflow the stack of the parser is refused with its line; the process goes on."""
     path = tmp_path / "deep.yaml"
     path.write_text(text, encoding="utf-8")
@@ -152,7 +178,7 @@ def test_deep_yaml_is_refused(tmp_path: Path, text: str) -> None:
         read_yaml(path)
 
 
-def test_yaml_that_repeats_itself_is_refused(tmp_path: Path) -> None:
+def test_yaml_that_repeats_itself_is_refused(tmp_path):
     """Nine levels of nine repetitions are a billion entries; a few repetitions are none."""
     lines = ["l0: &l0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9)}]" for n in range(1, 9)]
@@ -164,7 +190,7 @@ def test_yaml_that_repeats_itself_is_refused(tmp_path: Path) -> None:
     assert read_yaml(path)["l2"][0][0] == ["x"] * 9
 
 
-def test_nesting_of_real_files_is_fine() -> None:
+def test_nesting_of_real_files_is_fine():
     """Long lists, long texts and 64 levels pass."""
     refuse_deep_yaml("a: [" + "1, " * 100_000 + "1]", "here")
     refuse_deep_yaml("[" * 64 + "]" * 64, "here")
@@ -173,7 +199,7 @@ def test_nesting_of_real_files_is_fine() -> None:
 
 
 @pytest.mark.parametrize("command", ["merge", "response", "measure"])
-def test_commands_live_through_deep_yaml(tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_live_through_deep_yaml(tmp_path, command, capsys):
     """One line and an exit code, where the process ended before."""
     (tmp_path / "set").mkdir()
     deep = tmp_path / "set" / "capture.yaml"
@@ -187,9 +213,7 @@ def test_commands_live_through_deep_yaml(tmp_path: Path, command: str, capsys: p
 
 
 @pytest.mark.parametrize("subject", ["../../x", "/etc/x", "..", ".hidden", "-o", "a/b", "a\\b", "a\0b", "", "x" * 65])
-def test_a_subject_cannot_lead_out_of_the_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], subject: str
-) -> None:
+def test_a_subject_cannot_lead_out_of_the_folder(tmp_path, monkeypatch, capsys, subject):
     """A pseudonym that is a path is misuse; nothing is written anywhere."""
     inside = tmp_path / "a" / "b"
     inside.mkdir(parents=True)
@@ -208,7 +232,7 @@ def test_a_subject_cannot_lead_out_of_the_folder(
 @example("../../etc/passwd").via("FITS INSTRUME")
 @example("\U0001d7d8" * 64).via("four bytes each")
 @example("\ud800").via("half a character")
-def test_any_text_becomes_the_name_of_one_file(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+def test_any_text_becomes_the_name_of_one_file(tmp_path_factory, text):
     """In its own folder, with an ending; a name stays as it is, and one made of it is never another text's."""
     name = safe_file_name(text)
     folder = tmp_path_factory.getbasetemp()
@@ -220,14 +244,14 @@ def test_any_text_becomes_the_name_of_one_file(tmp_path_factory: pytest.TempPath
     assert safe_file_name(name) == name
 
 
-def test_two_texts_never_become_one_name() -> None:
+def test_two_texts_never_become_one_name():
     """However alike they look once their slashes are gone."""
     texts = ["a/b", "a_b", "a\\b", "a b", "a\0b", "x" * 65, "x" * 66, "", " ", ".", "..", "S/1 ", "S/1"]
     assert len({safe_file_name(text) for text in texts}) == len(texts)
 
 
 @given(st.text())
-def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text: str) -> None:
+def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text):
     """No control character but line feed and tab is left, whatever the text; no cell begins a formula."""
     shown, line, cell = printable(text), one_line(text), spreadsheet_cell(text)
     assert not [char for char in shown if unicodedata.category(char) == "Cc" and char not in "\n\t"]
@@ -240,7 +264,7 @@ def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text: str) -> N
     assert cell[:1] not in ("+", "-") or math.isfinite(float(cell))
 
 
-def test_numbers_and_plain_texts_stay_as_they_are() -> None:
+def test_numbers_and_plain_texts_stay_as_they_are():
     """Also negative ones, in a cell as anywhere; what is no text is no formula."""
     assert [spreadsheet_cell(value) for value in ("-1.5e-3", "+2", "a=b", -1.5, None)] == [
         "-1.5e-3",
@@ -253,7 +277,7 @@ def test_numbers_and_plain_texts_stay_as_they_are() -> None:
     assert printable("\x1b]0;x\x07 µ\n") == "\\x1b]0;x\\x07 µ\n"
 
 
-def test_what_can_be_no_file_is_none(tmp_path: Path) -> None:
+def test_what_can_be_no_file_is_none(tmp_path):
     """A file is; a folder, what is not there, a name too long for any disk and one with a zero in it are not."""
     (tmp_path / "a").write_bytes(b"")
     names = ("a", ".", "b", "c" * 5000, "a\0")
@@ -261,7 +285,7 @@ def test_what_can_be_no_file_is_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("repeated", "read"), [(48, True), (50, False)])
-def test_what_is_repeated_counts_as_if_it_were_written_out(repeated: int, read: bool) -> None:
+def test_what_is_repeated_counts_as_if_it_were_written_out(repeated, read):
     """A thousand numbers, a hundred times, 48 times and once: 4.9 million entries are read, 5.1 million not."""
     lines = ["a: &a [" + "1, " * 999 + "1]", "b: &b [" + "*a, " * 99 + "*a]", "c: [" + "*b, " * repeated + "]"]
     if read:
@@ -272,7 +296,7 @@ def test_what_is_repeated_counts_as_if_it_were_written_out(repeated: int, read: 
 
 
 @pytest.mark.parametrize("start", [b"text about ", b"\xff\xd8\xff\xfe\x00\x40", b"v/1\x02"])
-def test_what_stands_in_another_file_is_no_header_of_a_picture(tmp_path: Path, start: bytes) -> None:
+def test_what_stands_in_another_file_is_no_header_of_a_picture(tmp_path, start):
     """A resolution line or a data window counts only in a file that begins as such a picture does."""
     window = struct.pack("<4i", 0, 0, 69_999, 59_999)
     for inside in (b"\n-Y 60000 +X 50000\n", b"dataWindow\0box2i\0" + struct.pack("<i", 16) + window):
@@ -283,7 +307,7 @@ def test_what_stands_in_another_file_is_no_header_of_a_picture(tmp_path: Path, s
     ("bits", "colour", "bytes_each"),
     [(1, 0, 1), (8, 0, 1), (16, 0, 2), (8, 2, 3), (16, 2, 6), (8, 3, 1), (8, 4, 2), (16, 4, 4), (8, 6, 4), (16, 6, 8)],
 )
-def test_a_png_is_as_large_as_its_pixels_are(tmp_path: Path, bits: int, colour: int, bytes_each: int) -> None:
+def test_a_png_is_as_large_as_its_pixels_are(tmp_path, bits, colour, bytes_each):
     """Rows of 1000 pixels of so many channels and bytes fill the limit, and one row more does not fit."""
     rows = MOST_PICTURE_BYTES // (1000 * bytes_each)
     refuse_large_picture(tmp_path / "a", _png(1000, rows, bits, colour))
@@ -291,7 +315,7 @@ def test_a_png_is_as_large_as_its_pixels_are(tmp_path: Path, bits: int, colour: 
         refuse_large_picture(tmp_path / "a", _png(1000, rows + 1, bits, colour))
 
 
-def test_a_tiff_that_states_no_bits_counts_a_byte_for_each_value(tmp_path: Path) -> None:
+def test_a_tiff_that_states_no_bits_counts_a_byte_for_each_value(tmp_path):
     """What says nothing of its depth is not of no size."""
     tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint8), byteorder="<")
     content = bytearray((tmp_path / "a.tif").read_bytes())
@@ -311,12 +335,12 @@ _BOMBS = bombs()
 
 
 @pytest.fixture(scope="module")
-def readers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Callable[[Path], Any]]:
+def readers(tmp_path_factory):
     """Return every reader of the fuzz by the name of a file that it reads."""
     return {name: read for name, (_, read) in seeds(tmp_path_factory.mktemp("seeds")).items()}
 
 
-def test_every_reader_refuses_what_has_no_end(readers: dict[str, Callable[[Path], Any]], tmp_path: Path) -> None:
+def test_every_reader_refuses_what_has_no_end(readers, tmp_path):
     """A pipe that is never filled and a file of 3 TB that takes no room on the disk: at once, by name."""
     for name, read in readers.items():
         if name in _BYTES_ONLY:
@@ -334,7 +358,7 @@ def test_every_reader_refuses_what_has_no_end(readers: dict[str, Callable[[Path]
 
 
 @pytest.mark.parametrize("name", list(_BOMBS))
-def test_a_bomb_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+def test_a_bomb_is_refused_in_one_line(name, tmp_path):
     """Unpacking, cycles, nesting, ranges and one wrong byte: no defect of the program, and no gigabytes."""
     content, read = _BOMBS[name]
     (tmp_path / name).write_bytes(content)
@@ -346,17 +370,17 @@ def test_a_bomb_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
     assert "\n" not in str(refusal.value)
 
 
-def _all_of_it(path: Path) -> object:
+def _all_of_it(path):
     return np.empty(4_000_000_000, np.uint8)
 
 
-def _for_ever(path: Path) -> object:
+def _for_ever(path):
     while True:
         with contextlib.suppress(Exception):  # as libraries do
             time.process_time()
 
 
-def _by_chance(path: Path) -> object:
+def _by_chance(path):
     raise KeyError("TAG")
 
 
@@ -364,9 +388,7 @@ def _by_chance(path: Path) -> object:
     ("read", "reason"),
     [(_all_of_it, "more than 2 GB of memory"), (_for_ever, "processor time"), (_by_chance, "damaged.*KeyError: 'TAG'")],
 )
-def test_whatever_a_library_does_becomes_one_line(
-    read: Callable[[Path], object], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whatever_a_library_does_becomes_one_line(read, reason, tmp_path, monkeypatch):
     """Memory, time, any error; afterwards the process is as free as before."""
     monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
     with pytest.raises(InputError, match=f"a.bin: .*{reason}"):
@@ -385,9 +407,7 @@ def test_whatever_a_library_does_becomes_one_line(
         (faulty_readers.refuse, "gain 50 dB is out of range"),
     ],
 )
-def test_what_a_library_does_in_another_process_ends_that_process_at_most(
-    read: Callable[[Path], object], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_library_does_in_another_process_ends_that_process_at_most(read, reason, tmp_path, monkeypatch):
     """One line each; the next file is read, its numbers to the bit, whatever the library prints."""
     file = tmp_path / "a.bin"
     file.write_bytes(b"abc")
@@ -403,7 +423,7 @@ def test_what_a_library_does_in_another_process_ends_that_process_at_most(
     assert facts == {"a": 3.0}
 
 
-def test_readers_of_several_threads_work_apart_at_the_same_time(tmp_path: Path) -> None:
+def test_readers_of_several_threads_work_apart_at_the_same_time(tmp_path):
     """Each thread gets its own answer."""
     for number in range(8):
         (tmp_path / f"{number}").write_bytes(b"x" * number)
@@ -412,7 +432,7 @@ def test_readers_of_several_threads_work_apart_at_the_same_time(tmp_path: Path) 
     assert found == list(range(8))
 
 
-def test_time_is_limited_in_every_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_is_limited_in_every_thread(tmp_path, monkeypatch):
     """A reader in a thread of a pool ends as one in the main thread does."""
     monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
     with ThreadPoolExecutor(1) as pool, pytest.raises(InputError, match="processor time"):
@@ -420,7 +440,7 @@ def test_time_is_limited_in_every_thread(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.slow
-def test_every_reader_refuses_files_made_to_harm(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_every_reader_refuses_files_made_to_harm(tmp_path_factory):
     """Bombs, loops, nesting and noise under each name, then damaged files: one line of our own, in 10 s each."""
     folder = tmp_path_factory.mktemp("harm")
     for name, seeded in seeds(folder).items():
@@ -434,7 +454,7 @@ def test_every_reader_refuses_files_made_to_harm(tmp_path_factory: pytest.TempPa
 
 
 @pytest.mark.parametrize("name", ["plain.tiff", "tiled.tiff", "map.tiff"])
-def test_a_wrong_byte_of_a_directory_is_refused_or_read(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_wrong_byte_of_a_directory_is_refused_or_read(name, tmp_path_factory):
     """Each byte of a TIFF's first directory as 0, 255 and one more: a picture of another shape is damage, too."""
     folder = tmp_path_factory.mktemp("bytes")
     content, read = seeds(folder)[name]
@@ -448,13 +468,13 @@ def test_a_wrong_byte_of_a_directory_is_refused_or_read(name: str, tmp_path_fact
     assert found.refused > found.count // 10
 
 
-def test_readers_in_several_threads_each_have_their_memory(tmp_path: Path) -> None:
+def test_readers_in_several_threads_each_have_their_memory(tmp_path):
     """Three of them hold 0.5 GB each under a limit of 1 GB for one, at the same time."""
     together = threading.Barrier(3, timeout=60.0)
     sizes = []
 
     @bounded_reader(1_000_000_000)
-    def read(path: Path) -> None:
+    def read(path):
         held = np.ones(500_000_000, np.uint8)
         together.wait()
         sizes.append(held.nbytes)
@@ -468,7 +488,7 @@ def test_readers_in_several_threads_each_have_their_memory(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("pack", ["gzip", "bz2", "lzma"])
-def test_packed_bytes_come_out_as_they_went_in(pack: str, tmp_path: Path) -> None:
+def test_packed_bytes_come_out_as_they_went_in(pack, tmp_path):
     """Several streams one after the other; up to the limit, and one byte more is refused; a cut stream as well."""
     compress = __import__(pack).compress
     content = compress(b"abc") + compress(b"def")
@@ -479,12 +499,372 @@ def test_packed_bytes_come_out_as_they_went_in(pack: str, tmp_path: Path) -> Non
             unpacked(tmp_path, wrong, most)
 
 
-def test_a_reader_of_another_is_within_its_limits(tmp_path: Path) -> None:
+def test_a_reader_of_another_is_within_its_limits(tmp_path):
     """An error of the inner reader keeps its own words."""
 
     @bounded_reader()
-    def inner(path: Path) -> None:
+    def inner(path):
         raise CaptureError("the inner one")
 
     with pytest.raises(CaptureError, match=r"^the inner one$"):
         bounded_reader()(lambda path: inner(path))(tmp_path)
+
+
+# TIFF files of every layout: as photographs and as frames they hold what was written, or are refused in one line.
+
+
+ROWS, COLUMNS = 40, 48
+_ALPHA = {2: "minisblack", 4: "rgb"}
+
+
+def picture(dtype, samples=1):
+    """Return a picture of which no two samples are alike, the values of the type's whole range."""
+    top = np.iinfo(dtype).max
+    values = np.random.default_rng(samples).integers(0, top, (ROWS, COLUMNS, samples), dtype, endpoint=True)
+    return values[..., 0] if samples == 1 else values
+
+
+def write(path, values, *, planes_apart=False, alpha="unassalpha", **layout):
+    """Write a TIFF of grey values or colours, with a transparency where there are two or four samples."""
+    samples = 1 if values.ndim == 2 else values.shape[2]
+    if samples > 1:
+        layout |= {"planarconfig": "separate" if planes_apart else "contig"}
+        layout |= {"extrasamples": [alpha]} if samples in _ALPHA else {}
+        values = np.moveaxis(values, -1, 0) if planes_apart else values
+    tifffile.imwrite(path, values, photometric="rgb" if samples > 2 else "minisblack", metadata=None, **layout)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("samples", [1, 2, 3, 4])
+@pytest.mark.parametrize("planes_apart", [False, True], ids=["together", "planes apart"])
+def test_a_photograph_of_any_layout_is_as_written(dtype, samples, planes_apart, tmp_path):
+    """Byte order, tiles, compression, predictor and both kinds of transparency, which is left out."""
+    values = picture(dtype, samples)
+    expected = values if samples == 1 else values[..., 0] if samples == 2 else values[..., :3]
+    packings = ({}, {"compression": "zlib"}, {"compression": "zlib", "predictor": True})
+    for order, tile, packing, alpha in itertools.product(
+        "<>", (None, (16, 16)), packings, ("unassalpha", "assocalpha")
+    ):
+        layout = {"byteorder": order, "tile": tile, **packing}
+        write(tmp_path / "a.tif", values, planes_apart=planes_apart, alpha=alpha, **layout)
+        found = read_photograph(tmp_path / "a.tif")
+        assert found.bit_depth == 8 * np.dtype(dtype).itemsize
+        assert np.array_equal(found.values, expected), layout
+        if samples == 1:
+            assert np.array_equal(read_digital_numbers(tmp_path / "a.tif"), expected), layout
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("samples", [1, 3, 4])
+def test_lzw_is_as_written(dtype, samples, tmp_path):
+    """The compression that OpenCV and most programs write; a transparency is left out."""
+    values = picture(dtype, samples)
+    cv2.imwrite(str(tmp_path / "a.tif"), values if samples == 1 else values[..., [2, 1, 0, 3][:samples]])
+    found = read_photograph(tmp_path / "a.tif").values
+    assert np.array_equal(found, values if samples == 1 else values[..., :3])
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+@pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_deflate", None])
+def test_no_orientation_is_applied(samples, compression, tmp_path):
+    """Pixels count as stored, in TIFF and JPEG alike: a patch is at one place of the sensor, however it was held."""
+    values = np.zeros((ROWS, COLUMNS, samples), np.uint8)
+    values[: ROWS // 2, : COLUMNS // 2] = 200
+    image = Image.fromarray(values[..., 0] if samples == 1 else values)
+    for turned in range(1, 9):
+        exif = Image.Exif()
+        exif[274] = turned
+        image.save(tmp_path / "a.tif", compression=compression, tiffinfo={274: turned})
+        image.save(tmp_path / "a.jpg", quality=100, subsampling=0, exif=exif)
+        of_tiff, of_jpeg = (read_photograph(tmp_path / name).values for name in ("a.tif", "a.jpg"))
+        assert np.array_equal(of_tiff, np.asarray(image)), turned
+        assert of_jpeg.shape == of_tiff.shape
+        assert np.abs(of_jpeg.astype(int) - of_tiff).max() < 20
+        if samples == 1:
+            assert np.array_equal(read_digital_numbers(tmp_path / "a.tif"), values[..., 0]), turned
+            assert np.array_equal(read_tiff_pixels(tmp_path / "a.tif", 0), values[..., 0]), turned
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_a_reduced_picture_is_not_the_picture(samples, tmp_path):
+    """Before or after the picture, a smaller copy of it (NewSubfileType 1) is left alone; two pictures are refused."""
+    values = picture(np.uint16, samples)
+    smaller = np.ascontiguousarray(values[::2, ::2])
+    for kinds, refused in (((1, 0), False), ((0, 1), False), ((0, 0), True)):
+        with tifffile.TiffWriter(tmp_path / "a.tif") as tiff:
+            for kind in kinds:
+                tiff.write(smaller if kind else values, subfiletype=kind, metadata=None)
+        if refused:
+            with pytest.raises(CaptureError, match="a TIFF of 2 pages"):
+                read_photograph(tmp_path / "a.tif")
+        else:
+            assert np.array_equal(read_photograph(tmp_path / "a.tif").values, values)
+
+
+def test_a_stack_in_one_directory_is_refused(tmp_path):
+    """ImageJ writes all pictures of a large stack behind one directory: none of them is taken as the photograph."""
+    tifffile.imwrite(tmp_path / "a.tif", np.stack([picture(np.uint16)] * 3), imagej=True)
+    for read in (read_photograph, read_digital_numbers):
+        with pytest.raises(CaptureError, match="a TIFF of 3 pages"):
+            read(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize(
+    ("values", "layout", "message"),
+    [
+        (picture(np.uint16), {"photometric": "miniswhite"}, "0 is white"),
+        (picture(np.uint8, 4), {"photometric": "separated"}, "neither grey values nor red, green and blue"),
+        (picture(np.uint8, 3), {"photometric": "minisblack", "planarconfig": "contig"}, "3 samples per pixel"),
+        (picture(np.uint16), {"photometric": 32803}, "a mosaic of colours"),
+        (picture(np.uint16).astype(np.float32), {"photometric": "minisblack"}, "holds float32 values"),
+        (picture(np.uint8, 3).astype(np.float16), {"photometric": "rgb"}, "holds float16 values"),
+        (picture(np.uint16).astype(np.int16), {"photometric": "minisblack"}, "holds int16 values"),
+        (picture(np.uint16).astype(np.uint32), {"photometric": "minisblack"}, "holds uint32 values"),
+        (picture(np.uint8) > 9, {"photometric": "minisblack"}, "holds bool values"),
+    ],
+    ids=["white", "inks", "three greys", "mosaic", "float", "half", "signed", "32 bits", "1 bit"],
+)
+def test_other_numbers_are_refused_in_one_line(values, layout, message, tmp_path):
+    """What is neither grey values nor colours of 8 or 16 bits is not guessed."""
+    tifffile.imwrite(tmp_path / "a.tif", values, metadata=None, **layout)
+    with pytest.raises(CaptureError, match=message) as refusal:
+        read_photograph(tmp_path / "a.tif")
+    assert "\n" not in str(refusal.value)
+
+
+def test_samples_that_no_decoder_reads_whole_are_refused(tmp_path):
+    """16 bits in planes apart under LZW, and grey with a transparency: decoders mix them up or cut them to 8 bits."""
+    for samples in (2, 3):
+        write(tmp_path / "a.tif", picture(np.uint16, samples), planes_apart=samples == 3)
+        with tifffile.TiffFile(tmp_path / "a.tif", mode="r+b") as tiff:
+            tiff.pages[0].tags["Compression"].overwrite(5)
+        with pytest.raises(CaptureError, match="save it without compression"):
+            read_photograph(tmp_path / "a.tif")
+
+
+def test_a_mosaic_is_a_frame(tmp_path):
+    """A frame may hold pixels under filters of several colours, which capture.yaml describes."""
+    values = picture(np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric=32803, metadata=None)
+    assert np.array_equal(read_digital_numbers(tmp_path / "a.tif"), values)
+
+
+# Fields of files, requests and options take what exists in the world, and refuse what their quantity cannot be.
+
+
+for part in ("adaptation", "bench", "data", "devices"):
+    folder = importlib.import_module(f"{radiometer.__name__}.{part}")
+    for one in pkgutil.iter_modules(folder.__path__):
+        importlib.import_module(f"{folder.__name__}.{one.name}")
+
+
+def models(kind):
+    """Return all kinds of section that are declared, of any depth."""
+    return [found for sub in kind.__subclasses__() for found in (sub, *models(sub))]
+
+
+def named(pattern):
+    """Return the numeric fields whose names match a pattern, as (what takes its values)."""
+    found = []
+    for model in {*models(FileSection), *models(ConfigSection)}:
+        if not model.__module__.startswith(("radiometer.", "simulators.")):
+            continue
+        for name, field in model.model_fields.items():
+            if re.search(pattern, name) and field.annotation in (float, float | None):
+                takes = TypeAdapter(Annotated[field.annotation, *field.metadata])
+                found.append(pytest.param(takes, id=f"{model.__name__}.{name}"))
+    return sorted(found, key=lambda one: str(one.id))
+
+
+def is_taken(takes, value):
+    """Tell whether a field takes a value."""
+    try:
+        takes.validate_python(value)
+    except ValidationError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("takes", named(r"(^|_)u_(rel|dn|s)(_|$)|^u$|^glare_u$"))
+def test_an_uncertainty_may_be_nothing_but_not_less(takes):
+    """0 is what is known exactly; −1e-9 is no standard uncertainty."""
+    assert is_taken(takes, 0.0)
+    assert not is_taken(takes, -1e-9)
+
+
+@pytest.mark.parametrize(
+    "takes", named(r"^(f_number|focal_length_\w+|wavelength_nm|pixel_\w+|full_well_e|validity_days)$")
+)
+def test_a_length_or_capacity_is_above_nothing(takes):
+    """A lens of 0 mm or f/0, a wavelength or pixel of 0 and a validity of no time are mistakes."""
+    assert not is_taken(takes, 0.0)
+    assert not is_taken(takes, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("model", "fields"),
+    [
+        (LensDescription, {"f_number": 0.95, "transmittance": 1.0}),  # f/0.95 lenses are sold for C-mount
+        (LensDescription, {"f_number": 128.0, "focal_length_mm": 1.2, "transmittance": 0.015}),  # with a grey filter
+        (LensDescription, {"magnification": 5.0, "pupil_magnification": 0.25}),
+        (Scale, {"value": 1e-12, "u_rel": 0.0, "method": "known_radiance", "f_number": 0.95, "iso": 12_800.0}),
+        (CameraDescription, {"bit_depth": 1}),
+        (
+            CameraDescription,
+            {"bit_depth": 16, "read_noise_e": 0.0, "quantum_efficiency": 1.0, "dark_current_e_per_s": 0},
+        ),
+        (SourceDescription, {"wavelength_nm": 254.0, "reproducibility_u_rel": 0.0, "flicker_hz": 0.1}),
+        (FrameEntry, {"file": "a.png", "exposure_s": 7200.0, "gain_db": -6.0, "source_level": 0.0}),
+        (FrameEntry, {"file": "a.png", "exposure_s": 1e-6, "temperature_C": -100.0}),
+        (FixationCheck, {"size_deg": 2.0, "temporal_deg": 13.5, "share": 0.3}),
+        (Fixation, {"size_deg": 2.0, "luminance_cd_m2": 10.0}),
+        (SteadyBleach, {"channel": "bleach", "luminance_cd_m2": 10_000.0, "duration_s": 600.0, "pupil_mm": 9.0}),
+    ],
+)
+def test_what_exists_is_taken(model, fields):
+    """Fast and slow lenses, one and sixteen bits, germicidal lamps, hours of exposure, cooled sensors: as stated."""
+    made = model.model_validate(fields)
+    assert {name: getattr(made, name) for name in fields} == fields
+
+
+GOOD = {"file": "a.png", "exposure_s": 1.0}
+SCALE = {"value": 1e-6, "u_rel": 0.01, "method": "known_radiance"}
+
+
+@pytest.mark.parametrize(
+    ("model", "fields", "shown"),
+    [
+        (FrameEntry, GOOD | {"exposure_s": 1e30}, "exposure_s.*1e\\+30 s is outside 0 to 1e\\+09 s"),
+        (FrameEntry, GOOD | {"gain_db": 1e9}, "gain_db.*-200 to 200 dB"),
+        (FrameEntry, GOOD | {"temperature_C": 1e6}, "temperature_C.*to 150 °C"),
+        (FrameEntry, GOOD | {"black_level_dn": 1e300}, "black_level_dn.*-65536 to 65536 DN"),
+        (Scale, SCALE | {"value": 1e300}, "value.*1e-15 to 1e\\+06"),
+        (Scale, SCALE | {"value": 1e-300}, "value.*1e-15 to 1e\\+06"),
+        (Scale, SCALE | {"unit": "mJ m-2"}, "unit = 'mJ m-2': input should be 'J m-2 per unit of signal'"),
+        (FoundEffects, {"gains_db": (0.0, 1e9), "gain_errors_rel": (0.0, 0.1)}, "gains_db.*-200 to 200 dB"),
+        (CameraDescription, {"bit_depth": 12, "full_well_e": 1e-300}, "full_well_e = 1e-300"),
+    ],
+)
+def test_what_cannot_exist_is_refused_with_place_and_range(model, fields, shown):
+    """A mistake of unit or power of ten: file, key, number and what is plausible."""
+    with pytest.raises(InputError, match=f"^a.yaml: {shown}"):
+        validate(model, fields, "a.yaml", InputError)
+
+
+@pytest.mark.parametrize(
+    "model", sorted({*models(FileSection), *models(ConfigSection)}, key=lambda one: one.__qualname__)
+)
+def test_true_is_no_number(model):
+    """A level, bound or share that a file states as `true` is refused by its key: it would be 1."""
+    for name, field in model.model_fields.items():
+        if field.annotation in (int, float, int | None, float | None):
+            with pytest.raises(ValidationError, match=rf"{name} = True: true and false are no numbers"):
+                model.model_validate({name: True})
+
+
+@pytest.mark.parametrize("number", [10**11, 10**20, "1" + "0" * 20, [10**11]], ids=["1e11", "1e20", "text", "list"])
+@pytest.mark.parametrize(
+    "model", sorted({*models(FileSection), *models(ConfigSection)}, key=lambda one: one.__qualname__)
+)
+def test_no_count_of_a_file_sizes_an_array_without_bound(model, number):
+    """Bits, pixels, counts, seeds: each field that takes a whole number refuses what memory could not hold."""
+    for name, field in model.model_fields.items():
+        if re.search(r"\bint\b", str(field.annotation)):
+            with pytest.raises(ValidationError, match=rf"{name} = .*: no count has this size; at most"):
+                model.model_validate({name: number})
+
+
+FILES = {
+    "radiometer-bench/1": lambda path: rm.open(path, uncalibrated=True).close(),
+    "radiometer-calibration/1": Calibration.read,
+    "radiometer-camera/1": CameraPreset.read,
+    "radiometer-light-box/1": read_preset,
+    "radiometer-light-calibration/1": LightCalibration.read,
+    "radiometer-protocol/1": read_protocol,
+    "radiometer-screen/1": lambda path: rm.screen_level(path, 50.0),
+}
+SCREEN = """\
+format: radiometer-screen/1
+channels:
+  grey: {levels: [0, 128, 255], bits: 8, radiance_W_per_sr_m2: [0, 0.1, 0.4], u_independent: [0.001, 0.001, 0.004],
+    u_common_rel: 0.02, photopic_lm_per_W: 320, scotopic_lm_per_W: 700, spectrum: white_led}
+"""
+
+
+SELF: list[object] = []
+SELF.append(SELF)
+ODD = (None, [], {}, "text", "", math.nan, math.inf, -1, 0, 1e-300, 1e300, True, [1, [2]], {"a": {"b": []}}, SELF)
+
+
+def places(content, path=()):
+    """Yield the path to each key and entry of a file, and what stands there."""
+    items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, inside in items:
+        yield (*path, key), inside
+        yield from places(inside, (*path, key))
+
+
+def changed(content, place, value):
+    """Return a file with another value at a place."""
+    new = copy.deepcopy(content)
+    functools.reduce(operator.getitem, place[:-1], new)[place[-1]] = value
+    return yaml.safe_dump(new)
+
+
+def shipped(root):
+    """Return the content of a file of each form: those of the package, and a screen's calibration."""
+    texts = [path.read_text() for path in sorted((root / "configs").rglob("*.yaml"))]
+    return [content for content in map(yaml.safe_load, (*texts, SCREEN)) if content.get("format") in FILES]
+
+
+def test_no_odd_value_of_a_file_is_a_defect_of_the_program(project_root, tmp_path):
+    """Null, lists, mappings, text, NaN, nothing, a list that holds itself: at places by chance, refused in a line."""
+    rng, file, printed = random.Random(20261127), tmp_path / "changed.yaml", list[str]()
+    every = [(one, place) for one in shipped(project_root) for place, _ in places(one) if len(place) < 5]
+    tried = [(*one, SELF) for one in every[::20]] + [(*rng.choice(every), rng.choice(ODD)) for _ in range(300)]
+    for content, place, value in tried:
+        file.write_text(changed(content, place, value))
+        try:
+            FILES[content["format"]](file)
+        except rm.RadiometerError as error:
+            printed.append(str(error))
+    assert len(printed) > 100
+    assert all(line.strip() and "\n" not in line for line in printed)
+
+
+def test_no_whole_number_of_a_file_takes_memory_or_time(project_root, tmp_path):
+    """Every number of every shipped form, as 10¹¹ and 10²⁰: refused in a line, or at least read at once."""
+    at_first, seen = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, set()
+    file = tmp_path / "changed.yaml"
+    every = shipped(project_root)
+    for content in (*every[::2], every[-1]):
+        for place in (place for place, value in places(content) if type(value) is int):
+            seen.add(content["format"])
+            for number in (10**11, 10**20):
+                file.write_text(changed(content, place, number))
+                began = time.monotonic()
+                with contextlib.suppress(rm.RadiometerError):
+                    FILES[content["format"]](file)
+                assert time.monotonic() - began < 5.0, place
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - at_first < 1_000_000  # kB
+    assert {"radiometer-bench/1", "radiometer-screen/1", "radiometer-protocol/1"} <= seen
+
+
+def test_a_simulated_lens_may_be_nearly_opaque():
+    """1 % is a lens behind a grey filter of density 2, for the sun."""
+    assert Lens(transmittance=0.01).transmittance == 0.01
+    assert not math.isclose(Lens().transmittance, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("gains_db", "errors", "taken"),
+    [((), (), True), ((0.0, 6.0), (0.01, 0.02), True), ((0.0, 6.0), (0.01,), False), ((0.0,), (0.01, 0.02), False),
+     ((6.0, 0.0), (0.01, 0.02), False), ((0.0, 0.0), (0.01, 0.02), False)],
+)  # fmt: skip
+def test_a_table_of_gains_has_one_error_for_each(gains_db, errors, taken):
+    """Gains rise, and none lacks its error."""
+    if taken:
+        assert FoundEffects(gains_db=gains_db, gain_errors_rel=errors).gain_errors_rel == errors
+    else:
+        with pytest.raises(ValidationError, match="one error per gain, gains rising"):
+            FoundEffects(gains_db=gains_db, gain_errors_rel=errors)

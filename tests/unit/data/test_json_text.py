@@ -1,15 +1,11 @@
 """JSON and pictures as they are decoded."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
 import struct
 import zlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -41,7 +37,7 @@ def _refuse(name: str) -> None:
 
 
 @given(_CONTENT)
-def test_every_content_is_strict_json(content: Any) -> None:
+def test_every_content_is_strict_json(content):
     """No NaN, no infinity, one line, and the same again when written anew."""
     text = json_text(content)
     again = json.loads(text, parse_constant=_refuse)
@@ -50,12 +46,12 @@ def test_every_content_is_strict_json(content: Any) -> None:
 
 
 @given(_NUMBERS)
-def test_a_number_stays_what_it_is_or_is_null(number: float) -> None:
+def test_a_number_stays_what_it_is_or_is_null(number):
     """NaN and infinity are null; any other number comes back to the bit."""
     assert json.loads(json_text([number])) == [number if math.isfinite(number) else None]
 
 
-def test_arrays_are_lists_and_what_has_no_form_is_refused() -> None:
+def test_arrays_are_lists_and_what_has_no_form_is_refused():
     """An array's NaN is null as well; an object without a JSON form is an error."""
     assert json_text({"u": np.array([1.0, np.nan, -np.inf])}) == '{"u": [1.0, null, null]}'
     with pytest.raises(TypeError):
@@ -85,9 +81,7 @@ def _within(path: Path) -> object:
         ("tag.txt", '{"exposure_s": 1, "%s": 2}', _within),
     ],
 )
-def test_a_key_that_stands_twice_is_refused_in_every_file(
-    name: str, text: str, read: Callable[[Path], object], tmp_path: Path
-) -> None:
+def test_a_key_that_stands_twice_is_refused_in_every_file(name, text, read, tmp_path):
     """Which of two exposures is meant is not known; another key in its place is read."""
     path = tmp_path / name
     path.write_text(text % "other")
@@ -99,7 +93,7 @@ def test_a_key_that_stands_twice_is_refused_in_every_file(
 
 
 @given(_CONTENT)
-def test_what_is_written_is_read_and_what_has_a_key_twice_is_not(content: Any) -> None:
+def test_what_is_written_is_read_and_what_has_a_key_twice_is_not(content):
     """At any depth."""
     text = json_text(content)
     assert json_text(parsed_json(text)) == text

@@ -1,7 +1,5 @@
 """Readings, brackets, serial numbers and provenance as data."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Files are whole or absent, and a failure is stated in one line."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -1,7 +1,5 @@
 """No result depends on the time zone of the machine: a time without a zone is UTC."""
 
-from __future__ import annotations
-
 import datetime as dt
 import json
 import time

@@ -1,7 +1,5 @@
 """The white level that frames show: where saturated pixels pile up, and what is no such pile."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 

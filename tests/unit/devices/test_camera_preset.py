@@ -1,9 +1,5 @@
 """Presets of a camera, and settings out of range."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +9,7 @@ from radiometer.devices import CameraPreset
 from radiometer.errors import CalibrationError, ConfigurationError, SettingOutOfRange
 
 
-def test_shipped_blackfly_has_the_figures_of_its_specification_page() -> None:
+def test_shipped_blackfly_has_the_figures_of_its_specification_page():
     """Sensor size, pitch, bits, exposure and gain limits are those that FLIR states."""
     preset = CameraPreset.shipped("BFS-U3-19S4M")
     limits = preset.require_limits("test")
@@ -23,7 +19,7 @@ def test_shipped_blackfly_has_the_figures_of_its_specification_page() -> None:
     assert limits.gain_db == (0.0, 47.9943)
 
 
-def test_shipped_blackfly_has_the_spectral_response_of_its_family() -> None:
+def test_shipped_blackfly_has_the_spectral_response_of_its_family():
     """Per watt: highest at 580 nm, a half at 400 and at 820 nm, nothing to speak of at 1100; the origin is reported."""
     response = CameraPreset.shipped("BFS-U3-19S4M").spectral_response
     assert response is not None
@@ -33,7 +29,7 @@ def test_shipped_blackfly_has_the_spectral_response_of_its_family() -> None:
     assert "IMX428" in response.source
 
 
-def test_every_figure_of_every_shipped_camera_has_a_source(project_root: Path) -> None:
+def test_every_figure_of_every_shipped_camera_has_a_source(project_root):
     """No value of a camera file stands without saying where it comes from."""
     files = sorted((project_root / "configs" / "cameras").glob("*.yaml"))
     assert files
@@ -43,7 +39,7 @@ def test_every_figure_of_every_shipped_camera_has_a_source(project_root: Path) -
         assert figures - set(content["sources"]) == set(), path.name
 
 
-def test_unknown_camera_is_refused_with_those_that_there_are() -> None:
+def test_unknown_camera_is_refused_with_those_that_there_are():
     """The message lists the shipped cameras."""
     with pytest.raises(ConfigurationError, match=r"no shipped configuration .*BFS-U3-19S4M\.yaml"):
         CameraPreset.shipped("BFS-U3-00S0M")
@@ -60,7 +56,7 @@ def test_unknown_camera_is_refused_with_those_that_there_are() -> None:
         ({"format": "radiometer-camera/9"}, r"format = 'radiometer-camera/9'"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_key(change: dict[str, object], message: str) -> None:
+def test_what_is_wrong_is_named_with_its_key(change, message):
     """Each mistake is answered with file, key and what is allowed."""
     mapping = {"format": "radiometer-camera/1", "camera": {"bit_depth": 12}} | change
     with pytest.raises(ConfigurationError, match=message):
@@ -74,7 +70,7 @@ CHARACTERISED = {
 }
 
 
-def test_measured_figures_replace_those_of_a_description() -> None:
+def test_measured_figures_replace_those_of_a_description():
     """Gain and noise come from the file; what it does not hold stays."""
     preset = CameraPreset.from_mapping(CHARACTERISED, "camera.yaml")
     described = CameraDescription(bit_depth=12, model="M", conversion_gain_e_per_dn=2.0, full_well_e=9000)
@@ -85,7 +81,7 @@ def test_measured_figures_replace_those_of_a_description() -> None:
 
 
 @pytest.mark.parametrize("other", [{"serial": "8"}, {"model": "N"}, {"bit_depth": 10}])
-def test_file_of_another_camera_is_refused(other: dict[str, object]) -> None:
+def test_file_of_another_camera_is_refused(other):
     """The message names what differs."""
     described = CameraDescription.model_validate({"bit_depth": 12, "model": "M", "serial": "7"} | other)
     preset = CameraPreset.from_mapping(CHARACTERISED, "camera.yaml")

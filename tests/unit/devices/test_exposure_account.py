@@ -1,7 +1,5 @@
 """The account of retinal exposure: adds up over programs, starts and clocks; what is not known counts as used up."""
 
-from __future__ import annotations
-
 import fcntl
 import math
 import multiprocessing
@@ -42,33 +40,33 @@ WINDOW_S = 1e4
 class Clock:
     """Both clocks of a computer, turned by the test."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.boot, self.uptime_s, self.wall_s, self.machine = 0, 5000.0, 1.7e9, "one"
 
-    def __call__(self) -> Moment:
+    def __call__(self):
         return Moment(f"boot{self.boot}", self.uptime_s, self.wall_s, self.machine)
 
-    def wait(self, duration_s: float) -> None:
+    def wait(self, duration_s):
         self.uptime_s += duration_s
         self.wall_s += duration_s
 
-    def reboot(self, off_s: float = 30.0) -> None:
+    def reboot(self, off_s=30.0):
         self.boot, self.uptime_s, self.wall_s = self.boot + 1, 30.0, self.wall_s + off_s
 
 
 class Desk:
     """A folder with an account that knows box LB000001, and programs that open it."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder, self.clock, self.living = folder, Clock(), set[str]()
         with self.store("setup").change() as account:
             account.begin("LB000001")
 
     @property
-    def file(self) -> Path:
+    def file(self):
         return self.folder / "exposure-account.json"
 
-    def store(self, program: str) -> FileStore:
+    def store(self, program):
         return FileStore(
             self.folder,
             self.clock,
@@ -78,23 +76,21 @@ class Desk:
             lambda name, port: name in self.living and port == f"port of {name}",
         )
 
-    def open(
-        self, serial: str = "LB000001", eye: str | None = None, program: str = "one", port: str = ""
-    ) -> ExposureLedger:
+    def open(self, serial="LB000001", eye=None, program="one", port=""):
         ledger = ExposureLedger({"a": BLUE, "b": BLUE}, self.store(program), eye=eye)
         ledger.open(serial, port)
         return ledger
 
-    def pulse(self, ledger: ExposureLedger, seconds: float, radiance: float = 1000.0, channel: str = "a") -> None:
+    def pulse(self, ledger, seconds, radiance=1000.0, channel="a"):
         self.light(ledger, Stimulus(channel, radiance, seconds, seconds))
 
-    def light(self, ledger: ExposureLedger, stimulus: Stimulus) -> None:
+    def light(self, ledger, stimulus):
         ledger.begun(ledger.reserve(stimulus))
         ledger.settle()
 
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Desk:
+def desk(tmp_path):
     return Desk(tmp_path)
 
 
@@ -172,7 +168,7 @@ def test_light_that_was_on_when_the_computer_went_down_counts_whole(desk):
         desk.pulse(desk.open(), 15.0)
 
 
-def harm(desk: Desk, kind: str) -> None:
+def harm(desk, kind):
     content = desk.file.read_bytes()
     if kind == "missing":
         desk.file.unlink()
@@ -484,7 +480,7 @@ def test_a_linked_folder_holds_the_same_account(desk, tmp_path_factory):
     desk.pulse(desk.open(), 5.0)
 
 
-def _take_three_percent(folder: Path, start: object, taken: object) -> None:
+def _take_three_percent(folder, start, taken):
     ledger = ExposureLedger({"a": BLUE}, FileStore(folder), eye="S07 right")
     ledger.open(f"LB{os.getpid():06d}")
     start.wait()  # type: ignore[attr-defined]

@@ -1,7 +1,5 @@
 """Retinal exposure limits against the standard's own figures."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

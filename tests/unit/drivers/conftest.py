@@ -1,7 +1,5 @@
 """A camera of wood: features by name, as Aravis's camera offers them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The firmware as a library, built once."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The firmware's code and the simulated box, which share none: byte for byte the same, whatever is asked of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from zlib import crc32
 

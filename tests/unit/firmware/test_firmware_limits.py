@@ -1,7 +1,5 @@
 """What the firmware must not let through, in numbers of docs/reference/light-box-protocol.md and of the circuit."""
 
-from __future__ import annotations
-
 from zlib import crc32
 
 import pytest
@@ -20,15 +18,21 @@ TABLE = {
 LINE_BYTES = 64  # of a request without its line end, as docs/reference/light-box-protocol.md says
 
 
+@pytest.fixture
+def box(power):
+    """Return a box that speaks version 2 to a host."""
+    box = power()
+    box.ask("HI 2")
+    return box
+
+
 def bucket(box, channel):
     return int(box.ask(f"RB {channel}").split()[-1])
 
 
 @pytest.mark.parametrize("channel", TABLE)
-def test_limits_are_those_of_the_document(power, channel):
+def test_limits_are_those_of_the_document(box, channel):
     """Name, peak, steps, PWM, highest levels and budget of each channel; one level more is refused in every verb."""
-    box = power()
-    box.ask("HI 2")
     assert box.ask(f"CH {channel}") == f"OK {TABLE[channel]}"
     highest = int(TABLE[channel].split()[5])
     for words in ("SL {} H {}", "RA {} H {} 5", "PU {} H {} 5", "BL {} H {} 5 5 1"):
@@ -41,10 +45,8 @@ def test_limits_are_those_of_the_document(power, channel):
 @pytest.mark.parametrize(
     ("current", "level", "cost"), [("H", 60_000, 235), ("H", 255, 1), ("H", 256, 2), ("L", 65_535, 1)]
 )
-def test_bright_time_costs_and_darkness_gives_back(power, current, level, cost):
+def test_bright_time_costs_and_darkness_gives_back(box, current, level, cost):
     """level/256 + 1 units per ms at the high current, one at the low; 78 per dark ms up to the full bucket."""
-    box = power()
-    box.ask("HI 2")
     box.ask(f"SL 0 {current} {level}")
     box.run(500)
     assert bucket(box, 0) == 47_000_000 - 500 * cost
@@ -76,10 +78,8 @@ def test_light_without_an_end_is_ended_by_its_budget(power, words):
     assert box.ask("ST").split()[5] == "1"
 
 
-def test_silence_of_a_second_makes_dark_and_ends_the_session(power):
+def test_silence_of_a_second_makes_dark_and_ends_the_session(box):
     """999 ms are borne, 1000 are not; whatever arrives damaged does not count as being heard."""
-    box = power()
-    box.ask("HI 2")
     box.ask("SL 1 L 60000")
     box.run(999)
     assert box.duties()[1] > 0.9
@@ -96,10 +96,8 @@ def test_silence_of_a_second_makes_dark_and_ends_the_session(power):
     assert box.ask("ST").split()[-1] == "0"
 
 
-def test_button_held_three_seconds_keeps_every_light_off(power):
+def test_button_held_three_seconds_keeps_every_light_off(box):
     """Dark after 3000 ms; no light, no flash until the contact has been open for 8 ms; bounces do not end the hold."""
-    box = power()
-    box.ask("HI 2")
     box.ask("SL 1 L 60000")
     box.contact(closed=True)
     for _ in range(5):
@@ -119,10 +117,8 @@ def test_button_held_three_seconds_keeps_every_light_off(power):
     assert box.ask("SL 1 L 1") == "OK L 1 0"
 
 
-def test_flash_gap_number_and_refill(power):
+def test_flash_gap_number_and_refill(box):
     """Trigger for 10 ms; 5 s between two; eight in a row; one more after 75 s."""
-    box = power()
-    box.ask("HI 2")
 
     def wait(ms):
         for _ in range(ms // 500):
@@ -151,10 +147,8 @@ def test_flash_gap_number_and_refill(power):
 
 
 @pytest.mark.parametrize("end", ["OF *", "HI 2", None])
-def test_whatever_ends_the_light_ends_the_trigger(power, end):
+def test_whatever_ends_the_light_ends_the_trigger(box, end):
     """Lights off, a new session and silence pull the trigger down."""
-    box = power()
-    box.ask("HI 2")
     box.ask("FL")
     if end:
         box.ask(end)
@@ -174,10 +168,8 @@ def test_whatever_ends_the_light_ends_the_trigger(power, end):
         (5, ("C", 5), 3),
     ],
 )
-def test_pins_of_each_channel(power, channel, range_pin, select_pin):
+def test_pins_of_each_channel(box, channel, range_pin, select_pin):
     """The high-current switch of the channel alone is on, the select line says whose light it is, and all rest low."""
-    box = power()
-    box.ask("HI 2")
     outputs = {"B": 0b1110, "C": 0b111100, "D": 0b11111000}
     box.ask(f"SL {channel} H 5000")
     expected = {"C": 0, "D": 0}
@@ -193,10 +185,8 @@ def test_pins_of_each_channel(power, channel, range_pin, select_pin):
     assert box.duties() == [0.0] * 4
 
 
-def test_partners_never_shine_together(power):
+def test_partners_never_shine_together(box):
     """Bleach and field, red and green share an output: the second is refused (11) until the first is off."""
-    box = power()
-    box.ask("HI 2")
     for one, other in ((0, 5), (5, 0), (2, 4), (4, 2)):
         box.ask(f"SL {one} L 5000")
         for words in (f"SL {other} L 1", f"RA {other} L 1 5", f"PU {other} L 1 5", f"BL {other} L 1 5 5 1"):
@@ -209,10 +199,8 @@ def test_partners_never_shine_together(power):
 
 
 @pytest.mark.parametrize("level", [8, 9, 17, 33, 100, 1000, 12345, 32767, 32768, 60000])
-def test_dithering_gives_every_step(power, level):
+def test_dithering_gives_every_step(box, level):
     """Over eight periods of the timers a spot is on for its steps of 8192, an area channel for its of 1024."""
-    box = power()
-    box.ask("HI 2")
     box.ask(f"SL 1 L {level}")
     box.ask(f"SL 0 L {level}")
     scaled = level + (level >= 32768)
@@ -220,10 +208,8 @@ def test_dithering_gives_every_step(power, level):
     assert box.duties()[0] * 1024 == pytest.approx((scaled * 1024 + 32768) // 65536)
 
 
-def test_a_ramp_is_a_straight_line(power):
+def test_a_ramp_is_a_straight_line(box):
     """From 1000 to 2003 in 100 ms, down again in 50: at each ms the level that a ruler gives, to one."""
-    box = power()
-    box.ask("HI 2")
     box.ask("SL 1 L 1000")
     for start, end, ms in ((1000, 2003, 100), (2003, 1000, 50)):
         box.ask(f"RA 1 L {end} {ms}")
@@ -234,10 +220,8 @@ def test_a_ramp_is_a_straight_line(power):
         assert box.ask("RB 1").split()[1] == "S"
 
 
-def test_a_repeated_request_is_answered_alike_and_done_once(power):
+def test_a_repeated_request_is_answered_alike_and_done_once(box):
     """The host that missed an answer asks again with the same bytes: no second flash, no light anew."""
-    box = power()
-    box.ask("HI 2")
     line = b"#77 FL"
     line += f"*{crc32(line):08X}\n".encode()
     box.send(line)
@@ -283,10 +267,8 @@ def test_a_serial_number_of_other_characters_is_shown_as_noughts(power):
     assert power(serial="AB 9z*~7").ask("HI 2").split()[4] == "AB09z007"
 
 
-def test_events_are_kept_and_stamped(power):
+def test_events_are_kept_and_stamped(box):
     """Sixteen are kept; each has the tick of its edge; older ones are refused (10)."""
-    box = power()
-    box.ask("HI 2")
     for press in range(20):
         box.ticks(100)
         box.contact(closed=press % 2 == 0)
@@ -319,10 +301,8 @@ def test_bounces_are_one_press_and_a_late_change_is_seen(power):
 
 
 @pytest.mark.parametrize("bright_ms", [1, 2, 250])
-def test_a_pulse_is_as_long_as_asked_to_the_millisecond(power, bright_ms):
+def test_a_pulse_is_as_long_as_asked_to_the_millisecond(box, bright_ms):
     """Bright until the last of its milliseconds, dark with it; blinks likewise, bright and dark."""
-    box = power()
-    box.ask("HI 2")
     for words, dark_ms in ((f"PU 1 L 60000 {bright_ms}", 0), (f"BL 1 L 60000 {bright_ms} 3 2", 3)):
         box.ask(words)
         for wait_ms in [bright_ms] if not dark_ms else [bright_ms, dark_ms, bright_ms]:
@@ -336,20 +316,16 @@ def test_a_pulse_is_as_long_as_asked_to_the_millisecond(power, bright_ms):
             assert box.duties()[1] == 0.0
 
 
-def test_a_ramp_takes_each_step_when_it_is_whole(power):
+def test_a_ramp_takes_each_step_when_it_is_whole(box):
     """From 0 to 500 in 1 s the level is half the time in ms, rounded down; so it is on the way back, rounded up."""
-    box = power()
-    box.ask("HI 2")
     box.ask("RA 1 L 500 1000")
     for ms in range(1, 6):
         box.run(1)
         assert box.ask("RB 1").split()[3] == str(ms // 2)
 
 
-def test_a_line_that_is_too_long_is_none_though_its_beginning_is_whole(power):
+def test_a_line_that_is_too_long_is_none_though_its_beginning_is_whole(box):
     """64 characters are read, and refused for what they say; with one more they are no request at all."""
-    box = power()
-    box.ask("HI 2")
     body = "#01 SL 1 L " + "7".rjust(LINE_BYTES - 9 - 11, "0")
     line = f"{body}*{crc32(body.encode()):08X}".encode()
     assert len(line) == LINE_BYTES
@@ -434,10 +410,8 @@ def test_no_reset_gives_energy_or_flashes_back(power, kind, lives):
         assert int(after.ask("FS").split()[1]) <= flashes
 
 
-def test_a_reset_costs_little(power):
+def test_a_reset_costs_little(box, power):
     """A bleach of 40 s leaves 260 of 300 s; after a reset there are 5 of 64 parts less at most, a minute later none."""
-    box = power()
-    box.ask("HI 2")
     box.ask("PU 5 H 60000 40000")
     live(box, 40.0)
     before = buckets(box)[5]

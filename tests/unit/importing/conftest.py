@@ -1,7 +1,5 @@
 """Files as laboratories have them, written by other programs' libraries with known content."""
 
-from __future__ import annotations
-
 import gzip
 
 import numpy as np

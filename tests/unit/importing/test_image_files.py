@@ -1,7 +1,5 @@
 """Pictures of other programs: TIFF, Micro-Manager, FITS."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

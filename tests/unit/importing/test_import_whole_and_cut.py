@@ -1,7 +1,5 @@
 """No file crashes an import, whole or cut anywhere; what cannot be read is named in one line."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os

@@ -1,11 +1,7 @@
 """Camera raw files: the sensor's own values, linear, per colour."""
 
-from __future__ import annotations
-
 import json
 import sys
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +16,7 @@ pytest.importorskip("rawpy")
 RED, GREEN_1, GREEN_2, BLUE = 1000, 2000, 2002, 3000
 
 
-def _plain_colours(scale: float = 1.0, white: int = 4095) -> np.ndarray:
+def _plain_colours(scale=1.0, white=4095):
     """Return an RGGB mosaic of plain colours, their light above black times a factor."""
     mosaic = np.zeros((64, 96), np.uint16)
     for (row, column), value in {(0, 0): RED, (0, 1): GREEN_1, (1, 0): GREEN_2, (1, 1): BLUE}.items():
@@ -28,7 +24,7 @@ def _plain_colours(scale: float = 1.0, white: int = 4095) -> np.ndarray:
     return mosaic
 
 
-def _write(path: Path, mosaic: np.ndarray, **more: Any) -> None:
+def _write(path, mosaic, **more):
     path.write_bytes(dng_bytes(mosaic, **{"black_dn": 64, **more}))
 
 

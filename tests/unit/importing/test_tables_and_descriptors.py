@@ -1,7 +1,5 @@
 """Tables, descriptors, and what statements in them mean."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

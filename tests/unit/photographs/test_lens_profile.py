@@ -1,7 +1,5 @@
 """The fall-off of lenses by lensfun's database: held next to its own measured values, and taken out of a map."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 import io

@@ -1,10 +1,7 @@
 """Photographs give the same physics by the command line and in Python: radiances against those of the scene."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +10,7 @@ from PIL import Image
 
 import radiometer as rm
 from radiometer.cli.main import run
-from radiometer.data import Calibration, Flag, ResponseCurve
+from radiometer.data import Flag, ResponseCurve
 from radiometer.errors import CalibrationError, CaptureError, UsageError
 
 pytestmark = pytest.mark.usefixtures("recovered_once")
@@ -23,7 +20,7 @@ TIMES_S = tuple(2.0**-k for k in (9, 8, 7, 6, 5, 4))
 SHAPE = (64, 96)
 
 
-def scene(shape: tuple[int, int] = SHAPE) -> np.ndarray:
+def scene(shape=SHAPE):
     """Return smooth radiances over a factor of some 60 with texture to align by, relative."""
     noise = np.random.default_rng(0).normal(size=shape)
     texture = sum(cv2.GaussianBlur(noise, (0, 0), sigma) * sigma for sigma in (3.0, 7.0))
@@ -31,18 +28,8 @@ def scene(shape: tuple[int, int] = SHAPE) -> np.ndarray:
 
 
 def photographs(
-    folder: Path,
-    light: np.ndarray,
-    *,
-    times_s: tuple[float, ...] = TIMES_S,
-    gamma: float = 2.2,
-    iso: int | None = 100,
-    late_s: float = 0.0,
-    colours: tuple[float, float, float] | None = None,
-    shifts: tuple[float, ...] = (),
-    seed: int = 1,
-    tags: dict[int, str | int | float] | None = None,
-) -> Path:
+    folder, light, *, times_s=TIMES_S, gamma=2.2, iso=100, late_s=0.0, colours=None, shifts=(), seed=1, tags=None
+):
     """Write JPEG files as a camera with a response M = 255·H^(1/gamma) takes them, times and speed in EXIF."""
     folder.mkdir(parents=True)
     rng = np.random.default_rng(seed)
@@ -65,7 +52,7 @@ def photographs(
     return folder
 
 
-def exponent(found: rm.Radiance, light: np.ndarray) -> float:
+def exponent(found, light):
     """Return the slope of ln(value) over ln(true radiance) where the map is good."""
     good = (found.mask == 0) & (found.value > 0)
     assert good.mean() > 0.5
@@ -88,14 +75,14 @@ def test_merged_photographs_are_proportional_to_the_scene(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def curve() -> ResponseCurve:
+def curve():
     """Return the response M = 255·H^(1/2.2)."""
     g = 2.2 * np.log(np.maximum(np.arange(256.0), 0.25) / 128.0)
     return ResponseCurve(g, np.full(256, 5e-3), valid_dn=(4, 252))
 
 
 @pytest.fixture
-def calibrated(tmp_path, curve) -> Calibration:
+def calibrated(tmp_path, curve):
     """Return a calibration at ISO 100 by photographs of an even source of 0.5 W·sr⁻¹·m⁻²."""
     known = photographs(tmp_path / "known", np.full((40, 60), 0.5), times_s=TIMES_S[1:4], seed=7)
     found = rm.calibrate(
@@ -212,7 +199,7 @@ def test_several_patterns_are_asked_for_by_command_and_function(tmp_path, capsys
     assert median == float(np.median(rm.merge(rm.read(capture), pattern="inverted").value))
 
 
-def two_patterns(folder: Path, **camera: float) -> Path:
+def two_patterns(folder, **camera):
     """Write a capture set of two displayed patterns, 1000 and 2000 DN above a black level of 64 that frames state."""
     from radiometer.data import CameraDescription, CaptureSetWriter, Frame, FrameSettings, LensDescription
 

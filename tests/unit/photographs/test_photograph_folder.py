@@ -1,7 +1,5 @@
 """Folders of photographs: times from EXIF or lists, channels, and what is refused."""
 
-from __future__ import annotations
-
 import unicodedata
 from pathlib import Path
 

@@ -1,12 +1,8 @@
 """Pages of a report and of a reading."""
 
-from __future__ import annotations
-
 import base64
 import re
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
-from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
@@ -85,7 +81,7 @@ def test_prose_has_printed_signs_and_keeps_numbers_together():
 def test_a_picture_shows_hostile_names_in_both_forms():
     """A name that is no formula, not in the font or not for XML is drawn, as a well-formed file without scripts."""
 
-    def draw(figure: Any, narrow: bool) -> None:
+    def draw(figure, narrow):
         axes = figure.subplots()
         axes.plot([1, 2], [1, 3], label=label(HOSTILE))
         mark(axes, "-2", (1, 1), (0, 0), "black")
@@ -133,14 +129,14 @@ patch: {x: 40, y: 24, width: 16, height: 16}
 """
 
 
-def _bench(folder: Path, radiance: float) -> Path:
+def _bench(folder, radiance):
     file = folder / "bench.yaml"
     file.write_text(BENCH.replace("RADIANCE", f"{radiance:g}"), encoding="utf-8")
     return file
 
 
 @pytest.mark.slow
-def test_page_of_a_reading_holds_what_the_book_needs_and_loads_nothing(tmp_path: Path) -> None:
+def test_page_of_a_reading_holds_what_the_book_needs_and_loads_nothing(tmp_path):
     """Value with U and k as `print` gives them, patch, calibration with date and reference, assumptions, version."""
     page = tmp_path / "page.html"
     reading = rm.measure(bench=_bench(tmp_path, 0.3), report=page)
@@ -159,7 +155,7 @@ def test_page_of_a_reading_holds_what_the_book_needs_and_loads_nothing(tmp_path:
 
 
 @pytest.mark.slow
-def test_page_is_written_as_pdf(tmp_path: Path) -> None:
+def test_page_is_written_as_pdf(tmp_path):
     """A .pdf is one sheet of PDF; another ending is misuse before anything is measured."""
     rm.measure(bench=_bench(tmp_path, 0.3), report=tmp_path / "page.pdf")
     assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF-")
@@ -168,7 +164,7 @@ def test_page_is_written_as_pdf(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_reading_below_the_noise_is_a_limit(tmp_path: Path) -> None:
+def test_reading_below_the_noise_is_a_limit(tmp_path):
     """In the dark the terminal, the page and JSON give a limit above 0, never a negative radiance as a limit."""
     page = tmp_path / "page.html"
     reading = rm.measure(bench=_bench(tmp_path, 1e-9), report=page)

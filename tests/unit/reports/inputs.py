@@ -1,7 +1,5 @@
 """Small files as public reports have them: right ones of other people's programs that were once misread."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path

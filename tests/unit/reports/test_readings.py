@@ -4,11 +4,7 @@ What is right is a value, a doubt that names the cause, or a refusal that names 
 with.
 """
 
-from __future__ import annotations
-
 import struct
-from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,15 +27,15 @@ LEVEL = 900
 Facts = dict[str, Any]
 
 
-def flat(dtype: Any = np.uint16, level: float = LEVEL) -> Any:
+def flat(dtype=np.uint16, level=LEVEL):
     """Return an even picture of one level."""
     return np.full((16, 24), level, dtype)
 
 
-def in_fits(cards: Facts, picture: Any = None, **above: Any) -> Callable[[Path], Path]:
+def in_fits(cards, picture=None, **above):
     """Return what writes a FITS picture, in an extension where the primary header states something."""
 
-    def make(folder: Path) -> Path:
+    def make(folder):
         kind = fits.ImageHDU if above else fits.PrimaryHDU
         unit = kind(flat() if picture is None else picture)
         unit.header.update({"IMAGETYP": "Light", "EXPTIME": 1.0} | cards)
@@ -50,10 +46,10 @@ def in_fits(cards: Facts, picture: Any = None, **above: Any) -> Callable[[Path],
     return make
 
 
-def in_tiff(*tags: Any, picture: Any = None, name: str = "a.tif", seconds: Any = (8, 1000), **how: Any) -> Any:
+def in_tiff(*tags, picture=None, name="a.tif", seconds=(8, 1000), **how):
     """Return what writes a TIFF of 8 ms with further tags."""
 
-    def make(folder: Path) -> Path:
+    def make(folder):
         own = [(33434, "2I", 1, seconds, True)] if seconds else []
         inputs.tiff(folder / name, [flat() if picture is None else picture], [[*own, *tags]], **how)
         return folder / name
@@ -61,7 +57,7 @@ def in_tiff(*tags: Any, picture: Any = None, name: str = "a.tif", seconds: Any =
     return make
 
 
-def one_directory_of_four(folder: Path) -> Path:
+def one_directory_of_four(folder):
     """Write ImageJ's form of a large stack: four pictures, one directory."""
     path = folder / "stack_8ms.tif"
     tifffile.imwrite(path, np.stack([flat(level=LEVEL + 100 * n) for n in range(4)]), imagej=True)
@@ -74,10 +70,10 @@ def one_directory_of_four(folder: Path) -> Path:
     return path
 
 
-def in_ome(plane: str, pixels: str = "", channel: str = "") -> Callable[[Path], Path]:
+def in_ome(plane, pixels="", channel=""):
     """Return what writes an OME-TIFF of one page."""
 
-    def make(folder: Path) -> Path:
+    def make(folder):
         xml = (
             '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
             '<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="24" SizeY="16" SizeZ="1" SizeC="1" '
@@ -89,7 +85,7 @@ def in_ome(plane: str, pixels: str = "", channel: str = "") -> Callable[[Path], 
     return make
 
 
-def scaled_integers(folder: Path) -> Path:
+def scaled_integers(folder):
     """Write 16-bit numbers that the header scales by two."""
     unit = fits.PrimaryHDU(flat(np.int16))
     unit.header.update({"IMAGETYP": "Light", "EXPTIME": 1.0})
@@ -98,7 +94,7 @@ def scaled_integers(folder: Path) -> Path:
     return folder / "a.fits"
 
 
-def compressed_unsigned(folder: Path) -> Path:
+def compressed_unsigned(folder):
     """Write unsigned numbers in a compressed extension."""
     unit = fits.CompImageHDU(flat(level=40_000))
     unit.header.update({"IMAGETYP": "Light", "EXPTIME": 1.0})
@@ -106,7 +102,7 @@ def compressed_unsigned(folder: Path) -> Path:
     return folder / "a.fits"
 
 
-def black_levels_of_previews(folder: Path) -> Path:
+def black_levels_of_previews(folder):
     """Write a small picture, the sensor's one and a preview behind it, which have other black levels."""
     path = folder / "a.tif"
     exposure = (33434, "2I", 1, (8, 1000), True)
@@ -119,7 +115,7 @@ def black_levels_of_previews(folder: Path) -> Path:
     return path
 
 
-def repeated(folder: Path) -> Path:
+def repeated(folder):
     """Write a header that states the exposure twice, 1 s and 10 s."""
     unit = fits.PrimaryHDU(flat())
     unit.header.extend([("IMAGETYP", "Light"), ("EXPTIME", 1.0)])
@@ -128,10 +124,10 @@ def repeated(folder: Path) -> Path:
     return folder / "a.fits"
 
 
-def ome_of(images: Sequence[str], pages: int = 1, **root: str) -> Callable[[Path], Path]:
+def ome_of(images, pages=1, **root):
     """Return what writes an OME-TIFF of some images, each given by what its pixels hold."""
 
-    def make(folder: Path) -> Path:
+    def make(folder):
         size = 'Type="uint16" SizeX="24" SizeY="16" SizeZ="1" SizeC="1" SizeT="2"'
         inner = "".join(
             f'<Image ID="Image:{n}"><Pixels ID="Pixels:{n}" DimensionOrder="XYZCT" {size}>{body}</Pixels></Image>'
@@ -147,24 +143,24 @@ def ome_of(images: Sequence[str], pages: int = 1, **root: str) -> Callable[[Path
     return make
 
 
-def plane(seconds: float, t: int = 0) -> str:
+def plane(seconds, t=0):
     """Return the OME-XML of a plane's exposure."""
     return f'<Plane TheZ="0" TheC="0" TheT="{t}" ExposureTime="{seconds}"/>'
 
 
-def of_uuid(t: int, uuid: str) -> str:
+def of_uuid(t, uuid):
     """Return the OME-XML of where a plane is: in the first directory of the file of a UUID."""
     return f'<TiffData FirstT="{t}" IFD="0" PlaneCount="1"><UUID>{uuid}</UUID></TiffData>'
 
 
-def interval(folder: Path) -> Path:
+def interval(folder):
     """Write ImageJ's stack with the time from frame to frame, which is no exposure."""
     metadata = {"finterval": 0.5, "axes": "TYX"}
     tifffile.imwrite(folder / "a.tif", np.stack([flat()] * 3), imagej=True, metadata=metadata)
     return folder / "a.tif"
 
 
-def pyramid(folder: Path) -> Path:
+def pyramid(folder):
     """Write a picture with a smaller copy in a directory of it."""
     with tifffile.TiffWriter(folder / "a_8ms.tif") as writer:
         writer.write(flat(), subifds=1, metadata=None)
@@ -172,13 +168,13 @@ def pyramid(folder: Path) -> Path:
     return folder / "a_8ms.tif"
 
 
-def signed(folder: Path) -> Path:
+def signed(folder):
     """Write signed numbers below zero."""
     tifffile.imwrite(folder / "a_8ms.tif", flat(np.int16) - 1000)
     return folder / "a_8ms.tif"
 
 
-def read_image(path: Path) -> tuple[Facts, str]:
+def read_image(path):
     """Return facts of the first frame, and doubts."""
     header = import_sources([path])[0].header
     entry, frames = header.frames[0], open_capture(path)
@@ -286,7 +282,7 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
 }  # fmt: skip
 
 
-def check(read: Callable[[Path], tuple[Facts, str]], path: Path, facts: Facts, words: str) -> None:
+def check(read, path, facts, words):
     """Check what a reader gives: facts, words in a doubt, or words in a refusal."""
     if words.startswith("refused: "):
         with pytest.raises(RadiometerError, match=words.removeprefix("refused: ")):
@@ -312,65 +308,65 @@ LIGHT = [0.2 + 230 * (n / 255) ** 2.2 for n in LEVELS]
 MINUTES, LOGS = (0.5, 1, 2, 4, 8, 12, 20), (-1.0, -1.5, -2.0, -2.2, -2.6, -3.5, -4.5)
 
 
-def european(number: float, places: int = 1) -> str:
+def european(number, places=1):
     """Return a number with points between thousands and a decimal comma."""
     return f"{number:,.{places}f}".translate(str.maketrans(",.", ".,"))
 
 
-def spectrum(row: Callable[[int, float], str], heading: str = "wavelength_nm,power", *, falling: bool = False) -> str:
+def spectrum(row, heading="wavelength_nm,power", *, falling=False):
     """Return a table of a spectrum about 560 nm."""
     rows = [row(nm, power) for nm, power in zip(NM, POWER, strict=True)]
     return "\n".join([heading, *(rows[::-1] if falling else rows)]) + "\n"
 
 
-def ti3(keys: str, scale: float, full: float = 100.0) -> str:
+def ti3(keys, scale, full=100.0):
     """Return a file of ArgyllCMS, its Y times a factor and its RGB up to `full`."""
     rows = [f"{n} " + f"{n * full / 255:.4f} " * 3 + f"{v * scale:.5f}" for n, v in zip(LEVELS, LIGHT, strict=True)]
     names = "BEGIN_DATA_FORMAT\nSAMPLE_ID RGB_R RGB_G RGB_B XYZ_Y\nEND_DATA_FORMAT\n"
     return f"CTI3\n\n{keys}\n{names}BEGIN_DATA\n" + "\n".join(rows) + "\nEND_DATA\n"
 
 
-def levels(heading: str, row: Callable[[int, float], str]) -> str:
+def levels(heading, row):
     """Return a table of a screen."""
     return "\n".join([heading, *(row(n, v) for n, v in zip(LEVELS, LIGHT, strict=True))]) + "\n"
 
 
-def nights(heading: str, row: Callable[[int], str]) -> str:
+def nights(heading, row):
     """Return a log of four nights of five readings, each row given by its number in the night."""
     times = [(f"2026-03-{night:02d}T21:{10 * k:02d}:00", k) for night in range(1, 5) for k in range(5)]
     return "\n".join([heading, *(f"{time},{row(k)}" for time, k in times)]) + "\n"
 
 
-def thresholds(heading: str, of_log: Callable[[float], float]) -> str:
+def thresholds(heading, of_log):
     """Return a table of thresholds."""
     return "\n".join([heading, *(f"{t},{of_log(v):.6g}" for t, v in zip(MINUTES, LOGS, strict=True))]) + "\n"
 
 
-def read_spectrum(path: Path) -> tuple[Facts, str]:
+def read_spectrum(path):
     """Return the mean wavelength."""
     found = spectrum_from_csv(path)
     return {"nm": float(found.wavelength_nm @ found.power / found.power.sum())}, ""
 
 
-def read_screen(path: Path) -> tuple[Facts, str]:
+def read_screen(path):
     """Return the luminance of black, of level 120 and of white."""
     found = read_screen_readings(path)
     return {str(n): float(np.mean(found.grey[n])) for n in (0, 120, 255)}, " ".join(found.doubts)
 
 
-def read_times(path: Path) -> tuple[Facts, str]:
+def read_times(path):
     """Return the exposure of a listed photograph."""
     return {"s": read_list(path)["p.jpg"].exposure_s}, ""
 
 
-def read_nights(path: Path) -> tuple[Facts, str]:
+def read_nights(path):
     """Return what a log has."""
     log = read_log(path)
     facts = {"rows": log.size, "C": None if log.temperature_c is None else float(log.temperature_c[0])}
     return facts | {"s": float(log.exposure_s[0])}, " ".join(a for a in log.assumptions if "Unihedron" not in a)
 
 
-def read_meter(path: Path) -> tuple[Facts, str]:
+def read_meter(path):
     """Return what readings of a light meter hold."""
     found = reconcile_meter_table(path)
     row = found.rows[0]
@@ -380,7 +376,7 @@ def read_meter(path: Path) -> tuple[Facts, str]:
     )
 
 
-def read_means(path: Path) -> tuple[Facts, str]:
+def read_means(path):
     """Return the first row of a table of statistics."""
     header = statistics_of(path)
     assert header is not None
@@ -388,7 +384,7 @@ def read_means(path: Path) -> tuple[Facts, str]:
     return {"s": row.exposure_s, "mean": row.mean_dn, "var": row.variance_dn2}, " ".join(record_in(header).doubts)
 
 
-def read_dark_adaptation(path: Path) -> tuple[Facts, str]:
+def read_dark_adaptation(path):
     """Return the first threshold."""
     first = read_thresholds(path).rows[0]
     return {"min": float(first[0]), "log": float(first[1])}, ""

@@ -3,8 +3,6 @@
 Values are those the input was made with. A refusal is right where the file leaves the value open.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

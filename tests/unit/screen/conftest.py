@@ -1,7 +1,5 @@
 """A calibrated screen to work on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

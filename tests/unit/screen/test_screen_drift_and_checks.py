@@ -1,9 +1,12 @@
-"""Calibration of a screen: plan, models, table of levels, drift and checks."""
+"""Calibration of screens: plan, models, drift, checks, report; displays simulated, real, measured elsewhere."""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +14,34 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiometer.data import Quantity
-from radiometer.devices import DisplayPatch
-from radiometer.errors import CalibrationError, MeasurementError, SettingOutOfRange, UsageError
+import radiometer as rm
+from radiometer.bench.screen import SIMULATED_DISPLAYS, lights, open_screen_bench, primaries_of
+from radiometer.cli.main import run
+from radiometer.data import Quantity, RadianceMap
+from radiometer.data.statements import StatementMap
+from radiometer.devices import Display, DisplayPatch
+from radiometer.errors import (
+    CalibrationError,
+    DeviceError,
+    InputError,
+    MeasurementError,
+    SettingOutOfRange,
+    UnsettledError,
+    UsageError,
+)
 from radiometer.screen import ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, LevelTable, rising
 from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait_until_steady
+from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep, make_plan, parse_levels
+from radiometer.screen.report.mura import mura_of
 from radiometer.screen.run import Drift, Light, Measured, curves_of, measure_steps
 from radiometer.screen.transfer_models import MODELS, fit_transfer
 from radiometer.screen.verification import VerifiedLevel
+from simulators.clock import SimulatedClock
+from simulators.displays import DISPLAYS, SimulatedDisplay
 
 
 def _reading(value: float, time_s: float = 0.0, u: float = 1e-4) -> ScreenReading:
@@ -123,24 +142,8 @@ def test_without_references_there_is_no_curve() -> None:
 
 
 def test_camera_that_looks_elsewhere_is_found_out_at_once() -> None:
-    """White and black that read alike end the measurement after these two, with the way out."""
+    """White and black that read alike end the measurement after these two and before any wait, with the way out."""
     shown: list[DisplayPatch] = []
-
-    class Elsewhere:
-        def show(self, patch: DisplayPatch) -> None:
-            shown.append(patch)
-
-        def read(self) -> ScreenReading:
-            return _reading(0.3)
-
-    looked, plan = Elsewhere(), make_plan((0, 128, 255), ("grey",), np.random.default_rng(1))
-    with pytest.raises(MeasurementError, match="does not see the patches"):
-        measure_steps(looked, looked, plan)  # type: ignore[arg-type]
-    assert len(shown) == 2
-
-
-def test_impossible_screen_is_refused_before_it_warms_up() -> None:
-    """White that is no brighter than black ends the calibration without any wait."""
     waits: list[float] = []
 
     class Elsewhere:
@@ -148,14 +151,20 @@ def test_impossible_screen_is_refused_before_it_warms_up() -> None:
         sleep = property(lambda self: waits.append)
 
         def show(self, patch: DisplayPatch) -> None:
-            """Show nothing that is seen."""
+            shown.append(patch)
 
         def read(self) -> ScreenReading:
             return _reading(0.3)
 
-    with pytest.raises(MeasurementError, match="does not see the patches"):
-        calibrate_screen(Elsewhere(), Options("x", (0, 128, 255)), {})  # type: ignore[arg-type]
-    assert waits == []
+    looked, plan = Elsewhere(), make_plan((0, 128, 255), ("grey",), np.random.default_rng(1))
+    for measure in (
+        lambda: measure_steps(looked, looked, plan),  # type: ignore[arg-type]
+        lambda: calibrate_screen(looked, Options("x", (0, 128, 255)), {}),  # type: ignore[arg-type]
+    ):
+        shown.clear()
+        with pytest.raises(MeasurementError, match="does not see the patches"):
+            measure()
+        assert (len(shown), waits) == (2, [])
 
 
 def test_value_at_a_measured_level_has_its_own_and_the_common_uncertainty(grey: ChannelCurve) -> None:
@@ -375,3 +384,800 @@ def test_what_both_readings_share_hides_no_dimming(shared_u_rel: float, agrees: 
     u = math.hypot(0.002, 0.005)
     level = VerifiedLevel("grey", 255, Quantity(1.0, u, "x"), Quantity(0.986, u * 0.986, "x"), shared_u_rel)
     assert level.agrees == agrees
+
+
+# Display report: its figures are those of the simulated displays, within their uncertainty.
+
+
+WHITE, BLACK = DisplayPatch((1.0, 1.0, 1.0)), DisplayPatch((0.0, 0.0, 0.0))
+SIZE = (192, 128)
+# Nine: IDMS 8.1. Thirteen: IEC 61947-1. Twenty-five: the nine and those between them.
+PLACES = {
+    9: [(x, y) for y in (0.1, 0.5, 0.9) for x in (0.1, 0.5, 0.9)],
+    13: [(x, y) for y in (1 / 6, 1 / 2, 5 / 6) for x in (1 / 6, 1 / 2, 5 / 6)]
+    + [(x, y) for y in (0.05, 0.95) for x in (0.05, 0.95)],
+    25: [(x, y) for y in (0.1, 0.3, 0.5, 0.7, 0.9) for x in (0.1, 0.3, 0.5, 0.7, 0.9)],
+}
+SEEDS = range(4101, 4111)
+
+
+def _shown(name: str, patch: DisplayPatch, angle_deg: float = 0.0) -> np.ndarray:
+    """Return the warm display's radiance over the screen."""
+    with SimulatedDisplay(DISPLAYS[name]) as display:
+        display.turn(angle_deg)
+        display.show(patch)
+        return display.picture(*SIZE)
+
+
+def _field(picture: np.ndarray, x: float, y: float) -> float:
+    """Return the mean over a field of 8 % of the height."""
+    height, width = picture.shape
+    half = 0.04 * height
+    rows = slice(round(y * height - half), round(y * height + half))
+    columns = slice(round(x * width - half), round(x * width + half))
+    return float(picture[rows, columns].mean())
+
+
+def _uniformity(name: str, points: int = 13) -> float:
+    picture = _shown(name, WHITE)
+    at = [_field(picture, *place) for place in PLACES[points]]
+    return min(at) / max(at)
+
+
+def _sequential(name: str) -> float:
+    black = _field(_shown(name, BLACK), 0.5, 0.5)
+    return _field(_shown(name, WHITE), 0.5, 0.5) / black if black else math.inf
+
+
+def _checkerboard(name: str) -> float:
+    picture = _shown(name, DisplayPatch((1.0, 1.0, 1.0), checkers=(4, 4)))
+    at = {(i, j): _field(picture, (i + 0.5) / 4, (j + 0.5) / 4) for i in range(4) for j in range(4)}
+    lit = [value for place, value in at.items() if sum(place) % 2 == 0]
+    dark = [value for place, value in at.items() if sum(place) % 2]
+    return sum(lit) / sum(dark) if sum(dark) else math.inf
+
+
+def _gamma(name: str) -> float:
+    levels = np.round(np.linspace(0, 255, 17)) / 255
+    light = np.array([_field(_shown(name, DisplayPatch((v, v, v))), 0.5, 0.5) for v in levels])
+    return float(np.polyfit(np.log(levels[1:]), np.log(light[1:] - light[0]), 1)[0])
+
+
+def _angle(name: str) -> float:
+    return _field(_shown(name, WHITE, 30.0), 0.5, 0.5) / _field(_shown(name, WHITE), 0.5, 0.5)
+
+
+def _spot(name: str) -> float:
+    picture = _shown(name, WHITE)
+    zero = np.zeros_like(picture)
+    return 100.0 * mura_of(RadianceMap(picture, zero, zero.astype(np.uint8))).spot.value  # in %
+
+
+TRUTHS: dict[tuple[str, str], Callable[[str], float]] = {
+    ("uniformity", "uniformity"): _uniformity,
+    ("checkerboard_contrast", "contrast"): _checkerboard,
+    ("sequential_contrast", "contrast"): _sequential,
+    ("gamma", "gamma"): _gamma,
+    ("additivity", "additivity_error"): lambda name: 0.0,
+    ("mura", "largest_spot"): _spot,
+    ("viewing_angle", "white_at_30_deg"): _angle,
+}
+
+
+@pytest.fixture(scope="module", params=["lcd", "oled"])
+def measured(request: pytest.FixtureRequest) -> tuple[str, rm.DisplayReport]:
+    """Return a display's name and its report with all methods."""
+    name = request.param
+    return name, rm.screen_report(display=name, geometry="viewing_angle", angles=(30.0,), seed=4100)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "figure"), list(TRUTHS))
+def test_figures_agree_with_the_display(measured: tuple[str, rm.DisplayReport], method: str, figure: str) -> None:
+    """Each figure is its truth within 3 u; an OLED's contrast has no upper bound and is given as a lower one."""
+    name, report = measured
+    found = report.section(method).figure(figure)
+    if name == "oled" and figure == "contrast":
+        assert found.bound == "above"
+        assert found.quantity.value > 1000.0
+        return
+    assert found.bound == ""
+    assert abs(found.quantity.value - TRUTHS[method, figure](name)) <= 3.0 * found.quantity.u
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("points", list(PLACES))
+@pytest.mark.parametrize("name", ["lcd", "oled"])
+def test_uniformity_of_any_number_of_points_is_the_display_s(name: str, points: int) -> None:
+    """Lowest over highest of the model at the places of the standard, within 3 u; each place is in the table."""
+    report = rm.screen_report(display=name, methods=["uniformity"], points=points, warm_up_s=0.0, seed=1_500_001)
+    section = report.section("uniformity")
+    found = section.figure("uniformity").quantity
+    assert len(section.rows) == points
+    assert abs(found.value - _uniformity(name, points)) <= 3.0 * found.u < 0.03
+
+
+@pytest.mark.slow
+def test_contrasts_of_a_display_that_warms_up_hold_its_drift() -> None:
+    """White changes by 0.2 % while a checkerboard is read: without that in u its contrast is 3 to 6 u off."""
+    found = rm.screen_report(
+        display="lcd", methods=["checkerboard_contrast", "sequential_contrast"], warm_up_s=0.0, seed=6611
+    )
+    for method, truth in (("checkerboard_contrast", _checkerboard), ("sequential_contrast", _sequential)):
+        contrast = found.section(method).figure("contrast").quantity
+        assert abs(contrast.value - truth("lcd")) <= 2.5 * contrast.u
+
+
+@pytest.mark.slow
+def test_warm_up_and_place_of_the_spot(measured: tuple[str, rm.DisplayReport]) -> None:
+    """The time constant and the largest spot's place are those of the model."""
+    name, report = measured
+    model, mura = DISPLAYS[name], report.section("mura")
+    assert mura.figure("largest_spot_x").quantity.value == pytest.approx(model.mura[0].x, abs=0.02)
+    assert mura.figure("largest_spot_y").quantity.value == pytest.approx(model.mura[0].y, abs=0.02)
+    if name == "lcd":
+        constant = report.section("warm_up").figure("time_constant").quantity
+        assert abs(constant.value - model.warm_up_s) <= 3.0 * constant.u
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.5, 0.5), (0.03, 0.03), (0.97, 0.5), (0.4, 0.98)])
+def test_largest_spot_is_found_wherever_it_is(x: float, y: float) -> None:
+    """A spot of 3 % with σ = 4 % of the height, on shading of 20 %, is found in the middle, at edges and in corners."""
+    rows, columns = np.mgrid[:128, :192]
+    across, down = (columns + 0.5) / 192, (rows + 0.5) / 128
+    shading = 1.0 - 0.2 * ((across - 0.5) ** 2 + (down - 0.5) ** 2)
+    spot = 1.0 - 0.03 * np.exp(-((1.5 * (across - x)) ** 2 + (down - y) ** 2) / (2 * 0.04**2))
+    noise = np.random.default_rng(5).normal(0.0, 0.002, shading.shape)
+    found = mura_of(
+        RadianceMap(shading * spot + noise, np.full(shading.shape, 0.002), np.zeros(shading.shape, np.uint8))
+    )
+    assert found.spot.value < -found.detection_limit
+    assert math.hypot(found.x.value - x, found.y.value - y) < 0.05
+
+
+def test_flat_screen_has_no_spot_beyond_noise() -> None:
+    """Of 40 maps of noise alone at most 6 exceed the limit that 5 % do (binomial: 2 ± 1.4)."""
+    rng = np.random.default_rng(6)
+    u = np.full((128, 192), 0.01)
+    maps = [RadianceMap(1.0 + rng.normal(0.0, 0.01, u.shape), u, np.zeros(u.shape, np.uint8)) for _ in range(40)]
+    assert sum(abs(one.spot.value) > one.detection_limit for one in map(mura_of, maps)) <= 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lcd", "oled"])
+def test_uncertainty_covers_the_truth(name: str) -> None:
+    """Over ten seeds 93 % of the figures that need no warm-up are within k = 2 (binomial: at least 87 % of 30)."""
+    methods = ["uniformity", "additivity", "mura", "gamma"]
+    inside = []
+    for seed in SEEDS:
+        report = rm.screen_report(display=name, methods=methods, levels="5", seed=seed, warm_up_s=0.0)
+        for (method, figure), truth in TRUTHS.items():
+            if method not in methods or method == "gamma":
+                continue
+            found = report.section(method).figure(figure)
+            if not found.bound:
+                inside.append(abs(found.quantity.value - truth(name)) <= 2.0 * found.quantity.u)
+    assert np.mean(inside) >= 0.87
+
+
+@pytest.mark.slow
+def test_page_and_json_name_methods_conditions_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The page has a section for each method, with that of the IDMS; JSON has the same figures with unit and u."""
+    page = tmp_path / "lcd.html"
+    words = ["screen", "report", "--display", "lcd", "--methods", "white,uniformity", "--points", "9", "--warm-up", "0"]
+    assert run([*words, "-o", str(page), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found["methods"]) == {"white", "uniformity"}
+    assert found["methods"]["uniformity"]["figures"]["uniformity"]["u"] > 0
+    assert len(found["methods"]["uniformity"]["table"]) == 9
+    text = page.read_text()
+    for words_shown in ("Full-screen white", "9 points, IDMS 8.1.2", "Measuring conditions"):
+        assert words_shown in text
+    assert run([*words, "-o", str(page)]) == 2  # the page exists
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--display", "plasma"],
+        ["--display", "lcd", "--methods", "smell"],
+        ["--display", "lcd", "--methods", "viewing_angle"],
+        ["--display", "lcd", "--geometry", "sideways"],
+        ["--display", "lcd", "--points", "12"],
+        ["--display", "lcd", "--checkers", "4"],
+        ["--display", "lcd", "--checkers", "3x3"],
+        ["--display", "lcd", "--angles", "left"],
+        ["--display", "lcd", "--angles=-90,90"],
+        ["--display", "lcd", "--levels", "few"],
+        ["--camera", "22500001"],
+    ],
+)
+def test_misuse_is_one_line(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A wrong word is refused before anything is measured: exit code 2, one line, no page."""
+    assert run(["screen", "report", *words, "-o", str(tmp_path / "x.html")]) == 2
+    assert capsys.readouterr().err.startswith("error:")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_screen_too_small_in_the_picture_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A screen of 20 pixels has no measuring field; the message says to move the camera."""
+    words = ["--display", "oled", "--area", "0,0,30,20", "--warm-up", "0", "--methods", "white"]
+    assert run(["screen", "report", *words]) == 2
+    assert "move the camera closer" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_spectra_that_contradict_each_other_are_in_the_u_of_luminances() -> None:
+    """The radiances of the primaries add up to white; where luminances do not, u covers the gap and a note names it."""
+    section = rm.screen_report(display="lcd", methods=["primaries"], warm_up_s=0.0, seed=1_720_001).section("primaries")
+    light = {name: section.figure(f"{name}_luminance").quantity for name in ("red", "green", "blue", "white")}
+    gap = light["red"].value + light["green"].value + light["blue"].value - light["white"].value
+    assert gap > 0.05 * light["white"].value
+    assert gap <= 2.0 * light["white"].u
+    assert any("contradict" in note for note in section.notes)
+
+
+def test_a_camera_without_a_scale_measures_no_screen(tmp_path: Path) -> None:
+    """A display has luminances: a bench without an absolute calibration is refused before anything is measured."""
+    bench = tmp_path / "bench.yaml"
+    bench.write_text(
+        "format: radiometer-bench/1\ncamera: {kind: simulated, preset: BFS-U3-19S4M}\n"
+        "lens: {focal_length_mm: 16, f_number: 4}\n"
+    )
+    for measure in (rm.screen_calibrate, rm.screen_report):
+        with pytest.raises(CalibrationError, match="no absolute calibration"):
+            measure(display="lcd", bench=bench)
+
+
+# Calibrations of simulated and of real displays find what they show.
+
+
+# A display that flickers is read again and again, which takes five seconds.
+FLICKERS = "pwm_lcd"
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[pytest.mark.slow] * (name == FLICKERS)) for name in SIMULATED_DISPLAYS],
+)
+def calibrated(request: pytest.FixtureRequest) -> tuple[str, ScreenCalibration]:
+    """Return a simulated display's name and its calibration by the simulated camera."""
+    name = request.param
+    options = Options(name, parse_levels("33"), seed=4)
+    with open_screen_bench(name, seed=9) as bench:
+        return name, calibrate_screen(bench, options, lights(primaries="crt"))
+
+
+def _grey(name: str, level: float) -> float:
+    drive = level / 255
+    return SimulatedDisplay(DISPLAYS[name]).radiance((drive, drive, drive))
+
+
+@pytest.mark.slow
+def test_inverse_meets_fifty_targets_within_its_stated_uncertainty(calibrated: tuple[str, ScreenCalibration]) -> None:
+    """At 50 random luminances the level found shows what is claimed: |z| ≤ 2 in 95 % within binomial chance (≥ 43)."""
+    name, calibration = calibrated
+    curve = calibration.channel()
+    rng = np.random.default_rng(11)
+    low, high = (float(curve.table.values[i]) for i in (0, -1))
+    targets = (np.sqrt(low) + (np.sqrt(high) - np.sqrt(low)) * rng.random(50)) ** 2
+    z = []
+    for target in targets:
+        level = curve.level_for(float(target))
+        claimed = curve.radiance_at(level)
+        z.append((_grey(name, level) - claimed.value) / claimed.u)
+    assert np.sum(np.abs(z) <= 2) >= 43
+    assert np.abs(z).max() < 4
+
+
+@pytest.mark.slow
+def test_shape_is_right_without_the_scale(calibrated: tuple[str, ScreenCalibration]) -> None:
+    """Ratios to white, where the common scale falls out, are right within what the levels' own u allows (|z| < 4.5)."""
+    name, calibration = calibrated
+    curve = calibration.channel()
+    truth = np.array([_grey(name, n) for n in range(256)])
+    claimed = np.array([curve.radiance_at(n).value for n in range(256)])
+    u = np.array([curve.u_shape_at(n) for n in range(256)])
+    scale = np.sum(truth * claimed / u**2) / np.sum(truth**2 / u**2)
+    z = (claimed - scale * truth) / u
+    assert np.abs(z).max() < 4.5
+    assert np.mean(np.abs(z) <= 2) > 0.85
+
+
+@pytest.mark.slow
+def test_black_is_seen_or_becomes_a_limit(calibrated: tuple[str, ScreenCalibration]) -> None:
+    """An OLED's true black is given as a limit of detection; the LCD's 0.1 cd/m² is measured."""
+    name, calibration = calibrated
+    curve = calibration.channel()
+    if name == "oled":
+        assert curve.radiance_is_lost(0)
+        assert 0 < curve.detection_limit * 320 < 0.01
+    elif name == "lcd":
+        assert not curve.radiance_is_lost(0)
+        assert curve.radiance_at(0).value == pytest.approx(0.1 / 340, rel=0.05)
+
+
+@pytest.mark.slow
+def test_flicker_is_found_where_it_is(calibrated: tuple[str, ScreenCalibration]) -> None:
+    """The dimmed backlight is found to flicker, the steady ones are not; readings are averaged accordingly."""
+    name, calibration = calibrated
+    assert calibration.checks["flicker"]["found"] is (name == FLICKERS)
+    assert (calibration.checks["repeats"] > 1) is (name == FLICKERS)
+
+
+@pytest.mark.slow
+def test_plain_gamma_errs_where_black_shines(calibrated: tuple[str, ScreenCalibration]) -> None:
+    """How badly a plain gamma would have erred is stated: over 10 % on the LCDs, under 1 % on the OLED."""
+    name, calibration = calibrated
+    error = calibration.channel().fits()["gamma"].rms_rel
+    assert error < 0.01 if name == "oled" else error > 0.1
+
+
+@pytest.mark.slow
+def test_luminance_by_an_assumed_white_holds_the_displays_own(calibrated: tuple[str, ScreenCalibration]) -> None:
+    """White of the simulated displays has 340 lm/W, where white_led has 317: 7 %, more than the scale's 1 %."""
+    name, calibration = calibrated
+    white = calibration.channel().at(255, LUMINANCE)
+    assert abs(340.0 * _grey(name, 255) - white.value) < 2 * white.u < 0.25 * white.value
+
+
+@pytest.mark.slow
+def test_primaries_add_up_to_white() -> None:
+    """With all channels measured the sum of the primaries is white within 0.5 %."""
+    options = Options("lcd", parse_levels("quick"), ("grey", "red", "green", "blue"))
+    with open_screen_bench("lcd", seed=3) as bench:
+        calibration = calibrate_screen(bench, options, lights(primaries="crt"))
+    assert set(calibration.channels) == {"grey", "red", "green", "blue"}
+    assert calibration.checks["additivity_rel"] == pytest.approx(0, abs=0.005)
+
+
+def test_simulated_display_is_a_display() -> None:
+    """It fulfils the protocol, refuses what is out of range, and is off until opened."""
+    display = SimulatedDisplay(DISPLAYS["lcd"])
+    assert isinstance(display, Display)
+    with pytest.raises(DeviceError, match="is off"):
+        display.show(DisplayPatch((1, 1, 1)))
+    with display, pytest.raises(SettingOutOfRange, match=r"drive 1\.2"):
+        display.show(DisplayPatch((1.2, 0, 0)))
+
+
+@pytest.mark.parametrize("name", DISPLAYS)
+def test_each_primary_adds_its_share_of_the_light_above_black(name: str) -> None:
+    """At half drive and seen from the side, light is black plus each primary's share of white's range."""
+    display = SimulatedDisplay(DISPLAYS[name])
+    display.turn(30.0)
+    model, level = display.model, round(0.5 * (2**display.model.bits - 1)) / (2**display.model.bits - 1)
+    cosine = np.cos(np.radians(30.0))
+    black = model.black_radiance * (1.0 + model.angle_leak * (1.0 - cosine**2))
+    of_white = (model.white_radiance - model.black_radiance) * cosine**model.angle_exponent * model.transfer(level)
+    for primary, share in enumerate(model.primary_shares):
+        only = tuple(0.5 * (primary == k) for k in range(3))
+        assert display.radiance(only) == pytest.approx(black + share * of_white, rel=1e-9)
+    assert display.radiance((0.5, 0.5, 0.5)) == pytest.approx(black + of_white, rel=1e-9)
+
+
+def test_pwm_averages_out_over_whole_periods_only() -> None:
+    """Over four periods the output is its mean; over a quarter of one it is all or nothing."""
+    display = SimulatedDisplay(DISPLAYS["pwm_lcd"], SimulatedClock(1e6))
+    display.open()
+    warm = display.backlight(1e9, 4 / 240)
+    assert warm == pytest.approx(1, rel=1e-4)
+    inside = {round(display.backlight(2e6 + k / 2400, 0.02 / 240), 2) for k in range(10)}
+    assert {0.0, 2.5} <= inside
+
+
+def test_backlight_warms_up_with_its_time_constant() -> None:
+    """After one time constant 1/e of the excess is left."""
+    display = SimulatedDisplay(DISPLAYS["lcd"])
+    display.open()
+    assert display.backlight(600.0, 1e-3) == pytest.approx(1 + 0.03 / np.e, rel=1e-5)
+
+
+def _dell(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return drive and luminance of a Dell U2412M's greys (SpyderX), repeats averaged."""
+    file = next((shared_data / "displays").glob("*gray_luminance.csv"))
+    rows = list(csv.DictReader(file.read_text().splitlines()))
+    drive, value = (np.array([float(r[k]) for r in rows]) for k in ("drive_percent", "Y_cd_m2"))
+    levels = np.unique(drive)
+    return levels / 100, np.array([value[drive == n].mean() for n in levels])
+
+
+def _dell_patches(shared_data: Path) -> np.ndarray:
+    """Return all patches of that monitor: drive of red, green and blue in %, then X, Y and Z, shape (175, 6)."""
+    text = next((shared_data / "displays").glob("*.ti3")).read_text(encoding="utf-8")
+    rows = text.split("BEGIN_DATA\n")[1].split("END_DATA")[0].split("\n")
+    return np.array([[float(word) for word in row.split()[1:]] for row in rows if row.strip()])
+
+
+def _grid_scatter(patches: np.ndarray) -> float:
+    """Return the rms relative error of Y when every level of each primary has its own light and these add up.
+
+    The grid of 5 × 5 × 5 patches has 13 unknowns: what is left is the reading's noise and what does not add up, and no
+    property of any level.
+    """
+    percent = np.array([0, 25, 50, 75, 100])
+    grid = patches[np.isin(patches[:, :3], percent).all(axis=1)]
+    columns = [np.ones(len(grid))]
+    columns += [(grid[:, channel] == level) * 1.0 for channel in range(3) for level in percent[1:]]
+    weight = 1.0 / grid[:, 4]
+    design = np.stack(columns, axis=1) * weight[:, np.newaxis]
+    solved, *_ = np.linalg.lstsq(design, grid[:, 4] * weight, rcond=None)
+    return float(np.sqrt(np.sum((1.0 - design @ solved) ** 2) / (len(grid) - design.shape[1])))
+
+
+def _oled(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
+    table = np.genfromtxt(shared_data / "displays" / "isetbio" / "OLED-Sony_gamma.csv", delimiter=",", names=True)
+    return table["level"] / table["level"][-1], 157.1 * table["gray"]
+
+
+def _left_out(levels: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the relative error at each inner level of a table without it."""
+    errors = []
+    for i in range(1, len(levels) - 1):
+        keep = np.arange(len(levels)) != i
+        errors.append(float(LevelTable(levels[keep], values[keep]).at(levels[i])) / values[i] - 1)
+    return np.array(errors)
+
+
+def test_table_meets_left_out_levels_of_a_real_monitor(shared_data: Path) -> None:
+    """Of the greys above 2 % of white 85 % are met within 0.5 % when left out, their rms is below 0.35 %.
+
+    What is missed alternates in sign from level to level: the monitor's own steps, which no smooth curve follows
+    (worst 0.9 %). Below 2 % of white the colorimeter repeats no better than some hundredths of a cd/m². In units of
+    white every level is met within 0.5 %.
+    """
+    levels, values = _dell(shared_data)
+    errors, inner = _left_out(levels, values), values[1:-1]
+    bright = np.abs(errors[inner > 0.02 * values[-1]])
+    assert np.mean(bright < 0.005) >= 0.85
+    assert np.sqrt(np.mean(bright**2)) < 0.0035
+    assert bright.max() < 0.009
+    assert np.abs(errors * inner).max() < 0.005 * values[-1]
+
+
+def test_what_is_missed_on_a_real_monitor_is_its_own_steps(shared_data: Path) -> None:
+    """A reading is good to some 0.12 %, which explains half of the rms: the rest is no smooth curve's.
+
+    A level left out is missed by its own error and by its neighbours': a cubic weighs these with 9/16 and −1/16, so
+    that independent errors s give 1.28·s. In blue (Z) and green (Y) what is missed has nothing in common: were it the
+    backlight or the reading, it would; steps of each channel's own do not. A smooth curve through the neighbours
+    cannot know them, however it is drawn.
+    """
+    patches = _dell_patches(shared_data)
+    noise = _grid_scatter(patches)
+    assert 0.0005 < noise < 0.0015
+    greys = patches[(patches[:, 0] == patches[:, 1]) & (patches[:, 1] == patches[:, 2])]
+    levels = np.unique(greys[:, 0])
+    values = np.array([greys[greys[:, 0] == n, 3:].mean(axis=0) for n in levels])
+    bright = values[1:-1, 1] > 0.1 * values[-1, 1]
+    y, z = (_left_out(levels / 100, values[:, n])[bright] for n in (1, 2))
+    spread = np.sqrt(1 + 2 * ((9 / 16) ** 2 + (1 / 16) ** 2))
+    own = np.sqrt(np.mean(y**2) / spread**2 - noise**2)
+    assert own > 1.5 * noise
+    assert abs(np.corrcoef(y, z)[0, 1]) < 2.5 / np.sqrt(bright.sum())
+
+
+@pytest.mark.parametrize(("channel", "worst"), [("R", 0.006), ("G", 0.006), ("B", 0.021)])
+def test_table_of_all_levels_meets_left_out_ones(shared_data: Path, channel: str, worst: float) -> None:
+    """All 256 levels of an LCD's primaries: left-out ones above 1 % are met within 0.5 % in 99 of 100."""
+    table = np.genfromtxt(shared_data / "displays" / "isetbio" / "LCD-Dell_gamma.csv", delimiter=",", names=True)
+    levels, values = table["level"] / table["level"][-1], table[channel]
+    errors = np.abs(_left_out(levels, np.maximum(values, 1e-12))[values[1:-1] > 0.01])
+    assert np.mean(errors < 0.005) >= 0.99
+    assert np.sqrt(np.mean(errors**2)) < 0.0015
+    assert errors.max() < worst
+
+
+def test_table_meets_left_out_levels_of_an_oled(shared_data: Path) -> None:
+    """With every eighth of 1024 levels in the table, the middles of the gaps are met within 0.3 % rms above 1 %."""
+    levels, values = _oled(shared_data)
+    table = LevelTable(levels[::8], values[::8])
+    middle = slice(4, 1020, 8)
+    bright = values[middle] > 0.01 * values[-1]
+    error = (table.at(levels[middle]) / np.maximum(values[middle], 1e-12) - 1)[bright]
+    assert np.sqrt(np.mean(error**2)) < 0.003
+    assert np.mean(np.abs(error) < 0.005) > 0.9
+
+
+def test_models_errors_on_a_real_monitor_are_ranked(shared_data: Path) -> None:
+    """A plain gamma errs by more than 50 % near black; Pelli–Zhang's worst error is at least five times less."""
+    levels, values = _dell(shared_data)
+    u = np.hypot(0.02, 0.001 * values)
+    plain, best = (fit_transfer(n, levels, values, u) for n in ("gamma", "pelli_zhang1991"))
+    assert plain.max_rel > 0.5
+    assert best.max_rel < plain.max_rel / 5
+    assert best.max_of_peak == pytest.approx(0.0, abs=0.02)
+
+
+# Screen calibrations by measurements made elsewhere: forms, units, honest uncertainty, spectra never by silence.
+
+
+TI3 = """CTI3
+
+TARGET_INSTRUMENT "Some meter"
+LUMINANCE_XYZ_CDM2 "190.0 200.000000 210.0"
+NORMALIZED_TO_Y_100 "YES"
+
+NUMBER_OF_FIELDS 7
+BEGIN_DATA_FORMAT
+SAMPLE_ID RGB_R RGB_G RGB_B XYZ_X XYZ_Y XYZ_Z
+END_DATA_FORMAT
+
+BEGIN_DATA
+1 100.0 100.0 100.0 95.0 100.0 109.0
+2 0.0 0.0 0.0 0.1 0.1 0.1
+3 50.0 50.0 50.0 21.0 22.0 23.0
+4 100.0 0.0 0.0 38.0 19.0 0.9
+5 50.0 0.0 0.0 8.0 4.0 0.4
+6 100.0 100.0 100.0 95.0 99.0 109.0
+END_DATA
+"""
+
+
+@pytest.mark.parametrize(
+    ("sets", "y", "reason"), [("999", "20", "it was cut or edited"), ("2", "-20", "set 2"), ("2", "nan", "set 2")]
+)
+def test_ti3_that_was_cut_or_holds_no_luminance_is_refused(tmp_path, sets, y, reason):
+    """Fewer sets than it states, and a value that no light has."""
+    file = tmp_path / "a.ti3"
+    table = f"100 100 100 95 100 108\n50 50 50 20 {y} 21\n"
+    columns = "BEGIN_DATA_FORMAT\nRGB_R RGB_G RGB_B XYZ_X XYZ_Y XYZ_Z\nEND_DATA_FORMAT\n"
+    head = f'CTI3\n\nNORMALIZED_TO_Y_100 "NO"\nNUMBER_OF_SETS {sets}\n'
+    file.write_text(f"{head}{columns}BEGIN_DATA\n{table}END_DATA\n")
+    with pytest.raises(InputError, match=reason):
+        read_screen_readings(file)
+
+
+def test_ti3_is_scaled_by_its_white_and_repeats_are_kept(tmp_path):
+    """Y of 22 at a white of 200 cd/m² is 44; two whites of 200 and 198 give 199; red's three levels are read."""
+    file = tmp_path / "a.ti3"
+    file.write_text(TI3)
+    found = read_screen_readings(file)
+    assert found.grey[128] == [pytest.approx(44.0)]
+    assert np.mean(found.grey[255]) == pytest.approx(199.0)
+    assert found.primaries["red"][128] == [pytest.approx(8.0)]
+    known = imported(found, lights("white_led", "led_lcd"), 0.04, file.name)
+    assert known.chromaticities["red"] == pytest.approx((38.0 / 57.9, 19.0 / 57.9))
+    known.write(tmp_path / "a.yaml")
+    assert chromaticities_in(tmp_path / "a.yaml") == chromaticities_in(file)
+    assert known.channel("grey").at(128, LUMINANCE).value == pytest.approx(44.0)
+    file.write_text(TI3.replace('LUMINANCE_XYZ_CDM2 "190.0 200.000000 210.0"\n', ""))
+    with pytest.raises(InputError, match="LUMINANCE_XYZ_CDM2"):
+        read_screen_readings(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0,0.3\n128,44\n255,200\n",
+        "share;cd\n0;0.3\n0.5;44\n1;200\n",
+        "percent nit\n0 0.3\n50 44\n100 200\n",
+        "# x\n0\t0.3\n128\t44\n255\t200\n",
+    ],
+)
+def test_tables_of_two_columns(text, tmp_path):
+    """Levels of 0 to 255, 0 to 1 and per cent give the same curve."""
+    file = tmp_path / "a.csv"
+    file.write_text(text)
+    found = read_screen_readings(file)
+    assert {n: v[0] for n, v in found.grey.items()} == {0: 0.3, 128: 44.0, 255: 200.0}
+
+
+@pytest.mark.parametrize(
+    ("levels", "unit", "middle"),
+    [
+        ((0, 60, 101), "8bit", 60), ((0, 50, 100), "%", 128), ((0, 30.5, 60), "percent", 78),
+        ((0, 0.25, 0.5), "share", 64),
+        ((0, 50.5, 100.5), "", None), ((0, 128, 256), "", None), ((-1, 50, 100), "", None),
+    ],
+)  # fmt: skip
+def test_levels_need_a_unit_unless_they_are_whole_ones_up_to_255(tmp_path, levels, unit, middle):
+    """What may be per cent, a share or a part of 8 bits is refused until heading or user states which."""
+    file = tmp_path / "a.csv"
+    rows = "".join(f"{level};{light}\n" for level, light in zip(levels, (0.3, 44.0, 200.0), strict=True))
+    for text in (rows, f"level;Lv\n{rows}"):
+        file.write_text(text)
+        with pytest.raises(UnsettledError, match="without a unit"):
+            read_screen_readings(file)
+    if middle is not None:
+        stated = read_screen_readings(file, mapped=StatementMap.parse([f"level=level:{unit}"]))
+        file.write_text(f"level [{unit}];Lv\n{rows}")
+        for found in (stated, read_screen_readings(file)):
+            assert sorted(found.grey)[1] == middle
+            assert any("'Lv' has no unit" in one for one in found.doubts)
+
+
+def test_a_primary_of_which_only_the_top_was_read_has_the_shape_of_grey():
+    """A quarter of white's light above black at the top is a quarter of grey's at every level; it is assumed aloud."""
+    readings = ScreenReadings("x", {0: [1.0], 128: [41.0], 255: [201.0]}, {"red": {0: [1.0], 255: [51.0]}})
+    known = imported(readings, lights("white_led", "led_lcd"), 0.04, "x")
+    assert [known.channel("red").at(n, LUMINANCE).value for n in (0, 128, 255)] == pytest.approx([1.0, 11.0, 51.0])
+    assert any(line.startswith("red: curve as grey's") for line in known.provenance.assumptions)
+    falling = ScreenReadings("y", {0: [200.0], 64: [100.0], 255: [1.0]})
+    with pytest.raises(InputError, match="no brighter at level 255 than at 0"):
+        imported(falling, lights("white_led", "led_lcd"), 0.04, "y")
+
+
+def test_readings_that_zigzag_by_levels_are_as_doubtful():
+    """Five levels ± 4 cd/m² about a straight line in turn: each is 8/√1.5 off the line through its neighbours."""
+    values = {min(64 * k, 255): [100.0 + 30.0 * k + 4.0 * (-1) ** k] for k in range(5)}
+    curve = imported(ScreenReadings("x", values), lights(), 0.04, "x").channel("grey")
+    assert curve.u_independent[2] * curve.photopic_lm_per_w == pytest.approx(8.0 / np.sqrt(1.5), rel=0.05)
+
+
+def test_cal_needs_whites_luminance_and_is_inverted(tmp_path):
+    """A panel of gamma 1.8 calibrated to 2.2 has CAL(i) = i^(2.2/1.8): the response comes out as v^1.8."""
+    expected = np.linspace(0, 1, 256)
+    rows = "\n".join(f"{i:.6f} " + " ".join([f"{i ** (2.2 / 1.8):.6f}"] * 3) for i in expected)
+    file = tmp_path / "a.cal"
+    file.write_text(
+        f"CAL\n\nBEGIN_DATA_FORMAT\nRGB_I RGB_R RGB_G RGB_B\nEND_DATA_FORMAT\nBEGIN_DATA\n{rows}\nEND_DATA\n"
+    )
+    with pytest.raises(InputError, match="white-luminance"):
+        read_screen_readings(file)
+    found = read_screen_readings(file, 100.0)
+    for level in (50, 125, 200, 255):
+        assert found.grey[level][0] == pytest.approx(100.0 * (level / 255) ** 1.8, rel=2e-3)
+
+
+def test_nothing_is_taken_of_a_real_displays_colours_by_silence():
+    """Colours of a browser's screen need a type or a file; grey alone needs none; simulated displays say their own."""
+    with pytest.raises(UsageError, match="--primaries"):
+        primaries_of("browser", ("grey", "blue"), None)
+    assert primaries_of("browser", ("grey",), None) is None
+    assert primaries_of("browser", ("blue",), "oled") == "oled"
+    assert primaries_of("lcd", ("blue",), None) == "crt"
+    assert set(lights("white_led", None)) == {"grey"}
+    with pytest.raises(InputError, match="led_lcd"):
+        lights("white_led", "plasma")
+
+
+def test_an_assumed_white_is_as_uncertain_as_whites_of_displays_differ(tmp_path):
+    """At D65 LCDs give some 310 and 315 lm/W, OLEDs 294, CRTs 259, where white_led has 317: 10 % rms; a CSV is known.
+
+    A measured radiance keeps its u, and luminance gets that of the spectrum; of a measured luminance it is the reverse.
+    """
+    white = lights("white_led")["grey"]
+    assert white.u_photopic_rel == pytest.approx(math.sqrt((0.022**2 + 0.006**2 + 0.073**2 + 0.182**2) / 4), rel=0.1)
+    assert 0.25 < white.u_scotopic_rel < 0.35
+    rows = "".join(f"{nm},{0 if nm in (480, 620) else 1}\n" for nm in range(480, 621, 5))
+    (tmp_path / "white.csv").write_text(f"wavelength_nm,power\n{rows}")
+    assert lights(str(tmp_path / "white.csv"))["grey"].u_photopic_rel < 0.01
+    levels = {0: [0.5], 128: [50.0], 255: [200.0]}
+    curve = imported(ScreenReadings("x", levels), {"grey": white}, 0.01, "x").channel("grey")
+    assert curve.at(255, LUMINANCE).u_rel == pytest.approx(0.01, rel=0.2)
+    assert curve.at(255).u_rel == pytest.approx(math.hypot(0.01, white.u_photopic_rel), rel=0.05)
+    whole = ScreenCalibration("x", {"grey": curve})
+    whole.write(tmp_path / "x.yaml")
+    again = ScreenCalibration.read(tmp_path / "x.yaml").channel("grey")
+    assert again.at(255, SCOTOPIC).u_rel == pytest.approx(math.hypot(0.01, white.u_ratio_rel), rel=0.05)
+
+
+def test_given_spectra_are_integrated(tmp_path):
+    """A red of a narrow band at 610 nm has 683·V(610) = 344 lm/W."""
+    file = tmp_path / "p.csv"
+    rows = [
+        f"{nm},{1 if abs(nm - 610) < 1 else 0},{1 if abs(nm - 540) < 1 else 0},{1 if abs(nm - 450) < 1 else 0}"
+        for nm in range(380, 781)
+    ]
+    file.write_text("wavelength_nm,red,green,blue\n" + "\n".join(rows))
+    found = lights("white_led", str(file))
+    assert found["red"].photopic_lm_per_w == pytest.approx(683 * 0.503, rel=0.01)
+    assert found["blue"].scotopic_lm_per_w == pytest.approx(1700 * 0.455, rel=0.01)
+
+
+@pytest.mark.parametrize(("kind", "file"), [("ccfl_lcd", "LCD-Dell"), ("oled", "OLED-Sony")])
+def test_display_types_are_like_measured_displays(kind, file, shared_data):
+    """Efficacies by type lie within 20 % (red 25, blue 45 %) of a measured display's of that kind or near it."""
+    table = np.genfromtxt(
+        shared_data / "displays" / "isetbio" / f"{file}_spd_W_sr_m2_nm.csv", delimiter=",", names=True
+    )
+    v = np.genfromtxt(shared_data / "photometry" / "V_lambda_CIE1924_1nm.csv", delimiter=",", skip_header=1)
+    weight = np.interp(table["wavelength_nm"], v[:, 0], v[:, 1])
+    for name, column, tolerance in (("red", "R", 0.25), ("green", "G", 0.2), ("blue", "B", 0.45)):
+        measured = 683 * float(weight @ table[column] / table[column].sum())
+        assert lights("white_led", kind)[name].photopic_lm_per_w == pytest.approx(measured, rel=tolerance)
+
+
+@pytest.mark.slow
+def test_every_real_file_is_read_without_an_edit(shared_data, tmp_path):
+    """All uLR files of eight displays and the .ti3 become calibrations that can be read back."""
+    folder = shared_data / "displays"
+    files = [*sorted(folder.glob("pacsdisplay_uLR/*/*uLR_*.txt")), *folder.glob("*.ti3")]
+    assert len(files) > 60
+    for file in files:
+        readings = read_screen_readings(file)
+        known = imported(readings, lights("white_led", "ccfl_lcd"), 0.04, file.name)
+        curve = known.channel("grey")
+        assert curve.at(255, LUMINANCE).value > 100
+        assert len(curve.levels) > 50
+    known.write(tmp_path / "s.yaml")
+    assert ScreenCalibration.read(tmp_path / "s.yaml").channel("grey").levels == curve.levels
+
+
+def coverage(readings: ScreenReadings, step: int, below: float) -> list[bool]:
+    """Return for each level left out below a share of white whether it lies within 2 u of the curve."""
+    levels = sorted(readings.grey)
+    kept = {*levels[::step], levels[-1]}
+    fewer = ScreenReadings(
+        readings.name, {n: readings.grey[n] for n in levels if n in kept}, resolution_cd_m2=readings.resolution_cd_m2
+    )
+    curve = imported(fewer, lights(), 0.04, "x").channel("grey")
+    white = float(np.mean(readings.grey[levels[-1]]))
+    held = []
+    for n in (n for n in levels if n not in kept and np.mean(readings.grey[n]) < below * white):
+        value = float(np.mean(readings.grey[n]))
+        shape = curve.u_shape_at(n) * curve.photopic_lm_per_w
+        own = np.hypot(0.001 * value, readings.resolution_cd_m2 / np.sqrt(12))
+        missed = abs(curve.radiance_at(n).value * curve.photopic_lm_per_w - value)
+        held.append(bool(missed <= 2 * np.hypot(shape, own)))
+    return held
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("panel", ["L200ME_(8g)", "DELL_3007WFP_(16g)", "HP_LP2065_(2g)", "EA234WMi_(4g+)"])
+@pytest.mark.parametrize("step", [4, 8, 16])
+def test_left_out_levels_near_black_are_met_within_their_uncertainty(panel, step, shared_data):
+    """Of real panels' levels below 2 % of white that were left out 93 % or more lie within k = 2."""
+    files = sorted((shared_data / "displays" / "pacsdisplay_uLR" / panel).glob("uLR_*.txt"))[:4]
+    held = [hit for file in files for hit in coverage(read_screen_readings(file), step, 0.02)]
+    assert np.mean(held) >= 0.93
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        "pacsdisplay_uLR/DELL_2001FP_(21g)/uLR_DELL_2001FP_C064657T377L.txt",
+        "pacsdisplay_uLR/DELL_2001FP_(21g)/uLR_DELL_2001FP_C064657T371L.txt",
+        "Dell_U2412M__1_2022-03-15_19-25_D6500_2.2_F-S_XYZLUT+MTX.targ.ti3",
+    ],
+)
+@pytest.mark.parametrize("step", [4, 8, 16])
+def test_steps_that_come_back_and_a_wide_gap_above_black_are_in_the_uncertainty(file, step, shared_data):
+    """A panel whose every fifth step is short, and one that lifts its black: 93 % or more of the left-out levels, too.
+
+    With the four nearest levels alone it was 73 and 90 %, with the power law trusted above black 67 %.
+    """
+    assert np.mean(coverage(read_screen_readings(shared_data / "displays" / file), step, 0.02)) >= 0.93
+
+
+def test_above_black_the_straight_line_is_as_likely_as_the_power_law():
+    """Levels 0 and 64 of a gamma of 2.2: halfway up the first gap they are 28 % of its rise apart: u is that by √3."""
+    values = {n: [0.1 + 100 * (n / 255) ** 2.2] for n in (0, 64, 128, 192, 255)}
+    curve = imported(ScreenReadings("x", values), lights(), 0.04, "x").channel("grey")
+    rise = values[64][0] - values[0][0]
+    u = curve.u_shape_at(32) * curve.photopic_lm_per_w
+    apart = (0.5 - 0.5**2.2) * rise / np.sqrt(3)
+    assert apart <= u < 2 * apart
+
+
+def test_command_imports_and_says_what_it_took(tmp_path, capsys):
+    """The calibration is written; form, meter's scale, spectra are reported; colours without spectra are left out."""
+    file, out = tmp_path / "a.ti3", tmp_path / "s.yaml"
+    file.write_text(TI3)
+    assert run(["screen", "import", str(file), "-o", str(out)]) == 0
+    printed = capsys.readouterr()
+    assert "relative to a white of 200 cd" in printed.err
+    assert "red left out" in printed.err
+    assert "meter's scale: 4 %" in printed.out
+    assert run(["screen", "import", str(file), "-o", str(out), "--primaries", "oled", "--json", "--force"]) == 0
+    assert set(json.loads(capsys.readouterr().out)["channels"]) == {"grey", "red"}
+    assert run(["screen", "import", str(tmp_path / "none.ti3")]) == 1
+    assert capsys.readouterr().err.startswith("error:")
+
+
+@pytest.mark.parametrize(
+    ("rows", "why"),
+    [
+        ((0, 0.2, 128, 10, 256, 43.7, 512, 108, 1020, 204), "0 to 1020 of 255"),
+        ((0, 5, 32, 1.94, 64, 90.1, 128, 43.7, 192, 108, 255, 204), "does not rise"),
+    ],
+)
+def test_levels_that_no_display_has_are_refused_in_one_line(tmp_path, capsys, rows, why):
+    """Beyond the stated unit's range, and light that falls where the level rises."""
+    lines = "".join(f"{level},{light}\n" for level, light in zip(rows[::2], rows[1::2], strict=True))
+    (tmp_path / "t.csv").write_text(f"level,Y [cd/m2]\n{lines}")
+    words = ["screen", "import", str(tmp_path / "t.csv"), "-o", str(tmp_path / "s.yaml"), "--map", "level=level:8bit"]
+    assert run(words) == 1
+    assert why in capsys.readouterr().err
+    assert not (tmp_path / "s.yaml").exists()

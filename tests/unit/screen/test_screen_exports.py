@@ -1,11 +1,8 @@
 """Exports have the forms that the other programs read."""
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +10,6 @@ from PIL import ImageCms
 
 import radiometer as rm
 from radiometer.errors import CalibrationError, UsageError
-from radiometer.screen import ScreenCalibration
 from radiometer.screen.calibration import LUMINANCE
 from radiometer.screen.exports import EXPORTS, write_export
 from radiometer.screen.exports.chromaticity import argyll_line
@@ -26,7 +22,7 @@ SRGB = {"grey": (0.3127, 0.3290), "red": (0.64, 0.33), "green": (0.30, 0.60), "b
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", EXPORTS)
-def test_every_export_is_written(kind: str, screen: ScreenCalibration, tmp_path: Path) -> None:
+def test_every_export_is_written(kind, screen, tmp_path):
     """Each kind makes a file with content."""
     if kind == "icc":
         pytest.importorskip("imagecodecs")
@@ -34,13 +30,13 @@ def test_every_export_is_written(kind: str, screen: ScreenCalibration, tmp_path:
     assert (tmp_path / "x").stat().st_size > 100
 
 
-def test_unknown_export_is_refused(screen: ScreenCalibration, tmp_path: Path) -> None:
+def test_unknown_export_is_refused(screen, tmp_path):
     """The message lists what there is."""
     with pytest.raises(UsageError, match="psychopy, ti3, csv"):
         write_export(screen, "xlsx", tmp_path / "x")
 
 
-def test_psychopy_grid_reproduces_the_luminance_by_psychopys_own_formula(screen: ScreenCalibration) -> None:
+def test_psychopy_grid_reproduces_the_luminance_by_psychopys_own_formula(screen):
     """a + (b + k·x)^γ of the grid's grey row is the measured luminance within 1 % of it or 0.05 % of white."""
     text = EXPORTS["psychopy"][0](screen)
     entry = next(iter(json.loads(text).values()))
@@ -65,7 +61,7 @@ def _ti3(text: str) -> tuple[dict[str, str], list[list[float]]]:
     return words, [[float(v) for v in line.split()] for line in lines[start + 1 : end]]
 
 
-def test_ti3_is_read_like_a_file_of_dispreads(screen: ScreenCalibration, shared_data: Path) -> None:
+def test_ti3_is_read_like_a_file_of_dispreads(screen, shared_data):
     """Keywords and fields of a real file are there, with rows counted, white at Y = 100 and drive in percent."""
     real = next((shared_data / "displays").glob("*.ti3")).read_text(encoding="latin-1")
     ours, rows = _ti3(EXPORTS["ti3"][0](screen))
@@ -79,7 +75,7 @@ def test_ti3_is_read_like_a_file_of_dispreads(screen: ScreenCalibration, shared_
     assert white == pytest.approx(screen.channel().at(255, LUMINANCE).value)
 
 
-def test_csv_has_one_row_per_level_with_uncertainty(screen: ScreenCalibration) -> None:
+def test_csv_has_one_row_per_level_with_uncertainty(screen):
     """Luminance and its u stand in every row."""
     header, *rows = to_csv(screen).splitlines()
     last = dict(zip(header.split(","), rows[-1].split(","), strict=True))
@@ -89,7 +85,7 @@ def test_csv_has_one_row_per_level_with_uncertainty(screen: ScreenCalibration) -
 
 
 @pytest.mark.slow
-def test_inverse_table_rises_and_meets_its_targets(screen: ScreenCalibration) -> None:
+def test_inverse_table_rises_and_meets_its_targets(screen):
     """Levels never fall, and what they show is nearer to the target than half a step."""
     rows = [line.split(",") for line in to_inverse_csv(screen).splitlines()[1:]]
     levels = [int(r[2]) for r in rows]
@@ -103,7 +99,7 @@ def test_inverse_table_rises_and_meets_its_targets(screen: ScreenCalibration) ->
 
 
 @pytest.mark.slow
-def test_vcgt_has_apples_layout_and_straightens_the_screen(screen: ScreenCalibration) -> None:
+def test_vcgt_has_apples_layout_and_straightens_the_screen(screen):
     """18 bytes of head, 3 × 256 rising 16-bit numbers; driven through them the screen follows gamma 2.2."""
     content = EXPORTS["vcgt"][0](screen)
     assert isinstance(content, bytes)
@@ -117,12 +113,12 @@ def test_vcgt_has_apples_layout_and_straightens_the_screen(screen: ScreenCalibra
 
 
 @pytest.mark.slow
-def test_correction_of_another_gamma_is_another_table(screen: ScreenCalibration) -> None:
+def test_correction_of_another_gamma_is_another_table(screen):
     """A target of 1.8 wants more drive in the middle."""
     assert correction(screen.channel(), 1.8)[128] > correction(screen.channel(), 2.2)[128]
 
 
-def test_argyll_line_is_spotreads(screen: ScreenCalibration) -> None:
+def test_argyll_line_is_spotreads(screen):
     """The words are those of spotread's printf; Y stands twice; X of D65 white is 0.9505 Y."""
     line = argyll_line(screen, "grey", 100.0)
     assert line == " Result is XYZ: 95.045593 100.000000 108.905775, Yxy: 100.000000 0.312700 0.329000"
@@ -135,7 +131,7 @@ def _icc_tags(content: bytes) -> dict[str, bytes]:
     return {signature.decode(): content[start : start + size] for signature, start, size in rows}
 
 
-def test_icc_profile_states_white_primaries_and_tone_curves(screen: ScreenCalibration, tmp_path: Path) -> None:
+def test_icc_profile_states_white_primaries_and_tone_curves(screen, tmp_path):
     """A screen of sRGB's chromaticities has the colorants of the ICC's sRGB profile; its curve is the screen's 2.2."""
     pytest.importorskip("imagecodecs")
     notes: list[str] = []
@@ -161,9 +157,7 @@ def test_icc_profile_states_white_primaries_and_tone_curves(screen: ScreenCalibr
     assert any("red, green, blue was not measured" in line for line in notes)
 
 
-def test_icc_profile_names_the_primary_that_contradicts_its_chromaticity(
-    screen: ScreenCalibration, tmp_path: Path
-) -> None:
+def test_icc_profile_names_the_primary_that_contradicts_its_chromaticity(screen, tmp_path):
     """By sRGB red has 21 % of white's luminance; a red as bright as 30 % of white is named, the others are not."""
     pytest.importorskip("imagecodecs")
     grey, notes = screen.channel(), list[str]()
@@ -187,9 +181,7 @@ def test_icc_profile_names_the_primary_that_contradicts_its_chromaticity(
         (SRGB | {"blue": SRGB["red"]}, "together has the chromaticity of grey"),
     ],
 )
-def test_icc_profile_of_unknown_colours_is_refused(
-    chromaticities: dict[str, tuple[float, float]], why: str, screen: ScreenCalibration, tmp_path: Path
-) -> None:
+def test_icc_profile_of_unknown_colours_is_refused(chromaticities, why, screen, tmp_path):
     """Nothing is assumed: a chromaticity that is unknown, or that makes no white, writes no file, and measures none."""
     replace(screen, name="lcd", chromaticities=chromaticities).write(tmp_path / "desk.yaml")
     with pytest.raises(CalibrationError, match=why):
@@ -199,7 +191,7 @@ def test_icc_profile_of_unknown_colours_is_refused(
     assert not (tmp_path / "desk.icc").exists()
 
 
-def test_known_chromaticities_replace_those_of_srgb(screen: ScreenCalibration) -> None:
+def test_known_chromaticities_replace_those_of_srgb(screen):
     """Illuminant A (0.44757, 0.40745): X is 1.0985 Y and Z 0.3558 Y (CIE 15), and the file assumes nothing."""
     known = replace(screen, chromaticities={"grey": (0.44757, 0.40745)})
     assert argyll_line(known, "grey", 100.0).startswith(" Result is XYZ: 109.84")
@@ -207,7 +199,7 @@ def test_known_chromaticities_replace_those_of_srgb(screen: ScreenCalibration) -
     assert "sRGB" not in str(EXPORTS["ti3"][0](known))
 
 
-def test_a_calibration_that_is_replaced_leaves_its_chromaticities(screen: ScreenCalibration, tmp_path: Path) -> None:
+def test_a_calibration_that_is_replaced_leaves_its_chromaticities(screen, tmp_path):
     """A colorimeter measures a screen once; those of a screen of another name are not taken."""
     file, heard = tmp_path / "desk.yaml", list[str]()
     known = {"grey": (0.31, 0.33)}
@@ -218,7 +210,7 @@ def test_a_calibration_that_is_replaced_leaves_its_chromaticities(screen: Screen
     assert rm.screen_calibrate(file, "lcd", name="other", levels="3", force=True).calibration.chromaticities == {}
 
 
-def test_page_states_what_the_screen_was_measured_with(screen: ScreenCalibration) -> None:
+def test_page_states_what_the_screen_was_measured_with(screen):
     """Date, camera and calibration stand in the head; what is not stated is named."""
     text = str(EXPORTS["page"][0](replace(screen, measured_with={"camera": "FLIR 22500001"})))
     for wanted in ("2026-11-21 12:00:00", "FLIR 22500001", "calibration</dt><dd>not stated"):
@@ -226,9 +218,7 @@ def test_page_states_what_the_screen_was_measured_with(screen: ScreenCalibration
 
 
 @pytest.mark.parametrize("odd", [{}, {"warm_up": "yes", "uniformity": {"lowest": None}, "drift_rel": "much"}])
-def test_page_states_the_checks_that_the_terminal_prints(
-    screen: ScreenCalibration, odd: dict[str, object], tmp_path: Path
-) -> None:
+def test_page_states_the_checks_that_the_terminal_prints(screen, odd, tmp_path):
     """A screen that still drifts, its uniformity and its flicker; a file that states a check otherwise has none."""
     checks = {
         "warm_up": {"waited_s": 1800.0, "drift_rel": 0.01, "steady": False},

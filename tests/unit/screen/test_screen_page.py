@@ -1,7 +1,5 @@
 """The page's server and its Display: who may speak to it, what is acknowledged, what is refused."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

@@ -1,7 +1,5 @@
 """Scenes: the radiance of pixels and what the scene says of its patches agree."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Robust scale, jackknife, least squares, restricted likelihood and model choice against known distributions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`radiometer calibrate`: scales that readings then reproduce, and refusals in one line."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The flat field: found from an even source, honest about itself, and carried into readings."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

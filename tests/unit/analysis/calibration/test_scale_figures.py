@@ -1,7 +1,5 @@
 """The absolute scale by figures worked out by hand: what divides, what multiplies, and how sure it is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

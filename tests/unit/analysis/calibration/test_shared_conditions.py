@@ -1,7 +1,5 @@
 """What a calibration and a reading must share: every state of every quantity is handled as the table says."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -43,6 +41,7 @@ VALUES = {
     "filter": ("V", "R"),
     "band": ("Red", "Green"),
     "binning": ("1", "2"),
+    "white_balance": ("set to daylight", "set to shade"),
     "conversion gain": (2.6, 1.3),
     "focal length": (16.0, 25.0),
     "f-number": (4.0, 5.6),

@@ -1,18 +1,14 @@
 """Characterisation of capture sets, of CCDs as well."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import radiometer as rm
 from radiometer.analysis.characterise import (
-    Characterisation,
     EmvaDescriptor,
     characterise,
     read_subject,
@@ -51,14 +47,12 @@ BELIEVED = CameraDescription(bit_depth=12, model="BFS-U3-19S4M", pixel_pitch_um=
 EXPOSURES = np.linspace(0.002, 0.05, 16)
 
 
-def _plan(gain_db: float = 0.0, darks: bool = True, top: float = 1.0) -> list[FrameSettings]:
+def _plan(gain_db=0.0, darks=True, top=1.0):
     bright = [FrameSettings(float(t) * top / 10 ** (gain_db / 20), gain_db) for t in EXPOSURES]
     return bright + ([replace(one, shutter="closed") for one in bright] if darks else [])
 
 
-def _capture(
-    path: Path, plan: list[FrameSettings], frames: int = 2, scene: UniformScene | StepChartScene | None = None
-) -> CaptureSet:
+def _capture(path, plan, frames=2, scene=None):
     model = CameraModel.ideal(CAMERA, LensDescription(focal_length_mm=16, f_number=4.0))
     lit = scene or UniformScene(radiance_W_per_sr_m2=0.14)
     return simulate_capture(
@@ -67,17 +61,17 @@ def _capture(
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     return _capture(tmp_path_factory.mktemp("made") / "set", _plan()).path
 
 
 @pytest.fixture
-def capture(made: Path, tmp_path: Path) -> CaptureSet:
+def capture(made, tmp_path):
     """Return a copy of one capture: tests write into it."""
     return CaptureSet.read(shutil.copytree(made, tmp_path / "set"))
 
 
-def test_camera_file_is_read_as_a_camera_preset(capture: CaptureSet) -> None:
+def test_camera_file_is_read_as_a_camera_preset(capture):
     """The result has the form of configs/cameras, with the measured figures and a source for each."""
     result = characterise(subject_of_capture(capture))
     preset = CameraPreset.from_mapping(result.to_mapping(), "camera.yaml")
@@ -87,7 +81,7 @@ def test_camera_file_is_read_as_a_camera_preset(capture: CaptureSet) -> None:
     assert preset.sources["read_noise_e"].startswith("measured: sigma_d")
 
 
-def test_uncertainty_of_the_light_goes_into_the_quantum_efficiency(capture: CaptureSet) -> None:
+def test_uncertainty_of_the_light_goes_into_the_quantum_efficiency(capture):
     """A radiance known to 5 % gives a quantum efficiency known to no better, while K stays as it is."""
     header = read_yaml(capture.path / "capture.yaml")
     header["patches"][0]["u_rel"] = 0.05
@@ -97,7 +91,7 @@ def test_uncertainty_of_the_light_goes_into_the_quantum_efficiency(capture: Capt
     assert loose.figures["K"] == tight.figures["K"]
 
 
-def test_every_gain_has_its_own_system_gain(tmp_path: Path) -> None:
+def test_every_gain_has_its_own_system_gain(tmp_path):
     """K rises by the factor of the gain, within 4 standard deviations; the figures hold at 0 dB."""
     capture = _capture(tmp_path / "set", _plan(12.0) + _plan(0.0))
     result = characterise(subject_of_capture(capture))
@@ -114,16 +108,14 @@ def test_every_gain_has_its_own_system_gain(tmp_path: Path) -> None:
         StepChartScene(radiances_W_per_sr_m2=tuple(0.14 * 0.75**k for k in range(16))),
     ],
 )
-def test_an_ideal_sensor_raises_no_alarm_whatever_it_looks_at(
-    scene: UniformScene | StepChartScene, tmp_path: Path
-) -> None:
+def test_an_ideal_sensor_raises_no_alarm_whatever_it_looks_at(scene, tmp_path):
     """Even or not, the light of the whole frame scatters by its noise: no note blames light, sensor or header."""
     capture = _capture(tmp_path / "set", _plan(), scene=scene)
     notes = characterise(subject_of_capture(capture, Patch(0, 0, 96, 72))).notes
     assert not re.search("scatters|bends|differs from|conversion_gain_error", " ".join(notes))
 
 
-def test_patches_of_a_chart_all_take_part_in_the_photon_transfer(tmp_path: Path) -> None:
+def test_patches_of_a_chart_all_take_part_in_the_photon_transfer(tmp_path):
     """Six patches give six times the steps, and K agrees with the truth within 4 standard deviations."""
     chart = StepChartScene(radiances_W_per_sr_m2=(0.02, 0.05, 0.08, 0.1, 0.12, 0.14))
     capture = _capture(tmp_path / "set", _plan(), scene=chart)
@@ -132,7 +124,7 @@ def test_patches_of_a_chart_all_take_part_in_the_photon_transfer(tmp_path: Path)
     assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
 
 
-def test_full_well_below_the_converter_is_the_plateau(tmp_path: Path) -> None:
+def test_full_well_below_the_converter_is_the_plateau(tmp_path):
     """A well of 8000 e- ends below full scale: the plateau gives it within 4 standard deviations."""
     model = CameraModel.ideal(CAMERA, LensDescription(f_number=4.0))
     model = model.with_parameters("full_well_saturation", full_well_e=8000)
@@ -152,16 +144,14 @@ def test_full_well_below_the_converter_is_the_plateau(tmp_path: Path) -> None:
         (_plan(darks=False)[:2], 2, r"holds no dark frames and fewer than three levels of light"),
     ],
 )
-def test_unusable_captures_are_refused_with_the_way_out(
-    tmp_path: Path, plan: list[FrameSettings], frames: int, message: str
-) -> None:
+def test_unusable_captures_are_refused_with_the_way_out(tmp_path, plan, frames, message):
     """Each lack is named with what to do."""
     capture = _capture(tmp_path / "set", plan, frames)
     with pytest.raises(MeasurementError, match=message):
         characterise(subject_of_capture(capture))
 
 
-def test_dark_frames_alone_tell_what_darks_can(tmp_path: Path) -> None:
+def test_dark_frames_alone_tell_what_darks_can(tmp_path):
     """Black level and its noise come out, no gain is claimed, and the camera file keeps what was believed."""
     result = characterise(subject_of_capture(_capture(tmp_path / "set", [p for p in _plan() if p.is_dark])))
     assert result.figures["mu_y_dark"].value == pytest.approx(64, abs=0.5)
@@ -170,7 +160,7 @@ def test_dark_frames_alone_tell_what_darks_can(tmp_path: Path) -> None:
     assert result.to_mapping()["emva1288"]["K_by_gain"] == []
 
 
-def test_without_darks_the_gain_is_the_slope_of_a_free_line(tmp_path: Path) -> None:
+def test_without_darks_the_gain_is_the_slope_of_a_free_line(tmp_path):
     """K within 4 standard deviations whatever the black level; nothing that needs darkness is claimed."""
     result = characterise(subject_of_capture(_capture(tmp_path / "set", _plan(darks=False))))
     assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
@@ -178,7 +168,7 @@ def test_without_darks_the_gain_is_the_slope_of_a_free_line(tmp_path: Path) -> N
     assert any("slope of a free line" in note for note in result.notes)
 
 
-def test_of_two_f_numbers_the_more_frequent_is_used(tmp_path: Path) -> None:
+def test_of_two_f_numbers_the_more_frequent_is_used(tmp_path):
     """Light proportional to exposure needs one aperture: the rest is left out, and a note says so."""
     plan = [*_plan(), FrameSettings(0.01, f_number=8.0)]
     result = characterise(subject_of_capture(_capture(tmp_path / "set", plan)))
@@ -186,7 +176,7 @@ def test_of_two_f_numbers_the_more_frequent_is_used(tmp_path: Path) -> None:
     assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
 
 
-def test_frames_with_the_source_off_stand_in_for_dark_ones(tmp_path: Path) -> None:
+def test_frames_with_the_source_off_stand_in_for_dark_ones(tmp_path):
     """Without a shutter, source-off frames serve, and a note says what that means."""
     plan = _plan(darks=False)
     plan += [replace(one, source_level=0.0) for one in plan]
@@ -195,7 +185,7 @@ def test_frames_with_the_source_off_stand_in_for_dark_ones(tmp_path: Path) -> No
     assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
 
 
-def test_level_ladder_at_one_exposure_serves_as_well(tmp_path: Path) -> None:
+def test_level_ladder_at_one_exposure_serves_as_well(tmp_path):
     """Light may be varied instead of exposure; then there is no dark current, and a note says so."""
     levels = np.linspace(0.04, 1.0, 16)
     plan = [FrameSettings(0.05, source_level=float(level)) for level in levels] + [
@@ -207,7 +197,7 @@ def test_level_ladder_at_one_exposure_serves_as_well(tmp_path: Path) -> None:
     assert "dark current needs dark frames at three exposures or more" in result.notes
 
 
-def test_curve_of_the_signal_to_noise_ratio_stands_in_the_file(capture: CaptureSet) -> None:
+def test_curve_of_the_signal_to_noise_ratio_stands_in_the_file(capture):
     """Each step's SNR is its signal over the root of its variance; none where every pixel clips."""
     steps = characterise(subject_of_capture(capture)).to_mapping()["emva1288"]["steps"]
     assert len(steps) == len(EXPOSURES)
@@ -219,7 +209,7 @@ def test_curve_of_the_signal_to_noise_ratio_stands_in_the_file(capture: CaptureS
         assert step["SNR"] == pytest.approx(expected, rel=1e-12)
 
 
-def test_averaged_frames_are_refused_as_showing_no_shot_noise(capture: CaptureSet) -> None:
+def test_averaged_frames_are_refused_as_showing_no_shot_noise(capture):
     """Where both frames of each pair are the same file, the variance does not rise with the signal."""
     header = read_yaml(capture.path / "capture.yaml")
     for first, second in zip(header["frames"][::2], header["frames"][1::2], strict=True):
@@ -229,13 +219,13 @@ def test_averaged_frames_are_refused_as_showing_no_shot_noise(capture: CaptureSe
         characterise(read_subject(capture.path))
 
 
-def test_region_outside_the_frame_is_refused(capture: CaptureSet) -> None:
+def test_region_outside_the_frame_is_refused(capture):
     """The message gives the region and the size of the frame."""
     with pytest.raises(MeasurementError, match=r"90,0,40,40 is not on the frame of 96 × 72"):
         characterise(subject_of_capture(capture, Patch(90, 0, 40, 40)))
 
 
-def test_descriptor_export_gives_the_same_figures_when_read_back(capture: CaptureSet, tmp_path: Path) -> None:
+def test_descriptor_export_gives_the_same_figures_when_read_back(capture, tmp_path):
     """A capture, exported and characterised again from the descriptor, has the same K, R and read noise."""
     subject = subject_of_capture(capture)
     result = characterise(subject)
@@ -248,7 +238,7 @@ def test_descriptor_export_gives_the_same_figures_when_read_back(capture: Captur
     ]
 
 
-def test_descriptor_export_of_a_region_writes_that_part(tmp_path: Path) -> None:
+def test_descriptor_export_of_a_region_writes_that_part(tmp_path):
     """The form knows no regions, so the part that was looked at becomes images of its own; a stack is listed."""
     capture = _capture(tmp_path / "set", _plan(), frames=3)
     subject = subject_of_capture(capture, Patch(10, 20, 64, 48))
@@ -263,7 +253,7 @@ def test_descriptor_export_of_a_region_writes_that_part(tmp_path: Path) -> None:
     assert (tmp_path / "emva_images" / "0000.png").read_bytes() == kept
 
 
-def test_that_the_whole_frame_was_used_is_reported_of_light_without_patches_only(capture: CaptureSet) -> None:
+def test_that_the_whole_frame_was_used_is_reported_of_light_without_patches_only(capture):
     """Named patches leave nothing to say; without one, light over the whole frame is doubted, darkness is not."""
     sentence = "the whole frame was used"
     assert not [note for note in subject_of_capture(capture).notes if sentence in note]
@@ -278,7 +268,7 @@ def test_that_the_whole_frame_was_used_is_reported_of_light_without_patches_only
 
 
 @pytest.mark.parametrize("factor", [100.0, 0.01])
-def test_descriptor_export_refuses_an_implausible_efficiency(capture: CaptureSet, factor: float) -> None:
+def test_descriptor_export_refuses_an_implausible_efficiency(capture, factor):
     """A radiance that is wrong by a factor of 100 is found by the quantum efficiency that would follow."""
     header = read_yaml(capture.path / "capture.yaml")
     header["patches"][0]["radiance_W_per_sr_m2"] *= factor
@@ -288,7 +278,7 @@ def test_descriptor_export_refuses_an_implausible_efficiency(capture: CaptureSet
         export_descriptor(subject, characterise(subject), capture.path / "emva.txt")
 
 
-def test_descriptor_export_without_photons_is_refused(capture: CaptureSet) -> None:
+def test_descriptor_export_without_photons_is_refused(capture):
     """Where the radiance is unknown the message says how to give it."""
     subject: Subject = replace(subject_of_capture(capture), fluxes=(None,))
     with pytest.raises(InputError, match="photons per pixel are unknown; give the radiance"):
@@ -307,7 +297,7 @@ def test_descriptor_export_without_photons_is_refused(capture: CaptureSet) -> No
         ("n 12 4 4\nd 100\ni images\\a.png\n", r"line 3: image .*images/a\.png does not exist"),
     ],
 )
-def test_wrong_descriptors_are_refused_by_line(tmp_path: Path, text: str, message: str) -> None:
+def test_wrong_descriptors_are_refused_by_line(tmp_path, text, message):
     """The message gives file, line and what is wrong."""
     (tmp_path / "d.txt").write_text(text)
     with pytest.raises(InputError, match=message):
@@ -315,7 +305,7 @@ def test_wrong_descriptors_are_refused_by_line(tmp_path: Path, text: str, messag
 
 
 @pytest.mark.slow
-def test_the_report_opens_with_gain_noise_and_capacity(capture: CaptureSet) -> None:
+def test_the_report_opens_with_gain_noise_and_capacity(capture):
     """The sentence holds K, σ_d and the saturation with U (k = 2); a picture, the meaning, then the tables."""
     result = characterise(subject_of_capture(capture))
     page = datasheet(result)
@@ -333,7 +323,7 @@ def test_the_report_opens_with_gain_noise_and_capacity(capture: CaptureSet) -> N
     assert not re.findall(r"(?:src|srcset|href)='(?!data:)", page)
 
 
-def test_the_report_reports_where_the_camera_stops_being_the_noise(capture: CaptureSet) -> None:
+def test_the_report_reports_where_the_camera_stops_being_the_noise(capture):
     """Read noise squared, in electrons, and times K in DN; a linear camera needs no response, a bent one does."""
     result = characterise(subject_of_capture(capture))
     equal = result.figures["sigma_d"].value ** 2
@@ -345,7 +335,7 @@ def test_the_report_reports_where_the_camera_stops_being_the_noise(capture: Capt
 
 
 @pytest.mark.usefixtures("unrendered")
-def test_without_a_gain_the_report_says_so_and_what_to_take(capture: CaptureSet) -> None:
+def test_without_a_gain_the_report_says_so_and_what_to_take(capture):
     """No K in the sentence, no photon transfer, and the captures that would tell it."""
     result = characterise(subject_of_capture(capture))
     whole = datasheet(result)
@@ -360,7 +350,7 @@ def test_without_a_gain_the_report_says_so_and_what_to_take(capture: CaptureSet)
 
 
 @pytest.mark.slow
-def test_no_name_of_a_camera_is_markup(capture: CaptureSet) -> None:
+def test_no_name_of_a_camera_is_markup(capture):
     """A camera that calls itself a script, and a note with one, are shown as they are written."""
     result = characterise(subject_of_capture(capture))
     camera = result.believed.model_copy(update={"model": HOSTILE, "serial": HOSTILE})
@@ -370,36 +360,36 @@ def test_no_name_of_a_camera_is_markup(capture: CaptureSet) -> None:
 
 
 @pytest.fixture(scope="module")
-def folder(shared_data: Path) -> Path:
+def folder(shared_data):
     return shared_data / "emva" / "ref001_ccd_12bit"
 
 
 @pytest.fixture(scope="module")
-def ccd(folder: Path) -> Characterisation:
+def ccd(folder):
     return characterise(read_subject(folder))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(REF001))
-def test_figure_agrees_with_the_package(ccd: Characterisation, name: str) -> None:
+def test_figure_agrees_with_the_package(ccd, name):
     """K within 1 %, the rest within 2 %: the fit here is weighted by the noise, the package's is not."""
     allowed = 0.01 if name == "K" else 0.02
     assert ccd.figures[name].value == pytest.approx(REF001[name], rel=allowed)
 
 
 @pytest.mark.parametrize(("name", "value"), list(REF001_LOOSE.items()))
-def test_figure_of_few_frames_agrees_within_its_uncertainty(ccd: Characterisation, name: str, value: float) -> None:
+def test_figure_of_few_frames_agrees_within_its_uncertainty(ccd, name, value):
     """What four frames or short exposures hardly determine differs by less than one standard uncertainty."""
     assert abs(ccd.figures[name].value - value) < ccd.figures[name].u
 
 
-def test_scatter_beyond_noise_is_reported(ccd: Characterisation) -> None:
+def test_scatter_beyond_noise_is_reported(ccd):
     """The real photon transfer is not quite straight; the note says so and K's uncertainty holds it."""
     assert any("scatters" in note for note in ccd.notes)
     assert ccd.figures["K"].u_rel > 0.002
 
 
-def test_descriptor_with_backslashes_is_read(folder: Path) -> None:
+def test_descriptor_with_backslashes_is_read(folder):
     """All images of the descriptor are found, bright and dark."""
     descriptor = EmvaDescriptor.read(folder / "EMVA1288_Data.txt")
     assert (descriptor.bit_depth, descriptor.width, descriptor.height) == (12, 640, 480)

@@ -1,7 +1,5 @@
 """Characterising the simulated camera over many seeds: the stated uncertainties are true."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

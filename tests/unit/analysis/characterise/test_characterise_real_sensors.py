@@ -1,7 +1,5 @@
 """What real sensors need of a characterisation, held against numbers drawn here by other formulas."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

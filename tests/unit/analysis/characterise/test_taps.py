@@ -1,9 +1,5 @@
 """Sensors with several output amplifiers: figures of each, borders found in frames, and sections of FITS headers."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,7 +10,7 @@ from testing.tap_camera import EXPOSURES_S, Taps
 fits = pytest.importorskip("astropy.io.fits")
 
 
-def write_frames(folder: Path, seed: int, taps: Taps, shape: tuple[int, int] = (128, 192)) -> Path:
+def write_frames(folder, seed, taps, shape=(128, 192)):
     """Write pairs of flats and of darks as FITS files."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
@@ -24,7 +20,7 @@ def write_frames(folder: Path, seed: int, taps: Taps, shape: tuple[int, int] = (
     return folder
 
 
-def write(path: Path, data: np.ndarray, header: dict[str, object]) -> None:
+def write(path, data, header):
     """Write one picture with its header."""
     unit = fits.PrimaryHDU(data)
     unit.header.update(header)
@@ -32,9 +28,7 @@ def write(path: Path, data: np.ndarray, header: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize(("rows", "columns", "seed"), [(2, 2, 9101), (2, 8, 9102)])
-def test_each_tap_has_the_gain_black_level_and_noise_it_was_made_with(
-    tmp_path: Path, rows: int, columns: int, seed: int
-) -> None:
+def test_each_tap_has_the_gain_black_level_and_noise_it_was_made_with(tmp_path, rows, columns, seed):
     """Of 4 and of 16 taps gains, black levels and read noises are within 4 u of the truth, most within 2 u."""
     truth = Taps.drawn(np.random.default_rng(seed), rows, columns)
     found = rm.characterise(write_frames(tmp_path / "set", seed, truth), taps=f"{columns}x{rows}")
@@ -49,7 +43,7 @@ def test_each_tap_has_the_gain_black_level_and_noise_it_was_made_with(
 
 
 @pytest.mark.parametrize("which", ["gain", "black", "noise"])
-def test_borders_are_found_where_one_figure_alone_differs(tmp_path: Path, which: str) -> None:
+def test_borders_are_found_where_one_figure_alone_differs(tmp_path, which):
     """A step of 3 % of gain, of 4 DN of black level, or of twice the noise shows the border of taps."""
     same = {"gain": np.full((2, 2), 0.5), "black": np.full((2, 2), 200.0), "noise": np.full((2, 2), 6.0)}
     other = {"gain": 0.515, "black": 204.0, "noise": 12.0}[which]
@@ -60,21 +54,21 @@ def test_borders_are_found_where_one_figure_alone_differs(tmp_path: Path, which:
     ]  # fmt: skip
 
 
-def test_borders_of_sixteen_taps_are_found(tmp_path: Path) -> None:
+def test_borders_of_sixteen_taps_are_found(tmp_path):
     """Two rows of eight narrow taps step in either direction: every border is found, and no other."""
     truth = Taps.drawn(np.random.default_rng(9109), 2, 8)
     found = rm.characterise(write_frames(tmp_path / "set", 9109, truth), taps="find")
     assert [(t.tap.x, t.tap.y, t.tap.width, t.tap.height) for t in found.taps] == truth.rectangles((128, 192))
 
 
-def test_one_amplifier_shows_no_border(tmp_path: Path) -> None:
+def test_one_amplifier_shows_no_border(tmp_path):
     """Frames of one amplifier are not parted: the search says that nothing was found and how to state taps."""
     alike = Taps(np.full((1, 1), 0.5), np.full((1, 1), 200.0), np.full((1, 1), 6.0))
     with pytest.raises(MeasurementError, match="COLUMNSxROWS"):
         rm.characterise(write_frames(tmp_path / "set", 9104, alike), taps="find")
 
 
-def test_units_of_amplifiers_make_one_frame_of_taps(tmp_path: Path) -> None:
+def test_units_of_amplifiers_make_one_frame_of_taps(tmp_path):
     """Four units placed by DETSEC, two of them read from the other end, are one picture with four taps."""
     truth = Taps.drawn(np.random.default_rng(9105), 2, 2)
     rng = np.random.default_rng(9106)
@@ -90,7 +84,7 @@ def test_units_of_amplifiers_make_one_frame_of_taps(tmp_path: Path) -> None:
         assert one.overscan.value == pytest.approx(black, abs=0.5)
 
 
-def test_cross_talk_is_the_share_of_a_spot_that_an_even_tap_repeats(tmp_path: Path) -> None:
+def test_cross_talk_is_the_share_of_a_spot_that_an_even_tap_repeats(tmp_path):
     """A spot in one tap of which another reads 0.5 % at the same time is found within 3 u; the others read nothing."""
     rng, folder = np.random.default_rng(9107), tmp_path / "set"
     folder.mkdir()
@@ -111,7 +105,7 @@ def test_cross_talk_is_the_share_of_a_spot_that_an_even_tap_repeats(tmp_path: Pa
 @pytest.mark.parametrize(
     ("how", "says"), [("3x0", "no such equal parts"), ("5x2", "no such"), ("four", "COLUMNSxROWS")]
 )
-def test_taps_that_cannot_be_are_refused(tmp_path: Path, how: str, says: str) -> None:
+def test_taps_that_cannot_be_are_refused(tmp_path, how, says):
     """A frame of 192 columns has no five equal taps, and a word is no number of them."""
     truth = Taps.drawn(np.random.default_rng(9108), 2, 2)
     with pytest.raises(UsageError, match=says):

@@ -1,7 +1,5 @@
 """Chromaticity, colour temperature and Duv compared with the standard, a peer, and drawn lights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

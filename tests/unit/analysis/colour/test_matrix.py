@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,7 +52,7 @@ def reflectances() -> Array:
     return np.stack([np.interp(GRID_NM, one.wavelengths, one.values) for one in chart.values()])
 
 
-def test_a_camera_that_is_a_mixture_of_the_matching_functions_has_its_matrix() -> None:
+def test_a_camera_that_is_a_mixture_of_the_matching_functions_has_its_matrix():
     """By Luther the matrix is the inverse of the mixture, for lights of any kind."""
     rng = np.random.default_rng(46_021)
     mixture = np.array([[0.9, 0.2, 0.1], [0.2, 1.1, 0.0], [0.0, 0.1, 0.8]])
@@ -74,7 +73,7 @@ def trained(powers: Array, rng: np.random.Generator, kind: str = "surfaces", **m
     return train_on_lights(camera, read(powers, [kind] * len(powers), rng), **{**PLAIN, **more})
 
 
-def test_24_patches_under_five_lights_are_within_one_and_a_half_u(reflectances: Array) -> None:
+def test_24_patches_under_five_lights_are_within_one_and_a_half_u(reflectances):
     """One matrix for all of them; each patch is read anew."""
     rng = np.random.default_rng(46_022)
     powers = np.vstack([reflectances * on_grid(spectrum(name)) for name in LIGHTS])
@@ -84,7 +83,7 @@ def test_24_patches_under_five_lights_are_within_one_and_a_half_u(reflectances: 
 
 
 @pytest.mark.parametrize("lamp", LIGHTS)
-def test_greys_have_their_colour_temperature_by_a_matrix_that_keeps_white(lamp: str, reflectances: Array) -> None:
+def test_greys_have_their_colour_temperature_by_a_matrix_that_keeps_white(lamp, reflectances):
     """A chart under a lamp, its white exact: CCT of the other greys within 1 %, Duv within 0.001, both within u."""
     rng = np.random.default_rng(46_031)
     powers = reflectances * on_grid(spectrum(lamp))
@@ -99,7 +98,7 @@ def test_greys_have_their_colour_temperature_by_a_matrix_that_keeps_white(lamp: 
 
 
 @pytest.mark.parametrize("display", ["LCD-Dell", "OLED-Sony"])
-def test_a_display_has_a_matrix_whatever_the_camera(display: str, shared_data: Path) -> None:
+def test_a_display_has_a_matrix_whatever_the_camera(display, shared_data):
     """Three primaries add up, so white and four lights give any mixture: CCT of whites within 1 %, Duv 0.001."""
     table = np.loadtxt(shared_data / f"displays/isetbio/{display}_spd_W_sr_m2_nm.csv", delimiter=",", skiprows=1)
     primaries = np.stack([np.interp(GRID_NM, table[:, 0], table[:, n]) for n in (1, 2, 3)])
@@ -113,7 +112,7 @@ def test_a_display_has_a_matrix_whatever_the_camera(display: str, shared_data: P
     assert np.sqrt(known.errors["mine"][1, 1]) < 0.02
 
 
-def test_u_of_oleds_by_the_matrix_of_a_chart_is_neither_too_small_nor_too_large(reflectances: Array) -> None:
+def test_u_of_oleds_by_the_matrix_of_a_chart_is_neither_too_small_nor_too_large(reflectances):
     """OLEDs whose emitters peak within 7 nm and are 0.6 to 1.6 times as wide: k = 2 covers 93 %; U of Y is no guess."""
     rng, off, wide = np.random.default_rng(1_500_201), list[Array](), list[Array]()
     known = trained(reflectances * on_grid(spectrum("cie_d65")), rng, responsivities=CAMERA)
@@ -132,9 +131,7 @@ def test_u_of_oleds_by_the_matrix_of_a_chart_is_neither_too_small_nor_too_large(
 
 @pytest.mark.parametrize("responsivities", [CAMERA, None], ids=["known", "unknown"])
 @pytest.mark.parametrize(("display", "kind"), [("LCD-Dell", "ccfl_lcd"), ("OLED-Sony", "oled")])
-def test_another_display_of_the_type_is_within_u(
-    display: str, kind: str, responsivities: Array | None, shared_data: Path
-) -> None:
+def test_another_display_of_the_type_is_within_u(display, kind, responsivities, shared_data):
     """The usual display of a type gives the matrix, a real one of that type is measured: u is not that of the first."""
     rng = np.random.default_rng(46_032)
     usual = np.stack([on_grid(spectrum(f"display:{kind}:{one}")) for one in COLOURS])
@@ -148,7 +145,7 @@ def test_another_display_of_the_type_is_within_u(
 
 @pytest.mark.parametrize("camera", ["simulated", "Nikon 5100 (NPL)"])
 @pytest.mark.parametrize("responsivities", [True, False])
-def test_u_holds_for_spectra_outside_the_training_set(camera: str, responsivities: bool, reflectances: Array) -> None:
+def test_u_holds_for_spectra_outside_the_training_set(camera, responsivities, reflectances):
     """A chart under daylight; then it under other lamps, lamps and displays: 93 % or more within k = 2, each alike."""
     peer, rng = pytest.importorskip("colour"), np.random.default_rng(46_025)
     own = CAMERA
@@ -171,7 +168,7 @@ def test_u_holds_for_spectra_outside_the_training_set(camera: str, responsivitie
     assert np.mean(within) >= 0.93
 
 
-def test_responsivities_give_chromaticities_and_known_lights_the_scale(reflectances: Array) -> None:
+def test_responsivities_give_chromaticities_and_known_lights_the_scale(reflectances):
     """Without a known light X, Y, Z are relative; one known light gives them their scale, with its uncertainty."""
     rng, powers = np.random.default_rng(46_026), reflectances * on_grid(spectrum("cie_d65"))
     lights = read(powers, ["surfaces"] * 24, rng)
@@ -189,7 +186,7 @@ def test_responsivities_give_chromaticities_and_known_lights_the_scale(reflectan
     assert xyz / xyz.sum(axis=1, keepdims=True) == pytest.approx(same / same.sum(axis=1, keepdims=True))
 
 
-def test_a_known_light_five_times_as_bright_scales_x_y_z_and_each_term_of_their_u() -> None:
+def test_a_known_light_five_times_as_bright_scales_x_y_z_and_each_term_of_their_u():
     """Readings, matrix and errors of other lights: the covariance of all three together grows by 25."""
     lights = read(plausible_lights()["surfaces"][:24], ["surfaces"] * 24, np.random.default_rng(46_031))
     camera, noise = ColourCamera(COLOURS, responsivities=CAMERA), np.eye(3) * lights.u_signal[:, None, :] ** 2
@@ -202,7 +199,7 @@ def test_a_known_light_five_times_as_bright_scales_x_y_z_and_each_term_of_their_
         assert five == pytest.approx(5.0**power * one, rel=1e-9)
 
 
-def test_a_matrix_for_each_kind_is_better_for_it_and_asks_for_the_kind() -> None:
+def test_a_matrix_for_each_kind_is_better_for_it_and_asks_for_the_kind():
     """Two displays have two matrices, each with less error than the one for both."""
     rng, lights = np.random.default_rng(46_027), plausible_lights()
     powers = np.vstack([lights["oled"][:26], lights["ccfl_lcd"][:26]])  # the mixtures of one display each
@@ -216,7 +213,7 @@ def test_a_matrix_for_each_kind_is_better_for_it_and_asks_for_the_kind() -> None
         each.convert(training.signal, np.zeros((3, 3)), None)
 
 
-def test_light_outside_the_training_set_is_told_and_less_sure(reflectances: Array) -> None:
+def test_light_outside_the_training_set_is_told_and_less_sure(reflectances):
     """A laser is outside the hull of a chart's colours; a grey is inside."""
     rng = np.random.default_rng(46_028)
     daylight = on_grid(spectrum("cie_d65"))
@@ -237,14 +234,14 @@ def test_light_outside_the_training_set_is_told_and_less_sure(reflectances: Arra
         ([0, 1, 2, 2, 2], "without light"),
     ],
 )
-def test_lights_that_determine_no_matrix_are_refused(chosen: list[int], said: str) -> None:
+def test_lights_that_determine_no_matrix_are_refused(chosen, said):
     """Too few, all alike, or one that no other confirms."""
     powers = plausible_lights()["oled"][[0, 2, 8, 25]][chosen]
     with pytest.raises(CalibrationError, match=said):
         trained(powers, np.random.default_rng(46_029))
 
 
-def test_a_file_gives_back_the_calibration_with_its_raw_readings(tmp_path: Path) -> None:
+def test_a_file_gives_back_the_calibration_with_its_raw_readings(tmp_path):
     """Matrix, errors and readings stay to the last digit; the matrix can be made anew from the file."""
     rng = np.random.default_rng(46_030)
     known = trained(plausible_lights()["oled"], rng, "oled")

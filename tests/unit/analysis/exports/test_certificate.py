@@ -47,7 +47,7 @@ def reading(unit: str = "W sr-1 m-2") -> Reading:
     )
 
 
-def test_a_certificate_states_value_uncertainty_budget_item_and_conditions(tmp_path: Path, laboratory: Path) -> None:
+def test_a_certificate_states_value_uncertainty_budget_item_and_conditions(tmp_path, laboratory):
     """A certificate states value uncertainty budget item and conditions."""
     made = rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="2026-7")
     root = ET.parse(tmp_path / "c.xml").getroot()
@@ -67,9 +67,7 @@ def test_a_certificate_states_value_uncertainty_budget_item_and_conditions(tmp_p
 
 
 @pytest.mark.parametrize(("k", "stated"), [(2.0000024, "2.0"), (2.1349, "2.13")])
-def test_a_certificate_states_k_to_three_digits_and_u_times_that_k(
-    tmp_path: Path, laboratory: Path, k: float, stated: str
-) -> None:
+def test_a_certificate_states_k_to_three_digits_and_u_times_that_k(tmp_path, laboratory, k, stated):
     """U over k is the reading's u, whatever Student's t gave."""
     made = rm.certificate(
         replace(reading(), coverage_factor=k), tmp_path / "c.xml", laboratory=laboratory, identifier="2"
@@ -82,7 +80,7 @@ def test_a_certificate_states_k_to_three_digits_and_u_times_that_k(
 
 
 @pytest.mark.slow
-def test_a_printed_reading_is_certified_with_its_budget_and_calibration(tmp_path: Path, laboratory: Path) -> None:
+def test_a_printed_reading_is_certified_with_its_budget_and_calibration(tmp_path, laboratory):
     """What `measure --json` prints names every contribution, and the calibration that the reading rests on."""
     (tmp_path / "reading.json").write_text(rm.measure().to_json(), encoding="utf-8")
     made = rm.certificate(tmp_path / "reading.json", tmp_path / "c.xml", laboratory=laboratory, identifier="3")
@@ -90,14 +88,14 @@ def test_a_printed_reading_is_certified_with_its_budget_and_calibration(tmp_path
     assert "calibration</dt><dd>simulated.yaml, 2026-11-21" in (tmp_path / "c.html").read_text(encoding="utf-8")
 
 
-def test_a_certified_source_gives_a_calibration_its_value_and_uncertainty(tmp_path: Path, laboratory: Path) -> None:
+def test_a_certified_source_gives_a_calibration_its_value_and_uncertainty(tmp_path, laboratory):
     """A certified source gives a calibration its value and uncertainty."""
     rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="1")
     assert read_certificate(tmp_path / "c.xml", "W sr-1 m-2") == Quantity(0.3, pytest.approx(0.003), "W sr-1 m-2")
     assert read_certificate(tmp_path / "c.xml", "cd m-2").u == pytest.approx(1.2)
 
 
-def test_a_calibration_is_certified_as_its_camera(project_root: Path, laboratory: Path, tmp_path: Path) -> None:
+def test_a_calibration_is_certified_as_its_camera(project_root, laboratory, tmp_path):
     """A calibration is certified as its camera."""
     stored = project_root / "configs" / "calibrations" / "simulated.yaml"
     made = rm.certificate(stored, tmp_path / "c.xml", laboratory=laboratory, identifier="2")
@@ -110,7 +108,7 @@ def test_a_calibration_is_certified_as_its_camera(project_root: Path, laboratory
     assert scale.u > 0
 
 
-def test_certificates_are_valid_against_the_schema(project_root: Path, tmp_path: Path, laboratory: Path) -> None:
+def test_certificates_are_valid_against_the_schema(project_root, tmp_path, laboratory):
     """dcclib of PTB finds no error in that of a reading, and of a calibration.
 
     It downloads the schema, unless RADIOMETER_DCC_SCHEMA names the file.
@@ -127,7 +125,7 @@ def test_certificates_are_valid_against_the_schema(project_root: Path, tmp_path:
         assert found.is_valid, [str(error) for error in found.errors]
 
 
-def test_a_reading_in_a_file_is_certified_as_the_reading(tmp_path: Path, laboratory: Path) -> None:
+def test_a_reading_in_a_file_is_certified_as_the_reading(tmp_path, laboratory):
     """A reading in a file is certified as the reading."""
     (tmp_path / "r.json").write_text(json.dumps(reading().to_mapping()))
     of_file = rm.certificate(tmp_path / "r.json", laboratory=laboratory, identifier="1")
@@ -135,7 +133,7 @@ def test_a_reading_in_a_file_is_certified_as_the_reading(tmp_path: Path, laborat
 
 
 @pytest.mark.parametrize("read", ["source", "laboratory"])
-def test_the_page_next_to_a_certificate_replaces_no_input(tmp_path: Path, laboratory: Path, read: str) -> None:
+def test_the_page_next_to_a_certificate_replaces_no_input(tmp_path, laboratory, read):
     """Not even with --force, whatever its input is called."""
     content = json.dumps(reading().to_mapping()) if read == "source" else LABORATORY
     (page := tmp_path / "c.html").write_text(content, encoding="utf-8")
@@ -146,9 +144,7 @@ def test_the_page_next_to_a_certificate_replaces_no_input(tmp_path: Path, labora
 
 
 @pytest.mark.parametrize("unknown", ["vendor", "serial"])
-def test_a_calibration_of_no_known_camera_is_never_certified_as_the_source(
-    project_root: Path, laboratory: Path, unknown: str
-) -> None:
+def test_a_calibration_of_no_known_camera_is_never_certified_as_the_source(project_root, laboratory, unknown):
     """The laboratory's lamp is not what was calibrated; the message names what the calibration's file must state."""
     stored = Calibration.read(project_root / "configs" / "calibrations" / "simulated.yaml")
     nameless = replace(stored, camera=stored.camera.model_copy(update={unknown: None}))
@@ -156,7 +152,7 @@ def test_a_calibration_of_no_known_camera_is_never_certified_as_the_source(
         rm.certificate(nameless, laboratory=laboratory, identifier="2")
 
 
-def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -> None:
+def test_what_cannot_be_certified_is_refused(tmp_path, laboratory):
     """What cannot be certified is refused."""
     with pytest.raises(UsageError, match="relative"):
         rm.certificate(reading("relative"), laboratory=laboratory, identifier="1")
@@ -187,7 +183,7 @@ def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -
         ("instrument", "\ud800", "D800"),
     ],
 )  # fmt: skip
-def test_no_certificate_of_what_no_reading_states(tmp_path: Path, laboratory: Path, key: str, value, why: str) -> None:
+def test_no_certificate_of_what_no_reading_states(tmp_path, laboratory, key, value, why):
     """An impossible number, unit, time or character is refused by its name, and nothing is written."""
     (tmp_path / "r.json").write_text(json.dumps({**reading().to_mapping(), key: value}))
     with pytest.raises((InputError, OutputRefused, UsageError), match=why):
@@ -202,7 +198,7 @@ REQUIRED = [
 
 
 @pytest.mark.parametrize(("part", "key"), REQUIRED)
-def test_what_a_certificate_must_state_cannot_be_left_empty(tmp_path: Path, part: str, key: str) -> None:
+def test_what_a_certificate_must_state_cannot_be_left_empty(tmp_path, part, key):
     """Names, addresses, maker and serial number: an empty text is refused by its key."""
     stated = yaml.safe_load(LABORATORY)
     stated[part][key] = ""
@@ -231,9 +227,7 @@ def test_what_a_certificate_must_state_cannot_be_left_empty(tmp_path: Path, part
         (lambda text: text.replace("dcc:results", "dcc:influenceConditions"), "states 0 values"),
     ],
 )
-def test_what_does_not_state_one_value_with_its_uncertainty_is_refused(
-    tmp_path: Path, laboratory: Path, change, why: str
-) -> None:
+def test_what_does_not_state_one_value_with_its_uncertainty_is_refused(tmp_path, laboratory, change, why):
     """What does not state one value with its uncertainty is refused."""
     text = rm.certificate(reading(), laboratory=laboratory, identifier="1").to_xml()
     (tmp_path / "c.xml").write_text(change(text), encoding="utf-8")

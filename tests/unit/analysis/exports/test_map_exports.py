@@ -1,7 +1,5 @@
 """Exports of maps and of curves, as other programs read them."""
 
-from __future__ import annotations
-
 import getpass
 import json
 from dataclasses import replace
@@ -19,6 +17,7 @@ from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter, PixelMask, RadianceMap, ResponseCurve
 from radiometer.errors import InputError, MeasurementError, OutputError, UsageError
+from testing.photograph_folder import eight_bits, write_photographs
 
 
 @pytest.fixture
@@ -251,18 +250,14 @@ def test_colour_photographs_are_merged_by_channel(tmp_path, capsys):
     """Three curves by channel, one command, an .exr with R, G and B in their proportion."""
     truth = np.geomspace(0.05, 4.0, 64)[None, :].repeat(16, 0)
     rng = np.random.default_rng(7)
-    folder = tmp_path / "photographs"
-    folder.mkdir()
-    lines = []
-    for k in range(6):
-        seconds = 2.0**-k
-        planes = [
-            np.clip(np.rint(255 * (truth * tint * seconds) ** (1 / 2.2) + rng.normal(0, 0.3, truth.shape)), 0, 255)
-            for tint in (0.25, 0.5, 1.0)  # blue, green, red as OpenCV orders them
+    planes = (
+        [
+            eight_bits(255 * (truth * tint * 2.0**-k) ** (1 / 2.2) + rng.normal(0, 0.3, truth.shape))
+            for tint in (0.25, 0.5, 1.0)
         ]
-        cv2.imwrite(str(folder / f"{k}.png"), np.stack(planes, -1).astype(np.uint8))
-        lines.append(f"{k}.png {seconds}")
-    (folder / "exposures.txt").write_text("\n".join(lines) + "\n")
+        for k in range(6)
+    )
+    folder = write_photographs(tmp_path / "photographs", map(np.dstack, planes), [2.0**-k for k in range(6)])
     curves = []
     with np.errstate(divide="ignore"):
         g = 2.2 * np.log(np.arange(256.0) / 128)

@@ -1,9 +1,6 @@
 """Flicker measures compared with waveforms whose values are known by hand, and with published formulas."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,9 +22,7 @@ def light_at(rate_hz: float, seconds: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("frequency", "depth"), [(100.0, 0.3), (120.0, 0.9), (95.3, 0.05), (440.7, 0.5), (888.8, 0.2)])
-def test_a_sinusoid_has_its_depth_its_index_over_pi_and_its_depth_over_the_threshold(
-    frequency: float, depth: float
-) -> None:
+def test_a_sinusoid_has_its_depth_its_index_over_pi_and_its_depth_over_the_threshold(frequency, depth):
     """A sinusoid has its depth its index over π and its depth over the threshold."""
     light = 40.0 * (1.0 + depth * np.sin(2.0 * np.pi * frequency * light_at(RATE_HZ, 1.0) + 1.0))
     found = measure_flicker(Waveform(light, RATE_HZ, "sine"))
@@ -51,7 +46,7 @@ def test_the_clock_counts_in_the_frequency_or_is_named() -> None:
 
 
 @pytest.mark.parametrize("duty", [0.2, 0.5, 0.8])
-def test_a_rectangle_has_depth_1_and_the_dark_share_of_its_period_as_index(duty: float) -> None:
+def test_a_rectangle_has_depth_1_and_the_dark_share_of_its_period_as_index(duty):
     """A rectangle has depth 1 and the dark share of its period as index."""
     light = (light_at(100_000.0, 0.5) * 125.0 % 1.0 < duty).astype(float)
     found = measure_flicker(Waveform(light, 100_000.0, "pwm"))
@@ -65,7 +60,7 @@ def test_a_rectangle_has_depth_1_and_the_dark_share_of_its_period_as_index(duty:
 
 
 @pytest.mark.parametrize(("frequency", "depth"), [(15.0, 0.01), (20.0, 0.02), (30.0, 0.05)])
-def test_the_severity_of_a_sinusoid_is_the_gain_of_its_filters(frequency: float, depth: float) -> None:
+def test_the_severity_of_a_sinusoid_is_the_gain_of_its_filters(frequency, depth):
     """The severity of a sinusoid is the gain of its filters."""
     # A sensation that hardly moves exceeds all percentiles alike: Pst = √(Σ weights · P).
     at = [2.0 * np.pi * frequency]
@@ -77,14 +72,14 @@ def test_the_severity_of_a_sinusoid_is_the_gain_of_its_filters(frequency: float,
     assert short_term_severity(Waveform(light, 4000.0, "sine")) == pytest.approx(by_hand, rel=0.01)
 
 
-def test_a_change_of_one_percent_each_half_second_is_just_irritating() -> None:
+def test_a_change_of_one_percent_each_half_second_is_just_irritating():
     """A change of one percent each half second is just irritating."""
     # Rectangular changes at 1 Hz: the severity is 1 at 1.0 % peak (IEC TR 61547-1, the eye without the lamp).
     light = 1.0 + 0.01 * np.sign(np.sin(2.0 * np.pi * light_at(4000.0, 120.0) + 0.1))
     assert short_term_severity(Waveform(light, 4000.0, "steps")) == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_short_record_counts_as_repeated_and_says_so() -> None:
+def test_a_short_record_counts_as_repeated_and_says_so():
     """A short record counts as repeated and says so."""
     light = 1.0 + 0.02 * np.sin(2.0 * np.pi * 20.0 * light_at(10_000.0, 0.43))
     short = measure_flicker(Waveform(light, 10_000.0, "short"))
@@ -94,7 +89,7 @@ def test_a_short_record_counts_as_repeated_and_says_so() -> None:
     assert [line for line in short.assumptions if line.startswith("PstLM")]
 
 
-def test_the_uncertainty_holds_for_noisy_records() -> None:
+def test_the_uncertainty_holds_for_noisy_records():
     """The uncertainty holds for noisy records."""
     rng = np.random.default_rng(46_001)
     t = light_at(RATE_HZ, 0.1)
@@ -136,9 +131,7 @@ NO_SHRINKING = (Phase.explicit, Phase.reuse, Phase.generate)  # a failing draw i
 
 @settings(max_examples=60, deadline=None, phases=NO_SHRINKING)
 @given(st.floats(5.0, 40.0), st.floats(6.0, 40.0), st.floats(0.02, 1.0), st.floats(0.0, 1.0))
-def test_coarse_samples_of_a_sinusoid_show_its_extremes_and_its_area(
-    samples: float, periods: float, depth: float, phase: float
-) -> None:
+def test_coarse_samples_of_a_sinusoid_show_its_extremes_and_its_area(samples, periods, depth, phase):
     """Between the samples as well: a sinusoid has one amplitude, whatever its phases."""
     size = max(32, int(samples * periods))
     light = 1.0 + depth * np.sin(2.0 * np.pi * (np.arange(size) / samples + phase))
@@ -150,9 +143,7 @@ def test_coarse_samples_of_a_sinusoid_show_its_extremes_and_its_area(
 
 @settings(max_examples=60, deadline=None, phases=NO_SHRINKING)
 @given(st.floats(5.0, 100.0), st.floats(0.1, 0.9), st.floats(0.05, 1.0), st.floats(0.0, 1.0), st.booleans())
-def test_coarse_samples_of_a_rectangle_do_not_ring(
-    samples: float, duty: float, depth: float, phase: float, whole: bool
-) -> None:
+def test_coarse_samples_of_a_rectangle_do_not_ring(samples, duty, depth, phase, whole):
     """A Fourier series of a step overshoots by 9 %; the levels themselves are what was sampled."""
     samples = float(round(samples)) if whole else samples
     assume(1.2 / samples < duty < 1.0 - 1.2 / samples)  # a pulse between two samples is not seen
@@ -168,7 +159,7 @@ def test_coarse_samples_of_a_rectangle_do_not_ring(
 
 
 @pytest.mark.parametrize("second_hz", [130.0, 137.3, 218.0])
-def test_light_of_two_frequencies_has_the_extremes_of_the_record(second_hz: float) -> None:
+def test_light_of_two_frequencies_has_the_extremes_of_the_record(second_hz):
     """The mean of the periods of one frequency would hide the other."""
     t = light_at(3000.0, 2.0)
     fine = light_at(300_000.0, 2.0)
@@ -181,13 +172,13 @@ def test_light_of_two_frequencies_has_the_extremes_of_the_record(second_hz: floa
     assert any(f"{second_hz:.3g}" in line for line in (*found.warnings, *found.assumptions))
 
 
-def test_noise_alone_has_no_modulation_beyond_its_uncertainty() -> None:
+def test_noise_alone_has_no_modulation_beyond_its_uncertainty():
     """The extremes of 9000 values of noise are 3.9 standard deviations off; they are no modulation."""
     found = measure_flicker(Waveform(1.0 + np.random.default_rng(11).normal(0, 0.02, 9000), 1000.0, "noise"))
     assert found.modulation_depth.value <= 2.0 * found.modulation_depth.u < 0.1
 
 
-def test_the_exposure_of_each_sample_of_a_table_is_corrected(tmp_path: Path) -> None:
+def test_the_exposure_of_each_sample_of_a_table_is_corrected(tmp_path):
     """A mean over 2 ms keeps sinc(0.2) = 93.5 % of a sinusoid of 100 Hz."""
     t = light_at(1700.0, 1.0)
     light = 1.0 + 0.4 * np.sinc(0.2) * np.sin(2.0 * np.pi * 100.0 * t)
@@ -196,7 +187,7 @@ def test_the_exposure_of_each_sample_of_a_table_is_corrected(tmp_path: Path) -> 
     assert found.modulation_depth.value == pytest.approx(0.4, abs=2e-6)
 
 
-def test_darkness_scales_every_modulation_and_counts_in_u() -> None:
+def test_darkness_scales_every_modulation_and_counts_in_u():
     """Darkness scales every modulation and counts in u."""
     light = 1.0 + 0.3 * np.sin(2.0 * np.pi * 100.0 * light_at(RATE_HZ, 0.5))
     bare = measure_flicker(Waveform(light, RATE_HZ, "lamp"))
@@ -207,7 +198,7 @@ def test_darkness_scales_every_modulation_and_counts_in_u() -> None:
         measure_flicker(Waveform(light - 2.0, RATE_HZ, "lamp"))
 
 
-def test_what_a_record_cannot_give_is_not_determined() -> None:
+def test_what_a_record_cannot_give_is_not_determined():
     """What a record cannot give is not determined."""
     slow = measure_flicker(Waveform(1.0 + 0.1 * np.sin(np.arange(1000.0)), 1000.0, "slow"))
     assert slow.svm is None
@@ -227,7 +218,7 @@ def rolling_frame(frequency: float, row_time_s: float, exposure_s: float, depth:
     return 64.0 + 2000.0 * fall_off * light + np.random.default_rng(3).normal(0.0, 10.0, (900, 200))
 
 
-def test_the_rows_of_a_rolling_shutter_give_the_waveform_and_its_exposure_is_corrected_in_svm() -> None:
+def test_the_rows_of_a_rolling_shutter_give_the_waveform_and_its_exposure_is_corrected_in_svm():
     """The rows of a rolling shutter give the waveform and its exposure is corrected in SVM."""
     frame = rolling_frame(480.0, 20e-6, 400e-6)
     flat = rolling_frame(480.0, 20e-6, 400e-6, depth=0.0)
@@ -240,7 +231,7 @@ def test_the_rows_of_a_rolling_shutter_give_the_waveform_and_its_exposure_is_cor
     assert any("corrected" in line for line in found.warnings)
 
 
-def test_a_source_of_known_frequency_gives_the_row_time(tmp_path: Path) -> None:
+def test_a_source_of_known_frequency_gives_the_row_time(tmp_path):
     """A source of known frequency gives the row time."""
     cv2 = pytest.importorskip("cv2")
     cv2.imwrite(str(tmp_path / "frame.tif"), rolling_frame(480.0, 20e-6, 200e-6).round().astype(np.uint16))
@@ -268,7 +259,7 @@ def test_a_source_of_known_frequency_gives_the_row_time(tmp_path: Path) -> None:
         ("time_s,light\n" + "0,1\n1,one\n" * 40, InputError, "no number"),
     ],
 )
-def test_a_table_that_holds_no_waveform_is_refused(tmp_path: Path, text: str, error: type[Exception], why: str) -> None:
+def test_a_table_that_holds_no_waveform_is_refused(tmp_path, text, error, why):
     """A table that holds no waveform is refused."""
     (tmp_path / "lamp.csv").write_text(text)
     with pytest.raises(error, match=why):
@@ -276,7 +267,7 @@ def test_a_table_that_holds_no_waveform_is_refused(tmp_path: Path, text: str, er
 
 
 @pytest.mark.parametrize(("heading", "step"), [("t/ms", 0.05), ("time (us)", 50.0), ("Zeit_s", 5e-5)])
-def test_the_unit_of_time_comes_from_the_heading(tmp_path: Path, heading: str, step: float) -> None:
+def test_the_unit_of_time_comes_from_the_heading(tmp_path, heading, step):
     """The unit of time comes from the heading."""
     rows = "".join(f"{n * step:.6g};{1.0 + 0.1 * math.sin(0.2 * n):.5f}\n" for n in range(400))
     (tmp_path / "lamp.csv").write_text(f"{heading};CH1 (V)\n{rows}")
@@ -286,7 +277,7 @@ def test_the_unit_of_time_comes_from_the_heading(tmp_path: Path, heading: str, s
 
 
 @pytest.mark.parametrize("form", ["{:.6f}", "{:.5e}", "{!r}"])
-def test_decimals_of_a_table_move_its_times_and_are_no_jitter(tmp_path: Path, form: str) -> None:
+def test_decimals_of_a_table_move_its_times_and_are_no_jitter(tmp_path, form):
     """Steps of 62.5 us in whole us, in six digits and in all of a double: 16 kHz each time."""
     rows = "".join(f"{form.format(0.3 + 62.5e-6 * n)},{1.0 + 0.1 * math.sin(0.2 * n):.5f}\n" for n in range(400))
     (tmp_path / "lamp.csv").write_text(f"time_s,light\n{rows}")
@@ -325,7 +316,7 @@ def severity_in_time(once: np.ndarray, rate_hz: float) -> float:
 
 
 @pytest.mark.parametrize("lamp", LAMPS)
-def test_measured_lamps_agree_with_other_meters(shared_data: Path, lamp: str) -> None:
+def test_measured_lamps_agree_with_other_meters(shared_data, lamp):
     """SVM and PstLM are within 1 % of those by a window, and by filters in time, of the repeated whole periods."""
     found = rm.flicker(shared_data / "lamps" / f"{lamp}.csv")
     frequency, waveform = found.measures.frequency, found.waveform
@@ -368,7 +359,7 @@ def test_slow_samples_warn_of_faster_light():
 
 
 @pytest.mark.parametrize("noise_rel", [0.0, 1e-3, 1e-2])
-def test_severity_covers_noise_that_is_not_of_the_light(noise_rel: float) -> None:
+def test_severity_covers_noise_that_is_not_of_the_light(noise_rel):
     """A camera's noise is squared with the light: 100 Hz at 30 % has a PstLM of 0.023, and u reaches down to that."""
     time_s, rng = np.arange(5000) / 5000.0, np.random.default_rng(47_002)
     light = 1.0 + 0.3 * np.sin(2 * np.pi * 100.0 * time_s)

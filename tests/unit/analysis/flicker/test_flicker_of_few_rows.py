@@ -1,7 +1,5 @@
 """One rolling-shutter frame without a flat: fall-off and light of few periods are told apart, as far as u says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The flux of a few pixels, worked out by hand: merging, noise, background, scale, steps to the emitted flux."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

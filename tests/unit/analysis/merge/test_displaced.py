@@ -1,7 +1,5 @@
 """Frames that lie apart by parts of a pixel make a map uncertain at gradients, not on even ground."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

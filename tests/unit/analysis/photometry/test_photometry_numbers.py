@@ -1,20 +1,40 @@
-"""Photometric quantities against standards, a peer and hand calculations."""
+"""Photometric quantities against standards, a peer and hand calculations; light of another or unknown colour."""
 
-from __future__ import annotations
-
+import json
 import math
 import warnings
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import radiometer as rm
 from radiometer.analysis.calibration import calibrate
 from radiometer.analysis.calibration.calibrate import MeterSettings, scale_from_meter, scale_from_radiance
 from radiometer.analysis.photometry import photometry
-from radiometer.analysis.photometry.photometry import LINES, Spectrum, primary_spectrum, spectrum, table
-from radiometer.errors import InputError
+from radiometer.analysis.photometry.alpha_opic import RECEPTORS, alpha_opic_quantities
+from radiometer.analysis.photometry.photometry import (
+    KINDS,
+    LINES,
+    Spectrum,
+    luminous_efficacy,
+    luminous_efficacy_lm_per_w,
+    primary_spectrum,
+    spectrum,
+    spectrum_from_csv,
+    table,
+    unstated_light_u_rel,
+)
+from radiometer.analysis.photometry.spectral_correction import spectral_factor
+from radiometer.analysis.reading.budget import spectral_u_rel, unknown_mismatch_u_rel
+from radiometer.analysis.reading.reading import read_patch
+from radiometer.analysis.signal.situation import spectral_correction
+from radiometer.data import BlackLevel, Patch, Quantity, SpectralResponse, StatedUncertainties
+from radiometer.data.setup import AS_CALIBRATED, Setup
+from radiometer.errors import InputError, UsageError
 from testing.golden import cie, thesis
 
 NAMES = ["equal_energy", "planck:2856", "cie_d65", "white_led", "display_red", "line:600", "line:450"]
@@ -193,25 +213,20 @@ def test_light_that_the_camera_cannot_see_has_no_correction(ours, of_the_calibra
 @pytest.mark.parametrize("colour", ["red", "green", "blue"])
 @pytest.mark.parametrize("kind", sorted(LINES))
 def test_a_primary_s_lines_have_their_shares_and_widths(kind, colour):
-    """Mean wavelength and spread of the whole are those of Gaussian lines of the stated peaks, widths and shares."""
+    """All that it sends is 1; mean wavelength and spread are those of Gaussian lines of the stated peaks and widths.
+
+    Its strongest line peaks where it is stated, odd wavelengths too.
+    """
     wavelength, power = primary_spectrum(kind, colour)
     peaks, widths, shares = (np.array(part) for part in zip(*LINES[kind][colour], strict=True))
     shares = shares / shares.sum()
     mean = shares @ peaks
     variance = shares @ ((widths / math.sqrt(8 * math.log(2))) ** 2 + (peaks - mean) ** 2)
-    power = power / power.sum()
+    assert power.sum() == pytest.approx(1.0, rel=1e-9)
     assert power @ wavelength == pytest.approx(mean, abs=1.5)
     assert math.sqrt(power @ (wavelength - mean) ** 2) == pytest.approx(math.sqrt(variance), rel=0.05)
-
-
-@pytest.mark.parametrize("colour", ["red", "green", "blue"])
-@pytest.mark.parametrize("kind", sorted(LINES))
-def test_a_primary_s_shares_are_those_of_one_whole(kind, colour):
-    """All that it sends is 1, and its strongest line peaks where it is stated, odd wavelengths too."""
-    wavelength, power = primary_spectrum(kind, colour)
-    assert power.sum() == pytest.approx(1.0, rel=1e-9)
-    peak, width, _ = max(LINES[kind][colour], key=lambda line: line[2] / line[1])
-    assert wavelength[np.argmax(power)] == pytest.approx(peak, abs=0.5 if width < 10.0 else 2.0)
+    highest = np.argmax(shares / widths)
+    assert wavelength[np.argmax(power)] == pytest.approx(peaks[highest], abs=0.5 if widths[highest] < 10.0 else 2.0)
 
 
 EXACT_K = [16.6016, 16.6016, 18.6346, 14.6417, 14.6417, 16.4347]
@@ -224,13 +239,6 @@ def test_meter_constants_of_the_thesis(luminance, f_number, exposure_s, expected
     """Printed settings taken at face value give the table's six constants."""
     constant = calibrate.meter_constant(luminance, MeterSettings(exposure_s, f_number, thesis.MEASURED_ISO))
     assert round(constant, 4) == expected
-
-
-def test_the_mean_meter_constant_of_the_thesis():
-    """The six average to 16.5."""
-    rows = [(level, MeterSettings(t, n, thesis.MEASURED_ISO)) for level, n, t, _ in thesis.METER_CONSTANTS]
-    constants = [calibrate.meter_constant(level, setting) for level, setting in rows]
-    assert round(float(np.mean(constants)), 1) == thesis.MEAN_METER_CONSTANT
 
 
 @pytest.mark.parametrize(("row", "expected"), list(zip(thesis.METER_CONSTANTS, EXACT_K, strict=True)))
@@ -411,3 +419,460 @@ def test_a_black_body_has_planck_s_law(kelvin):
     at = np.interp([400.0, 550.0, 700.0], body.wavelength_nm, body.power)
     by_hand = [nm**-5.0 / (math.exp(c2_nm_k / (nm * kelvin)) - 1.0) for nm in (400.0, 550.0, 700.0)]
     assert at / at[1] == pytest.approx(np.array(by_hand) / by_hand[1], rel=1e-8)
+
+
+# Correction of readings for light of another colour, and the doubt where the spectrum is unknown.
+
+
+HEADER = "wavelength_nm,responsivity\n"
+
+
+@pytest.mark.parametrize(
+    ("line_nm", "peak_nm", "width_nm", "rel"),
+    [(550, 453.0, 0.0, 1e-9), (640, 640.0, 0.0, 1e-12), (550, 640.0, 20.0, 1e-4)],
+)
+def test_photon_counter_goes_as_wavelength(line_nm, peak_nm, width_nm, rel):
+    """Per watt in proportion to λ, so the same light needs no correction; a line of 20 nm acts as its centre."""
+    assert spectral_factor(f"line:{line_nm}", peak_nm, width_nm) == pytest.approx(line_nm / peak_nm, rel=rel)
+
+
+def test_stated_responsivity_is_used(tmp_path):
+    """A responsivity twice as high at the light as at the calibration halves the reading."""
+    file = tmp_path / "camera.csv"
+    file.write_text("wavelength_nm,responsivity\n380,2\n500,2\n520,1\n780,1\n")
+    assert spectral_factor("line:550", 453.0, 0.0, file) == pytest.approx(0.5, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "text", ["a,b\n1,2\n", "wavelength_nm,responsivity\n500,1\n600,1\n", "wavelength_nm,responsivity\n"]
+)
+def test_unusable_responsivity_is_named(tmp_path, text):
+    """A file of another form or too short a reach is refused."""
+    file = tmp_path / "camera.csv"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"camera\.csv"):
+        spectral_factor("line:550", 453.0, 0.0, file)
+
+
+def test_an_infrared_led_is_counted_by_its_photons():
+    """With a flat efficiency its responsivity per watt is its mean wavelength, beyond the visible band too."""
+    assert spectral_factor("line:550", 850.0, 40.0) == pytest.approx(550 / 850, rel=1e-4)
+    assert spectral_factor("line:850", 550.0, 20.0) == pytest.approx(850 / 550, rel=1e-4)
+
+
+def test_a_responsivity_that_ends_before_the_light_is_refused(tmp_path):
+    """A table of the visible says nothing of 850 nm; one that reaches there is used."""
+    file = tmp_path / "responsivity.csv"
+    file.write_text("wavelength_nm,responsivity\n400,1\n700,1\n", encoding="utf-8")
+    with pytest.raises(InputError, match="the responsivity ends at 700 nm"):
+        spectral_factor("line:550", 850.0, 40.0, file)
+    file.write_text("wavelength_nm,responsivity\n400,1\n700,1\n701,0.25\n1000,0.25\n", encoding="utf-8")
+    assert spectral_factor("line:550", 850.0, 40.0, file) == pytest.approx(4.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_what_a_light_reaches_is_reported_in_shares_of_its_peak(tmp_path, unit):
+    """Whatever unit its spectrum is in: a tail of 1/1000 beyond the table is let pass, one of a tenth is not."""
+    table, light = tmp_path / "responsivity.csv", tmp_path / "light.csv"
+    table.write_text(HEADER + "400,1\n800,1\n", encoding="utf-8")
+    for tail, taken in ((0.001, True), (0.1, False)):
+        rows = ((500, 0.0), (600, 1.0), (700, tail), (900, tail), (901, 0.0))
+        light.write_text("\n".join(f"{nm},{power * unit!r}" for nm, power in rows), encoding="utf-8")
+        if taken:
+            assert spectral_factor(str(light), 600.0, 0.0, table) == pytest.approx(1.0, rel=1e-3)
+        else:
+            with pytest.raises(InputError, match="the responsivity ends at 800 nm"):
+                spectral_factor(str(light), 600.0, 0.0, table)
+
+
+@pytest.mark.parametrize(("peak_nm", "share_above"), [(550.0, 0.5), (560.0, 0.880473), (530.0, 0.009257)])
+def test_a_line_has_the_width_that_is_stated(tmp_path, peak_nm, share_above):
+    """Of a Gaussian of 20 nm, σ = 8.493 nm, a half, Φ(1.1774) and Φ(−2.3548) lie above a step at 550 nm."""
+    file = tmp_path / "camera.csv"
+    file.write_text("wavelength_nm,responsivity\n380,1\n549.999,1\n550.001,3\n780,3\n")
+    found = spectral_factor("line:450", peak_nm, 20.0, file)
+    assert found == pytest.approx(1.0 / (1.0 + 2.0 * share_above), rel=2e-3)
+
+
+ONLY_EFFICACY = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0)).model_copy(
+    update={"efficacy_u_rel": 0.4}
+)
+
+
+def reading(rig, quantity, spectra=("equal_energy", "equal_energy")):
+    black = BlackLevel(dn=64.0, u_dn=0.0)
+    base = rig.calibration(u_rel=0.01, uncertainties=ONLY_EFFICACY, black_level=black, spectrum=spectra[1])
+    scale = base.scale.model_copy(update={"quantity": quantity, "spectrum": spectra[0]})
+    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3))
+    frames = rig.frames(scene, np.random.default_rng(1), (1e-3,) * 5)
+    return read_patch(frames, Patch(0, 0, 12, 12), Setup(rig.description, rig.lens, replace(base, scale=scale)))
+
+
+def test_a_scale_from_a_luminance_doubts_the_radiance(rig):
+    """The efficacy's 40 % are in the radiance, and cancel in the luminance: there only the scale's 1 % is left."""
+    found = reading(rig, "luminance")
+    assert found.radiance.u_rel == pytest.approx(math.hypot(0.01, 0.4), rel=1e-3)
+    assert found.luminance.u_rel == pytest.approx(0.01, rel=0.02)
+    assert "spectrum_assumed" in found.flags
+
+
+def test_a_scale_from_a_radiance_doubts_the_luminance(rig):
+    """The other way round."""
+    found = reading(rig, "radiance")
+    assert found.radiance.u_rel == pytest.approx(0.01, rel=0.02)
+    assert found.luminance.u_rel == pytest.approx(math.hypot(0.01, 0.4), rel=1e-3)
+
+
+def test_a_camera_of_unknown_response_doubts_another_spectrum(rig):
+    """Calibrated at 500 nm and read at 600 nm: a flat photon counter is off by ln 1.2, others by more or less."""
+    found = reading(rig, "radiance", ("line:500", "line:600"))
+    line = next(one.u_rel for one in found.budget if one.name == "spectral assumption")
+    bells = [
+        math.log(1.2) - math.log(2.0) * (((600 - peak) / 150) ** 2 - ((500 - peak) / 150) ** 2)
+        for peak in (500, 550, 600)
+    ]
+    assert line == pytest.approx(math.sqrt(np.mean(np.square([math.log(1.2), *bells]))), rel=1e-6)
+    assert unknown_mismatch_u_rel("white_led", "white_led") == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [("led_b1", "LED-B1"), ("led_rgb1", "LED-RGB1"), ("led_v2", "LED-V2"), ("cie_a", "A"), ("cie_fl11", "FL11")],
+)
+def test_tabulated_spectra_are_the_published_ones(name, label):
+    """Luminous efficacies against the tables of `colour-science`."""
+    import colour
+
+    published = colour.SDS_ILLUMINANTS[label]
+    known = {float(w): float(v) for w, v in zip(published.wavelengths, published.values, strict=True)}
+    wavelength = np.arange(380.0, 781.0, 5.0)
+    power = np.array([known.get(w, 0.0) for w in wavelength])
+    found = spectrum(name)
+    assert found.power / found.power.max() == pytest.approx(power / power.max(), rel=1e-5, abs=1e-9)
+
+
+def test_a_band_needs_a_width():
+    """The message says what is missing."""
+    with pytest.raises(InputError, match="after the comma"):
+        spectrum("band:525")
+
+
+@pytest.mark.parametrize(("name", "band"), [("white_led", (380.0, 780.0)), ("line:550", (550.0, 550.0))])
+def test_a_reading_states_the_band_that_its_radiance_counts(rig, name, band):
+    """That of the spectrum that the scale holds for, in JSON too."""
+    found = reading(rig, "radiance", (name, name))
+    assert found.band_nm == band
+    assert found.to_mapping()["band_nm"] == list(band)
+
+
+@pytest.mark.parametrize(("source", "u_rel"), [("line:600", 0.03), ("line:500.1", None)])
+def test_a_known_response_costs_no_more_than_an_unknown_one(rig, source, u_rel):
+    """Its own u far from the calibration's spectrum; next to it, where every plausible camera agrees, less."""
+    response = SpectralResponse(wavelength_nm=(300.0, 1100.0), relative=(300.0, 1100.0), u_rel=0.03, source="a test")
+    base = replace(rig.calibration(spectrum=source), spectral_response=response)
+    of_500 = replace(base, scale=base.scale.model_copy(update={"spectrum": "line:500"}))
+    expected = unknown_mismatch_u_rel(source, "line:500") if u_rel is None else u_rel
+    assert spectral_u_rel(of_500, ONLY_EFFICACY.model_copy(update={"efficacy_u_rel": 0.0})) == pytest.approx(expected)
+    assert spectral_correction(of_500)[1][0].endswith("applied, by the a test")
+
+
+def unstated(rig, calibration, *, spectrum_stated=False):
+    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3))
+    frames = rig.frames(scene, np.random.default_rng(1), (1e-3,) * 5)
+    patch = Patch(0, 0, 12, 12)
+    return read_patch(
+        frames,
+        patch,
+        Setup(rig.description, rig.lens, calibration, spectrum=AS_CALIBRATED if spectrum_stated else None),
+    )
+
+
+FLAT = SpectralResponse(wavelength_nm=(300.0, 1100.0), relative=(1.0, 1.0), u_rel=0.03)
+
+
+def spectral_line(found):
+    return next(one for one in found.budget if one.name == "spectral assumption")
+
+
+def test_light_of_unknown_spectrum_may_be_of_any_kind(rig):
+    """White LED assumed, camera unknown: 20 % for the radiance, 36 % for the luminance; the budget says from what."""
+    base = rig.calibration(spectrum="white_led", u_rel=0.0, uncertainties=StatedUncertainties())
+    found, known = unstated(rig, base), unstated(rig, base, spectrum_stated=True)
+    assert (
+        spectral_line(found).u_rel
+        == pytest.approx(unstated_light_u_rel("white_led", None))
+        == pytest.approx(0.199, abs=1e-3)
+    )
+    assert "spread of white LEDs, incandescent lamps, daylight" in spectral_line(found).note
+    assert "spectrum_assumed" in found.flags
+    assert found.radiance.value == known.radiance.value
+    assert found.radiance.u_rel == pytest.approx(math.hypot(known.radiance.u_rel, 0.199), rel=4e-3)
+    assert found.luminance.u_rel == pytest.approx(math.hypot(known.radiance.u_rel, 0.358), rel=4e-3)
+    assert spectral_line(known).u_rel == 0.0
+    assert "spectrum_assumed" not in known.flags
+
+
+def test_a_camera_that_counts_all_light_alike_leaves_the_radiance_alone():
+    """Of a flat response per watt every light's radiance is right, to the response's own u; its luminance is not."""
+    assert unstated_light_u_rel("white_led", FLAT) == pytest.approx(0.03)
+    efficacy = {name: luminous_efficacy_lm_per_w(spectrum(name)) for names in KINDS.values() for name in names}
+    off = [[(efficacy[one] / efficacy["white_led"] - 1.0) ** 2 for one in names] for names in KINDS.values()]
+    expected = math.hypot(math.sqrt(np.mean([np.mean(kind) for kind in off])), 0.03)
+    assert unstated_light_u_rel("white_led", FLAT, "photopic") == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_response_that_ends_before_the_light_says_nothing():
+    """A table from 300 to 400 nm under a line at 600: as if there were none."""
+    short = SpectralResponse(wavelength_nm=(300.0, 400.0), relative=(1.0, 1.0))
+    assert unstated_light_u_rel("line:600", short) == unstated_light_u_rel("line:600", None)
+
+
+def test_a_stated_figure_stands_in_place_of_all_kinds(rig):
+    """`--stated spectral_u_rel=0.05` is what the user knows better; the flag stays."""
+    stated = StatedUncertainties(spectral_u_rel=0.05)
+    found = unstated(rig, rig.calibration(spectrum="white_led", uncertainties=stated))
+    assert spectral_line(found).u_rel == pytest.approx(0.05)
+    assert spectral_line(found).note.endswith("as stated")
+    assert "spectrum_assumed" in found.flags
+
+
+def test_relative_readings_have_no_spectrum(rig):
+    """Without an absolute scale there is nothing that a spectrum could shift."""
+    base = rig.calibration(spectrum="white_led")
+    relative = replace(base, scale=base.scale.model_copy(update={"method": "relative"}))
+    assert spectral_u_rel(relative, StatedUncertainties(), spectrum_stated=False) == 0.0
+
+
+# What the table of a light, or of a receptor, does not state is in the uncertainty, or refused.
+
+
+FINE_NM = np.arange(200.0, 1100.1, 0.25)
+
+
+def bands(rng):
+    """Return the power of some coloured lights over the fine grid."""
+    power = np.zeros_like(FINE_NM)
+    for peak, width in zip(rng.uniform(450.0, 650.0, 3), rng.uniform(15.0, 80.0, 3), strict=True):
+        power += rng.uniform(0.1, 1.0) * 0.5 ** (4.0 * ((FINE_NM - peak) / width) ** 2)
+    return np.where(power < 1e-9, 0.0, power)
+
+
+def figures(light):
+    """Return the luminous efficacy and the α-opic quantities of a luminance."""
+    made = alpha_opic_quantities(Quantity(100.0, 0.0, "cd m-2"), light)
+    return [luminous_efficacy(light), *(one.quantity for one in made)]
+
+
+def as_csv(path, nm, power):
+    """Return the light as a file of it is read."""
+    np.savetxt(path, np.column_stack([nm, power]), "%.9g", ",", header="wavelength_nm,power", comments="")
+    return spectrum_from_csv(path)
+
+
+@cache
+def random_lights():
+    """Return forty lights, the part of a step by which a table of each begins earlier, and its figures."""
+    rng = np.random.default_rng(48_001)
+    drawn = [(bands(rng), rng.uniform()) for _ in range(40)]
+    return [(power, part, figures(Spectrum("true", FINE_NM, power))) for power, part in drawn]
+
+
+@pytest.mark.parametrize("step_nm", [1, 5, 10, 20, 40, 100, 200])
+def test_a_light_in_coarse_steps_is_right_within_u_or_refused(tmp_path, step_nm):
+    """Over random lights and first wavelengths; steps of 5 nm and less are never refused, of 100 nm always."""
+    taken, right = 0, 0
+    for n, (power, part, true) in enumerate(random_lights()):
+        nm = np.arange(300.0 - part * step_nm, 900.0, step_nm)
+        try:
+            found = figures(as_csv(tmp_path / f"{n}.csv", nm, np.interp(nm, FINE_NM, power)))
+        except InputError:
+            continue
+        taken += 1
+        tolerance = 1e-6 * max(one.value for one in true[1:])
+        right += all(abs(a.value - b.value) <= 2.0 * a.u + tolerance for a, b in zip(found, true, strict=True))
+    assert right >= 0.9 * taken
+    assert taken == 40 or step_nm > 5
+    assert taken == 0 or step_nm < 100
+
+
+@pytest.mark.parametrize("part", [1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 0.9])
+@pytest.mark.parametrize("peak_nm", [450.0, 550.0, 620.0])
+def test_a_light_that_is_cut_off_is_right_within_u_or_refused(tmp_path, part, peak_nm):
+    """Where the table ends at some part of the peak: whatever was cut off is covered."""
+    power = np.round(0.5 ** (4.0 * ((FINE_NM - peak_nm) / 60.0) ** 2), 9)
+    true = figures(Spectrum("true", FINE_NM, power))
+    kept = (peak_nm > FINE_NM) | (power > part)
+    try:
+        found = figures(as_csv(tmp_path / "cut.csv", FINE_NM[kept], power[kept]))
+    except InputError:
+        assert part >= 0.01
+        return
+    assert part < 0.9
+    for one, other in zip(found[1:], true[1:], strict=True):  # an efficacy is of the band that a table states
+        assert abs(one.value - other.value) <= 2.0 * one.u + 1e-6 * other.value
+
+
+@pytest.mark.parametrize("name", ["band:370,10", "band:375,12", "band:380,10", "band:790,10", "band:800,30"])
+def test_light_beyond_the_tables_is_not_none(name):
+    """Each receptor may answer to light that its table does not reach as it does at the end: u holds that."""
+    for one in rm.alpha_opic(100.0, spectrum=name).quantities:
+        assert one.quantity.u > 0.1 * one.quantity.value
+    inside = rm.alpha_opic(100.0, spectrum="band:550,20").quantities
+    assert [one.quantity.u for one in inside] == pytest.approx([0.0] * 5, abs=1e-9)
+
+
+def test_a_reading_of_too_little_known_light_has_no_luminance(tmp_path):
+    """A light that is stated to 495 nm alone has a radiance; a map or a value of it has no luminance either."""
+    nm = np.arange(380.0, 496.0, 5.0)
+    light = as_csv(tmp_path / "part.csv", nm, 0.5 ** (4.0 * ((nm - 480.0) / 30.0) ** 2))
+    with pytest.raises(InputError, match="leaves its luminance unknown"):
+        luminous_efficacy(light)
+    with pytest.raises(InputError, match="leaves its luminance unknown"):
+        rm.alpha_opic(1.0, "W/m2", spectrum=str(tmp_path / "part.csv"))
+
+
+# α-opic quantities compared with the figures of CIE S 026 and with calculations by hand.
+
+
+# α-opic efficacies of luminous radiation of daylight D65 in mW/lm. Source: CIE S 026:2018, table 3.
+DAYLIGHT = {
+    "s_cone_opic": 0.8173,
+    "m_cone_opic": 1.4558,
+    "l_cone_opic": 1.6289,
+    "rhodopic": 1.4497,
+    "melanopic": 1.3262,
+}
+
+
+@pytest.mark.parametrize("receptor", RECEPTORS)
+def test_daylight_is_its_own_equivalent_and_has_the_efficacy_of_the_standard(receptor):
+    """Daylight is its own equivalent and has the efficacy of the standard."""
+    one = rm.alpha_opic(250.0, "lx", spectrum="cie_d65")[receptor]
+    assert one.efficacy_mw_lm.value == pytest.approx(DAYLIGHT[receptor], abs=5e-5)
+    assert one.quantity.value == pytest.approx(0.25 * DAYLIGHT[receptor], rel=1e-4)
+    assert (one.equivalent_daylight.value, one.daylight_ratio.value) == (pytest.approx(250.0), pytest.approx(1.0))
+    assert (one.quantity.unit, one.equivalent_daylight.unit) == ("W m-2", "lx")
+
+
+# α-opic efficacies in mW/lm, in the order of RECEPTORS. Source: luxpy 1.12.5, spd_to_aopicELR, of the same tables.
+@pytest.mark.parametrize(
+    ("name", "efficacies"),
+    [
+        ("cie_a", (0.25419, 1.1742, 1.6567, 0.83077, 0.65751)),
+        ("white_led", (0.50479, 1.2871, 1.6253, 1.0127, 0.83892)),
+        ("led_v1", (0.26825, 1.1615, 1.6690, 0.82747, 0.65797)),
+        ("cie_fl11", (0.48328, 1.2664, 1.6143, 0.93929, 0.74745)),
+        ("equal_energy", (0.75640, 1.3968, 1.6389, 1.3301, 1.2013)),
+    ],
+)
+def test_the_efficacies_of_common_lights_are_those_of_a_peer(name, efficacies):
+    """The efficacies of common lights are those of a peer."""
+    found = rm.alpha_opic(1.0, spectrum=name)
+    assert [one.efficacy_mw_lm.value for one in found.quantities] == pytest.approx(efficacies, rel=3e-4)
+
+
+def test_a_line_excites_by_its_action_spectrum():
+    """A line excites by its action spectrum."""
+    wavelength, columns = table("alpha_opic.csv")
+    at_490 = columns["melanopic"][wavelength == 490.0][0]
+    found = rm.alpha_opic(3.0, "W/m2", spectrum="line:490")["melanopic"]
+    assert found.quantity.value == pytest.approx(3.0 * at_490)
+    assert at_490 == pytest.approx(1.0, abs=1e-3)  # its peak is at 490 nm
+
+
+def test_radiance_and_luminance_of_one_light_give_the_same():
+    """Radiance and luminance of one light give the same."""
+    from radiometer.analysis.photometry.photometry import luminance_cd_m2
+
+    watts, candela = (
+        rm.alpha_opic(0.3, "W/sr/m2", u=0.003, spectrum="white_led"),
+        rm.alpha_opic(luminance_cd_m2(0.3, spectrum("white_led")), "cd/m2", spectrum="white_led"),
+    )
+    for receptor in RECEPTORS:
+        assert watts[receptor].quantity.value == pytest.approx(candela[receptor].quantity.value, rel=1e-9)
+        assert watts[receptor].quantity.u / watts[receptor].quantity.value == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("unit", ["cd m-2", "W sr-1 m-2"])
+def test_the_uncertainty_of_the_spectrum_is_that_of_drawn_spectra(unit):
+    """The uncertainty of the spectrum is that of drawn spectra."""
+    light, rng = spectrum("white_led"), np.random.default_rng(46_002)
+    stated = alpha_opic_quantities(Quantity(100.0, 0.0, unit), light, 0.05, 0.8)
+    drawn = []
+    for _ in range(300):
+        power = light.power * (1.0 + 0.05 * rng.standard_normal(light.power.size))
+        moved = Spectrum("drawn", light.wavelength_nm + 0.8 * rng.standard_normal(), np.maximum(power, 0.0))
+        drawn.append([one.quantity.value for one in alpha_opic_quantities(Quantity(100.0, 0.0, unit), moved)])
+    for one, spread in zip(stated, np.std(drawn, axis=0), strict=True):
+        assert one.quantity.u == pytest.approx(spread, rel=0.2)
+
+
+def test_a_level_of_a_screen_and_a_reading_are_sources(tmp_path):
+    """A level of a screen and a reading are sources."""
+    screen = rm.screen_calibrate(display="lcd", quick=True).calibration
+    luminance = screen.channel("grey").at(200, "cd m-2")
+    of_level = rm.alpha_opic(screen=screen, level=200)
+    assert of_level.source == luminance
+    (tmp_path / "reading.json").write_text(json.dumps({"radiance": None, "luminance": luminance.to_mapping()}))
+    of_file = rm.alpha_opic(reading=tmp_path / "reading.json", spectrum=screen.channel("grey").spectrum)
+    assert of_file["rhodopic"] == of_level["rhodopic"]
+
+
+def test_a_source_of_known_size_and_distance_gives_the_illuminance_at_the_eye():
+    """Small: L·A/d². A disc of 45° half angle: half of πL. A wide wall: πL. A rectangle: the sum of its parts."""
+    small = rm.alpha_opic(100.0, u=1.0, spectrum="cie_d65", size_m=(0.02, 0.01), distance_m=2.0, u_distance_m=0.02)
+    assert small.source.value == pytest.approx(100.0 * 2e-4 / 4.0, rel=1e-4)
+    assert small.source.u / small.source.value == pytest.approx(np.hypot(0.01, 2 * 0.02 / 2.0), rel=1e-3)
+    assert (small.source.unit, small["melanopic"].equivalent_daylight.unit) == ("lx", "lx")
+    disc = rm.alpha_opic(1.0, "W/sr/m2", spectrum="cie_a", size_m=[2.0], distance_m=1.0)
+    assert (disc.source.value, disc.source.unit) == (pytest.approx(np.pi / 2), "W m-2")
+    assert rm.alpha_opic(1.0, spectrum="cie_a", size_m=(1e5, 1e5), distance_m=1.0).source.value == pytest.approx(np.pi)
+    x, y = np.meshgrid(*((np.arange(500) + 0.5) / 500 * side - side / 2 for side in (0.52, 0.32)))
+    summed = np.sum(0.6**2 / (x**2 + y**2 + 0.6**2) ** 2) * 0.52 * 0.32 / 500**2  # cos⁴θ/d² of each part
+    found = rm.alpha_opic(1.0, spectrum="cie_a", size_m=(0.52, 0.32), distance_m=0.6)
+    assert found.source.value == pytest.approx(summed, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("given", "error"),
+    [
+        ({}, UsageError),
+        ({"value": 1.0}, UsageError),
+        ({"value": 1.0, "reading": "x.json", "spectrum": "cie_a"}, UsageError),
+        ({"value": 1.0, "level": 3, "spectrum": "cie_a"}, UsageError),
+        ({"value": 1.0, "unit": "fc", "spectrum": "cie_a"}, UsageError),
+        ({"value": 1.0, "wavelength_u_nm": 1.0}, UsageError),
+        ({"value": 1.0, "spectrum": "cie_a", "wavelength_u_nm": 500.0}, UsageError),
+        ({"value": 1.0, "spectrum": "cie_a", "size_m": (1.0,), "distance_m": 1e-300}, UsageError),
+        ({"value": 1.0, "spectrum": "line:1064"}, InputError),
+        ({"value": -1.0, "spectrum": "cie_a"}, UsageError),
+        ({"value": float("nan"), "spectrum": "cie_a"}, UsageError),
+        ({"reading": "missing.json", "spectrum": "cie_a"}, InputError),
+        ({"value": 1.0, "spectrum": "cie_a", "size_m": (0.1,)}, UsageError),
+        ({"value": 1.0, "spectrum": "cie_a", "size_m": (0.1, 0.0), "distance_m": 1.0}, UsageError),
+        ({"value": 1.0, "unit": "lx", "spectrum": "cie_a", "size_m": (0.1,), "distance_m": 1.0}, UsageError),
+    ],
+)
+def test_what_gives_no_quantity_is_refused(given, error):
+    """What gives no quantity is refused."""
+    with pytest.raises(error):
+        rm.alpha_opic(**given)  # type: ignore[arg-type]
+
+
+def test_a_reading_counts_for_the_spectrum_that_it_was_made_for(tmp_path):
+    """Its luminance is that of such light; its flags go on, and a relative reading has no such quantities."""
+    stated = {
+        "radiance": {"value": 1.5, "u": 0.01, "unit": "W sr-1 m-2"},
+        "luminance": {"value": 475.0, "u": 5.0, "unit": "cd m-2"},
+        "flags": ["saturated"], "assumptions": ["spectrum white_led"],
+    }  # fmt: skip
+    file = tmp_path / "r.json"
+    file.write_text(json.dumps(stated))
+    with pytest.raises(UsageError, match="measure again with --spectrum line:465"):
+        rm.alpha_opic(reading=file, spectrum="line:465")
+    found = rm.alpha_opic(reading=file, spectrum="white_led")
+    assert "the reading is flagged saturated" in found.assumptions
+    for change in ({"flags": ["uncalibrated"]}, {"radiance": {"value": 1.5, "u": 0.01, "unit": "relative"}}):
+        file.write_text(json.dumps({**stated, **change}))
+        with pytest.raises(UsageError, match="relative"):
+            rm.alpha_opic(reading=file, spectrum="white_led")

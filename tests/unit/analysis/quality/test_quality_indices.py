@@ -1,7 +1,5 @@
 """Every quality index finds the error that was planted in the simulated bench, within its expanded uncertainty."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,9 +1,8 @@
-"""What differs between a reading and its calibration widens the interval by as much as is stated, or raises a flag."""
-
-from __future__ import annotations
+"""Readings in situations that a calibration does not share: wider by as much as is stated, flagged, and true."""
 
 import datetime as dt
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +25,7 @@ from radiometer.data import (
     FrameSettings,
     LensDescription,
     Patch,
+    Reading,
     ResponseCurve,
     Scale,
     ScaleConditions,
@@ -146,12 +146,17 @@ def test_glare_that_was_found_is_taken_off(rig, dark_e_per_s):
     assert found.radiance.value == pytest.approx(scene[20, 20], rel=2e-3)
 
 
-def test_polarised_light_counts_where_the_calibration_s_was_not(rig):
-    """A screen is polarised unless stated otherwise."""
-    calibration = calibrated(rig, uncertainties=only(polarisation_u_rel=0.004))
-    screen, other = (SourceDescription(kind="screen", polarised=word) for word in (None, False))
-    assert line(read(rig, calibration, source=screen), "polarisation") == pytest.approx(0.004)
-    assert line(read(rig, calibration, source=other), "polarisation") == 0.0
+@pytest.mark.parametrize(
+    ("kind", "here", "there", "u_rel"),
+    [("screen", None, None, 0.004), ("screen", False, None, 0.0), ("sphere", True, False, 0.004),
+     ("sphere", False, True, 0.004)],
+)  # fmt: skip
+def test_polarised_light_counts_where_the_calibration_s_was_not(rig, kind, here, there, u_rel):
+    """Either way; a screen is polarised unless stated otherwise."""
+    conditions = ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=25.0, polarised=there)
+    calibration = calibrated(rig, conditions, uncertainties=only(polarisation_u_rel=0.004))
+    found = read(rig, calibration, source=SourceDescription(kind=kind, polarised=here))
+    assert line(found, "polarisation") == pytest.approx(u_rel)
 
 
 def wide(rig):
@@ -172,15 +177,6 @@ def test_natural_falloff_is_corrected_with_its_doubt(rig, vignetting, part):
     assert found.radiance.value == pytest.approx(scene[0, 0] / corner, rel=0.02)
     assert line(found, "fall-off") == pytest.approx(part * (1.0 - corner) / corner, rel=1e-6)
     assert (Flag.FALLOFF_ASSUMED in found.flags) == (vignetting == "none")
-
-
-def test_falloff_drops_out_where_the_calibration_stood(rig):
-    """The same patch at calibration and reading: no doubt is left."""
-    lens = LensDescription(focal_length_mm=16.0, f_number=4.0)
-    here = ScaleConditions(temperature_c=25.0, sensitivity=1.0 / 1.25**2)
-    calibration = replace(calibrated(rig, here, uncertainties=only(falloff_u_rel=0.6)), lens=lens)
-    found = read(rig, calibration, camera=wide(rig), lens=lens, patch=Patch(11, 11, 1, 1))
-    assert line(found, "fall-off") == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_corner_of_an_unknown_lens_is_in_doubt(rig):
@@ -208,21 +204,16 @@ def test_a_flat_field_of_another_stop_or_focus_is_in_doubt(rig, f_number, magnif
     assert mapped.u_radiance[11, 11] / mapped.radiance[11, 11] == pytest.approx(0.5 * 0.2, rel=0.05)
 
 
-def test_two_halves_of_different_radiance_are_not_saturated(rig):
-    """0.2 and 0.8 of full scale side by side: nothing clips, so that it is nonuniform and no more."""
-    scene = np.full((12, 12), 0.8 * rig.radiance_of_full_scale(1e-3))
+@pytest.mark.parametrize(("part", "flag"), [(0.8, Flag.NONUNIFORM), (1.2, Flag.SATURATED)])
+def test_two_halves_of_different_radiance_are_saturated_only_where_one_clips(rig, part, flag):
+    """0.2 and 0.8 of full scale side by side are nonuniform and no more; of 0.3 and 1.2 half is not seen."""
+    scene = np.full((12, 12), part * rig.radiance_of_full_scale(1e-3))
     scene[:, 6:] /= 4.0
     found = read(rig, calibrated(rig), frames=rig.frames(scene, np.random.default_rng(1), STEADY))
-    assert found.flags == (Flag.NONUNIFORM,)
-    assert found.radiance.value == pytest.approx(0.5 * rig.radiance_of_full_scale(1e-3), rel=0.01)
-
-
-def test_a_bright_half_that_clips_is_saturated(rig):
-    """0.3 and 1.2 of full scale: half of the patch is not seen."""
-    scene = np.full((12, 12), 1.2 * rig.radiance_of_full_scale(1e-3))
-    scene[:, 6:] /= 4.0
-    found = read(rig, calibrated(rig), frames=rig.frames(scene, np.random.default_rng(1), STEADY))
-    assert Flag.SATURATED in found.flags
+    assert flag in found.flags
+    if part == 0.8:
+        assert found.flags == (Flag.NONUNIFORM,)
+        assert found.radiance.value == pytest.approx(0.5 * rig.radiance_of_full_scale(1e-3), rel=0.01)
 
 
 def jittering(rig, count, sigma, seed=8):
@@ -238,13 +229,6 @@ def test_few_frames_that_disagree_widen_the_factor(rig, count, factor):
     assert found.degrees_of_freedom == pytest.approx(count - 1, rel=0.01)
     assert found.coverage_factor == pytest.approx(factor, abs=0.06)
     assert found.expanded_u_rel == pytest.approx(found.coverage_factor * found.radiance.u_rel)
-
-
-def test_frames_that_agree_leave_the_factor_at_two(rig):
-    """A steady source through an uncertain scale: normal, k = 2."""
-    base = calibrated(rig)
-    calibration = replace(base, scale=base.scale.model_copy(update={"u_rel": 0.01}))
-    assert read(rig, calibration).coverage_factor == pytest.approx(2.0, abs=0.001)
 
 
 def test_the_data_sheet_s_dark_current_may_be_three_times_as_much(rig):
@@ -302,13 +286,6 @@ def test_the_dark_current_s_noise_is_in_the_repeatability(rig):
     light_e = (round(expected) - 64.0) * rig.gain_e_per_dn - 1000.0
     sigma_e = math.sqrt(light_e + 1000.0 + rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0)
     assert line(found, "repeatability") == pytest.approx(sigma_e / light_e / 10.0, rel=1e-3)
-
-
-def test_light_that_clips_one_of_two_equal_exposures_flickers(rig):
-    """Half on, half off: the frames that clip were exposed no longer than the ones that are read."""
-    rng, full = np.random.default_rng(1), rig.radiance_of_full_scale(1e-3)
-    frames = [rig.frame(np.full((12, 12), part * full), 1e-3, rng) for part in (0.4, 0.4, 0.4, 0.4, 0.4, 2.0)]
-    assert read(rig, calibrated(rig), frames=frames).flags == (Flag.FLICKER,)
 
 
 def test_masked_pixels_are_dark_frames_of_their_own_exposure(rig):
@@ -436,26 +413,14 @@ def test_a_calibration_as_far_below_as_above_costs_the_same(rig, name):
     assert found == pytest.approx([expected, expected], rel=0.02)
 
 
-@pytest.mark.parametrize(("here", "there"), [(True, False), (False, True)])
-def test_polarised_light_counts_either_way(rig, here, there):
-    """A calibration under polarised light costs a reading of unpolarised light as much as the other way round."""
-    conditions = ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=25.0, polarised=there)
-    calibration = calibrated(rig, conditions, uncertainties=only(polarisation_u_rel=0.004))
-    source = SourceDescription(kind="sphere", polarised=here)
-    assert line(read(rig, calibration, source=source), "polarisation") == pytest.approx(0.004)
-
-
-@pytest.mark.parametrize(("corner_calibrated", "expected"), [(False, 0.6 * 0.36 / 0.64), (True, 0.6 * 0.36)])
-def test_a_falloff_counts_from_the_middle_to_the_corner_and_back(rig, corner_calibrated, expected):
-    """cos⁴α of 0.64 in the corner: what is lost between the two, of what the reading's own place receives."""
+@pytest.mark.parametrize(("patch", "expected"), [(Patch(11, 11, 1, 1), 0.0), (Patch(5, 5, 2, 2), 0.6 * 0.36)])
+def test_a_falloff_counts_from_where_the_calibration_stood(rig, patch, expected):
+    """Calibrated in the corner, at a cos⁴α of 0.64: nothing is in doubt there; in the middle what is lost between."""
     lens = LensDescription(focal_length_mm=16.0, f_number=4.0)
-    conditions = ScaleConditions(
-        sensitivity=0.64 if corner_calibrated else 1.0, field=1.0 if corner_calibrated else 0.0
-    )
-    calibration = replace(calibrated(rig, conditions, uncertainties=only(falloff_u_rel=0.6)), lens=lens)
-    patch = Patch(5, 5, 2, 2) if corner_calibrated else Patch(11, 11, 1, 1)
+    there = ScaleConditions(temperature_c=25.0, sensitivity=0.64, field=1.0)
+    calibration = replace(calibrated(rig, there, uncertainties=only(falloff_u_rel=0.6)), lens=lens)
     found = read(rig, calibration, camera=wide(rig), lens=lens, patch=patch)
-    assert line(found, "fall-off") == pytest.approx(expected, rel=0.02)
+    assert line(found, "fall-off") == pytest.approx(expected, rel=0.02, abs=1e-9)
 
 
 @pytest.mark.parametrize(("level", "left"), [(0.9, 0.12), (0.5, math.sqrt(0.13**2 - 0.05**2 - 0.04**2))])
@@ -472,10 +437,15 @@ def test_a_source_that_fluctuates_is_known_by_its_sample_standard_deviation(rig,
     """s/√n, s with n − 1: of frames that differ by per cents, with a noise of 0.05 %, to half a step of 12 %."""
     full, rng = rig.radiance_of_full_scale(1e-3), np.random.default_rng(7)
     frames = [rig.frame(np.full((12, 12), 0.5 * full * (1.0 + 0.02 * step)), 1e-3, rng) for step in steps]
-    found = next(one for one in read(rig, calibrated(rig), frames=frames).budget if one.name == "source fluctuation")
+    reading = read(rig, calibrated(rig), frames=frames)
+    found = next(one for one in reading.budget if one.name == "source fluctuation")
     means = np.array([frame.dn[PATCH.slices].mean() - 64.0 for frame in frames])
-    assert found.u_rel == pytest.approx(means.std(ddof=1) / math.sqrt(len(steps)) / means.mean(), rel=0.065)
+    s_rel = means.std(ddof=1) / means.mean()
+    assert found.u_rel == pytest.approx(s_rel / math.sqrt(len(steps)), rel=0.065)
     assert found.degrees_of_freedom == len(steps) - 1
+    assert reading.provenance.parameters["fluctuation_rel"] == pytest.approx(s_rel, rel=0.065)
+    assert Flag.FLICKER in reading.flags
+    assert reading.radiance.value == pytest.approx(0.5 * full, rel=4e-3)  # four sigmas of two frames of 100 pixels
 
 
 def test_four_equal_contributions_have_the_interval_of_the_guide_s_additive_model(rig):
@@ -517,3 +487,155 @@ def test_a_dark_patch_of_photographs_is_read_from_frames_that_hold_it(radiance, 
     assert abs(found.value / radiance - 1.0) < within
     assert (Flag.EXTRAPOLATED in reading.flags) is (radiance == 5e-4)
     assert abs(found.value - radiance) < 2 * found.u or Flag.EXTRAPOLATED in reading.flags
+
+
+# Readings of a chart of known radiances in many situations: the truth is within what is stated.
+
+
+NOW = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)
+SIZE = (24, 30)  # rows, columns
+E_PER_DN, READ_E, WELL_E, DARK_E_PER_S, BLACK_DN = 2.6, 3.1, 10_500.0, 4.0, 64.0
+CAMERA = CameraDescription(
+    bit_depth=12, model="generated", serial="7", pixel_pitch_um=4.5, conversion_gain_e_per_dn=E_PER_DN,
+    read_noise_e=READ_E, full_well_e=WELL_E, dark_current_e_per_s=DARK_E_PER_S, dark_current_reference_C=25.0,
+    dark_current_doubling_K=7.0, black_level_dn=BLACK_DN, quantum_efficiency=0.62,
+)  # fmt: skip
+LENS = LensDescription(focal_length_mm=160.0, f_number=4.0, transmittance=0.92, transmittance_u_rel=0.01)
+PER_RADIANCE = 2.1e5  # electrons per second and W·sr⁻¹·m⁻² at f/4
+CHART = np.array([[0.4, 2.0, 9.0], [30.0, 120.0, 400.0]])
+MIDDLE, DARKEST, BRIGHTEST = Patch(11, 13, 8, 9), Patch(1, 1, 7, 9), Patch(21, 13, 8, 9)
+
+
+def scene():
+    """Return the chart's radiances in W·sr⁻¹·m⁻², SIZE."""
+    rows, columns = np.indices(SIZE)
+    return CHART[rows * 2 // SIZE[0], columns * 3 // SIZE[1]]
+
+
+def frame(number, exposure_s, bits=12, light=1.0, **changes):
+    """Return one frame; its noise is drawn by `number`."""
+    settings = FrameSettings(
+        exposure_s, **{"f_number": 4.0, "black_level_dn": BLACK_DN, "temperature_c": 31.0, **changes}
+    )
+    rng = np.random.default_rng([20261126, number])
+    seconds = 0.0 if settings.is_dark else exposure_s * light * (4.0 / (settings.f_number or 4.0)) ** 2
+    dark_e = DARK_E_PER_S * 2.0 ** (((settings.temperature_c or 31.0) - 25.0) / 7.0) * exposure_s
+    electrons = np.minimum(rng.poisson(PER_RADIANCE * scene() * seconds + dark_e), WELL_E)
+    dn = (electrons + rng.normal(0.0, READ_E, SIZE)) * 10 ** (settings.gain_db / 20) / E_PER_DN + BLACK_DN
+    if bits == 8:
+        dn = 255.0 * np.clip((dn - BLACK_DN) / (4095.0 - BLACK_DN), 0.0, 1.0) ** (1 / 2.2)
+        settings = replace(settings, black_level_dn=None)
+    stored = np.clip(np.rint(dn), 0, (1 << bits) - 1).astype(np.uint8 if bits == 8 else np.uint16)
+    return Frame(stored, bits, settings)
+
+
+def ladder(first=0, count=8, **changes):
+    """Return exposures from 10 µs on, each four times the one before."""
+    return [frame(first + k, 1e-5 * 4.0**k, **changes) for k in range(count)]
+
+
+def calibration(**changes):
+    """Return the calibration that is right: H = DN·e⁻/DN over electrons per J·m⁻² of this lens."""
+    conditions = ScaleConditions(inverse_exposure_per_s=200.0, temperature_c=31.0, level=0.5, surround=1.0)
+    exposure_per_dn = E_PER_DN / PER_RADIANCE * math.pi / 4.0 / 4.0**2 * 0.92
+    scale = Scale(value=exposure_per_dn, u_rel=0.005, method="known_radiance", f_number=4.0, conditions=conditions)
+    made = {
+        "camera": CAMERA, "lens": LENS, "scale": scale, "response": None, "noise": SensorNoise.of(CAMERA),
+        "black_level": BlackLevel(dn=BLACK_DN, u_dn=0.2, dark_u_rel=0.5), "created": "2026-02-21T12:00:00Z",
+    }  # fmt: skip
+    return Calibration(**{**made, **changes})
+
+
+def gamma_calibration():
+    """Return that of the eight-bit frames: x = (M/255)^2.2 of full scale."""
+    with np.errstate(divide="ignore"):
+        log_exposure = 2.2 * np.log(np.arange(256.0) / 255.0)
+    curve = ResponseCurve(log_exposure, np.full(256, 0.004), valid_dn=(4, 250))
+    camera = CAMERA.model_copy(update={"bit_depth": 8, "black_level_dn": None, "conversion_gain_e_per_dn": None})
+    full = (4095.0 - BLACK_DN) * calibration().scale.value
+    scale = calibration().scale.model_copy(update={"value": full})
+    return calibration(
+        camera=camera, response=curve, scale=scale, black_level=BlackLevel(), noise=SensorNoise.of(camera)
+    )
+
+
+def read_chart(frames, patch=MIDDLE, given=None, **options):
+    given = given or calibration()
+    lens = options.pop("lens", LENS)
+    return read_patch(Bracket.from_frames(frames), patch, Setup(given.camera, lens, given), now=NOW, **options)
+
+
+def lens(**changes):
+    return LENS.model_copy(update=changes)
+
+
+# What is read, and how many times the chart's radiance the numbers then mean.
+SITUATIONS: dict[str, tuple[Callable[[], Reading], float, float]] = {
+    "plain": (lambda: read_chart(ladder()), 120.0, 1.0),
+    "the darkest field": (lambda: read_chart(ladder(), DARKEST), 0.4, 1.0),
+    "the brightest field": (lambda: read_chart(ladder(), BRIGHTEST), 400.0, 1.0),
+    "three by three pixels": (lambda: read_chart(ladder(), Patch(12, 14, 3, 3)), 120.0, 1.0),
+    "one frame": (lambda: read_chart(ladder()[2:3]), 120.0, 1.0),
+    "dark frames of each time": (
+        lambda: read_chart([*ladder(), *ladder(50, shutter="closed")], DARKEST), 0.4, 1.0
+    ),
+    "dark frames of another time": (
+        lambda: read_chart([*ladder(), *(frame(60 + k, 0.05, shutter="closed") for k in range(3))], DARKEST), 0.4, 1.0
+    ),
+    "18 dB": (lambda: read_chart(ladder(20, 6, gain_db=18.0), DARKEST), 0.4, 1.0),
+    "two gains": (lambda: read_chart([*ladder(), *ladder(20, 6, gain_db=6.0)]), 120.0, 1.0),
+    "f/8": (lambda: read_chart(ladder(30, 8, f_number=8.0)), 120.0, 1.0),
+    "5 °C": (lambda: read_chart(ladder(temperature_c=5.0)), 120.0, 1.0),
+    "no thermometer": (lambda: read_chart(ladder(temperature_c=None)), 120.0, 1.0),
+    "a darker lens of the same make": (lambda: read_chart(ladder(), lens=lens(transmittance=0.8)), 120.0, 0.92 / 0.8),
+    "a close-up": (lambda: read_chart(ladder(), lens=lens(magnification=0.5, pupil_magnification=2.0)), 120.0, 1.25**2),
+    "three years later": (lambda: read_chart(ladder(), given=calibration(created="2023-03-01T12:00:00Z")), 120.0, 1.0),
+    "defective pixels": (
+        lambda: read_chart(ladder(), given=calibration(defects=((12, 14), (13, 15), (2, 2)))), 120.0, 1.0,
+    ),
+    "eight bits through a curve": (lambda: read_chart(ladder(bits=8), given=gamma_calibration()), 120.0, 1.0),
+    "a flat field that falls to 0.9": (
+        lambda: read_chart(ladder(), BRIGHTEST, calibration(flat_field=FlatField(
+            principal_point_px=(24.5, 17.0), radius_px=10.0, coefficients=(0.0, 0.0, 0.0), shape=SIZE, f_number=4.0
+        ))), 400.0, 1.0
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SITUATIONS)
+def test_the_truth_lies_within_what_is_stated(name):
+    """Within 3 u; the lines of the budget add up in squares to u; nothing is called saturated, dark or uneven.
+
+    Stray light of the bright fields is most of the u of the darkest.
+    """
+    make, radiance, factor = SITUATIONS[name]
+    found = make()
+    assert abs(found.radiance.value - factor * radiance) < 3.0 * found.radiance.u
+    assert math.hypot(*(line.u_rel for line in found.budget)) == pytest.approx(found.radiance.u_rel, rel=1e-6)
+    assert not {Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM, Flag.FLICKER} & set(found.flags)
+    assert found.radiance.u_rel < (0.2 if radiance > 100.0 else 2.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "flag"),
+    [
+        (lambda: read_chart(ladder()[6:], BRIGHTEST), Flag.SATURATED),
+        (lambda: read_chart(ladder(), Patch(6, 8, 9, 8)), Flag.NONUNIFORM),
+        (lambda: read_chart([frame(80 + k, 1e-3, shutter="open", light=0.0) for k in range(2)]), Flag.BELOW_NOISE),
+        (lambda: read_chart([frame(70 + k, 1.6e-4, light=1.0 + 0.03 * (k % 3)) for k in range(6)]), Flag.FLICKER),
+        (lambda: read_chart(ladder(), given=calibration(created="2020-01-01T00:00:00Z")), Flag.STALE_CALIBRATION),
+    ],
+)  # fmt: skip
+def test_what_a_reading_cannot_stand_for_is_flagged(make, flag):
+    """Clipped everywhere, over an edge, without light, flickering or too old."""
+    assert flag in make().flags
+
+
+def test_the_u_of_many_readings_is_what_they_scatter_by():
+    """Without what all share, 60 readings of one patch scatter by their own u, to 30 % (√(1/120) is 9 %)."""
+    values = [read_chart(ladder(1000 + 10 * k)) for k in range(60)]
+    own = [
+        math.hypot(*(line.u_rel for line in one.budget if not line.correlated)) * one.radiance.value for one in values
+    ]
+    scatter = float(np.std([one.radiance.value for one in values], ddof=1))
+    assert scatter == pytest.approx(float(np.mean(own)), rel=0.3)

@@ -1,11 +1,8 @@
 """Figures of regions of a map, and the glare indices UGR and DGP by their own figures."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +21,7 @@ def map_of(values: np.ndarray, u: float = 0.01, common: float = 0.02, unit: str 
     return RadianceMap(value, np.full_like(value, u), np.zeros(value.shape, np.uint8), unit, common)
 
 
-def test_mean_and_uniformity_of_a_ramp_are_those_by_hand() -> None:
+def test_mean_and_uniformity_of_a_ramp_are_those_by_hand():
     """Mean and uniformity of a ramp are those by hand."""
     ramp = np.tile(np.linspace(1.0, 2.0, 101), (40, 1))
     found = region_figures(map_of(ramp, u=1e-6), "ramp", Patch(0, 0, 101, 40), box_px=1)
@@ -34,7 +31,7 @@ def test_mean_and_uniformity_of_a_ramp_are_those_by_hand() -> None:
     assert found.deviation.value == pytest.approx(np.std(np.linspace(1, 2, 101)), rel=1e-2)
 
 
-def test_the_uncertainties_hold_for_drawn_noise() -> None:
+def test_the_uncertainties_hold_for_drawn_noise():
     """The uncertainties hold for drawn noise."""
     rng = np.random.default_rng(46_003)
     truth = 5.0 + np.tile(np.linspace(0.0, 0.4, 60), (50, 1))
@@ -49,7 +46,7 @@ def test_the_uncertainties_hold_for_drawn_noise() -> None:
     assert min(inside.values()) >= 91, inside
 
 
-def test_what_all_pixels_share_drops_out_of_a_contrast() -> None:
+def test_what_all_pixels_share_drops_out_of_a_contrast():
     """What all pixels share drops out of a contrast."""
     values = np.full((20, 40), 100.0)
     values[:, 20:] = 4.0
@@ -61,7 +58,7 @@ def test_what_all_pixels_share_drops_out_of_a_contrast() -> None:
 
 
 @pytest.mark.parametrize("sigmas", [0.0, 1.0, 2.0, 3.0])
-def test_near_the_noise_a_mean_is_not_that_of_the_pixels_that_noise_made_brighter(sigmas) -> None:
+def test_near_the_noise_a_mean_is_not_that_of_the_pixels_that_noise_made_brighter(sigmas):
     """Of light of some σ, with every pixel below 2σ marked as merge marks it, mean and median hold 95 % of the time."""
     rng = np.random.default_rng(45_021)
     inside = dict.fromkeys(("mean", "median", "lowest", "highest"), 0)
@@ -75,7 +72,7 @@ def test_near_the_noise_a_mean_is_not_that_of_the_pixels_that_noise_made_brighte
     assert min(inside.values()) >= 89, inside
 
 
-def test_pixels_that_are_black_in_every_frame_count_as_bounds() -> None:
+def test_pixels_that_are_black_in_every_frame_count_as_bounds():
     """Their value is the most that they can be: u holds light anywhere from 0 to there, and the flag says so."""
     found = map_of(np.full((10, 10), 5.0), u=0.05, common=0.0)
     found.radiance[:3] = found.u_radiance[:3] = 0.6
@@ -86,7 +83,7 @@ def test_pixels_that_are_black_in_every_frame_count_as_bounds() -> None:
     assert "30 of 100 pixels" in figures.flags[0]
 
 
-def test_a_region_says_how_many_of_its_pixels_are_outside_the_response() -> None:
+def test_a_region_says_how_many_of_its_pixels_are_outside_the_response():
     """Of 99 in 100 pixels it says 99 of 100; without any it says nothing."""
     found = map_of(np.full((10, 10), 5.0))
     assert region_figures(found, "x", Patch(0, 0, 10, 10)).flags == ()
@@ -95,7 +92,7 @@ def test_a_region_says_how_many_of_its_pixels_are_outside_the_response() -> None
 
 
 @pytest.mark.parametrize("projection", ["equidistant", "equisolid", "stereographic", "orthographic"])
-def test_an_even_hemisphere_gives_pi_times_its_luminance(projection) -> None:
+def test_an_even_hemisphere_gives_pi_times_its_luminance(projection):
     """An even hemisphere gives π times its luminance."""
     found = map_of(np.full((401, 401), 50.0))
     lux = vertical_illuminance(found, projection, 180.0, 0.0, None)
@@ -103,7 +100,7 @@ def test_an_even_hemisphere_gives_pi_times_its_luminance(projection) -> None:
     assert (lux.unit, lux.u) == ("lx", pytest.approx(0.02 * lux.value, rel=0.02))
 
 
-def test_a_small_source_on_the_axis_and_off_it() -> None:
+def test_a_small_source_on_the_axis_and_off_it():
     """A small source on the axis and off it."""
     values = np.zeros((401, 401))
     values[200, 200] = values[200, 300] = 1000.0  # on the axis, and at 45° of an equidistant lens of 180°
@@ -114,7 +111,7 @@ def test_a_small_source_on_the_axis_and_off_it() -> None:
     )
 
 
-def test_a_profile_follows_its_line_and_its_noise_averages_over_the_width() -> None:
+def test_a_profile_follows_its_line_and_its_noise_averages_over_the_width():
     """A profile follows its line and its noise averages over the width."""
     found = map_of(np.tile(np.arange(50.0), (30, 1)), u=0.3, common=0.0)
     distance, value, u = profile(found, (5.0, 10.0), (25.0, 10.0), 9)
@@ -125,7 +122,7 @@ def test_a_profile_follows_its_line_and_its_noise_averages_over_the_width() -> N
 @pytest.mark.parametrize(
     ("start", "end"), [((5.0, 20.0), (35.0, 4.0)), ((35.0, 4.0), (5.0, 20.0)), ((7.5, 2.0), (7.5, 25.5))]
 )
-def test_a_profile_goes_in_equal_steps_from_its_start_to_its_end(start, end) -> None:
+def test_a_profile_goes_in_equal_steps_from_its_start_to_its_end(start, end):
     """Over a plane 1 + 2x + 3y: distances from 0 to the length, at most a pixel apart, and the plane's own values."""
     y, x = np.indices((30, 40))
     distance, value, _ = profile(map_of(1.0 + 2.0 * x + 3.0 * y), start, end)
@@ -135,7 +132,7 @@ def test_a_profile_goes_in_equal_steps_from_its_start_to_its_end(start, end) -> 
     assert value == pytest.approx(ends[0] + (ends[1] - ends[0]) * distance / length)
 
 
-def test_saturated_and_missing_pixels_are_flagged_or_refused() -> None:
+def test_saturated_and_missing_pixels_are_flagged_or_refused():
     """Saturated and missing pixels are flagged or refused."""
     found = map_of(np.full((10, 10), 3.0))
     found.mask[0, 0] = PixelMask.SATURATED
@@ -148,7 +145,7 @@ def test_saturated_and_missing_pixels_are_flagged_or_refused() -> None:
         vertical_illuminance(found, "equisolid", 180.0, 0.0, None)
 
 
-def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
+def test_a_written_map_is_analysed_as_the_map(tmp_path):
     """A written map is analysed as the map."""
     taken = {"camera": "FLIR BFS-U3-19S4M 22500001", "taken": "2026-11-21 12:00:00"}
     made = Provenance("merge", parameters={"origin": taken}, created="2026-11-22T08:00:00Z")
@@ -180,7 +177,7 @@ def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
     assert bright.unit == "cd m-2"
 
 
-def test_lowest_and_highest_show_their_difference_below_what_all_pixels_share(tmp_path: Path) -> None:
+def test_lowest_and_highest_show_their_difference_below_what_all_pixels_share(tmp_path):
     """Of (681 ± 163) and (671 ± 161), the digits of the difference; of light that may be noise, the limit."""
     values = np.full((20, 20), 671.0)
     values[:, 10:], values[:5, :5] = 681.0, 0.0
@@ -204,9 +201,7 @@ def test_lowest_and_highest_show_their_difference_below_what_all_pixels_share(tm
         ("", "white_led", "white_led", None),
     ],
 )
-def test_a_luminance_is_compared_with_the_light_that_the_map_states(
-    tmp_path: Path, light: str, merged: str, asked: str, said: str | None
-) -> None:
+def test_a_luminance_is_compared_with_the_light_that_the_map_states(tmp_path, light, merged, asked, said):
     """What the capture states of its light, and what the radiance is for, travel with the map and are compared."""
     origin = Provenance("merge", parameters={"origin": {"light": light, "spectrum": merged}})
     found = replace(map_of(np.ones((20, 20)), unit="W sr-1 m-2"), provenance=origin)
@@ -215,7 +210,7 @@ def test_a_luminance_is_compared_with_the_light_that_the_map_states(
     assert any(said in one for one in doubts) if said else doubts == ()
 
 
-def test_an_analysis_states_its_colour_and_what_the_map_leaves_out_of_u(tmp_path: Path) -> None:
+def test_an_analysis_states_its_colour_and_what_the_map_leaves_out_of_u(tmp_path):
     """Of a map of three colours the green one is measured; text, JSON and page say so, and what no u holds."""
     grey = replace(map_of(np.ones((20, 20)), unit="relative"), not_in_u=("no black level is stated",))
     write_tiff(tmp_path / "map.tiff", MapPicture({"red": grey, "green": grey.scaled(2.0, "relative"), "blue": grey}))
@@ -239,9 +234,7 @@ def test_an_analysis_states_its_colour_and_what_the_map_leaves_out_of_u(tmp_path
         ({"line": (3, 3, 9, 3), "line_width": 1_000_000}, InputError),
     ],
 )
-def test_what_does_not_fit_the_map_is_refused(
-    tmp_path: Path, options: dict[str, object], error: type[Exception]
-) -> None:
+def test_what_does_not_fit_the_map_is_refused(tmp_path, options, error):
     """What does not fit the map is refused."""
     write_tiff(tmp_path / "map.tiff", MapPicture({"mono": map_of(np.ones((30, 40)), unit="W sr-1 m-2")}))
     with pytest.raises(error):
@@ -274,7 +267,7 @@ def _room(projection: str, lamp_cd_m2: float = 20000.0, u: float = 0.0, common: 
 
 
 @pytest.mark.parametrize("projection", list(PROJECTIONS))
-def test_ugr_is_that_by_hand_in_every_projection(projection: str) -> None:
+def test_ugr_is_that_by_hand_in_every_projection(projection):
     """UGR of one lamp, 8·lg(0.25/L_b·L²·ω/p²), with the position index of Guth (CIE 117, Kim's fit as evalglare)."""
     pytest.importorskip("pyradiance")
     ugr, dgp = glare_of(_room(projection), projection, 180.0)
@@ -287,7 +280,7 @@ def test_ugr_is_that_by_hand_in_every_projection(projection: str) -> None:
     assert 0.2 < dgp.value < 1.0
 
 
-def test_it_is_evalglares_own_figure() -> None:
+def test_it_is_evalglares_own_figure():
     """Equal to evalglare called by hand on the same picture written as Radiance's."""
     library = pytest.importorskip("pyradiance")
     room = _room("equidistant")
@@ -304,7 +297,7 @@ def test_it_is_evalglares_own_figure() -> None:
 
 
 @pytest.mark.slow
-def test_uncertainty_holds_scale_and_noise() -> None:
+def test_uncertainty_holds_scale_and_noise():
     """Moving a room's light by 10 % moves UGR by 8·lg(1.1) = 0.33; of 12 maps off by such scales 10 or more hold."""
     pytest.importorskip("pyradiance")
     truth = glare_of(_room("equidistant"), "equidistant", 180.0)
@@ -319,14 +312,14 @@ def test_uncertainty_holds_scale_and_noise() -> None:
     assert inside >= 10
 
 
-def test_without_the_extra_the_message_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_the_message_says_how_to_install_it(monkeypatch):
     """A missing library names the extra."""
     monkeypatch.setitem(sys.modules, "pyradiance", None)
     with pytest.raises(MissingLibrary, match=r"pip install 'radiometer\[glare\]'"):
         glare_of(_room("equidistant"), "equidistant", 180.0)
 
 
-def test_what_evalglare_cannot_judge_is_refused() -> None:
+def test_what_evalglare_cannot_judge_is_refused():
     """A map in W·sr⁻¹·m⁻², less than a hemisphere, and a saturated lamp."""
     pytest.importorskip("pyradiance")
     room = _room("equidistant")
@@ -339,7 +332,7 @@ def test_what_evalglare_cannot_judge_is_refused() -> None:
         glare_of(RadianceMap(room.radiance, room.u_radiance, mask, "cd m-2"), "equidistant", 180.0)
 
 
-def test_what_pixels_of_one_level_share_is_not_averaged_away() -> None:
+def test_what_pixels_of_one_level_share_is_not_averaged_away():
     """A curve known to 3 % makes means, profiles and lux as uncertain; within one level it cancels."""
     values = np.full((40, 80), 100.0)
     values[:, 40:] = 10.0
@@ -357,7 +350,7 @@ def test_what_pixels_of_one_level_share_is_not_averaged_away() -> None:
     assert lux.u / lux.value == pytest.approx(0.03, rel=0.01)
 
 
-def test_a_file_keeps_what_pixels_share(tmp_path: Path) -> None:
+def test_a_file_keeps_what_pixels_share(tmp_path):
     """TIFF writes it as a page of its own and reads it back; a map without has three pages as before."""
     own = map_of(np.full((6, 8), 2.0))
     for shared in (None, np.full((6, 8), 0.005, np.float32)):

@@ -1,7 +1,5 @@
 """Stacks through known responses, made here from nothing that the analysis uses, and the samples of one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache

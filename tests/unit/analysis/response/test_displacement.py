@@ -1,7 +1,5 @@
 """Frames that lie apart by parts of a pixel: how far, as their own differences say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The noise of single pixels, as a stack's own frames show it, and what the merge makes of it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Parts that the response methods share: limits, groups, noise, gauges, ratios, and what is stated of a fit."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -16,7 +14,7 @@ from radiometer.analysis.response.estimate import ResponseEstimate, compare_thir
 from radiometer.analysis.response.fit import time_error_modes
 from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
 from radiometer.analysis.response.limits import ValueLimits, find_limits, growth_power
-from radiometer.analysis.response.methods import METHODS, compare_methods, method_names
+from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, compare_methods, method_names
 from radiometer.analysis.response.mitsunaga1999 import Gauge, Pairs, with_log_ratios
 from radiometer.analysis.response.noise import (
     LogNoise,
@@ -379,6 +377,7 @@ def test_methods_are_called_by_name():
     """One, or all of them; another name is refused with those that there are."""
     assert method_names("auto") == ["auto"]
     assert method_names("all") == list(METHODS)
+    assert DEFAULT_METHOD in METHODS
     with pytest.raises(UsageError, match="'gamma'; choose one of auto, debevec1997"):
         method_names("gamma")
 

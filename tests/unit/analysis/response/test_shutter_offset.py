@@ -1,7 +1,5 @@
 """The shutter's offset: a known time comes back with its uncertainty, none comes of none, and a wrong label is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -25,7 +23,7 @@ OFFSET_S = 25e-6
 
 
 @pytest.mark.parametrize("offset_s", [OFFSET_S, -20e-6])
-def test_a_known_time_comes_back(offset_s: float) -> None:
+def test_a_known_time_comes_back(offset_s):
     """Within three of its u, which is 1.5 us at most: a hundredth of the shortest exposure."""
     found = find_offset([plane(photographed(offset_s))])
     assert found is not None
@@ -35,7 +33,7 @@ def test_a_known_time_comes_back(offset_s: float) -> None:
 
 
 @pytest.mark.slow
-def test_its_uncertainty_holds_what_every_exposure_is_off_by_itself() -> None:
+def test_its_uncertainty_holds_what_every_exposure_is_off_by_itself():
     """Of shutters that scatter by a percent: over eight brackets the error is about the u, which holds that."""
     found = [find_offset([plane(photographed(OFFSET_S, scatter=0.01, seed=seed))]) for seed in range(8)]
     z = np.array([(one.seconds - OFFSET_S) / one.u_seconds for one in found if one is not None])
@@ -46,7 +44,7 @@ def test_its_uncertainty_holds_what_every_exposure_is_off_by_itself() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scatter", [0.0, 0.02])
-def test_no_time_comes_of_none(scatter: float) -> None:
+def test_no_time_comes_of_none(scatter):
     """Not of exact labels, nor of exposures that scatter by 2 %: nothing is taken, and samples stay what they are."""
     one = plane(photographed(0.0, scatter=scatter, seed=3))
     found = find_exposures([one])
@@ -55,7 +53,7 @@ def test_no_time_comes_of_none(scatter: float) -> None:
 
 
 @pytest.mark.slow
-def test_colours_tell_it_together() -> None:
+def test_colours_tell_it_together():
     """Two colours of other curves: one time, and better known than by either."""
     colours = [plane(photographed(OFFSET_S, power=power, scatter=0.0, seed=4)) for power in (0.6, 0.5)]
     each = [find_offset([one]) for one in colours]
@@ -74,7 +72,7 @@ def test_colours_tell_it_together() -> None:
         (512, 1e-3, False),  # of 1/16 s and longer: nothing that a shutter does counts
     ],
 )
-def test_only_what_a_shutter_can_do_is_taken(slower: int, offset_s: float, found: bool) -> None:
+def test_only_what_a_shutter_can_do_is_taken(slower, offset_s, found):
     """Up to 0.3 ms, half of the shortest label, and of labels up to 10 ms."""
     reported = find_offset([plane(photographed(offset_s, labels_s=slower * LABELS_S))])
     assert (reported is not None) is found
@@ -84,7 +82,7 @@ def test_only_what_a_shutter_can_do_is_taken(slower: int, offset_s: float, found
 @pytest.mark.slow
 @pytest.mark.parametrize("wrong", [0, 1, 2])
 @pytest.mark.parametrize("ratio", [1.4, 1 / 1.4])
-def test_one_wrong_short_label_is_no_offset(wrong: int, ratio: float) -> None:
+def test_one_wrong_short_label_is_no_offset(wrong, ratio):
     """It is named with its ratio, and the shutter stays as labelled."""
     found = find_exposures([plane(photographed(0.0, wrong, ratio))])
     assert found.offset is None
@@ -95,7 +93,7 @@ def test_one_wrong_short_label_is_no_offset(wrong: int, ratio: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("wrong", "ratio"), [(0, 1.5), (1, 1 / 1.5), (2, 1.5), (6, 0.7)])
-def test_a_wrong_label_next_to_an_offset_is_named(wrong: int, ratio: float) -> None:
+def test_a_wrong_label_next_to_an_offset_is_named(wrong, ratio):
     """Both come out: the time without that frame, and the frame against label and time."""
     found = find_exposures([plane(photographed(OFFSET_S, wrong, ratio))])
     assert found.offset is not None
@@ -107,7 +105,7 @@ def test_a_wrong_label_next_to_an_offset_is_named(wrong: int, ratio: float) -> N
 
 
 @pytest.mark.slow
-def test_the_time_is_not_multiplied_by_the_gain() -> None:
+def test_the_time_is_not_multiplied_by_the_gain():
     """At twice and four times the gain it is the same time of the shutter, and so it is estimated."""
     gains = np.where(np.arange(LABELS_S.size) < 2, 4.0, 1.0)
     bracket = photographed(OFFSET_S, gains=gains)
@@ -125,14 +123,14 @@ def test_the_time_is_not_multiplied_by_the_gain() -> None:
     assert found.seconds == pytest.approx(OFFSET_S, abs=1e-6)
 
 
-def test_a_label_may_differ_by_what_the_offset_may_still_be() -> None:
+def test_a_label_may_differ_by_what_the_offset_may_still_be():
     """Three of its u, 30 us at most; 30 us where none was taken."""
     assert Exposures(None, ()).allowed_s == UNSTATED_OFFSET_S == 30e-6
     assert Exposures(ShutterOffset(2e-5, 2e-6, 0.5), ()).allowed_s == pytest.approx(6e-6)
     assert Exposures(ShutterOffset(2e-5, 2e-5, 0.5), ()).allowed_s == 30e-6
 
 
-def test_labels_are_reported_what_is_printed() -> None:
+def test_labels_are_reported_what_is_printed():
     """Ratio, u and rivals by what the offset makes of each frame's label."""
     offset, label = ShutterOffset(2e-5, 1e-6, 0.5), WrongLabel(1, 0.5, 0.01, 0.9, ((0, 2.0),))
     reported = Exposures(offset, (label,)).of_printed(label, np.array([1e-4, 4e-4]))
@@ -145,9 +143,7 @@ def test_labels_are_reported_what_is_printed() -> None:
     assert Exposures(None, (label,)).of_printed(label, np.array([1e-4, 4e-4])) is label
 
 
-def test_the_offset_is_reported_without_wrong_labels_and_labels_with_the_offset(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_offset_is_reported_without_wrong_labels_and_labels_with_the_offset(monkeypatch):
     """What was found wrong says nothing of the offset; the labels found with it count."""
     asked: list[Any] = []
     label = WrongLabel(2, 1.4, 0.01, 0.5)
@@ -170,7 +166,7 @@ def test_the_offset_is_reported_without_wrong_labels_and_labels_with_the_offset(
 
 
 @pytest.mark.slow
-def test_the_response_says_it_and_holds_it(tmp_path: Any) -> None:
+def test_the_response_says_it_and_holds_it(tmp_path):
     """In notes, details, the file and the exposure ratios; the curve is the true one, which the labels bend."""
     bracket = photographed(OFFSET_S)
     found = recover_response_auto(bracket)
@@ -195,7 +191,7 @@ def test_the_response_says_it_and_holds_it(tmp_path: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_response_without_it_says_nothing_of_it() -> None:
+def test_a_response_without_it_says_nothing_of_it():
     """No key, no note, the labels as they are."""
     found = recover_response_auto(photographed(0.0))
     assert "shutter_offset_s" not in found.details
@@ -206,7 +202,7 @@ def test_a_response_without_it_says_nothing_of_it() -> None:
 
 
 @pytest.mark.slow
-def test_what_the_offset_leaves_open_is_in_the_curve(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_offset_leaves_open_is_in_the_curve(monkeypatch):
     """A u ten times as large makes the curve's larger, by what so much more time would change it."""
     bracket = photographed(OFFSET_S)
     found = []
@@ -224,7 +220,7 @@ def test_what_the_offset_leaves_open_is_in_the_curve(monkeypatch: pytest.MonkeyP
     assert np.sqrt(np.mean(wider**2)) == pytest.approx(np.sqrt(np.mean(apart**2)), rel=0.3)
 
 
-def test_planes_without_shares_tell_nothing() -> None:
+def test_planes_without_shares_tell_nothing():
     """Nor do brackets of too few frames that show anything."""
     one = plane(photographed(OFFSET_S))
     assert find_offset([replace(one, samples=replace(one.samples, shares=()))]) is None

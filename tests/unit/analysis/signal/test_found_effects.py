@@ -1,7 +1,5 @@
 """What was found of a camera, taken off again: an effect planted by hand comes back as the light that was there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Digital numbers to signal and its noise: EMVA 1288's equations with numbers, inverses, and the dark level."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

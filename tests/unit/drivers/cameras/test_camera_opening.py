@@ -1,7 +1,5 @@
 """Opening a camera: checks, quirks, features and access to settings."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -176,23 +174,6 @@ def test_a_camera_in_use_is_reported_before_the_library_is_asked(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("speed", "health"), [(60_000_000, Health.WARNING), (500_000_000, Health.OK), (None, Health.OK)]
-)
-def test_an_open_usb_camera_reports_its_link_itself(wooden_camera, speed, health):
-    """60 MB/s is a USB 2 link, warned of with the cure; a camera that does not say is not suspected."""
-    camera, features = wooden_camera({} if speed is None else {SPEED: speed})
-    camera.is_gv_device = lambda: False
-    session = SimpleNamespace(
-        camera=camera, features=features, hygiene=(), notes=("it was so",), quirks=quirks_for("FLIR", "BFS-U3-19S4M"),
-        identity=CameraIdentity("FLIR", "BFS-U3-19S4M", "0138C343", "FLIR-1", "USB3Vision"),
-    )  # fmt: skip
-    found = {finding.check: finding for finding in check_features(SimpleNamespace(session=session))}
-    assert found["link"].health is health
-    assert ("USB 3 port" in found["link"].cure) is (health is Health.WARNING)
-    assert (found["opening"].health, found["opening"].message) == (Health.NOTE, "it was so")
-
-
-@pytest.mark.parametrize(
     ("vendor", "model", "info", "discarded"),
     [
         ("FLIR", "Blackfly S BFS-U3-19S4M", "", 2),
@@ -307,10 +288,12 @@ def test_small_packets_are_noted(packet, health):
     [(None, Health.OK), (USB3_BYTES_S, Health.OK), (USB3_BYTES_S - 1, Health.WARNING), (48_000_000, Health.WARNING)],
 )
 def test_a_usb_2_link_is_a_warning(speed, health):
-    """500 MB/s are USB 3; what is not reported is not judged."""
+    """500 MB/s are USB 3; what is not reported is not judged. What was noted at the opening is repeated."""
     (link,) = found("link", DeviceLinkSpeed=speed)
     assert link.health is health
-    assert ("USB 2 link" in link.message) is (health is Health.WARNING)
+    assert ("USB 2 link" in link.message, "USB 3 port" in link.cure) == (health is Health.WARNING,) * 2
+    (opening,) = found("opening", notes=("it was so",), DeviceLinkSpeed=speed)
+    assert (opening.health, opening.message) == (Health.NOTE, "it was so")
 
 
 @pytest.mark.parametrize(

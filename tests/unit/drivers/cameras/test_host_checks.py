@@ -1,12 +1,8 @@
 """Checks of the host and of the network before a camera is opened."""
 
-from __future__ import annotations
-
 import socket
 import struct
 import threading
-from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -21,7 +17,7 @@ from radiometer.errors import MissingLibrary
 def write(tmp_path):
     """Return a function that writes a file below a root of one's own, and that root."""
 
-    def make(path: str, text: str) -> Path:
+    def make(path, text):
         file = tmp_path / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
@@ -33,7 +29,7 @@ def write(tmp_path):
 def test_a_missing_library_is_a_fault_with_its_packages():
     """Without the library nothing can be measured; the cure names the packages."""
 
-    def absent() -> object:
+    def absent():
         raise MissingLibrary("apt install gir1.2-aravis-0.8")
 
     finding = host_checks.check_library(absent)
@@ -92,7 +88,7 @@ def test_interfaces_that_are_up_are_judged_by_their_mtu(write, mtu, health):
 def usb_camera(write):
     """Return a function that plugs a USB camera into a port of a given speed, and the root it lies below."""
 
-    def plug(speed: str, vendor: str = "1e10", kind: tuple[str, str] = ("ff", "ff")) -> Path:
+    def plug(speed, vendor="1e10", kind=("ff", "ff")):
         device = "sys/bus/usb/devices/2-1"
         for name, text in (("idVendor", vendor), ("product", "Blackfly S BFS-U3-19S4M"), ("speed", speed)):
             write(f"{device}/{name}", f"{text}\n")
@@ -136,14 +132,14 @@ REGISTERS[0x48:0x4C], REGISTERS[0x68:0x6B], REGISTERS[0xD8:0xE0] = b"FLIR", b"BF
 
 
 @pytest.fixture
-def responder() -> Iterator[tuple[int, list[bytes]]]:
+def responder():
     """Return the port of a socket that answers the second discovery command, and what it received."""
     received: list[bytes] = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.bind(("127.0.0.1", 0))
         line.settimeout(5)
 
-        def serve() -> None:
+        def serve():
             for _ in range(2):
                 packet, sender = line.recvfrom(64)
                 received.append(packet)
@@ -188,7 +184,7 @@ def test_a_camera_is_asked_who_controls_it(privilege, address, controlled):
         line.bind(("127.0.0.1", 0))
         line.settimeout(5)
 
-        def serve() -> None:
+        def serve():
             packet, sender = line.recvfrom(64)
             received.append(packet)
             line.sendto(struct.pack(">HHHHII", 0, 0x0085, 8, 2, address, privilege), sender)

@@ -1,7 +1,5 @@
 """Webcams, the Raspberry Pi's camera and tethered cameras, each on a simulated device at its library's edge."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What is asked of linuxpy, and what becomes of its errors: its device replaced by one that answers as it does."""
 
-from __future__ import annotations
-
 import errno
 import threading
 from types import SimpleNamespace

@@ -1,10 +1,7 @@
 """The driver's account of what the eye is given: every verb, every channel, every way in which light ends."""
 
-from __future__ import annotations
-
 import math
 import threading
-from dataclasses import replace
 
 import pytest
 
@@ -14,7 +11,7 @@ from radiometer.devices import CurrentRange, DriveLevel
 from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
-from radiometer.errors import DeviceError, SettingOutOfRange, UnsafeStimulus, UsageError
+from radiometer.errors import SettingOutOfRange, UnsafeStimulus, UsageError
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import VirtualLine
 
@@ -190,7 +187,7 @@ def test_times_beyond_the_protocol_are_refused(low):
         lambda: box.ramp("field", level, low),
         lambda: box.blink("field", level, low, 1.0, 1),
         lambda: box.blink("field", level, 1.0, low, 1),
-        lambda: box.pulse("field", level, 600.1),
+        lambda: box.pulse("field", level, 600.001),
         lambda: box.blink("field", level, 60.1, 1.0, 1),
         lambda: box.blink("field", level, 1.0, 1.0, -1),
         lambda: box.blink("field", level, 1.0, 1.0, 65536),
@@ -200,18 +197,6 @@ def test_times_beyond_the_protocol_are_refused(low):
     assert box.pulse("field", level, 600.0).drive == level
     box.off("field")
     assert box.blink("field", level, 60.0, 60.0, 2).drive == level
-
-
-def test_a_box_that_shines_otherwise_than_asked_is_darkened(monkeypatch):
-    """Another level read back is no level: every channel goes dark and it is stated."""
-    twin, _, box = bench()
-    exact = box.read_channel
-    monkeypatch.setattr(
-        SerialLightBox, "read_channel", lambda self, channel: replace(exact(channel), drive=DriveLevel(99, LOW))
-    )
-    with pytest.raises(DeviceError, match="every channel was darkened"):
-        box.set_level("field", DriveLevel(100, LOW))
-    assert twin.duty("field") == 0.0
 
 
 def keepers():
@@ -230,14 +215,3 @@ def test_a_box_that_is_opened_again_is_kept_alive_again():
         assert keepers() == before + 1
         box.close()
         assert keepers() == before
-
-
-@pytest.mark.parametrize(("seconds", "taken"), [(600.0, True), (600.001, False), (0.0, False), (-1.0, False)])
-def test_a_pulse_lasts_ten_minutes_at_most(seconds, taken):
-    """What the box's timer holds is taken, and nothing beyond it or without a length."""
-    _, _, box = bench()
-    if taken:
-        assert box.pulse("field", DriveLevel(1), seconds).drive == DriveLevel(1)
-    else:
-        with pytest.raises(SettingOutOfRange, match="duration"):
-            box.pulse("field", DriveLevel(1), seconds)

@@ -1,7 +1,5 @@
 """Lines over a serial port, on a pseudo-terminal."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

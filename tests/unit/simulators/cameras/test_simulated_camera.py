@@ -1,11 +1,10 @@
-"""The simulated camera: a Camera like any other, in simulated time."""
-
-from __future__ import annotations
+"""The simulated camera, in simulated time, and the simulated Blackfly: features, pictures, packed pixels."""
 
 import itertools
+import re
 import time
 from dataclasses import replace
-from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -13,9 +12,17 @@ import pytest
 from radiometer.data import CaptureSet, FrameSettings, LensDescription
 from radiometer.devices import Camera, CameraCapabilities, CameraPreset, CameraSettings, Roi
 from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, SettingOutOfRange
-from simulators.cameras.simulated_camera import SimulatedCamera
+from simulators.cameras.blackfly_awkward import CHUNK_IDS, awkward_features
+from simulators.cameras.blackfly_features import blackfly_features
+from simulators.cameras.blackfly_pictures import ForwardModelSource, PictureRequest, PooledSource
+from simulators.cameras.blackfly_registers import gamma_corrected, sharpened, steered
+from simulators.cameras.genicam_document import genicam_xml
+from simulators.cameras.pixel_packing import WIRE_FORMATS, pack_pixels
+from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
 from simulators.chain.camera_model import CameraModel
+from simulators.chain.virtual_sensor import VirtualSensor
 from simulators.scenes import StepChartScene, Steps, UniformScene
+from simulators.scenes.factory import scene_from_mapping
 from testing.patience import within
 from testing.simulated_capture import simulate_capture
 
@@ -39,13 +46,13 @@ def camera(model: CameraModel, limits: CameraCapabilities) -> SimulatedCamera:
     return SimulatedCamera(model, UniformScene(radiance_W_per_sr_m2=0.1), limits=limits, seed=1)
 
 
-def test_it_is_a_camera(camera: SimulatedCamera) -> None:
+def test_it_is_a_camera(camera):
     """It offers everything that the protocol asks for."""
     with camera:
         assert isinstance(camera, Camera)
 
 
-def test_same_seed_gives_the_same_frames(model: CameraModel, limits: CameraCapabilities) -> None:
+def test_same_seed_gives_the_same_frames(model, limits):
     """Two cameras of one seed agree frame by frame; another seed differs; two frames of one camera differ."""
 
     def frames(seed: int) -> list[np.ndarray]:
@@ -59,7 +66,7 @@ def test_same_seed_gives_the_same_frames(model: CameraModel, limits: CameraCapab
     assert not np.array_equal(first[0], first[1])
 
 
-def test_frames_carry_settings_temperature_and_simulated_time(camera: SimulatedCamera) -> None:
+def test_frames_carry_settings_temperature_and_simulated_time(camera):
     """Each frame says what it was taken with; 60 s of exposure pass without waiting."""
     started = time.monotonic()
     with camera:
@@ -87,9 +94,7 @@ def test_frames_carry_settings_temperature_and_simulated_time(camera: SimulatedC
         ({"roi": Roi(0, 99, 8, 8)}, r"ROI top 99 pixels is out of range; allowed is 0 to 47 pixels"),
     ],
 )
-def test_what_is_out_of_range_is_refused_and_nothing_changes(
-    camera: SimulatedCamera, change: dict[str, object], message: str
-) -> None:
+def test_what_is_out_of_range_is_refused_and_nothing_changes(camera, change, message):
     """The message gives value, limits and unit; the settings in force stay."""
     with camera:
         before = camera.configure(SETTINGS)
@@ -98,16 +103,14 @@ def test_what_is_out_of_range_is_refused_and_nothing_changes(
         assert camera.settings == before
 
 
-def test_unknown_pixel_format_is_refused_with_those_that_there_are(camera: SimulatedCamera) -> None:
+def test_unknown_pixel_format_is_refused_with_those_that_there_are(camera):
     """The message lists the formats."""
     with camera, pytest.raises(DeviceError, match=r"no pixel format 'BayerRG8'; it has Mono12, Mono8"):
         camera.configure(replace(SETTINGS, pixel_format="BayerRG8"))
 
 
 @pytest.mark.parametrize(("name", "bits"), [("Mono8", 8), ("Mono10p", 10), ("Mono12p", 12), ("Mono16", 16)])
-def test_each_pixel_format_shows_the_same_light_in_its_own_numbers(
-    camera: SimulatedCamera, name: str, bits: int
-) -> None:
+def test_each_pixel_format_shows_the_same_light_in_its_own_numbers(camera, name, bits):
     """Mean DN over gain and black level, as the description states them, give the same electrons in every format."""
     with camera:
         camera.configure(replace(SETTINGS, pixel_format=name, black_level_dn=64.0 * 2.0 ** (bits - 12)))
@@ -127,7 +130,7 @@ def test_each_pixel_format_shows_the_same_light_in_its_own_numbers(
     assert electrons == pytest.approx(expected, abs=4 * sigma + rounding_e)
 
 
-def test_region_of_interest_is_the_same_part_of_the_whole_frame(model: CameraModel, limits: CameraCapabilities) -> None:
+def test_region_of_interest_is_the_same_part_of_the_whole_frame(model, limits):
     """A region shows what the whole sensor would have shown there."""
     chart = StepChartScene(steps=Steps(count=6, lowest=0.01, highest=1.0))
     roi = Roi(10, 5, 20, 30)
@@ -139,7 +142,7 @@ def test_region_of_interest_is_the_same_part_of_the_whole_frame(model: CameraMod
     assert np.array_equal(frames[1], frames[0][5:35, 10:30])
 
 
-def test_binning_sums_pixels(camera: SimulatedCamera) -> None:
+def test_binning_sums_pixels(camera):
     """2 × 2 binning halves the size and collects four times the electrons."""
     with camera:
         camera.configure(SETTINGS)
@@ -152,7 +155,7 @@ def test_binning_sums_pixels(camera: SimulatedCamera) -> None:
     assert binned.mean() - 64 == pytest.approx(signal, abs=4 * max(sigma, 0.5))
 
 
-def test_closed_shutter_gives_dark_frames(camera: SimulatedCamera) -> None:
+def test_closed_shutter_gives_dark_frames(camera):
     """With the shutter closed the frame is dark and says so."""
     with camera:
         camera.configure(SETTINGS)
@@ -162,14 +165,14 @@ def test_closed_shutter_gives_dark_frames(camera: SimulatedCamera) -> None:
     assert frame.dn.mean() == pytest.approx(64.0, abs=4 * np.sqrt((5.4 / 5.95) ** 2 + 1 / 12) / np.sqrt(frame.dn.size))
 
 
-def test_camera_without_shutter_says_what_to_do(model: CameraModel, limits: CameraCapabilities) -> None:
+def test_camera_without_shutter_says_what_to_do(model, limits):
     """Where there is no shutter the way out is named."""
     camera = SimulatedCamera(model, UniformScene(), limits=replace(limits, has_shutter=False))
     with camera, pytest.raises(DeviceError, match="cover the lens"):
         camera.set_shutter(closed=True)
 
 
-def test_closed_camera_refuses_to_work(camera: SimulatedCamera) -> None:
+def test_closed_camera_refuses_to_work(camera):
     """Without open() each call is refused; opening twice is, too; closing twice is not."""
     with pytest.raises(DeviceError, match="is not open"):
         camera.capture()
@@ -178,14 +181,14 @@ def test_closed_camera_refuses_to_work(camera: SimulatedCamera) -> None:
     camera.close()
 
 
-def test_stream_yields_frames_until_closed(camera: SimulatedCamera) -> None:
+def test_stream_yields_frames_until_closed(camera):
     """Frames come one after the other with rising numbers."""
     with camera:
         frames = list(itertools.islice(camera.stream(), 3))
     assert [frame.frame_id for frame in frames] == [0, 1, 2]
 
 
-def test_unknown_pattern_and_level_are_refused(camera: SimulatedCamera) -> None:
+def test_unknown_pattern_and_level_are_refused(camera):
     """What the bench's source cannot do is stated at once."""
     with pytest.raises(ConfigurationError, match="no pattern 'x'; it shows default"):
         camera.set_source(pattern="x")
@@ -193,7 +196,7 @@ def test_unknown_pattern_and_level_are_refused(camera: SimulatedCamera) -> None:
         camera.set_source(level=2.0)
 
 
-def test_capture_set_of_a_plan_is_read_back_as_believed(model: CameraModel, tmp_path: Path) -> None:
+def test_capture_set_of_a_plan_is_read_back_as_believed(model, tmp_path):
     """Settings, order, patches and the believed camera are in the header; frames hold the simulated numbers."""
     chart = StepChartScene(steps=Steps(count=6, lowest=0.01, highest=1.0), inverted=True)
     plan = [
@@ -210,3 +213,185 @@ def test_capture_set_of_a_plan_is_read_back_as_believed(model: CameraModel, tmp_
     assert [f.timestamp_s for f in capture.header.frames] == sorted(f.timestamp_s or 0 for f in capture.header.frames)
     bright = capture.read_frame(0).dn[capture.header.patches[5].patch.slices]
     assert bright.mean() > capture.read_frame(0).dn[capture.header.patches[0].patch.slices].mean() + 20
+
+
+# The simulated Blackfly: features, pictures, packed pixels.
+
+
+REQUEST = PictureRequest(
+    exposure_s=0.01,
+    gain_db=0.0,
+    black_level_dn=64.0,
+    bit_depth=12,
+    temperature_c=40.0,
+    source_level=1.0,
+    is_shutter_closed=False,
+    binning=1,
+    x=0,
+    y=0,
+    width=64,
+    height=48,
+)
+
+
+def sensor() -> VirtualSensor:
+    model = CameraModel.ideal(CameraPreset.shipped("BFS-U3-19S4M").camera, LensDescription(f_number=4.0))
+    return VirtualSensor(model, scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": 0.2}), 64, 48, seed=5)
+
+
+def test_a_region_is_the_whole_picture_cut():
+    """A region of a frame holds the very pixels that the whole frame has there."""
+    whole = ForwardModelSource(sensor())(REQUEST)
+    part = ForwardModelSource(sensor())(replace(REQUEST, x=8, y=4, width=16, height=10))
+    np.testing.assert_array_equal(part, whole[4:14, 8:24])
+
+
+def test_a_closed_shutter_leaves_the_black_level():
+    """With the shutter closed only black level and dark signal remain."""
+    dark = ForwardModelSource(sensor())(replace(REQUEST, is_shutter_closed=True))
+    sigma = np.hypot(5.4 / 5.95, 0.29) / np.sqrt(dark.size)
+    assert dark.mean() == pytest.approx(64.0, abs=5 * sigma + 0.01)  # dark signal: 0.04 e⁻
+
+
+def test_the_source_level_scales_the_light():
+    """Half the drive gives half the signal, within 5 sigma of the means."""
+    full = ForwardModelSource(sensor())(REQUEST).mean() - 64
+    half = ForwardModelSource(sensor())(replace(REQUEST, source_level=0.5)).mean() - 64
+    assert half / full == pytest.approx(0.5, abs=5 * 0.75 / np.sqrt(full * 5.95 * 64 * 48))
+
+
+def test_a_pool_is_drawn_anew_when_settings_change():
+    """A pool repeats its frames under one setting, and never shows a frame of another."""
+    made = []
+
+    def source(request: PictureRequest) -> np.ndarray:
+        made.append(request)
+        return np.full((2, 2), len(made), np.uint16)
+
+    pooled = PooledSource(source, 2)
+    assert [int(pooled(REQUEST)[0, 0]) for _ in range(5)] == [1, 2, 1, 2, 1]
+    assert int(pooled(replace(REQUEST, exposure_s=0.02))[0, 0]) == 3
+
+
+def test_gamma_keeps_black_and_full_scale():
+    """Gamma bends what lies between and leaves the ends."""
+    bent = gamma_corrected(np.array([0, 1024, 4095], np.uint16), 0.5, 4095)
+    assert bent.tolist() == [0, round(4095 * (1024 / 4095) ** 0.5), 4095]
+
+
+def test_sharpening_steepens_an_edge_and_leaves_a_plane():
+    """An edge overshoots; an even field stays."""
+    edge = np.repeat(np.array([[100] * 4 + [200] * 4], np.uint16), 6, axis=0)
+    crisp = sharpened(edge, 4095)
+    assert crisp[3, 3] < 100
+    assert crisp[3, 4] > 200
+    assert crisp[3, 0] == 100
+
+
+def test_automatic_exposure_moves_towards_half_of_full_scale():
+    """Too dark lengthens, too bright shortens, by a factor of two at most and within the limits."""
+    assert steered(0.01, 1000, 4095, 1e-5, 30) == pytest.approx(0.02)
+    assert steered(0.01, 4000, 4095, 1e-5, 30) == pytest.approx(0.01 * 0.5 * 4095 / 4000)
+    assert steered(20.0, 10, 4095, 1e-5, 30) == 30
+
+
+NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_0}"
+
+
+@pytest.fixture
+def features():
+    """Return the features of a simulated Blackfly with the limits of its preset."""
+    return blackfly_features(default_limits(), 12, 40.0)
+
+
+def test_no_two_registers_overlap(features):
+    """Every feature that is not an alias has bytes of its own, inside the device's memory."""
+    taken: dict[int, str] = {}
+    for feature in features:
+        if feature.kind in ("formula", "string") or feature.name in {"BinningVertical", "AcquisitionStop"}:
+            continue
+        for byte in range(feature.address, feature.address + (8 if feature.kind == "float" else 4)):
+            assert byte not in taken, f"{feature.name} overlaps {taken[byte]}"
+            assert byte < 0x10000
+            taken[byte] = feature.name
+
+
+def test_every_node_that_is_referred_to_exists(features):
+    """No pValue, pMax, pFeature or variable points to a node that is not there."""
+    root = ElementTree.fromstring(genicam_xml(features, "FLIR", "BFS-U3-19S4M"))
+    names = {node.get("Name") for node in root}
+    for node in root.iter():
+        if node.tag.removeprefix(NAMESPACE) in ("pValue", "pMin", "pMax", "pFeature", "pVariable", "pPort"):
+            assert node.text in names
+
+
+@pytest.mark.parametrize("make", [blackfly_features, awkward_features], ids=["plain", "awkward"])
+def test_names_units_and_kinds_are_those_of_the_real_camera(make, shared_data):
+    """Each feature that is not the simulator's own is named and typed as in FLIR's description of the twin."""
+    features = make(default_limits(), 12, 40.0)
+    text = (shared_data / "genicam" / "FLIR_BFS_PGE_19S4M.xml").read_text(encoding="utf-8", errors="replace")
+    tags = {"float": "Float", "integer": "Integer", "boolean": "Boolean", "enumeration": "Enumeration"}
+    absent = []
+    for feature in features:
+        if feature.category in ("", "SimulatorControl") or feature.kind not in tags:
+            continue
+        node = re.search(rf'<{tags[feature.kind]} Name="{feature.name}".*?</{tags[feature.kind]}>', text, re.DOTALL)
+        if node is None:
+            absent.append(feature.name)
+        elif feature.unit:
+            assert f"<Unit>{feature.unit}</Unit>" in node.group(0), feature.name
+    assert absent == []
+
+
+def test_chunks_are_laid_out_as_the_real_camera_s(shared_data):
+    """Identifier, formula and byte order of each chunk are those of FLIR's description."""
+    text = (shared_data / "genicam" / "FLIR_BFS_PGE_19S4M.xml").read_text(encoding="utf-8", errors="replace")
+    features = {feature.name: feature for feature in awkward_features(default_limits(), 12, 40.0)}
+    for name, number in CHUNK_IDS.items():
+        port = re.search(rf'<Port Name="{name}Port".*?<ChunkID>(\w+)</ChunkID>', text, re.DOTALL)
+        assert int(port.group(1), 16) == number
+        assert f"<Formula>{features[f'Chunk{name}'].formula}</Formula>" in text
+    assert re.search(r'<IntReg Name="ChunkExposureTime_Val">.*?<Endianess>LittleEndian</Endianess>', text, re.DOTALL)
+
+
+def test_the_limits_are_those_of_the_preset(features):
+    """Exposure in µs, gain in dB and black level in % of full scale have the preset's bounds."""
+    by_name = {feature.name: feature for feature in features}
+    assert by_name["ExposureTime"].minimum == pytest.approx(11.0)
+    assert by_name["ExposureTime"].maximum == pytest.approx(30e6)
+    assert by_name["Gain"].maximum == 47.9943
+    assert by_name["BlackLevel"].maximum == pytest.approx(511 / 4095 * 100)
+
+
+@pytest.mark.parametrize("name", ["Mono10p", "Mono12p"])
+@pytest.mark.parametrize("count", [8, 7])
+def test_a_bit_stream_holds_the_pixels_lowest_bit_first(name, count):
+    """Read as one whole number, the payload has pixel n at bit n × depth (PFNC 2.1)."""
+    bits = WIRE_FORMATS[name].bit_depth
+    values = np.random.default_rng(1).integers(0, 1 << bits, count).astype(np.uint16)
+    payload = pack_pixels(values, name)
+    stream = int.from_bytes(payload, "little")
+    assert [stream >> bits * n & (1 << bits) - 1 for n in range(count)] == values.tolist()
+    assert len(payload) == -(-count * bits // 8)
+
+
+def test_packed_pairs_share_the_middle_byte():
+    """Mono12Packed: high bytes outside, low nibbles in the middle (GigE Vision 1.2)."""
+    assert pack_pixels(np.array([0xABC, 0x123], np.uint16), "Mono12Packed") == bytes([0xAB, 0x3C, 0x12])
+
+
+def test_words_are_little_endian():
+    """16-bit formats send the low byte first."""
+    assert pack_pixels(np.array([[0x0102]], np.uint16), "Mono16") == b"\x02\x01"
+
+
+def test_numbers_above_full_scale_are_refused():
+    """A number that the format cannot hold is an error, not a wrap-around."""
+    with pytest.raises(ConfigurationError, match="4096 DN do not fit Mono12p"):
+        pack_pixels(np.array([4096], np.uint16), "Mono12p")
+
+
+def test_an_unknown_format_is_refused():
+    """The message lists the formats."""
+    with pytest.raises(ConfigurationError, match="Mono12p"):
+        pack_pixels(np.zeros(4, np.uint16), "RGB8Packed")

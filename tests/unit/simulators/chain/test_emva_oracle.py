@@ -1,12 +1,8 @@
 """The simulator against the `emva1288` package: see emva_oracle.md."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +18,7 @@ K_TRUE = 1 / 5.95
 
 
 @pytest.fixture(scope="module")
-def script() -> ModuleType:
+def script():
     spec = importlib.util.spec_from_file_location("make_emva_oracle", HERE / "make_emva_oracle.py")
     assert spec is not None
     assert spec.loader is not None
@@ -32,28 +28,26 @@ def script() -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def oracle() -> dict[str, Any]:
+def oracle():
     return json.loads((HERE / "emva_oracle.json").read_text())
 
 
 @pytest.fixture(scope="module")
-def model(script: ModuleType) -> CameraModel:
+def model(script):
     return CameraModel.ideal(CameraDescription(**script.CAMERA), LensDescription(**script.LENS), script.WAVELENGTH_NM)
 
 
 @pytest.fixture(scope="module")
-def temporal(oracle: dict[str, Any]) -> dict[str, np.ndarray]:
+def temporal(oracle):
     return {key: np.array(values) for key, values in oracle["temporal"].items()}
 
 
 @pytest.fixture(scope="module")
-def pixels(script: ModuleType) -> int:
+def pixels(script):
     return int(script.WIDTH * script.HEIGHT)
 
 
-def test_figures_belong_to_this_simulator(
-    script: ModuleType, model: CameraModel, temporal: dict[str, np.ndarray]
-) -> None:
+def test_figures_belong_to_this_simulator(script, model, temporal):
     """The first two pairs, exposed again, have exactly the means that the package was given."""
     scene = UniformScene(radiance_W_per_sr_m2=script.RADIANCE, wavelength_nm=script.WAVELENGTH_NM)
     sensor = VirtualSensor(model, scene, script.WIDTH, script.HEIGHT, seed=script.SEED)
@@ -64,9 +58,7 @@ def test_figures_belong_to_this_simulator(
             assert mean == pytest.approx(temporal[key][step], abs=1e-9)
 
 
-def test_every_mean_and_variance_is_as_the_model_predicts(
-    script: ModuleType, model: CameraModel, temporal: dict[str, np.ndarray], pixels: int
-) -> None:
+def test_every_mean_and_variance_is_as_the_model_predicts(script, model, temporal, pixels):
     """Of 60 bright steps, mean and variance by the package lie within 4.5 predicted standard deviations."""
     for t, u_y, s2_y in zip(script.exposures_s(), temporal["u_y"], temporal["s2_y"], strict=True):
         settings = FrameSettings(t, f_number=4.0, black_level_dn=64.0)
@@ -79,7 +71,7 @@ def test_every_mean_and_variance_is_as_the_model_predicts(
         assert s2_y == pytest.approx(variance, abs=variance * (4.5 * np.sqrt(2 / pixels) + model_error) + 0.1)
 
 
-def test_system_gain(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pixels: int) -> None:
+def test_system_gain(temporal, oracle, pixels):
     """K by photon transfer is 1/5.95 DN/e- within 4 standard deviations of the package's unweighted fit."""
     signal = temporal["u_y"] - temporal["u_ydark"]
     used = signal <= 0.7 * signal.max()
@@ -89,7 +81,7 @@ def test_system_gain(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pi
     assert oracle["figures"]["K"] == pytest.approx(K_TRUE, abs=4 * sigma)
 
 
-def test_quantum_efficiency(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pixels: int) -> None:
+def test_quantum_efficiency(temporal, oracle, pixels):
     """R/K is 62 %: R is far better known than K, so K's standard deviation rules."""
     signal = temporal["u_y"] - temporal["u_ydark"]
     used = signal <= 0.7 * signal.max()
@@ -98,7 +90,7 @@ def test_quantum_efficiency(temporal: dict[str, np.ndarray], oracle: dict[str, A
     assert oracle["figures"]["QE"] == pytest.approx(62.0, abs=4 * 62.0 * sigma_rel)
 
 
-def test_read_noise(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pixels: int) -> None:
+def test_read_noise(temporal, oracle, pixels):
     """σ_d, rounding taken out, is 5.4 e- within 4 standard deviations of the dark variance's intercept and of K."""
     t = temporal["texp"]
     design = np.column_stack([np.ones_like(t), t])
@@ -108,7 +100,7 @@ def test_read_noise(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pix
     assert oracle["figures"]["sigma_d"] == pytest.approx(5.4, abs=4 * np.hypot(u_sigma, 5.4 * 2e-3))
 
 
-def test_dark_current(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pixels: int) -> None:
+def test_dark_current(temporal, oracle, pixels):
     """The slope of the dark mean over time is 4 e-/s within 4 standard deviations of the fit and of K."""
     t = temporal["texp"] * 1e-9
     scatter = np.sqrt(temporal["s2_ydark"] / 2 / pixels)
@@ -116,9 +108,7 @@ def test_dark_current(temporal: dict[str, np.ndarray], oracle: dict[str, Any], p
     assert oracle["figures"]["u_I_mean"] == pytest.approx(4.0, abs=4 * np.hypot(sigma, 4.0 * 2e-3))
 
 
-def test_saturation_lies_where_the_predicted_variance_is_largest(
-    script: ModuleType, model: CameraModel, oracle: dict[str, Any]
-) -> None:
+def test_saturation_lies_where_the_predicted_variance_is_largest(script, model, oracle):
     """The package's saturation capacity is that of the step with the largest predicted variance, ±3 steps of 0.3 %."""
     settings = [FrameSettings(t, f_number=4.0, black_level_dn=64.0) for t in script.exposures_s()]
     geometry, radiance = FrameGeometry.of_image(1, 1), np.full((1, 1), script.RADIANCE)
@@ -127,7 +117,7 @@ def test_saturation_lies_where_the_predicted_variance_is_largest(
     assert oracle["figures"]["u_p_sat"] == pytest.approx(photons, rel=3 * 0.003)
 
 
-def test_linearity_error_is_that_of_noise_alone(oracle: dict[str, Any]) -> None:
+def test_linearity_error_is_that_of_noise_alone(oracle):
     """The ideal chain is linear: the package sees less than ±0.05 % (noise of one mean is below 0.01 %)."""
     assert abs(oracle["figures"]["LE_min"]) < 0.05
     assert abs(oracle["figures"]["LE_max"]) < 0.05

@@ -1,50 +1,74 @@
-"""Laws of the effects in figures, and the ranges of their parameters."""
+"""Laws of the effects in figures worked out by hand, and the ranges of their parameters."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from functools import cache
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription, TapDescription
+from radiometer.reconciliation.tile_model import CapturesPast, FrameTimes, TileContext
+from simulators.chain.camera_model import CameraModel
 from simulators.chain.unsteady_pixels import unsteady_from
+from simulators.chain.virtual_sensor import FadingPast
 from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
-from simulators.effects.base import Parameter
+from simulators.effects.angle_dependence import AngleDependence
+from simulators.effects.base import Moments, Parameter
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.catalogue import well_e
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.conversion_gain import ConversionGain
+from simulators.effects.conversion_gain_error import ConversionGainError
+from simulators.effects.correlated_read_noise import CorrelatedReadNoise
 from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.dark_current_clamped import DarkCurrentClamped
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.display_black_leak import DisplayBlackLeak
 from simulators.effects.display_gamma_error import DisplayGammaError
+from simulators.effects.event_offset import EventOffset
 from simulators.effects.exposure_quantisation import ExposureQuantisation
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.first_frame_offset import FirstFrameOffset
 from simulators.effects.fnumber_tstop_error import FnumberTstopError
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.gain_step_error import GainStepError
+from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.hot_pixels import HotPixels
+from simulators.effects.image_lag import ImageLag
+from simulators.effects.lamp_step import LampStep
 from simulators.effects.led_thermal_droop import LedThermalDroop
 from simulators.effects.lens import Lens
+from simulators.effects.line_start_offset import LineStartOffset
 from simulators.effects.mains_ripple import MainsRipple
+from simulators.effects.missing_codes import MissingCodes
+from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.nominal_settings import NominalSettings
+from simulators.effects.parasitic_light_sensitivity import ParasiticLightSensitivity
 from simulators.effects.polarisation import Polarisation
 from simulators.effects.pwm_flicker import PwmFlicker
 from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
 from simulators.effects.random_telegraph_noise import RandomTelegraphNoise
+from simulators.effects.readout_dark_charge import ReadoutDarkCharge
 from simulators.effects.reciprocity_failure import ReciprocityFailure
 from simulators.effects.registry import EFFECTS
+from simulators.effects.residual_charge import ResidualCharge
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
+from simulators.effects.rounding import excess_kurtosis, rounded, rounded_normal, rounding_amplitude
+from simulators.effects.row_dependent_exposure import RowDependentExposure
+from simulators.effects.series_settling import SeriesSettling
 from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
 from simulators.effects.source_warmup_drift import SourceWarmupDrift
 from simulators.effects.spectral_mismatch import SpectralMismatch
+from simulators.effects.stray_light_kernel import StrayLightKernel
 from simulators.effects.tap_gain import TapGain
 from simulators.effects.tap_noise import TapNoise
 from simulators.effects.tile_moments import TileMoments
@@ -363,3 +387,817 @@ def test_an_effect_may_be_tried_beyond_the_camera_s_own_codes() -> None:
 
 def _known(kind: type, name: str) -> Parameter:
     return next(entry for entry in kind.parameters() if entry.name == name)
+
+
+# Rounding and missing codes.
+
+
+_CONTEXT = ExposureContext(FrameSettings(1e-3), FrameGeometry.of_image(8, 6), CameraDescription(bit_depth=12))
+
+PIXELS, FRAMES = 20_000, 100
+
+# Mean, noise and fixed pattern in DN: on a code, between two, at the border, hardly any noise, mostly pattern, fine.
+CASES = [(60.0, 0.23, 0.0), (60.3, 0.23, 0.0), (60.45, 0.06, 0.0), (60.4, 0.3, 0.2), (7.5, 0.1, 0.3), (9.2, 0.7, 0.4)]
+
+
+def _moments(mean: float, noise: float, pattern: float) -> Moments:
+    return Moments(*(np.array([value]) for value in (mean, noise**2, pattern**2, 1e-6)))
+
+
+@pytest.mark.parametrize(("mean", "noise", "pattern"), CASES)
+def test_moments_are_those_of_rounded_samples(mean: float, noise: float, pattern: float) -> None:
+    """Mean, temporal and spatial variance of two million rounded samples lie within 4.5 of their standard errors."""
+    rng = np.random.default_rng(5)
+    pixels = mean + pattern * rng.standard_normal(PIXELS)
+    codes = np.rint(pixels[:, None] + noise * rng.standard_normal((PIXELS, FRAMES)))
+    after = rounded(_moments(mean, noise, pattern))
+    of_pixel, within = codes.mean(axis=1), codes.var(axis=1, ddof=1)
+    between = of_pixel.var(ddof=1) - within.mean() / FRAMES
+    u_between = np.std((of_pixel - of_pixel.mean()) ** 2) / np.sqrt(PIXELS)
+    assert abs(of_pixel.mean() - after.mean[0]) < 4.5 * of_pixel.std() / np.sqrt(PIXELS)
+    assert abs(within.mean() - after.variance[0]) < 4.5 * within.std() / np.sqrt(PIXELS) + 1e-4 * within.mean()
+    assert abs(between - after.spatial_variance[0]) < 4.5 * u_between + 1e-6
+
+
+def test_fine_noise_leaves_the_mean_and_adds_a_twelfth() -> None:
+    """With noise above half a code the mean stays and the variance grows by 1/12 DN²."""
+    before = _moments(17.3, 1.0, 0.5)
+    after = rounded(before)
+    assert after.mean[0] == before.mean[0]
+    assert after.variance[0] == pytest.approx(before.variance[0] + 1 / 12)
+    assert float(rounding_amplitude(before)[0]) < 1e-10
+
+
+def test_light_that_all_pixels_share_is_swallowed_by_a_code() -> None:
+    """Far from the border between codes hardly any noise means that a common change does not show."""
+    assert rounded(_moments(60.0, 0.06, 0.0)).common_variance[0] < 1e-12
+    assert rounded(_moments(60.5, 0.06, 0.0)).common_variance[0] > 1e-6
+
+
+@pytest.mark.parametrize(("phase", "noise"), [(0.0, 0.31), (0.5, 0.31), (0.2, 0.4), (0.0, 0.7)])
+def test_excess_kurtosis_is_that_of_rounded_samples(phase: float, noise: float) -> None:
+    """Noise of 0.31 DN at the middle of a code has 6, at its border −2; from 0.6 DN on nothing is asked."""
+    codes = np.rint(17.0 + phase + noise * np.random.default_rng(3).standard_normal(1_000_000))
+    apart = codes - codes.mean()
+    predicted = 0.0 if noise > 0.6 else float(np.mean(apart**4) / np.mean(apart**2) ** 2 - 3.0)
+    found = excess_kurtosis(_moments(17.0 + phase, noise, 0.0))
+    assert np.asarray(found).ravel()[0] == pytest.approx(predicted, abs=0.1)
+
+
+def _tiles(mean: float, noise: float, shared: float) -> TileMoments:
+    """Return the moments of a tile whose neighbours in a row have a share of their noise in common."""
+    before = TileMoments.exactly(np.full((1, 1, 1), mean))
+    return replace(before, variance=np.full((1, 1, 1), noise**2), neighbour_x=np.full((1, 1, 1), shared * noise**2))
+
+
+@cache
+def _drawn() -> list[NDArray[np.float64]]:
+    """Return two million triples of standard normal numbers."""
+    return list(np.random.default_rng(11).standard_normal((3, 2_000_000)))
+
+
+@pytest.mark.parametrize(
+    ("mean", "noise", "step"),
+    [
+        (60.0, 0.23, 1),
+        (60.3, 0.31, 1),
+        (60.5, 0.06, 1),
+        (31.2, 0.4, 4),
+        (31.9, 2.1, 4),
+        (64.0, 0.7, 128),
+        (70.2, 4.1, 16),
+    ],
+)
+def test_neighbours_share_what_the_codes_leave_of_it(mean: float, noise: float, step: int) -> None:
+    """The covariance of neighbours behind rounding, and behind a coarse step, is that of two million rounded pairs."""
+    share = 0.1
+    common, *own = _drawn()
+    pair = [mean + noise * (np.sqrt(share) * common + np.sqrt(1.0 - share) * one) for one in own]
+    codes = [step * np.floor(np.rint(values) / step) for values in pair]
+    products = (codes[0] - codes[0].mean()) * (codes[1] - codes[1].mean())
+    after = rounded(_tiles(mean, noise, share))
+    if step > 1:
+        after = MissingCodes(step_codes=float(step)).moments(after, _CONTEXT)
+    assert isinstance(after, TileMoments)
+    found = float(np.ravel(after.neighbour_x)[0])
+    second_order = share * max(float(products.mean()), 1e-6)  # what a pair's square has in common counts by the share²
+    assert abs(found - products.mean()) < 4.5 * products.std() / np.sqrt(products.size) + second_order
+    assert abs(found) <= float(np.ravel(after.variance)[0])
+
+
+@pytest.mark.parametrize(("mean", "columns", "rows"), [(60.0, 0.2, 0.0), (60.5, 0.15, 0.0), (60.0, 0.0, 0.2)])
+def test_what_lines_share_spreads_pixels_over_the_codes(mean: float, columns: float, rows: float) -> None:
+    """Columns 0.2 DN apart, or rows that tremble so, change a pixel's noise as a pattern of its own does.
+
+    2500 columns, or rows at 2500 times, tell it to 4.5 standard errors of their spread.
+    """
+    noise, lines, pixels = 0.33, 2500, 400
+    rng = np.random.default_rng(8)
+    at = mean + (columns + rows) * rng.standard_normal((lines, 1))
+    codes = np.rint(at + noise * rng.standard_normal((lines, pixels)))
+    within = codes.var(axis=1, ddof=1)
+    one = TileMoments.exactly(np.full((1, 1, 1), mean))
+    own, shaken, fixed = (np.full((1, 1, 1), s**2) for s in (noise, rows, columns))
+    after = rounded(replace(one, variance=own, row_variance=shaken, fixed_column_variance=fixed))
+    u_within = within.std() / np.sqrt(lines)
+    assert float(after.variance[0, 0, 0]) == pytest.approx(within.mean(), abs=4.5 * u_within)
+    assert abs(float(rounded(replace(one, variance=own)).variance[0, 0, 0]) - within.mean()) > 10.0 * u_within
+    of_line = codes.mean(axis=1)
+    u_mean = of_line.std() / np.sqrt(lines)
+    assert float(after.mean[0, 0, 0]) == pytest.approx(of_line.mean(), abs=4.5 * u_mean)
+
+
+def test_many_signals_are_rounded_as_each_by_itself() -> None:
+    """Coarse ones next to fine ones in one array come out as they do alone, whatever stands next to them."""
+    together = rounded(
+        Moments(*(np.array(column) for column in zip(*((m, n**2, p**2, 1e-6) for m, n, p in CASES), strict=True)))
+    )
+    for number, case in enumerate(CASES):
+        alone = rounded(_moments(*case))
+        for field in ("mean", "variance", "spatial_variance", "common_variance"):
+            values = np.broadcast_to(getattr(together, field), (len(CASES),))
+            assert values[number] == pytest.approx(float(np.ravel(getattr(alone, field))[0]), rel=1e-9), (field, case)
+
+
+def test_less_than_no_noise_is_none() -> None:
+    """A variance below zero, which a step of a fit may try, is rounded as none: to the code nearest to the mean."""
+    mean = np.array([60.3, 7.8, 60.3, 7.8])
+    average, variance, _ = rounded_normal(mean, np.array([-4.0, -1e-9, 0.0, 0.0]))
+    np.testing.assert_allclose(average, [60.0, 8.0, 60.0, 8.0])
+    np.testing.assert_allclose(variance, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("period", "kept"), [(2, 1), (4, 1), (8, 1), (16, 1), (3, 2), (4, 2), (4, 3), (8, 7), (16, 15)]
+)
+def test_a_search_tries_the_codes_that_converters_leave_out(period: int, kept: int) -> None:
+    """Bits that are stuck, one code of a period that never comes: some trial leaves exactly those codes."""
+    codes, anywhere = np.arange(64.0), cast(Any, None)
+    expected = set(codes[codes % period < kept])
+    found = [set(np.ravel(MissingCodes(**trial).mean(codes, anywhere))) for trial in MissingCodes.trials]
+    assert expected in found
+
+
+# Exposure that depends on the row, and the geometry of a frame.
+
+
+ROWS = 96
+
+
+def _at(exposure_s: float) -> ExposureContext:
+    context = effect_context()
+    geometry = FrameGeometry.of_image(40, ROWS)
+    return replace(context, settings=replace(context.settings, exposure_s=exposure_s), geometry=geometry)
+
+
+@pytest.mark.parametrize("exposure_s", [158e-6, 472.5e-6, 1.8e-3])
+def test_rows_are_exposed_as_the_maker_s_model_says(exposure_s: float) -> None:
+    """For L ∝ V/(t + a₂·y − a₃·t·y) the digital value of an even field goes as (t + a₂·y − a₃·t·y)/t in row y."""
+    a2, a3 = 9.2e-8 * 10, 1.58e-5 * 10  # a RedEdge's, per row of a tenth of its rows
+    y = np.arange(ROWS)
+    reported = (exposure_s + a2 * y - a3 * exposure_s * y) / exposure_s
+    effect = RowDependentExposure(added_s=a2 * (ROWS - 1), lost_share=a3 * (ROWS - 1))
+    factor = np.asarray(effect.factor(_at(exposure_s)))
+    np.testing.assert_allclose(np.ravel(factor), reported, rtol=1e-12)
+
+
+def test_frames_have_rows_of_that_light() -> None:
+    """The last tenth of the rows of 40 frames against the first tenth, within 5 sigma of the shot noise."""
+    context, effect = _at(1e-3), RowDependentExposure(added_s=-2e-4, lost_share=0.05)
+    model = CameraModel.ideal(context.camera, context.lens).with_effect(effect)
+    scene = np.full((ROWS, 40), 0.5 * _half_full(context))
+    ideal = model.without_effect(effect.name).moments(scene, context)
+    black = context.settings.black_level_dn or 0.0
+    dn = np.mean([model.sample(scene, context, (n,)).dn for n in range(40)], axis=0)
+    first, last = dn[:10], dn[-10:]
+    plain = float(np.mean(ideal.mean)) - black
+    u = float(np.sqrt(np.mean(ideal.variance) / 40 / first.size)) / plain
+    down = np.arange(ROWS) / (ROWS - 1)
+    reported = 1.0 - 0.25 * down
+    assert (first.mean() - black) / plain == pytest.approx(reported[:10].mean(), abs=5 * u)
+    assert (last.mean() - black) / plain == pytest.approx(reported[-10:].mean(), abs=5 * u)
+
+
+def _half_full(context: ExposureContext) -> float:
+    model = CameraModel.ideal(context.camera, context.lens)
+    lit = float(np.mean(model.moments(np.ones((ROWS, 40)), context).mean))
+    dark = float(np.mean(model.moments(np.zeros((ROWS, 40)), context).mean))
+    return 2000.0 / (lit - dark)
+
+
+def test_no_row_is_exposed_for_less_than_nothing() -> None:
+    """Where more time is taken away than there is, the row stays dark."""
+    factor = np.asarray(RowDependentExposure(added_s=-2e-4).factor(_at(1e-4)))
+    assert factor.min() == 0.0
+    assert factor.max() == 1.0
+
+
+def test_time_alone_is_what_leaking_light_does() -> None:
+    """Without a share that goes with the exposure it is the leak's equation: no data can tell them apart."""
+    context = _at(3e-4)
+    row = np.asarray(RowDependentExposure(added_s=1e-5).factor(context))
+    leak = np.asarray(ParasiticLightSensitivity(leak_s=1e-5).factor(context))
+    np.testing.assert_allclose(row, leak, rtol=1e-7)
+
+
+def test_a_leak_takes_no_light_away() -> None:
+    """The leak's range begins at nothing; the exposure of rows may go either way."""
+    leak = next(entry for entry in ParasiticLightSensitivity.parameters() if entry.name == "leak_s")
+    added = next(entry for entry in RowDependentExposure.parameters() if entry.name == "added_s")
+    assert leak.low == 0.0
+    assert added.low < 0.0 < added.high
+
+
+FRAME = FrameGeometry.of_image(8, 6, pixel_spacing_um=5.0)
+
+
+def test_coordinates_count_pixels_of_the_sensor() -> None:
+    """From 0 at the upper left; a crop begins at its corner, a binned pixel is in the middle of its four."""
+    assert FRAME.x_px.tolist() == [list(range(8))]
+    assert FRAME.y_px.tolist() == [[float(y)] for y in range(6)]
+    assert FRAME.shape == (6, 8)
+    assert FRAME.is_image
+    binned = FrameGeometry.of_image(3, 2, x=10, y=20, binning=2)
+    assert binned.x_px.tolist() == [[10.5, 12.5, 14.5]]
+    assert binned.y_px.ravel().tolist() == [20.5, 22.5]
+    assert (binned.sensor_width, binned.sensor_height) == (16, 24)
+
+
+def test_the_axis_is_the_middle_or_as_stated() -> None:
+    """Of 8 × 6 pixels 3.5 and 2.5; distances are in µm, in half diagonals, and as (x, y) of those."""
+    assert FRAME.centre_px == (3.5, 2.5)
+    assert FRAME.radius_um()[0, 0] == pytest.approx(5.0 * math.hypot(3.5, 2.5))
+    assert FRAME.field_radius()[0, 0] == pytest.approx(math.hypot(3.5, 2.5) / 5.0)  # half of √(8² + 6²) is 5 px
+    x, y = FRAME.field_xy()
+    assert (float(x[0, 0]), float(y[0, 0])) == pytest.approx((-3.5 / 5.0, -2.5 / 5.0))
+    assert np.hypot(x, y) == pytest.approx(FRAME.field_radius())
+    neighbour = replace(FRAME, principal_point_px=(0.0, 0.0))
+    assert neighbour.centre_px == (0.0, 0.0)
+    assert neighbour.radius_um()[5, 7] == pytest.approx(5.0 * math.hypot(7.0, 5.0))
+
+
+def test_sensor_and_screen_run_from_minus_one_to_one_over_the_longer_side() -> None:
+    """Half of 8 pixels is 1; a screen turned by 90° exchanges its axes, a shifted one is next to it."""
+    for x, y in (FRAME.sensor_xy(), FRAME.screen_xy()):
+        assert np.broadcast_to(x, FRAME.shape)[0] == pytest.approx((np.arange(8) - 3.5) / 4.0)
+        assert np.broadcast_to(y, FRAME.shape)[:, 0] == pytest.approx((np.arange(6) - 2.5) / 4.0)
+    u, v = replace(FRAME, screen_rotation_rad=math.pi / 2).screen_xy()
+    assert np.broadcast_to(u, FRAME.shape)[:, 0] == pytest.approx((np.arange(6) - 2.5) / 4.0)
+    assert np.broadcast_to(v, FRAME.shape)[0] == pytest.approx(-(np.arange(8) - 3.5) / 4.0)
+    u, v = replace(FRAME, screen_shift_px=(1.0, -2.0)).screen_xy()
+    assert (float(u[0, 0]), float(v[0, 0])) == pytest.approx((-4.5 / 4.0, -0.5 / 4.0))
+
+
+def test_rows_are_read_from_the_first_to_the_last() -> None:
+    """0 and 1, and a frame of one row is read at once."""
+    assert FRAME.row_fraction().ravel() == pytest.approx(np.arange(6) / 5.0)
+    assert FrameGeometry.of_image(4, 1).row_fraction().tolist() == [[0.0]]
+
+
+# Jumping lamps, first frames of a series, and charge that gathers during readout, against values by hand.
+
+
+def _context(**settings: Any) -> ExposureContext:
+    own = FrameSettings(**({"exposure_s": 0.01} | settings))
+    return ExposureContext(own, FrameGeometry.of_image(8, 5), CameraDescription(bit_depth=12))
+
+
+def _series(times_s: np.ndarray) -> ExposureContext:
+    return _context(timestamp_s=times_s)
+
+
+def _capture(**more: Any) -> TileContext:
+    """Return the circumstances of a capture of several frames."""
+    plain = _context()
+    return TileContext(**({"settings": plain.settings, "geometry": plain.geometry, "camera": plain.camera} | more))
+
+
+def test_a_lamp_jumps_at_its_moment():
+    """Frames until the moment have their light, those after it 2 % more."""
+    factor = LampStep(step_rel=0.02, time_s=100.0).factor(_series(np.array([0.0, 100.0, 100.1])))
+    assert np.asarray(factor).tolist() == [1.0, 1.0, 1.02]
+
+
+def test_a_jump_is_looked_for_between_any_two_of_many_captures():
+    """Of ten captures a jump may lie after the fourth to the sixth, halfway to the next; of seven nowhere."""
+    times = [start.time_s for start in LampStep.starts(_series(10.0 * np.arange(10)))]
+    assert times == [35.0, 45.0, 55.0]
+    assert LampStep.usable(_series(np.arange(8.0)))
+    assert not LampStep.usable(_series(np.arange(7.0)))
+
+
+def test_an_event_lifts_black_and_is_forgotten():
+    """None before it, 6 DN at it, 6/e a time constant later."""
+    lift = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0).offset(_series(np.array([0.0, 99.9, 100.0, 120.0])))
+    assert np.asarray(lift) == pytest.approx([0.0, 0.0, 6.0, 6.0 / math.e])
+
+
+def test_an_event_within_a_series_is_in_the_frames_behind_it():
+    """The first of four frames lies before it, the others on average half a time constant behind."""
+    first, later = _series(np.array(90.0)), _series(np.array(110.0))
+    series = _capture(frames=4.0, first_frame=first, later_frames=later, settings=later.settings)
+    effect = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0)
+    assert float(effect.offset(series)) == pytest.approx(0.75 * 6.0 * math.exp(-0.5))
+    after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
+    assert isinstance(after, TileMoments)
+    assert float(np.ravel(after.first_excess)[0]) == pytest.approx(-6.0 * math.exp(-0.5))
+
+
+def test_an_event_is_looked_for_in_front_of_captures():
+    """Of eight captures 10 s apart it may lie in front of the fourth and fifth, short and long, up and down."""
+    starts = EventOffset.starts(_series(10.0 * np.arange(8)))
+    tried = {(s.event_s, s.tau_s, s.offset_dn) for s in starts}
+    assert tried == {(at, tau, size) for at in (30.0, 40.0) for tau in (30.0, 200.0) for size in (1.0, -1.0)}
+    assert len(starts) == len(tried)
+    assert EventOffset.usable(_series(np.arange(6.0)))
+    assert not EventOffset.usable(_series(np.arange(5.0)))
+
+
+def test_the_first_frame_alone_is_off():
+    """Of four frames the mean is off by a quarter of what the first is; a second frame is not off at all."""
+    effect, signal = FirstFrameOffset(offset_dn=4.0), np.full((5, 8), 100.0)
+    assert float(effect.mean(signal, _context())[0, 0]) == 104.0
+    assert float(effect.mean(signal, replace(_context(), frame_index=1))[0, 0]) == 100.0
+    series = _capture(frames=np.full((1, 1, 1), 4.0))
+    after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
+    assert isinstance(after, TileMoments)
+    assert float(after.mean[0, 0, 0]) == 101.0
+    assert float(np.ravel(after.first_excess)[0]) == 4.0
+
+
+def test_charge_gathers_until_a_row_is_read():
+    """Of five rows the first has none and the last all; 7 K more double it; exposure does not count."""
+    effect = ReadoutDarkCharge(charge_e=8.0, reference_C=20.0, doubling_K=7.0)
+    for exposure_s in (1e-6, 10.0):
+        column = np.ravel(effect.offset(_context(exposure_s=exposure_s, temperature_c=27.0)))
+        assert column == pytest.approx([0.0, 4.0, 8.0, 12.0, 16.0])
+
+
+def test_rows_may_be_read_from_below():
+    """Where the last row is read first, the first one gathers most."""
+    effect = ReadoutDarkCharge(charge_e=8.0, from_below=1.0)
+    assert np.ravel(effect.offset(_context())) == pytest.approx([8.0, 6.0, 4.0, 2.0, 0.0])
+
+
+def test_all_rows_wait_before_the_first_is_read():
+    """A wait of half the readout adds half its charge to every row; only the loosened form fits it."""
+    effect = ReadoutDarkCharge(charge_e=8.0, wait_share=0.5)
+    assert np.ravel(effect.offset(_context())) == pytest.approx([4.0, 6.0, 8.0, 10.0, 12.0])
+    assert effect.free() == ("charge_e", "doubling_K", "wait_share")
+    (loose,) = ReadoutDarkCharge(charge_e=8.0).loosened(_context())
+    assert loose.wait_share > 0.0
+    assert ReadoutDarkCharge(charge_e=8.0).free() == ("charge_e", "doubling_K")
+    assert loose.loosened(_context()) == ()
+
+
+@pytest.mark.parametrize(
+    ("warm_c", "stated_c"),
+    [((-10.2, -4.8), -5.0), ((41.0, 45.3), 41.0), ((34.9, 45.0), 25.0), ((np.nan, 10.2), 10.2), ((np.nan,), 25.0)],
+)
+def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c, stated_c):
+    """25 °C where a dark frame is within 10 K of it, else the nearest whole °C that they have, or the only one."""
+    session = _context(temperature_c=np.array(warm_c))
+    for kind in (DarkCurrent, DarkCurrentClamped, DarkCurrentNonuniformity, HotPixels, ReadoutDarkCharge):
+        starts = kind.starts(session)
+        assert {start.reference_C for start in starts} == {stated_c}
+        ratio = getattr(starts[0], kind.heated) / kind.trials[0][kind.heated]
+        assert ratio == pytest.approx(2.0 ** ((stated_c - 25.0) / starts[0].doubling_K), rel=0.15)  # the same leak
+
+
+def test_a_rate_is_stated_at_a_temperature_of_darks():
+    """Light at 25 and 45 °C next to darks at 40.2 °C alone: their very temperature, where no doubling matters."""
+    session = _context(temperature_c=np.array([25.0, 40.2, 45.0]), shutter=np.array(["open", "closed", "open"]))
+    assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.2}
+    assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
+
+
+def test_leaks_bring_their_own_doubling_where_temperatures_differ():
+    """Readings within 2 K tell no law: the doubling is the usual one and stays."""
+    for warm_c, free in (((20.0, 45.0), True), ((24.9, 25.1), False), ((np.nan,), False)):
+        session = _context(temperature_c=np.array(warm_c))
+        for start in DarkCurrentNonuniformity.starts(session):
+            assert ("doubling_K" in start.free()) is free
+
+
+def test_leaks_below_nothing_and_those_left_out_move_the_mean():
+    """Of 4 million leaks the mean is of those that hold no less than nothing and do not stand out by 6 sigma."""
+    effect = DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=0.6)
+    leak = np.exp(0.6 * np.random.default_rng(3).standard_normal(4_000_000))
+    leak = 30.0 * (leak - leak.mean()) / leak.std()
+    dark = _context(exposure_s=1.0, shutter="closed")
+    for signal in (0.0, 10.0, 1000.0):
+        predicted = float(effect.mean(np.full(1, signal), dark)[0])
+        assert predicted == pytest.approx(float(np.maximum(signal + leak, 0.0).mean()), abs=0.06)
+    settings = FrameSettings(np.array([1.0, 0.1])[:, None, None], shutter=np.full((2, 1, 1), "closed"))
+    series = _capture(settings=settings, camera=dark.camera, frames=4.0, tile_pixels=1.0)
+    predicted = np.ravel(effect.mean(np.full((2, 1, 1), 1000.0), series)) - 1000.0
+    spread = math.sqrt(math.exp(0.36) * (math.exp(0.36) - 1.0))
+    noise2 = (1000.0 + 3.0**2) / 4.0
+    middle = float(np.median(leak))
+    limit = 6.0 * math.sqrt(noise2 + (30.0 * 0.6 / spread) ** 2)
+    kept = leak[leak - middle < limit]
+    assert predicted == pytest.approx(
+        [kept.mean(), 0.1 * kept.mean()], abs=0.08
+    )  # left out where it shows most, everywhere
+    left = np.ravel(effect.spatial_variance(np.full((2, 1, 1), 1000.0), series))
+    assert left == pytest.approx([kept.var(), 0.01 * kept.var()], rel=0.01)
+
+
+def test_leaks_that_differ_act_on_all_that_leaks():
+    """A dark current that is added behind them in time still stands in front of them in the chain."""
+    figures = {"pixel_pitch_um": 4.5, "conversion_gain_e_per_dn": 2.0, "read_noise_e": 3.0, "quantum_efficiency": 0.5}
+    camera = CameraDescription(bit_depth=12, full_well_e=8000.0, **figures)
+    model = CameraModel.ideal(camera, LensDescription())
+    for order in ((DarkCurrent(4.0), DarkCurrentNonuniformity(2.0)), (DarkCurrentNonuniformity(2.0), DarkCurrent(4.0))):
+        chain = model.with_effect(order[0]).with_effect(order[1]).effects
+        names = [effect.name for effect in chain]
+        assert names.count("dark_current") == 2
+        assert names[names.index("shot_noise") - 2 : names.index("shot_noise")] == [
+            "dark_current",
+            "dark_current_nonuniformity",
+        ]
+
+
+def test_a_line_begins_high_and_settles():
+    """Of 8 columns the first, a sixteenth into its line, is up by 10·exp(−1/4) DN; exposure and rows do not count."""
+    effect = LineStartOffset(offset_dn=10.0, decay_share=0.25)
+    for exposure_s in (1e-6, 10.0):
+        line = np.ravel(effect.offset(_context(exposure_s=exposure_s, temperature_c=27.0)))
+        assert line == pytest.approx([10.0 * math.exp(-(k + 0.5) / 8.0 / 0.25) for k in range(8)])
+    low = LineStartOffset(offset_dn=-10.0, decay_share=0.25, from_right=1.0)
+    assert np.ravel(low.offset(_context())) == pytest.approx(-line[::-1])
+
+
+def test_a_slow_part_of_a_settling_adds_to_the_quick_one():
+    """A quick −8 DN and a slow 2 DN: −8·exp(−x/0.1) + 2·exp(−x/0.5), above nothing from ln(4)/8 of the line on."""
+    effect = LineStartOffset(-8.0, 0.1, slow_dn=2.0, slow_share=0.5)
+    place = (np.arange(8) + 0.5) / 8.0
+    line = np.ravel(effect.offset(_context()))
+    assert line == pytest.approx(-8.0 * np.exp(-place / 0.1) + 2.0 * np.exp(-place / 0.5))
+    assert (line > 0.0).tolist() == (place > math.log(4.0) / 8.0).tolist()
+
+
+def test_a_slow_part_is_tried_next_to_a_quick_one_only():
+    """The plain form has two parameters and two looser ones, which have four and none."""
+    plain = LineStartOffset(-8.0, 0.1)
+    looser = plain.loosened(_context())
+    assert plain.free() == ("offset_dn", "decay_share")
+    assert [np.sign(form.slow_dn) for form in looser] == [1.0, -1.0]
+    for form in looser:
+        assert form.free() == ("offset_dn", "decay_share", "slow_dn", "slow_share")
+        assert form.slow_share > form.decay_share
+        assert form.loosened(_context()) == ()
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_successive_pixels_share_read_noise(sign):
+    """Frames of 2 e- have the variance 4 e-², neighbours in a line the covariance ±2 e-², others none: as reported."""
+    effect = CorrelatedReadNoise(sigma_e=2.0, sign=sign)
+    drawn = effect.sample(np.zeros((1000, 1000)), _context(), np.random.default_rng(4))
+    before = TileMoments.exactly(np.zeros((1, 1, 1)))
+    predicted = effect.moments(before, _context())
+    assert isinstance(predicted, TileMoments)
+    along, further = (np.mean(drawn[:, :-k] * drawn[:, k:]) for k in (1, 2))
+    down = np.mean(drawn[:-1] * drawn[1:])
+    assert float(np.ravel(predicted.variance)[0]) == 4.0 == pytest.approx(drawn.var(), abs=0.03)
+    assert float(np.ravel(predicted.neighbour_x)[0]) == 2.0 * sign == pytest.approx(along, abs=0.02)
+    assert (further, down) == pytest.approx((0.0, 0.0), abs=0.02)
+
+
+@pytest.mark.parametrize("decay_share", [0.02, 0.3])
+@pytest.mark.parametrize("from_right", [0.0, 1.0])
+@pytest.mark.parametrize("slow_dn", [0.0, -4.0])
+def test_tiles_have_mean_slope_and_columns_of_their_pixels(decay_share, from_right, slow_dn):
+    """Two tiles of 512 columns: mean, rise and what a parabola leaves are those of the line's 1024 pixels to 1 %."""
+    effect = LineStartOffset(10.0, decay_share, from_right, slow_dn)
+    line = np.ravel(effect.offset(replace(_context(), geometry=FrameGeometry.of_image(1024, 1)))).reshape(2, 512)
+    u = (2.0 * np.arange(512) + 1.0) / 512 - 1.0
+    middle, side = np.array([255.5, 767.5]), np.array([-1.0, 1.0, -1.0, 1.0]) / math.sqrt(3.0)
+    geometry = FrameGeometry((middle[:, None] + 256.0 * side)[None], np.zeros((1, 2, 4)), 1024, 512)
+    ones = np.ones((1, 1, 1))
+    tiles = _capture(geometry=geometry, tile_height=512 * ones, tile_pixels=512.0**2 * ones)
+    points = np.asarray(effect.offset(tiles))[0]
+    assert points.mean(axis=1) == pytest.approx(line.mean(axis=1), rel=1e-3, abs=1e-6)
+    assert points @ side / (side @ side) * (u @ u) == pytest.approx(line @ u, rel=0.02, abs=0.05)
+    flat = TileMoments.exactly(np.full((1, 2, 4), 100.0))
+    surface = np.polynomial.polynomial.polyfit(u, line.T, 2)
+    left = line - np.polynomial.polynomial.polyval(u, surface)
+    predicted = effect.tile(flat, flat, tiles).fixed_column_variance
+    assert float(np.ravel(predicted)[0]) == pytest.approx(float(np.mean(left**2)), rel=0.03, abs=1e-6)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 5])
+def test_a_source_settles_within_each_series(frames):
+    """Mean, first frame and scatter of a series are those of its frames, worked out one by one."""
+    effect = SeriesSettling(excess_rel=0.02, ratio=0.5)
+    one = [float(effect.mean(np.full((1, 1), 100.0), replace(_context(), frame_index=k))[0, 0]) for k in range(frames)]
+    assert one == pytest.approx([100.0 * (1 + 0.02 * 0.5**k) for k in range(frames)])
+    series = _capture(frames=np.full((1, 1, 1), float(frames)))
+    after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
+    assert isinstance(after, TileMoments)
+    counted = one[1:] if frames > 2 else one  # of three and more the first has a statistic of its own
+    assert float(after.mean[0, 0, 0]) == pytest.approx(np.mean(one))
+    first = one[0] - float(np.mean(one[1:])) if frames > 1 else 0.0
+    assert float(np.ravel(after.first_excess)[0]) == pytest.approx(first, abs=1e-12)
+    scatter = float(np.var(counted, ddof=1)) if len(counted) > 1 else 0.0
+    assert float(np.ravel(after.common_variance)[0]) == pytest.approx(scatter, abs=1e-12)
+
+
+def test_a_gamma_above_black_bends_noise_too():
+    """Means and variances of normal noise about a curve that begins at the black level, against a million draws."""
+    effect = GammaEnabled(1.25, above_black=1.0)
+    context = _context(black_level_dn=100.0)
+    noise = 3.0 * np.random.default_rng(7).standard_normal(1_000_000)
+    for dn in (100.0, 110.0, 2000.0):
+        drawn = effect.mean(dn + noise, context)
+        predicted = effect.moments(Moments(np.array([dn]), np.array([9.0]), np.zeros(1), np.zeros(1)), context)
+        assert float(predicted.mean[0]) == pytest.approx(np.mean(drawn), abs=0.06)
+        assert float(predicted.variance[0]) == pytest.approx(np.var(drawn), rel=0.06)
+    assert effect.mean(np.array([4095.0, 100.0, 99.0]), context) == pytest.approx([4095.0, 100.0, 94.748], abs=1e-3)
+    nothing = GammaEnabled(1.0, above_black=1.0)
+    assert nothing.mean(np.array([90.0, 100.0, 3000.0]), context) == pytest.approx([90.0, 100.0, 3000.0])
+
+
+@pytest.mark.parametrize("dn", [40.0, 64.0, 83.0, 120.0, 180.0, 3000.0])
+@pytest.mark.parametrize("toe", [0.0, 0.03])
+def test_moments_of_a_gamma_are_integrals_over_the_noise(dn, toe):
+    """Close to the corners of the curve, on both sides of black, and far off: mean and variance of 4 DN of noise."""
+    effect = GammaEnabled(1.4, toe=toe, above_black=1.0)
+    context = _context(black_level_dn=64.0)
+    z = np.linspace(-8.0, 8.0, 200_001)
+    chance = np.exp(-0.5 * z**2) / np.exp(-0.5 * z**2).sum()
+    bent = effect.mean(dn + 4.0 * z, context)
+    mean = float(chance @ bent)
+    predicted = effect.moments(
+        Moments(np.array([[dn]]), np.array([[16.0]]), np.zeros((1, 1)), np.zeros((1, 1))), context
+    )
+    assert predicted.mean.shape == (1, 1)
+    assert float(predicted.mean[0, 0]) == pytest.approx(mean, abs=0.02)
+    assert float(predicted.variance[0, 0]) == pytest.approx(float(chance @ (bent - mean) ** 2), rel=0.02)
+
+
+def test_wings_of_one_width_are_the_kernel():
+    """A sum of Gaussians in which one has all is that Gaussian; what it scatters is taken from the light itself."""
+    picture = np.zeros((20, 40))
+    picture[8:12, 10:20] = 1000.0
+    context = replace(_context(), geometry=FrameGeometry.of_image(40, 20))
+    wings = StrayLightKernel(share=0.0, wings=(0.0, 0.0, 0.03, 0.0, 0.0))
+    assert wings.mean(picture, context) == pytest.approx(StrayLightKernel(0.03, 0.08).mean(picture, context))
+    assert wings.slope(picture, context) == pytest.approx(0.97)
+    assert wings.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share")
+
+
+@pytest.mark.parametrize("k", range(5))
+def test_free_wings_begin_at_the_width_that_was_found(k):
+    """Of 0.02, 0.04 … 0.32 the width nearest in octaves gets six tenths of the share, each of the others a tenth."""
+    for away in (1.0, 1.3, 1.0 / 1.3):
+        kernel = StrayLightKernel(0.05, max(0.02 * 2.0**k * away, 0.02))
+        _, near, _ = kernel.loosened(_context())
+        assert near.wings == pytest.approx([0.03 if n == k else 0.005 for n in range(5)])
+        assert near.share == 0.0
+
+
+@pytest.mark.parametrize("beyond", [1.0, 0.5, 0.0])
+def test_light_beyond_the_border_is_scattered_in(beyond):
+    """Of an even picture a bell brings what lies inside, the normal integral, and its share of what lies beyond."""
+    picture, width_px = np.full((64, 64), 1000.0), 0.08 * 64
+    context = replace(_context(), geometry=FrameGeometry.of_image(64, 64))
+    kernel = StrayLightKernel(share=0.0, wings=(0.0, 0.0, 0.2, 0.0, 0.0), beyond=beyond)
+    scattered = (kernel.mean(picture, context) - 800.0) / 200.0
+    inside = 0.5 * (1.0 + math.erf(0.5 / width_px / math.sqrt(2.0)))  # of the first pixel's bell
+    assert scattered[32, 32] == pytest.approx(1.0, abs=1e-6)
+    assert scattered[32, 0] == pytest.approx(inside + beyond * (1.0 - inside), abs=2e-3)
+    assert scattered[0, 0] == pytest.approx(inside**2 + beyond * (1.0 - inside**2), abs=2e-3)
+
+
+def test_what_lies_beyond_the_border_is_asked_before_and_after_wings():
+    """The bell itself may end at the border, or take wings, in either order."""
+    bell = StrayLightKernel(0.03, 0.08)
+    ended, *winged = bell.loosened(_context())
+    assert (ended.beyond, ended.wings, ended.share) == (0.5, (), 0.03)
+    assert ended.free() == ("share", "radius", "edge_share", "beyond")
+    assert [form.beyond for form in winged] == [1.0, 1.0]
+    assert [form.beyond for form in ended.loosened(_context())] == [0.5, 0.5]
+    (further,) = winged[0].loosened(_context())
+    assert further.beyond == 0.5
+    assert further.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share", "beyond")
+    assert further.loosened(_context()) == ()
+
+
+def test_what_was_fitted_is_fitted_on_where_the_axis_is_free():
+    """About an axis of its own the plain law has three parameters, with the k₄ that was found four; none is held."""
+    plain, bent = NaturalVignetting(0.05, 0.03).loosened(_context())
+    assert (plain.strength, plain.k4, plain.free()) == (0.05, 0.0, ("strength", "axis_x", "axis_y"))
+    assert (bent.strength, bent.k4, bent.free()) == (0.05, 0.03, ("strength", "k4", "axis_x", "axis_y"))
+    (further,) = plain.loosened(_context())
+    assert "k4" in further.free()
+    assert further.loosened(_context()) == ()
+
+
+def test_a_table_does_not_stand_on_a_law_that_was_fitted():
+    """What a looser form does not fit it does not hold either: the table over the gains begins at the exact gain."""
+    (table,) = GainStepError(error_rel=0.02).loosened(_context(gain_db=np.array([0.0, 6.0, 12.0])))
+    assert table.error_rel == 0.0
+    assert table.free() == ("errors_rel[1]", "errors_rel[2]")
+
+
+def test_a_gain_error_says_what_was_stated_and_what_the_noise_shows():
+    """2.06 e-/DN, with 6.64 ± 0.17 % more DN for each electron, are 1.932 ± 0.0031; unknown figures tell nothing."""
+    camera = CameraDescription(bit_depth=16, conversion_gain_e_per_dn=2.06)
+    found = ConversionGainError(error_rel=0.0664)
+    text = found.remark(camera, {"error_rel": 0.0017})
+    assert text == "gain: stated 2.06 e⁻/DN, the noise says 1.932 ± 0.0031"
+    assert found.remark(camera, {"error_rel": None}) == ""
+    assert found.remark(CameraDescription(bit_depth=16), {"error_rel": 0.0017}) == ""
+
+
+@pytest.mark.parametrize("stretch", [0.6, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("exposure_s", [0.0002, 0.001, 0.02])
+def test_light_of_a_sagging_lamp_is_its_mean_over_the_exposure(stretch, exposure_s):
+    """A lamp that sags as 1 − a·(1 − exp(−(t/τ)^β)) gives its mean over the exposure, here summed in small steps."""
+    effect = SourceNotProportionalToExposure(0.05, 0.001, stretch)
+    times = (np.arange(200_000) + 0.5) / 200_000 * exposure_s
+    light = 1.0 - 0.05 * -np.expm1(-((times / 0.001) ** stretch))
+    assert effect.factor(_context(exposure_s=exposure_s)) == pytest.approx(float(light.mean()), abs=1e-7)
+
+
+def test_a_sag_is_freed_to_either_side_of_an_exponential():
+    """A straight sag and a slow one, with the size and time that were fitted and one parameter more to pay for."""
+    plain = SourceNotProportionalToExposure(0.03, 0.002)
+    forms = plain.loosened(_context())
+    assert plain.free() == ("droop_rel", "tau_s")
+    assert {form.free() for form in forms} == {("droop_rel", "tau_s", "stretch")}
+    assert {(form.droop_rel, form.tau_s) for form in forms} == {(0.03, 0.002)}
+    assert min(form.stretch for form in forms) < 1.0 < max(form.stretch for form in forms)
+    assert forms[0].loosened(_context()) == ()
+
+
+def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted():
+    """A row's light over random phases: (m·L·sinc(f·t))²/2 of 100 Hz in 2 ms, as frames and tiles have it."""
+    effect = RollingShutterBanding(modulation=0.1, frequency_hz=100.0, row_time_s=2e-5)
+    context, rng = _context(exposure_s=2e-3), np.random.default_rng(6)
+    rows = np.array([effect.sample(np.full((5, 8), 1000.0), context, rng)[2, 0] for _ in range(4000)])
+    predicted = effect.tile(
+        TileMoments.exactly(np.full((1, 1, 1), 1000.0)), TileMoments.exactly(np.full((1, 1, 1), 1000.0)), context
+    )
+    by_hand = (0.1 * 1000.0 * math.sin(0.2 * math.pi) / (0.2 * math.pi)) ** 2 / 2.0
+    assert float(np.ravel(predicted.band_variance)[0]) == pytest.approx(by_hand)
+    assert rows.var() == pytest.approx(by_hand, rel=0.05)
+    assert rows.mean() == pytest.approx(1000.0, abs=5.0 * math.sqrt(by_hand / rows.size))
+
+
+@pytest.mark.parametrize(
+    ("powers", "fitted"),
+    [
+        ((2.0, 1.0), ("strength",)), ((2.5, 1.0), ("strength", "radius_power", "stop_power")),
+        ((2.0, -0.5), ("strength", "radius_power", "stop_power")), ((2.0, 0.0), ("strength", "cone")),
+    ],
+)  # fmt: skip
+def test_powers_of_an_angle_are_fitted_where_they_are_not_the_plain_ones(powers, fitted):
+    """One unknown for a loss as radius squared over the stop; all three else; slant and cone where no stop counts."""
+    assert AngleDependence(0.03, *powers).free() == fitted
+
+
+# Charge that traps let go: by figures worked out by hand, of single frames, of captures and of the camera.
+
+
+TRAPS = ResidualCharge(share=0.01, tau_s=20.0)
+TIMES = FrameTimes(np.array([0.0, 5.0, 30.0, 40.0]), np.array([0, 0, 1, 2]), np.array([0, 1, 0, 0]), 3)
+HELD = np.array([[1000.0, 0.0], [10.0, 400.0], [7.0, 7.0]])
+
+
+def test_what_three_frames_left_comes_free_by_their_age():
+    """Each frame by its own age: two of 1000 e-, one of 10 e- later; within a series the second sees the first."""
+    past = CapturesPast(TIMES, HELD)
+    older = 1000.0 * (math.exp(-30.0 / 20.0) + math.exp(-25.0 / 20.0))
+    last = 1000.0 * (math.exp(-2.0) + math.exp(-1.75)) + 10.0 * math.exp(-0.5)
+    own = 1000.0 * math.exp(-0.25) / 2  # the second frame behind the first, on average over both
+    assert past.faded(20.0)[:, 0, 0] == pytest.approx([own, older, last])
+    assert past.faded(20.0)[:, 1, 0] == pytest.approx([0.0, 0.0, 400.0 * math.exp(-0.5)])
+
+
+@pytest.mark.parametrize(("part", "own"), [("first", 0.0), ("later", 1000.0 * math.exp(-0.25)), ("all", 389.4003915)])
+def test_the_first_of_a_series_sees_none_of_its_own(part, own):
+    """Others see those before them; a lone frame is first and later."""
+    found = CapturesPast(TIMES, HELD, part).faded(20.0)[:, 0, 0]
+    assert found[0] == pytest.approx(own)
+    assert found[1] == pytest.approx(CapturesPast(TIMES, HELD).faded(20.0)[1, 0, 0])
+
+
+def test_an_exposure_takes_what_comes_free_in_it():
+    """1 % of 5000 e- that are 10 s old, over 4 s with τ = 20 s; it scatters as so many electrons do."""
+    context = replace(
+        at(4.0), past=CapturesPast(FrameTimes(np.array([0.0, 10.0]), np.arange(2), np.zeros(2), 2), HELD[:2] * 5)
+    )
+    let_go = 0.01 * (1.0 - math.exp(-0.2)) * 5000.0 * math.exp(-0.5)
+    signal = np.full((2, 2, 1), 300.0)
+    assert TRAPS.mean(signal, context)[1, 0, 0] == pytest.approx(300.0 + let_go)
+    assert np.asarray(TRAPS.variance(signal, context))[1, 0, 0] == pytest.approx(let_go)
+    drawn = TRAPS.sample(np.full((2, 2, 40_000), 300.0), context, np.random.default_rng(1))[1, 0]
+    assert drawn.mean() == pytest.approx(300.0 + let_go, abs=5 * math.sqrt(let_go / 40_000))
+    assert drawn.var() == pytest.approx(let_go, rel=0.05)
+    assert TRAPS.mean(signal, at(4.0)) == pytest.approx(signal)  # nothing is known of frames before
+
+
+def test_the_camera_remembers_every_frame_once():
+    """Three frames at 0, 10 and 25 s; another shape forgets, a frame without a time is none."""
+    past = FadingPast()
+    seen = []
+    for now_s, charge in ((0.0, 100.0), (10.0, 50.0), (25.0, 1.0)):
+        view = past.at(now_s, (1, 2))
+        assert view is not None
+        seen.append(float(view.faded(20.0)[0, 1]))
+        past.add(np.full((1, 2), charge), now_s)
+    first, second = 100.0 * math.exp(-0.5), 100.0 * math.exp(-1.25) + 50.0 * math.exp(-0.75)
+    assert seen == pytest.approx([0.0, first, second])
+    assert past.at(None, (1, 2)) is None
+    past.add(np.full((1, 2), 9.0), None)
+    assert past.at(25.0, (1, 2)).faded(20.0)[0, 0] == pytest.approx(second * 1.0 + 1.0)
+    assert not past.at(25.0, (2, 2)).faded(20.0).any()
+
+
+def test_starts_are_some_and_many_intervals_between_frames():
+    """Half a second between frames: traps of 1, 7.5 and 50 s; times that are not known leave the usual ones."""
+    since = np.array([np.inf, 0.5, 0.5, 9.0])
+    assert [start.tau_s for start in ResidualCharge.starts(replace(at(1.0), since_frame_s=since))] == [1.0, 7.5, 50.0]
+    assert [start.tau_s for start in ResidualCharge.starts(replace(at(1.0), since_frame_s=None))] == [
+        30.0,
+        225.0,
+        1500.0,
+    ]
+    assert not ResidualCharge.usable(at(1.0))
+
+
+def after_charge(held_e: Any, full_well_e: float = 10_000.0, **more: Any) -> TileContext:
+    """Return the circumstances of frames before which the pixels held so many electrons."""
+    camera = CameraDescription(bit_depth=12, full_well_e=full_well_e)
+    settings, geometry = FrameSettings(0.01), FrameGeometry.of_image(np.shape(held_e)[-1], np.shape(held_e)[-2])
+    return TileContext(settings, geometry, camera, previous_e=np.asarray(held_e), **({"frames": None} | more))
+
+
+def _left(lag: ImageLag, previous: float) -> float:
+    return float(lag.mean(np.zeros((1, 1)), after_charge([[previous]]))[0, 0])
+
+
+@pytest.mark.parametrize(("power", "expected"), [(1.0, 80.0), (0.5, 40.0), (2.0, 320.0)])
+def test_lag_by_a_power_goes_through_its_share_at_a_thousand_electrons(power: float, expected: float) -> None:
+    """2 % of 1000 e- is 20 e- for every power; of 4000 e- it is 80 e- by a line, 40 by a root, 320 by a square."""
+    lag = ImageLag(share=0.02, power=power)
+    assert _left(lag, 1000.0) == pytest.approx(20.0)
+    assert _left(lag, 4000.0) == pytest.approx(expected)
+    assert _left(lag, 40000.0) == pytest.approx(20.0 * 10.0**power)  # no pixel holds more than its full well
+
+
+def test_the_power_is_fitted_where_it_is_not_one() -> None:
+    """The plain share alone is fitted of a line; a form of another power comes among its forms."""
+    assert ImageLag(share=0.02).free() == ("share",)
+    assert ImageLag(share=0.02, power=0.6).free() == ("share", "power")
+    context = after_charge([[0.0]])
+    assert any(form.power != 1.0 for form in ImageLag.covers(context))
+    assert any(form.power != 1.0 for form in ImageLag(share=0.02).loosened(context))
+    assert [form.free() for form in ImageLag(share=0.02, power=0.6).loosened(context)] == [("share", "power", "noise")]
+    assert ImageLag(share=0.02, power=0.6, noise=0.5).loosened(context) == ()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.25, 1.0])
+def test_what_stays_behind_scatters_by_its_share_of_the_noise_of_light(noise: float) -> None:
+    """Of 4000 e- 2 % stay: 80 e- with a variance of 0, 20 or 80 e-², drawn in 200,000 pixels and predicted."""
+    held = np.full((400, 500), 4000.0)
+    context = after_charge(held)
+    lag, nothing = ImageLag(share=0.02, noise=noise), np.zeros(held.shape)
+    drawn = lag.sample(nothing, context, np.random.default_rng(8))
+    assert drawn.mean() == pytest.approx(80.0, abs=5.0 * np.sqrt(80.0 / held.size))
+    assert drawn.var() == pytest.approx(80.0 * noise, rel=5.0 * np.sqrt(2.0 / held.size))
+    assert np.allclose(lag.variance(nothing, context), 80.0 * noise)
+
+
+def test_nothing_is_left_by_a_dark_frame() -> None:
+    """A frame that held nothing leaves neither charge nor noise; a share below zero takes charge and adds no noise."""
+    context = after_charge([[0.0, 500.0]])
+    signal = np.full((1, 2), 100.0)
+    assert ImageLag(share=0.02).variance(signal, context).tolist() == [[0.0, 10.0]]
+    assert ImageLag(share=-0.02).variance(signal, context).tolist() == [[0.0, 0.0]]
+
+
+@pytest.mark.parametrize("frames", [1, 2, 4, 6])
+@pytest.mark.parametrize(("share", "older"), [(0.1, 0.0), (0.06, 0.05), (-0.08, 0.0)])
+def test_noise_that_comes_back_makes_frames_alike(frames: int, share: float, older: float) -> None:
+    """Scatter about the mean of a series, and of that mean from pixel to pixel, as drawn frame by frame."""
+    rng, pixels = np.random.default_rng(frames), 400_000
+    held = 5000.0 + np.sqrt(5000.0) * rng.standard_normal((frames + 2, pixels))
+    seen = held[2:] + share * held[1:-1] + older * held[:-2]
+    context = after_charge([[[5000.0]]], full_well_e=20_000.0, frames=float(frames))
+    before = replace(TileMoments.exactly(np.array([[[5000.0]]])), variance=np.array([[[5000.0]]]))
+    lag = ImageLag(share=share, older_share=older, noise=0.0)
+    predicted = lag.moments(before, context)
+    counted = seen[1:] if frames > 2 else seen
+    if frames > 1:
+        scatter = float(np.mean(np.var(counted, axis=0, ddof=1)))
+        own = 3.0 * scatter * np.sqrt(2.0 / (pixels * (len(counted) - 1))) + (share**2 + older**2) * 5000.0
+        assert float(predicted.variance.item()) == pytest.approx(scatter, abs=1.2 * own)
+    mean = float(np.var(np.mean(seen, axis=0)))
+    own = 3.0 * mean * np.sqrt(2.0 / pixels) + 2.5 * (abs(share) + abs(older)) ** 2 * 5000.0 / frames
+    expected = float(predicted.variance.item()) / frames + float(predicted.spatial_variance.item())
+    assert expected == pytest.approx(mean, abs=own)
+    if frames > 1:
+        assert abs(mean - 5000.0 / frames) > own  # what a model without memory says

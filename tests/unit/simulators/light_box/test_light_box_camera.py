@@ -1,7 +1,5 @@
 """What a camera sees of a simulated box: light adds up, its wavelength is a mean by radiance, time is shared."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

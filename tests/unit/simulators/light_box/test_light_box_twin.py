@@ -1,7 +1,5 @@
 """The simulated light box and the physics of its LEDs."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -228,22 +226,16 @@ def test_whole_milliseconds_are_counted_whole(steps: tuple[float, ...]) -> None:
 BLUE = REFERENCE_LEDS["spot"]
 
 
-def test_radiance_starts_at_the_cold_value_and_droops_by_the_stated_amount():
-    """At full duty the settled radiance is below the cold one by efficiency times heating."""
+def test_a_led_at_full_duty_droops_and_reddens_by_the_stated_amounts():
+    """Settled it is dimmer by efficiency times heating, and redder; half of the droop is there after τ·ln 2."""
     led = LedState(BLUE)
     led.drive(1.0, high=True, time_s=0.0)
-    cold = led.emission(0.0).radiance_w_sr_m2
-    settled = led.emission(20 * BLUE.heating_tau_s).radiance_w_sr_m2
-    assert settled / cold == pytest.approx(1 + BLUE.efficiency_per_kelvin * BLUE.heating_kelvin, rel=1e-6)
-
-
-def test_half_of_the_droop_is_there_after_tau_ln_2():
-    """Warm-up is exponential with the stated time constant."""
-    led = LedState(BLUE)
-    led.drive(1.0, high=True, time_s=0.0)
-    cold = led.emission(0.0).radiance_w_sr_m2
-    half = led.emission(BLUE.heating_tau_s * np.log(2)).radiance_w_sr_m2
-    assert 1 - half / cold == pytest.approx(-BLUE.efficiency_per_kelvin * BLUE.heating_kelvin / 2, rel=1e-6)
+    droop = BLUE.efficiency_per_kelvin * BLUE.heating_kelvin
+    cold, half, settled = (led.emission(BLUE.heating_tau_s * n) for n in (0.0, np.log(2), 20.0))
+    assert settled.radiance_w_sr_m2 / cold.radiance_w_sr_m2 == pytest.approx(1 + droop, rel=1e-6)
+    assert 1 - half.radiance_w_sr_m2 / cold.radiance_w_sr_m2 == pytest.approx(-droop / 2, rel=1e-6)
+    shift_nm = BLUE.peak_shift_nm_per_kelvin * BLUE.heating_kelvin
+    assert led.emission(1e4).peak_nm == pytest.approx(BLUE.peak_nm + shift_nm, abs=1e-6)
 
 
 def test_mean_of_the_waveform_is_the_emission():
@@ -274,14 +266,6 @@ def test_short_pulses_lose_light():
 def test_dark_is_dark():
     """Duty 0 emits nothing."""
     assert LedState(BLUE).emission(5.0).radiance_w_sr_m2 == 0.0
-
-
-def test_peak_shifts_with_temperature():
-    """A warm LED is redder by the stated shift."""
-    led = LedState(BLUE)
-    led.drive(1.0, high=True, time_s=0.0)
-    shift_nm = BLUE.peak_shift_nm_per_kelvin * BLUE.heating_kelvin
-    assert led.emission(1e4).peak_nm == pytest.approx(BLUE.peak_nm + shift_nm, abs=1e-6)
 
 
 class _Clock:

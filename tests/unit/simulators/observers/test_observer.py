@@ -1,7 +1,5 @@
 """The simulated subject and its eye."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

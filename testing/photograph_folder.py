@@ -1,0 +1,31 @@
+"""Photographs as files in a folder, the list of their exposure times next to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+def eight_bits(dn: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Return digital numbers as a camera stores them in 8 bits."""
+    return np.clip(np.rint(dn), 0, 255).astype(np.uint8)
+
+
+def write_photographs(
+    folder: Path, pictures: Iterable[NDArray[Any] | bytes], times_s: Sequence[float], ending: str = ".png"
+) -> Path:
+    """Write pictures, or whole files, as p0, p1 … with `exposures.txt`; return the folder."""
+    folder.mkdir(exist_ok=True)
+    names = [f"p{k}{ending}" for k in range(len(times_s))]
+    for name, picture in zip(names, pictures, strict=True):
+        if isinstance(picture, bytes):
+            (folder / name).write_bytes(picture)
+        else:
+            cv2.imwrite(str(folder / name), picture)
+    (folder / "exposures.txt").write_text("".join(f"{name} {s}\n" for name, s in zip(names, times_s, strict=True)))
+    return folder
