@@ -146,7 +146,8 @@ def excess_noise(x: Array, exposure: Array, shot: float, dark: Array, rounding: 
     one, other = x[frame, :, pixel].T
     rate = np.bincount(group, (one + other) / 2.0) / np.bincount(group, t)
     terms = np.column_stack([shot * np.maximum(rate[group], 0.0) / t, dark[frame] / t**2])
-    known = rounding.mean(axis=1)[frame, pixel] / t**2
+    # Of frames without noise at all a thousandth of the assumed one remains.
+    known = rounding.mean(axis=1)[frame, pixel] / t**2 + 1e-6 * terms.sum(axis=1)
     values = (one - other) / (math.sqrt(2.0) * t)
     return np.maximum(_fit_variance(values, group, terms, known, np.ones(t.size), np.ones(2), _OUTER).amplitudes, 1.0)
 
