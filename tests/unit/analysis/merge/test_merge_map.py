@@ -345,7 +345,7 @@ def test_the_pattern_of_the_pixels_is_in_their_uncertainty(rig):
 
 @pytest.mark.parametrize("gain_e_per_dn", [0.25, 1.0, 4.0])
 def test_noise_that_nothing_states_is_taken_from_the_frames(rig, gain_e_per_dn):
-    """One frame of each exposure: no decade's pull is wider than 1.15. One frame alone shows none, as the map says."""
+    """One frame of each exposure: no decade's pull is wider than 1.15; flicker is no noise; one frame shows none."""
     rig = rig.but(gain_e_per_dn=gain_e_per_dn, full_well_e=1e6)
     camera = CameraDescription(bit_depth=12, model="generated", serial="1", black_level_dn=64.0, dark_current_e_per_s=0)
     top = rig.radiance_of_full_scale(1e-3)
@@ -355,6 +355,9 @@ def test_noise_that_nothing_states_is_taken_from_the_frames(rig, gain_e_per_dn):
     off = (found.radiance / (truth / top * (4095 - 64) / 1e-3) - 1.0) * found.radiance / found.u_radiance
     assert not found.mask.any()
     assert max(part.std() for part in np.split(off, 3, axis=1)) < 1.15
+    dimmer = rig.frames(0.7 * truth, np.random.default_rng(4), (4e-3,))
+    flickering = merge(iter([frames[0], *dimmer, *frames[2:]]), Setup(camera, rig.lens))
+    assert np.median(flickering.u_radiance / found.u_radiance) < 1.1
     one = merge(frames[:1], Setup(camera, rig.lens)).provenance.assumptions
     typical = [any("rests on typical noise" in text for text in each) for each in (found.provenance.assumptions, one)]
     assert typical == [False, True]
