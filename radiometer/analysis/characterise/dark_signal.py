@@ -83,12 +83,24 @@ def _u_of_means(dark: Sequence[GroupStatistics], step_dn: int) -> NDArray[np.flo
 
 
 def _mean_line(dark: Sequence[GroupStatistics], means_dn: Sequence[float], step_dn: int) -> Line:
-    """Return the line of means over exposure. Rounding errs alike at like means: many determine it as the ends do."""
+    """Return the line of means over exposure.
+
+    Rounding errs alike at like means, so that more of them average none of it: its errors add up with the signs that
+    move the line most (JCGM 100:2008, 5.2.2, note 1).
+    """
     times = np.array([d.settings.exposure_s for d in dark])
-    line = fit_line(times, means_dn, _u_of_means(dark, step_dn))
-    first, last = (dark[int(end)].u_of_rounding_dn(step_dn) for end in (np.argmin(times), np.argmax(times)))
-    of_ends = math.hypot(first, last) / float(np.ptp(times))
-    return replace(line, u_slope=max(line.u_slope, of_ends), u_intercept=max(line.u_intercept, first))
+    u = _u_of_means(dark, step_dn)
+    line = fit_line(times, means_dn, u)
+    rounding = np.array([d.u_of_rounding_dn(step_dn) for d in dark])
+    weights = u**-2 / np.sum(u**-2)
+    from_centre = times - weights @ times
+    of_slope = weights * from_centre / (weights @ from_centre**2)
+    of_intercept = weights - (weights @ times) * of_slope
+    return replace(
+        line,
+        u_slope=max(line.u_slope, float(np.abs(of_slope) @ rounding)),
+        u_intercept=max(line.u_intercept, float(np.abs(of_intercept) @ rounding)),
+    )
 
 
 def is_cut_off(dark: Sequence[GroupStatistics]) -> bool:
