@@ -52,6 +52,7 @@ _DRAWS: Final = 6
 _LATTICE: Final = 1e-4  # of a step, to which differences of rounded values are multiples of it
 _NO_STEP: Final = 1e-4  # of the range: what finer steps move is nothing
 _SAME_REL: Final = 1e-9  # of the range: values that are written alike
+_LEAST_MEAN: Final = 0.01  # of the mean of absolute values, to which light, never below 0, is equal but for noise
 _COVERAGE: Final = 0.9545  # of the expanded uncertainty
 
 
@@ -82,12 +83,13 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
     the light is rounded to steps, each value may be any light within half a step (rectangular, GUM 4.3.7). The
     value of darkness adds u_dark over the mean light, for it scales every modulation.
 
-    Raises MeasurementError if the mean light is not above 0.
+    Raises MeasurementError if the mean light is not above 0, as that of an AC-coupled record.
     """
     mean = float(waveform.light.mean())
-    if not mean > 0.0:
+    if not mean > _LEAST_MEAN * float(np.abs(waveform.light).mean()):
         raise MeasurementError(
-            f"{waveform.origin}: the mean light is {mean:.4g}, not above 0; state the value of darkness by --dark"
+            f"{waveform.origin}: the mean light is {mean:.4g}, not above 0 by {100 * _LEAST_MEAN:g} % of its values; "
+            "record it without AC coupling, or state the value of darkness by --dark"
         )
     period = find_period(waveform)
     part, periods = whole_periods(waveform, period)
@@ -120,6 +122,11 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         warnings.append(
             f"SVM is not determined: it needs {2.0 * _SVM_BAND_HZ[1]:g} samples per s, the record has "
             f"{waveform.rate_hz:.4g}"
+        )
+    elif not periods and not waveform.others:
+        warnings.append(
+            "SVM is not determined: no repetition was found, so that its uncertainty is unknown; the record gives "
+            f"{stroboscopic_visibility(part):.2g}, noise included"
         )
     else:
         svm = with_u(stroboscopic_visibility)
