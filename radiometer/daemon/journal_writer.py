@@ -185,8 +185,11 @@ class JournalWriter:
     async def _try_to_commit(self) -> bool:
         """Commit what is queued; where that cannot be, put up the alarm, pause, and return False."""
         try:
-            # What the thread has begun ends, though this task is cancelled: else it would be committed again.
-            await asyncio.shield(self._commit_batch())
+            # What the thread has begun ends, though this task is cancelled: else it would be committed again. What it
+            # raises then is raised again by the commit at the stop.
+            commit = asyncio.ensure_future(self._commit_batch())
+            commit.add_done_callback(lambda done: done.cancelled() or done.exception())
+            await asyncio.shield(commit)
         except OutputError as error:
             if isinstance(error, JournalSizeError):  # it will not pass by itself, as a lock or a full disk may
                 self._room.clear()

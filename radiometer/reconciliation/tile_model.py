@@ -594,9 +594,8 @@ class TileModel:
         def everywhere(values: Signal | float) -> Array:
             return tiles(np.broadcast_to(values, final.mean.shape))
 
-        mean, variance = tiles(final.mean), tiles(final.variance)
+        mean, variance, n = tiles(final.mean), tiles(final.variance), self.design.frame_count[:, None]
         if not self.design.uniform:  # a scene's noise is that of the later frames, without the first one's own light
-            n = self.design.frame_count[:, None]
             variance = variance - np.where(n > 2, gain[..., None] * tiles(final.first_excess) / n, 0.0)
         lines, columns, rows = map(tiles, (final.row_variance, final.fixed_column_variance, final.fixed_row_variance))
         # A frame's mean is taken out of each tile, and with it what its rows have in common.
@@ -606,18 +605,18 @@ class TileModel:
         total = np.maximum(variance + within + band * left.within, _SMALLEST_VARIANCE_DN2)
         white = np.maximum(variance + lines * self.design.rough_rows + band * left.rough, _SMALLEST_VARIANCE_DN2)
         fixed = tiles(final.spatial_variance)
-        rough = columns * self.design.rough_columns + rows * self.design.rough_rows
-        spatial = white / self.design.frame_count[:, None] + fixed + rough
+        spatial = white / n + fixed + columns * self.design.rough_columns + rows * self.design.rough_rows
         fixed = fixed + columns + rows
         rise_x, rise_y = rise_of(final.mean)
+        safe = np.maximum(total, 1e-30)
         return Prediction(
             mean=mean,
             slope_x=rise_x,
             slope_y=rise_y,
             variance=total,
             spatial=spatial,
-            neighbour_x=(tiles(final.neighbour_x) + within + band * left.within) / total,
-            neighbour_y=(tiles(final.neighbour_y) - lines / shared + band * left.lag) / total,
+            neighbour_x=(tiles(final.neighbour_x) + within + band * left.within) / safe,
+            neighbour_y=(tiles(final.neighbour_y) - lines / shared + band * left.lag) / safe,
             first=tiles(final.first_excess),
             common_variance=tiles(final.common_variance),
             row_variance=lines.mean(axis=-1),
@@ -634,13 +633,13 @@ class TileModel:
             unrounded=final.unrounded or final,
             band_variance=band,
             band_frequency=final.band_frequency,
-            mixed_x=tiles(final.neighbour_x) / total,
-            mixed_y=tiles(final.neighbour_y) / total,
+            mixed_x=tiles(final.neighbour_x) / safe,
+            mixed_y=tiles(final.neighbour_y) / safe,
             limit_variance=everywhere(final.limit_variance),
             renewed_variance=everywhere(final.renewed_variance),
-            beyond_x=everywhere(final.beyond_x) / total,
-            beyond_y=everywhere(final.beyond_y) / total,
-            beyond_rows=everywhere(final.beyond_rows) / total,
+            beyond_x=everywhere(final.beyond_x) / safe,
+            beyond_y=everywhere(final.beyond_y) / safe,
+            beyond_rows=everywhere(final.beyond_rows) / safe,
             uneven_noise=everywhere(final.uneven_noise),
         )
 

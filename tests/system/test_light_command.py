@@ -208,7 +208,7 @@ def test_a_simulated_box_that_was_ended_leaves_no_port(surroundings, project_roo
         boxes[1].communicate()
 
 
-@pytest.mark.parametrize("target", [None, "elsewhere.txt", "nowhere", "/proc/self/fd/0", f"/proc/{os.getpid()}/fd/0"])
+@pytest.mark.parametrize("target", [None, "elsewhere.txt", "nowhere", "/proc/self/fd/0", "/proc/{own}/fd/0"])
 def test_a_simulated_box_replaces_no_file_by_its_port(tmp_path, surroundings, capsys, target):
     """Only a link that a killed one left is replaced, not another one; the exit code is that of misuse."""
     file = tmp_path / "precious.txt"
@@ -216,6 +216,7 @@ def test_a_simulated_box_replaces_no_file_by_its_port(tmp_path, surroundings, ca
     if target is None:
         file.write_text("precious")
     else:
+        target = target.format(own=os.getpid())
         file.symlink_to(target)
     assert run(["simulate", "box", "--link", str(file)]) == 2
     assert "exists already" in capsys.readouterr().err

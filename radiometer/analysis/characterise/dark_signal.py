@@ -122,8 +122,8 @@ def determined(
     """
     if is_cut_off(dark):
         notes.append(
-            f"more than {100 * FLOOR_SHARE:g} % of the dark pixels are at 0, where noise is cut off: raise the camera's "
-            "black level. Black level, dark noise, dynamic range, dark current and DSNU are not determined"
+            f"more than {100 * FLOOR_SHARE:g} % of the dark pixels are at 0, where noise is cut off: raise the "
+            "camera's black level. Black level, dark noise, dynamic range, dark current and DSNU are not determined"
         )
         return {name: q for name, q in figures.items() if not name.startswith(_OF_DARKS)}
     if not is_hidden:

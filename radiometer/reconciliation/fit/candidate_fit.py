@@ -117,19 +117,15 @@ class _Trial:
         columns = zip(effects, changes.T, residuals.T, halves.T, costs.tolist(), strict=True)
         return [cls(effect, *own) for effect, *own in columns]
 
-    def columns(self, state: FitState) -> Array:
-        """Return −d(residual)/d(scaled parameter), prior rows included."""
-        return state.fit.followed(self._moves(state))
-
-    def _moves(self, state: FitState) -> Array:
-        """Return the same with followers that stand still."""
+    def moves(self, state: FitState) -> Array:
+        """Return −d(residual)/d(scaled parameter), prior rows included, with followers that stand still."""
         steps, several = state.parameters_of((self.effect,)).a_step_away()
         moved = state.moved_by([(*state.effects, *own) for own in several])
         return state.pad((moved - self.change[:, None]) / steps)
 
     def normal(self, state: FitState) -> tuple[Array, Array]:
         """Return AᵀA and Aᵀ·residual for the columns A freed of what the nuisances and earlier effects take up."""
-        columns, part = state.fit.followed_with_half(self._moves(state))
+        columns, part = state.fit.followed_with_half(self.moves(state))
         return columns.T @ columns - part.T @ part, columns.T @ self.residual - part.T @ self.half
 
     def stepped(self, state: FitState, normal: Array, right: Array, damping: float) -> _Trial | None:
@@ -155,7 +151,7 @@ def _profiled(state: FitState, best: _Trial) -> _Trial:
 
 
 def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandidate:
-    columns = _off_bounds(state, best.effect, best.columns(state))
+    columns = _off_bounds(state, best.effect, state.fit.followed(best.moves(state)))
     fit = state.fit.extended(columns, best.residual)
     before = family_chi2(state, state.fit.projected)
     after = family_chi2(state, fit.projected)

@@ -107,34 +107,20 @@ def refit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = 
     return _held_at_bounds(coarse_fit(state, iterations, early_stop=early_stop), _fixed(state))
 
 
-class _Pace:
-    """Progress of a fit: where parameters nearly replace each other it has no end, but gains next to nothing."""
-
-    def __init__(self) -> None:
-        self._before: FitState | None = None
-        self._slow = 0
-
-    def creeps(self, at: FitState) -> bool:
-        """Return whether the steps to this point, the next one of a fit, were slow ones for too long."""
-        before, self._before = self._before, at
-        if before is None:
-            return False
-        gained = before.cost - at.cost
-        slow = gained < min(_SLOW * (before.cost - before.promised), _LITTLE * at.misfit)
-        self._slow = self._slow + 1 if slow else 0
-        return self._slow >= _PATIENCE
-
-
 def coarse_fit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = False) -> FitState:
     """Return the same, for weights that will be brought up to date there: parameters at bounds are not held yet.
 
     The end is where derivatives of one point lead, if they hold all the way: none are taken there to confirm it.
     """
-    fixed, pace = _fixed(state), _Pace()
-    for _ in range(iterations):
+    fixed, slow, before = _fixed(state), 0, state
+    for number in range(iterations):
         state = _held_at_bounds(state, fixed)
-        if early_stop and pace.creeps(state):
-            break
+        if early_stop and number:  # where parameters nearly replace each other it has no end, but gains next to nothing
+            least = min(_SLOW * (before.cost - before.promised), _LITTLE * state.misfit)
+            slow = slow + 1 if before.cost - state.cost < least else 0
+            if slow >= _PATIENCE:
+                break
+        before = state
         lower = next((trial for trial in _trials(state) if trial.cost < state.cost), None)
         if lower is None:
             break

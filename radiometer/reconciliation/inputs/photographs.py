@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.labels import (
@@ -389,14 +388,10 @@ def _worst(judged: _Judged, names: Sequence[str]) -> str:
     """Return which photograph is predicted worst, where it is so by far."""
     times = judged.log_time - judged.samples.frame_log_time
     errors = np.abs(prediction_error_dn(judged.samples, judged.fitted.log_exposure, times))
-    size = [float(np.mean(errors[rows])) if rows.any() else 0.0 for rows in _known_rows(judged.samples, errors)]
+    shown = [errors[(judged.samples.frame == k) & np.isfinite(errors)] for k in range(times.size)]
+    size = [float(np.mean(own)) if own.size else 0.0 for own in shown]
     worst = int(np.argmax(size))
     return f", {names[worst]} by far worst" if size[worst] > 2.0 * float(np.median(size)) else ""
-
-
-def _known_rows(samples: ResponseSamples, values: Array) -> list[NDArray[np.bool_]]:
-    """Return for every frame which rows are its own and known."""
-    return [(samples.frame == k) & np.isfinite(values) for k in range(samples.frame_log_time.size)]
 
 
 def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[FrameFinding, ...]:
@@ -549,7 +544,8 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
 
 def _label_section(one: FrameFinding) -> str:
     stops = math.log2(one.ratio)
-    taken = with_u(one.taken_s, _COVERAGE * one.taken_s * _rel(one), "s")
+    u_rel = one.u_ratio / one.ratio if one.ratio > 0 else math.inf
+    taken = with_u(one.taken_s, _COVERAGE * one.taken_s * u_rel, "s")
     before, after = (_mean_size(errors) for errors in (one.error_as_printed_dn, one.error_dn))
     return section(
         f"Label of {one.name}",
@@ -676,10 +672,6 @@ def _binned(dn: Array, error: Array) -> tuple[Array, Array, Array]:
     mean, middle = (np.bincount(place, v, _BINS)[filled] / count[filled] for v in (error, dn))
     square = np.bincount(place, error**2, _BINS)[filled] / count[filled]
     return middle, mean, np.sqrt(np.maximum(square - mean**2, 0.0))
-
-
-def _rel(one: FrameFinding) -> float:
-    return one.u_ratio / one.ratio if one.ratio > 0 else math.inf
 
 
 def _mean_size(errors: Array) -> float:

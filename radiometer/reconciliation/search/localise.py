@@ -8,7 +8,7 @@ can explain. Bonferroni over all tests holds the false-alarm rate.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -195,16 +195,13 @@ class Basis:
 
 def localise(state: FitState) -> tuple[Disagreement, ...]:
     """Return all tests, the most significant first; of forms that are one and the same here, as rows list them."""
-    tests = (score(state, basis, state.fit) for basis in trend_bases(state, covariates(state.model, state.prediction)))
+    tests = (score(state, basis, state.fit) for basis in trend_bases(state))
     return tuple(sorted((test for test in tests if test is not None), key=lambda test: test.order))
 
 
-def trend_bases(state: FitState, axes: Mapping[str, Covariate]) -> Iterator[Basis]:
-    """Yield the trend of every test that the data allow.
-
-    Args:
-        axes: The covariates that vary, by name.
-    """
+def trend_bases(state: FitState) -> Iterator[Basis]:
+    """Yield the trend of every test that the data allow."""
+    axes = covariates(state.model, state.prediction)
     for block, row in STATISTICS.items():
         if not state.comparison.usable[block].any():
             continue
@@ -244,7 +241,7 @@ def global_p_value(state: FitState, tests: Sequence[Disagreement]) -> float:
     bound = min(len(tests) * float(np.exp(tests[0].log_p)), 1.0)
     if bound < _FEWEST_BEYOND / _DRAWS:  # no draw would reach it
         return bound
-    least = _least_of_draws(state, list(trend_bases(state, covariates(state.model, state.prediction))))
+    least = _least_of_draws(state, list(trend_bases(state)))
     beyond = int(np.sum(least <= tests[0].log_p))
     return max(beyond, _FEWEST_BEYOND) / least.size
 
@@ -345,7 +342,7 @@ def axis_of(where: str, block: str) -> str:
 
 def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
     """Return up to so many tests, each the most significant along a covariate that is not listed yet."""
-    bases = tuple(trend_bases(state, covariates(state.model, state.prediction)))
+    bases = tuple(trend_bases(state))
     fit, found = state.fit, list[Disagreement]()
     for _ in range(most):
         taken = {axis_of(test.where, test.block) for test in found}
