@@ -437,8 +437,7 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         )
     elif not periods and not waveform.others:
         warnings.append(
-            "SVM is not determined: no repetition was found, so that its uncertainty is unknown; the record gives "
-            f"{stroboscopic_visibility(part):.2g}, noise included"
+            f"SVM is not determined: no repetition was found; with its noise it is {stroboscopic_visibility(part):.2g}"
         )
     else:
         svm = of_blocks(stroboscopic_visibility)
