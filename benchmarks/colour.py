@@ -15,11 +15,8 @@ import colour as peer
 import numpy as np
 
 from benchmarks._sections import write_section
-from radiometer.analysis.colour.calibration import ColourCalibration
+from radiometer.analysis.colour.calibration import SURFACES, ColourCalibration, ColourCamera, Training, train_on_lights
 from radiometer.analysis.colour.chromaticity import coordinates
-from radiometer.analysis.colour.matrix import Training
-from radiometer.analysis.colour.plausible import SURFACES
-from radiometer.analysis.colour.train import ColourCamera, train_on_lights
 from radiometer.analysis.photometry.displays import GRID_NM, tristimulus_of
 from radiometer.data.mosaic import COLOURS
 from radiometer.typing import Array

@@ -10,14 +10,13 @@ from typing import Final
 import numpy as np
 
 from radiometer.acquire.bracketing import own_shutter, take_dark_frames
-from radiometer.analysis.flicker.waveform import Waveform
+from radiometer.analysis.flicker import Waveform
 from radiometer.data import Frame, Patch
 from radiometer.devices import Camera, Roi
 from radiometer.errors import DeviceError, MeasurementError
 
 _FILL: Final = 0.7  # of full scale: the brightest moment of a waveform may be missed by a pilot
 _PILOTS: Final = 64  # frames that show the brightest moment of light that changes
-_MOST_TRIES: Final = 24  # halvings: 24 stops, the whole range of any camera
 _DARK_FRAMES: Final = 16  # their mean is known to a quarter of a frame's noise
 _UNEVEN: Final = 0.02  # of a step: what a camera's time stamps may scatter by without a frame being lost
 _LONGEST_S: Final = 1e-3  # 1.6 % of a modulation at 100 Hz averages out over it
@@ -54,15 +53,14 @@ def take_series(camera: Camera, patch: Patch, duration_s: float, exposure_s: flo
 
 def _unclipped(camera: Camera, shortest_s: float, *, fixed: bool) -> float:
     """Shorten the exposure until the brightest of some frames is well below full scale; return frames per s."""
-    for _ in range(_MOST_TRIES):
+    while True:
         pilots = list(itertools.islice(camera.stream(), _PILOTS))
         brightest, exposure_s = max(map(_brightest, pilots)), camera.settings.exposure_s
         if fixed or brightest <= _FILL:
             return _rate_hz(pilots)
         if exposure_s <= shortest_s * (1 + 1e-9):
-            break
+            raise MeasurementError("the light clips at the shortest exposure; close the aperture or use a grey filter")
         camera.configure(replace(camera.settings, exposure_s=max(shortest_s, exposure_s / 2.0)))
-    raise MeasurementError("the light clips even at the shortest exposure; close the aperture or use a grey filter")
 
 
 def _brightest(frame: Frame) -> float:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +13,7 @@ from radiometer.adaptation.adaptation_fit import AdaptationFit, intercept_verdic
 from radiometer.adaptation.branch_fit import BranchFit
 from radiometer.adaptation.norms import WITHOUT, norms_of
 from radiometer.adaptation.reliability import MEANINGS, NAMES, Reliability
-from radiometer.data.storage import write_text_atomic
+from radiometer.data.storage import csv_text, write_text_atomic
 from radiometer.numbers import rounded, unit_text
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
@@ -211,14 +209,10 @@ def curve_csv(fit: AdaptationFit) -> str:
     """Return thresholds, fitted values and residuals as CSV."""
     series = fit.chosen.series
     fitted = fit.chosen.threshold(series.time_min)
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["time_min", "log10_threshold", "fitted", "residual", "weight"])
-    for row in zip(
-        series.time_min, series.log_threshold, fitted, series.log_threshold - fitted, fit.chosen.weights, strict=True
-    ):
-        writer.writerow([f"{value:.6g}" for value in row])
-    return stream.getvalue()
+    residual = series.log_threshold - fitted
+    rows = zip(series.time_min, series.log_threshold, fitted, residual, fit.chosen.weights, strict=True)
+    head = ["time_min", "log10_threshold", "fitted", "residual", "weight"]
+    return csv_text([head, *([f"{value:.6g}" for value in row] for row in rows)])
 
 
 def write_page(fit: AdaptationFit, path: Path, title: str = "Dark adaptation") -> None:

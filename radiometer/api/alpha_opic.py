@@ -11,12 +11,11 @@ from radiometer.analysis.photometry.alpha_opic import UNITS, AlphaOpic, alpha_op
 from radiometer.analysis.photometry.facing import facing_irradiance
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.api.files import PathLike
-from radiometer.api.result import Drawn
+from radiometer.api.result import Drawn, require_other
 from radiometer.data import Flag, Quantity, Reading
 from radiometer.data.drawing import new_axes
-from radiometer.data.json_text import parsed_json
-from radiometer.data.storage import read_text
-from radiometer.errors import InputError, UsageError
+from radiometer.data.reading import of_reading
+from radiometer.errors import UsageError
 from radiometer.plausible import Length, NotNegative, RelativeUncertainty, Uncertainty, WavelengthUncertainty
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 
@@ -129,9 +128,7 @@ def alpha_opic(
         raise UsageError("give one of a value, --reading FILE and --screen FILE")
     if (level is None) != (screen is None):
         raise UsageError("--screen and --level need each other")
-    for name, doubt in (("--spectrum-u-rel", spectrum_u_rel), ("--wavelength-u", wavelength_u_nm)):
-        if doubt and spectrum is None:
-            raise UsageError(f"{name} needs --spectrum: it says how well that is known")
+    require_other("--spectrum", spectrum, spectrum_u_rel=spectrum_u_rel, wavelength_u=wavelength_u_nm)
     named, assumptions = spectrum, list[str]()
     if screen is not None and level is not None:
         known = screen if isinstance(screen, ScreenCalibration) else ScreenCalibration.read(Path(screen))
@@ -140,10 +137,9 @@ def alpha_opic(
         if named is None:
             named = curve.spectrum
             assumptions.append(f"the spectrum of {channel} is that of the screen's calibration: {named}")
-    elif isinstance(value, Reading):
-        source = _quantity_of(value.to_mapping(), named, assumptions)
-    elif reading is not None:
-        source = _quantity_of_file(Path(reading), named, assumptions)
+    elif isinstance(value, Reading) or reading is not None:
+        stated = value if isinstance(value, Reading) else Path(str(reading))
+        source = of_reading(stated, lambda content: _quantity_of(content, named, assumptions))
     else:
         source = Quantity(float(value or 0.0), u, _SPELT.get(unit, unit))
     if source.unit not in UNITS:
@@ -180,12 +176,3 @@ def _quantity_of(content: Mapping[str, Any], spectrum: str | None, assumptions: 
     assumptions += [f"the reading is flagged {flag}" for flag in flags]
     stated = content["luminance"] or content["radiance"]
     return Quantity(float(stated["value"]), float(stated["u"]), str(stated["unit"]))
-
-
-def _quantity_of_file(path: Path, spectrum: str | None, assumptions: list[str]) -> Quantity:
-    """Return what `_quantity_of` gives of the JSON of a reading. Raises InputError, and UsageError as there."""
-    try:
-        return _quantity_of(parsed_json(read_text(path)), spectrum, assumptions)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        form = "the JSON of a reading, as `radiometer measure --json` prints it"
-        raise InputError(f"{path}: is not {form} ({error})") from error

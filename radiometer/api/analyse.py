@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
@@ -14,16 +12,16 @@ import numpy as np
 
 from radiometer.analysis.exports.maps import MapPicture, in_luminance, read_tiff
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
-from radiometer.analysis.regions.figures import (
+from radiometer.analysis.regions import (
     Profile,
     Projection,
     RegionFigures,
+    glare_of,
     profile,
     ratio_of,
     region_figures,
     vertical_illuminance,
 )
-from radiometer.analysis.regions.glare import glare_of
 from radiometer.analysis.signal.situation import contradicted, same_light
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
@@ -31,7 +29,7 @@ from radiometer.api.radiance import Radiance, quantity_in_words
 from radiometer.api.result import Drawn
 from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.drawing import new_axes
-from radiometer.data.storage import write_text_atomic
+from radiometer.data.storage import csv_text, write_text_atomic
 from radiometer.errors import UsageError
 from radiometer.numbers import below, upper_limit
 from radiometer.plausible import Count, FieldOfView, LineDistance, Uncertainty
@@ -139,16 +137,14 @@ class MapAnalysis(Drawn):
 
     def write_csv(self, path: PathLike) -> None:
         """Write a row for each figure and point of the profile; one of no region has no name. Raises OutputError."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["region", "figure", "value", "u", "unit", "distance_px"])
         figures = [(one.name, name, getattr(one, name)) for one in self.regions for name in _FIGURES]
         figures += [("", name.split()[-1].lower(), one) for name, one in self.of_picture.items()]
-        writer.writerows([region, name, one.value, one.u, one.unit, ""] for region, name, one in figures)
+        rows = [["region", "figure", "value", "u", "unit", "distance_px"]]
+        rows += [[region, name, one.value, one.u, one.unit, ""] for region, name, one in figures]
         for distance, *point in zip(*self.profile, strict=True) if self.profile is not None else ():
             known = ["" if math.isnan(one) else one for one in point]
-            writer.writerow(["", "profile", *known, self.map.unit, distance])
-        write_text_atomic(Path(path), stream.getvalue())
+            rows.append(["", "profile", *known, self.map.unit, distance])
+        write_text_atomic(Path(path), csv_text(rows))
 
     def write_report(self, path: PathLike) -> None:
         """Write a self-contained page. Raises OutputError if it cannot be written."""

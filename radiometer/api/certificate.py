@@ -10,22 +10,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import radiometer
-from radiometer.analysis.exports.certificate import (
-    COVERAGE_FACTORS,
-    COVERAGE_PROBABILITY,
-    Certified,
-    Item,
-    Laboratory,
-    certificate_xml,
-)
+from radiometer.analysis.exports.certificate import Certified, Item, Laboratory, certificate_xml, stated_factor
 from radiometer.analysis.reading.budget import OBSERVED, coverage_factor
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Flag, Quantity, Reading
 from radiometer.data.capture_set import refuse_inputs
-from radiometer.data.json_text import parsed_json
-from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
-from radiometer.data.storage import check_outputs, read_text, write_text_atomic
+from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, of_reading
+from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, UsageError
 from radiometer.moments import moment_of
 from radiometer.plausible import PLAUSIBLE
@@ -37,7 +29,6 @@ _READING_METHOD: Final = (
     "An imaging sensor reads the patch at several exposures. Its response, black level and absolute scale come from "
     "the calibration that is named as equipment. The uncertainty follows the GUM.",
 )
-_K: Final = 2.0  # of a calibration's scale
 
 
 @dataclass(frozen=True, repr=False)
@@ -146,15 +137,9 @@ def certificate(
 def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory, identifier: str) -> Certified:
     if isinstance(source, Calibration):
         return _of_calibration(source, identifier)
-    if isinstance(source, Reading):
-        return _of_reading({**source.to_mapping(), "budget": source.budget_lines}, laboratory, identifier)
-    path = Path(source)
-    if path.suffix.lower() in (".yaml", ".yml"):
-        return _of_calibration(Calibration.read(path), identifier)
-    try:
-        return _of_reading(parsed_json(read_text(path)), laboratory, identifier)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path}: is neither the JSON of a reading nor the YAML of a calibration ({error})") from error
+    if not isinstance(source, Reading) and Path(source).suffix.lower() in (".yaml", ".yml"):
+        return _of_calibration(Calibration.read(Path(source)), identifier)
+    return of_reading(source, lambda content: _of_reading(content, laboratory, identifier))
 
 
 def _calibration_of(content: dict[str, Any]) -> list[tuple[str, str]]:
@@ -174,12 +159,7 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
     stated = {name: content[name] for name in ("radiance", "luminance") if content.get(name)}
     if stated["radiance"]["unit"] == "relative":
         raise UsageError(_RELATIVE)
-    # Three digits, as every face prints k: U is that k times u, so a reader who divides has u again.
-    k = float(f"{COVERAGE_FACTORS.check('coverage_factor', float(content['coverage_factor'])):.3g}")
-    if k < _K:
-        raise InputError(
-            f"coverage_factor is {k:g}; for the probability of {100 * COVERAGE_PROBABILITY:g} % it is {_K:g} or more"
-        )
+    k = stated_factor(float(content["coverage_factor"]))
     if Flag.SATURATED.value in content["flags"]:
         raise InputError("the reading is saturated: its value is a lower bound, which no certificate states")
     if Flag.UNCALIBRATED.value in content["flags"]:
@@ -203,18 +183,14 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
 
 
 def _refuse_changed(content: dict[str, Any], radiance: Quantity, k: float) -> None:
-    """Refuse a reading whose k belongs neither to its degrees of freedom nor to its expanded uncertainty.
-
-    Raises:
-        InputError: If one that the file states is more than 1 % off, which no rounding explains.
-    """
+    """Raise InputError where k is 1 % off that of the degrees of freedom or of U, which no rounding explains."""
     freedom, expanded_rel = content.get("degrees_of_freedom"), content.get("U_rel")
     belongs = [] if freedom is None else [coverage_factor(float(freedom))]
     belongs += [] if expanded_rel is None else [float(expanded_rel) / radiance.u_rel]
     for one in belongs:
         if not abs(k - one) <= 0.01 * k:
             raise InputError(
-                f"coverage_factor is {k:g}; for {100 * COVERAGE_PROBABILITY:g} % the reading's degrees_of_freedom and "
+                f"coverage_factor is {k:g}; for 95.45 % the reading's degrees_of_freedom and "
                 f"U_rel make it {one:.3g}: state the reading as `radiometer measure` printed it"
             )
 
@@ -261,6 +237,6 @@ def _of_calibration(calibration: Calibration, identifier: str) -> Certified:
         identifier=identifier, title="radiometric calibration of a camera", date=calibration.created[:10],
         method=(calibration.provenance.method, f"The scale is by {scale.method.replace('_', ' ')}."), item=item,
         equipment=(("reference", scale.reference),) if scale.reference else (), conditions=tuple(conditions),
-        results=(("exposure per unit of the linear signal", exposure, _K),), budget=tuple(budget),
+        results=(("exposure per unit of the linear signal", exposure, 2.0),), budget=tuple(budget),
         version=radiometer.__version__,
     )  # fmt: skip

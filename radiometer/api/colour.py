@@ -12,36 +12,32 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from radiometer.analysis.colour.calibration import ColourCalibration, reference
-from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra, spectrum_of
+from radiometer.analysis.colour.calibration import (
+    ColourCalibration,
+    ColourCamera,
+    Training,
+    reference,
+    train_on_lights,
+    train_on_responsivities,
+)
+from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra
 from radiometer.analysis.colour.chromaticity import QUANTITIES, Coordinates, coordinates, locus_points, tristimulus
-from radiometer.analysis.colour.matrix import Training
-from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
-from radiometer.analysis.exports.maps import MapPicture, write_exr, write_tiff
+from radiometer.analysis.exports.maps import MapPicture, writer_for
 from radiometer.analysis.photometry.displays import GRID_NM, on_grid
 from radiometer.analysis.photometry.photometry import luminous_efficacy, spectral_columns
 from radiometer.analysis.reading.budget import carried, frame_conditions
-from radiometer.analysis.regions.figures import LOST, region_figures
+from radiometer.analysis.regions import LOST, region_figures
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import ResponseLike, merge
 from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
 from radiometer.bench.sources import is_photographs, open_source
-from radiometer.data import (
-    Calibration,
-    CaptureSet,
-    Flag,
-    FrameSettings,
-    LensDescription,
-    Patch,
-    PixelMask,
-    Quantity,
-    RadianceMap,
-)
+from radiometer.data import Calibration, CaptureSet, FrameSettings, LensDescription, PixelMask, RadianceMap
 from radiometer.data.calibration import DEFAULT_VALIDITY_DAYS
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.mosaic import COLOURS
 from radiometer.data.provenance import is_out_of_date
+from radiometer.data.reading import Flag, Patch, Quantity
 from radiometer.data.setup import Setup
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, MeasurementError, UsageError
@@ -51,13 +47,13 @@ from radiometer.progress import unseen
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import listed, page, section, table
 from radiometer.typing import Array
+from radiometer.units import plain_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TrainedOn = Literal["chart", "responsivities"]
 _UNSTATED: Final = "light"  # kind of lights whose kind no chart and no option states
-_WRITERS: Final = {".exr": write_exr, ".tif": write_tiff, ".tiff": write_tiff}
+_FORMS: Final = (".exr", ".tif", ".tiff")  # of maps of several quantities
 _SYMBOLS: Final = {"u_prime": "u′", "v_prime": "v′", "cct": "CCT", "duv": "Duv"}
 _ELLIPSE_K: Final = 2.4477  # radius that holds 95 % of a normal distribution in two dimensions
 _ROWS: Final = 64  # of a picture that are converted at a time
@@ -189,7 +185,7 @@ def colour_calibrate(
     *,
     spectra: PathLike | None = None,
     responsivities: PathLike | None = None,
-    train_on: TrainedOn = "chart",
+    train_on: Literal["chart", "responsivities"] = "chart",
     kind: str | None = None,
     per_kind: bool = False,
     white: str | None = None,
@@ -249,12 +245,12 @@ def colour_calibrate(
         raise UsageError("the known lights need frames: give a capture set, photographs, or --filter NAME=FOLDER")
     training, powers, known = None, None, ColourCamera(tuple(filters) if filters else COLOURS)
     if with_lights:
-        seen = _lights(source, chart, spectra, kind, frames)
-        training, powers, known = seen
-    files = [Path(one) for one in (chart, spectra, responsivities) if one is not None]
-    known = replace(known, inputs=tuple(f"{one.name} sha256:{_digest(one)}" for one in files))
+        training, powers, known = _lights(source, chart, spectra, kind, frames)
     if responsivities is not None:
         known = replace(known, responsivities=_responsivities(Path(responsivities), known.channels))
+    hashes = {one: hashlib.sha256(Path(one).read_bytes()) for one in (chart, spectra, responsivities) if one}
+    inputs = tuple(f"{Path(one).name} sha256:{digest.hexdigest()[:16]}" for one, digest in hashes.items())
+    known = replace(known, inputs=inputs)
     if train_on == "responsivities":
         found = train_on_responsivities(known, training, per_kind=per_kind, u_rel=u_rel)
     else:
@@ -308,10 +304,9 @@ def colour_measure(
         CalibrationError: If the calibration is of another camera, f-number or filter.
         MeasurementError: If the patch has too few pixels with a value, or no light.
     """
-    files = [Path(one) for one in (maps, report) if one is not None]
-    check_outputs(*files, force=True)
-    if maps is not None:
-        _writer(Path(maps))
+    check_outputs(*(Path(one) for one in (maps, report) if one is not None), force=True)
+    if maps is not None and Path(maps).suffix.lower() not in _FORMS:
+        raise UsageError(f"{maps}: quantities of every pixel are written as {', '.join(_FORMS)}")
     known = calibration if isinstance(calibration, ColourCalibration) else ColourCalibration.read(Path(calibration))
     known.fit(kind)
     seen = _Frames(filters, linear, f_number, response, notice, progress).channels(source)
@@ -342,7 +337,7 @@ def colour_measure(
         next(iter(seen.maps.values())).provenance.parameters.get("origin", {}),
     )  # fmt: skip
     if maps is not None and reading.maps is not None:
-        _writer(Path(maps))(Path(maps), reading.maps)
+        writer_for(Path(maps))(Path(maps), reading.maps)
     if report is not None:
         reading.write_report(report)
     return reading
@@ -365,11 +360,15 @@ class _Channels:
         return tuple(dict.fromkeys(text for one in self.maps.values() for text in one.provenance.assumptions))
 
     @property
+    def camera(self) -> ColourCamera:
+        """Return the camera as its frames were taken."""
+        iso = min((one.iso for one in self.settings if one.iso is not None), default=None)
+        return ColourCamera(tuple(self.maps), self.setup.camera, self.setup.lens, frame_conditions(self.settings), iso)
+
+    @property
     def reference(self) -> Calibration:
         """Return how the frames were taken, for comparison with others."""
-        iso = min((one.iso for one in self.settings if one.iso is not None), default=None)
-        when = (self.setup.taken or dt.datetime.now(dt.UTC)).isoformat()
-        return reference(self.setup.camera, self.setup.lens, frame_conditions(self.settings), iso, when)
+        return reference(self.camera, (self.setup.taken or dt.datetime.now(dt.UTC)).isoformat())
 
     def carried(self, to: Calibration) -> tuple[_Channels, float]:
         """Return the channels as if taken as a calibration's frames were, and the relative u of that."""
@@ -488,10 +487,9 @@ def _lights(
         lights = [KnownLight(name, "", None, 0.0, place, None) for name, place in channels(source)[0].patches.items()]
         if not lights:
             raise UsageError(f"{source}: its header names no patches: give --chart FILE with the places of the lights")
-    names, kinds, xyz, readings, doubts = [], [], [], [], list[float]()
-    curves: list[Array] = []
+    rows, curves = list[tuple[Any, ...]](), list[Array]()
     for light in lights:
-        here, u_rel = channels(light.capture or source)
+        here, carried_u_rel = channels(light.capture or source)
         place = light.patch or here.patches.get(light.name)
         if place is None and light.capture is not None:
             place = Patch(0, 0, *next(iter(here.maps.values())).shape[::-1])
@@ -500,25 +498,20 @@ def _lights(
         signal, u_signal, flags = here.signal(place, light.name)
         if "saturated" in flags:
             raise MeasurementError(f"light {light.name!r}: saturated pixels; capture shorter exposures")
-        readings.append((signal, np.hypot(u_signal, u_rel * signal)))
-        doubts.append(light.u_rel)
+        xyz, u_rel = light.xyz, light.u_rel
         if powers is not None:
-            spectrum = spectrum_of(light.name, powers, Path(str(spectra)))
+            if (spectrum := powers.get(plain_name(light.name))) is None:
+                raise InputError(f"{spectra}: has no column {light.name!r}; it has {', '.join(powers)}")
             curves.append(on_grid(spectrum))
-            doubts[-1] = math.hypot(light.u_rel, luminous_efficacy(spectrum).u_rel if light.xyz is None else 0.0)
-            xyz.append(tristimulus(spectrum) if light.xyz is None else light.xyz)
-        elif light.xyz is None:
+            if xyz is None:
+                xyz, u_rel = tristimulus(spectrum), math.hypot(u_rel, luminous_efficacy(spectrum).u_rel)
+        if xyz is None:
             raise InputError(f"{chart}: has no columns X, Y, Z: add them, or give --spectra FILE")
-        else:
-            xyz.append(light.xyz)
-        names.append(light.name)
-        kinds.append(light.kind or kind or _UNSTATED)
-    signal, u_signal = (np.array(one) for one in zip(*readings, strict=True))
-    first = next(iter(seen.values()))[0]
-    training = Training(tuple(names), tuple(kinds), signal, u_signal, np.array(xyz), np.array(doubts))
-    base = first.reference
-    camera = ColourCamera(tuple(first.maps), base.camera, base.lens, base.scale.conditions, base.scale.iso)
-    return training, np.array(curves) if curves else None, camera
+        u_signal = np.hypot(u_signal, carried_u_rel * signal)
+        rows.append((light.name, light.kind or kind or _UNSTATED, signal, u_signal, xyz, u_rel))
+    names, kinds, *numbers = zip(*rows, strict=True)
+    training = Training(names, kinds, *(np.array(one) for one in numbers))
+    return training, np.array(curves) if curves else None, next(iter(seen.values()))[0].camera
 
 
 def _responsivities(path: Path, channels: tuple[str, ...]) -> Array:
@@ -526,13 +519,6 @@ def _responsivities(path: Path, channels: tuple[str, ...]) -> Array:
     if wavelength_nm[0] > 420.0 or wavelength_nm[-1] < 680.0:
         raise InputError(f"{path}: the responsivities must reach from 420 to 680 nm at least")
     return np.stack([np.interp(GRID_NM, wavelength_nm, columns[name], left=0.0, right=0.0) for name in channels])
-
-
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def _flags(known: ColourCalibration, found: Coordinates, kind: str | None, taken: dt.datetime | None) -> list[str]:
@@ -546,13 +532,6 @@ def _flags(known: ColourCalibration, found: Coordinates, kind: str | None, taken
     if is_out_of_date(known.created.isoformat(), DEFAULT_VALIDITY_DAYS, taken or dt.datetime.now(dt.UTC)):
         flags.append(Flag.STALE_CALIBRATION.value)
     return flags
-
-
-def _writer(path: Path) -> Any:
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise UsageError(f"{path}: quantities of every pixel are written as {', '.join(_WRITERS)}")
-    return writer
 
 
 def _units(unit: str) -> dict[str, str]:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from radiometer.acquire.light_series import take_series
-from radiometer.analysis.flicker.measures import Flicker, measure_flicker
-from radiometer.analysis.flicker.waveform import Waveform, find_period, read_waveform, waveform_of_rows
+from radiometer.analysis.flicker import Flicker, Waveform, find_period, measure_flicker, read_waveform, waveform_of_rows
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Drawn, Notice, unheard
@@ -70,11 +69,10 @@ class FlickerReport(Drawn):
     def __str__(self) -> str:
         """Return frequency, depth and SVM in one line."""
         found, k = self.measures, self.measures.coverage_factor
-        share = found.modulation_depth.scaled(100.0, "%")
-        depth = f"modulation depth {share.value:.3g} ± {k * share.u:.2g} %"
+        depth = found.modulation_depth.scaled(100.0, "%").text(k)
         at = "no repetition" if found.frequency is None else f"{found.frequency.value:.5g} Hz"
-        svm = "" if found.svm is None else f", SVM {found.svm.value:.3g} ± {k * found.svm.u:.2g}"
-        return f"{at}, {depth}{svm} (k = {k:.3g})"
+        svm = "" if found.svm is None else f", SVM {found.svm.text(k)}"
+        return f"{at}, modulation depth {depth}{svm} (k = {k:.3g})"
 
 
 def flicker(
@@ -105,7 +103,7 @@ def flicker(
         >>> round(found.measures.frequency.value), found.measures.svm.unit
         (100, '1')
         >>> found
-        <FlickerReport 100 Hz, modulation depth 30 ± ... %, SVM 1.17 ± ... (k = ...)>
+        <FlickerReport 100 Hz, modulation depth (30.0... ± ...) %, SVM 1.17... (k = ...)>
 
     Args:
         source: Table of time and light, or a frame of a rolling-shutter camera in a linear form (TIFF, PNG, raw).
@@ -134,7 +132,8 @@ def flicker(
         others = (source, dark, row_time, known_frequency, black_level, flat)
         if any(one is not None for one in others) or mapped:
             raise UsageError("a camera's series needs no file: give --exposure, --patch and --duration alone")
-        return _of_camera(camera, bench, duration, exposure, patch, u_clock)
+        series = _of_camera(camera, bench, duration, exposure, patch)
+        return FlickerReport(series, measure_flicker(series, u_clock))
     if source is None:
         raise UsageError("give a table or a frame, or --camera for a series of readings")
     path = Path(source)
@@ -146,8 +145,7 @@ def flicker(
         given = [name for name, value in of_frame.items() if value is not None]
         if given:
             raise UsageError(f"{', '.join(given)}: of a frame only; {path} is a table")
-        known = StatementMap.of(mapped)
-        waveform, reported = read_waveform(path, dark, u_dark, known, exposure or 0.0)
+        waveform, reported = read_waveform(path, dark, u_dark, StatementMap.of(mapped), exposure or 0.0)
         for line in reported:
             notice(f"{path.name}: {line}")
         return FlickerReport(waveform, measure_flicker(waveform, u_clock))
@@ -161,22 +159,22 @@ def flicker(
     if known_frequency is None:
         found_time = Quantity(row_time or 1.0, (row_time or 1.0) * (u_clock or 0.0), "s")
     else:
-        found_time = _row_time(rows, known_frequency)
+        if (period := find_period(rows)) is None:
+            raise InputError(f"{path}: no repetition in the rows, so no row time can be found; state --row-time")
+        found_time = Quantity(period.frequency_hz / known_frequency, period.u_hz / known_frequency, "s")
         rows, u_clock = rows.at_rate(1.0 / found_time.value), 0.0  # timed by the light itself
     return FlickerReport(rows, measure_flicker(rows, u_clock), found_time)
 
 
 def _of_camera(
-    name: str | None, bench: PathLike | None, duration_s: float, exposure_s: float | None, patch: PatchLike | None,
-    u_clock_rel: float | None,
-) -> FlickerReport:  # fmt: skip
+    name: str | None, bench: PathLike | None, duration_s: float, exposure_s: float | None, patch: PatchLike | None
+) -> Waveform:
     if not 0.0 < duration_s <= _LONGEST_S:
         raise UsageError(f"--duration {duration_s:g}: must be above 0 and at most {_LONGEST_S:g} s")
     with open_bench_camera(None if bench is None else Path(bench), name) as (config, camera):
         where = as_patch(patch) or (config.patch.patch if config.patch else central_patch(camera))
         refuse_outside(where, camera)
-        found = take_series(camera, where, duration_s, exposure_s)
-    return FlickerReport(found, measure_flicker(found, u_clock_rel))
+        return take_series(camera, where, duration_s, exposure_s)
 
 
 def _plane(path: Path, patch: PatchLike | None) -> Any:
@@ -189,11 +187,3 @@ def _plane(path: Path, patch: PatchLike | None) -> Any:
     if not region.fits(plane.shape):
         raise UsageError(f"--patch: leaves the frame of {plane.shape[1]} × {plane.shape[0]} pixels")
     return plane[region.slices].astype(np.float64)
-
-
-def _row_time(rows: Waveform, known_hz: float) -> Quantity:
-    """Return the time from row to row in s of light whose frequency is known; `rows` counts in rows."""
-    period = find_period(rows)
-    if period is None:
-        raise InputError(f"{rows.origin}: no repetition in the rows, so no row time can be found; state --row-time")
-    return Quantity(period.frequency_hz / known_hz, period.u_hz / known_hz, "s")

@@ -23,9 +23,7 @@ from radiometer.progress import counted
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 from radiometer.screen.plan import parse_levels
-from radiometer.screen.report.examination import chosen_methods, examine
-from radiometer.screen.report.figures import Examined, Section
-from radiometer.screen.report.geometry import FIELD_SHARE, GEOMETRIES, POINTS, Geometry
+from radiometer.screen.report import FIELD_SHARE, GEOMETRIES, POINTS, Examined, Geometry, Section, examine, methods_of
 from radiometer.typing import Array
 
 if TYPE_CHECKING:
@@ -99,8 +97,8 @@ class DisplayReport(Result):
             moment(self.created), known["camera"], known["lens"], known["calibration"], box=self.screen,
             protocol=f"geometry {self.geometry}",
         )  # fmt: skip
-        text = page(f"display {self.screen}", outcome, parts, kind="display report", origin=origin)
-        write_text_atomic(Path(path), text)
+        title = f"display {self.screen}"
+        write_text_atomic(Path(path), page(title, outcome, parts, kind="display report", origin=origin))
 
     def lines(self) -> list[str]:
         """Return every figure and note in plain lines."""
@@ -198,7 +196,7 @@ def screen_report(
         raise UsageError(f"geometry {geometry!r} is unknown; choose {', '.join(GEOMETRIES)}")
     known = GEOMETRIES[geometry]
     turned = tuple(known.angles_deg if angles is None else angles)
-    chosen = chosen_methods(methods, turned=bool(turned))
+    chosen = methods_of(methods, turned=bool(turned))
     _refuse(points, checkers, turned)
     if display not in SIMULATED_DISPLAYS and area is None:
         raise UsageError("where does the camera see the whole screen? Say --area X,Y,W,H in pixels of its picture")

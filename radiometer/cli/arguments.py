@@ -156,22 +156,34 @@ def parse_radiance(text: str | None) -> float | str | None:
         raise UsageError(f"--radiance {text!r}: give a number in W·sr⁻¹·m⁻², or a certificate (.xml)") from error
 
 
+def parse_numbers(text: str, option: str, form: str, count: int | None = None, between: str = ",") -> list[float]:
+    """Return the numbers of "1,2,3". Raises UsageError if one is no number, or there is not the count of them.
+
+    Args:
+        text: The words.
+        option: Option that they are of.
+        form: What is expected, for the message.
+        count: How many numbers there are; None for any.
+        between: What stands between them.
+    """
+    try:
+        found = [float(part) for part in text.lower().split(between)]
+    except ValueError:
+        found = []
+    if not found or count not in (None, len(found)):
+        raise UsageError(f"{option} {text!r}: expected {form}")
+    return found
+
+
 def parse_size(text: str | None) -> tuple[float, ...] | None:
     """Return the lengths of "0.52x0.32" or of a diameter "0.1"; None where nothing is given. Raises UsageError."""
-    if text is None:
-        return None
-    try:
-        return tuple(float(part) for part in text.replace("×", "x").split("x"))
-    except ValueError as error:
-        raise UsageError(f"--size {text!r}: expected WIDTHxHEIGHT in m, such as 0.52x0.32, or a diameter") from error
+    form = "WIDTHxHEIGHT in m, such as 0.52x0.32, or a diameter"
+    return None if text is None else tuple(parse_numbers(text.replace("×", "x"), "--size", form, between="x"))
 
 
 def parse_bounds(text: str, option: str) -> tuple[float, float]:
     """Return the two numbers of "LOW,HIGH". Raises UsageError if they are not two numbers with 0 < LOW < HIGH."""
-    try:
-        low, high = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise UsageError(f"{option} {text!r}: expected LOW,HIGH, such as 0.1,1000") from error
+    low, high = parse_numbers(text, option, "LOW,HIGH, such as 0.1,1000", 2)
     if not 0.0 < low < high < math.inf:
         raise UsageError(f"{option} {text!r}: needs 0 < LOW < HIGH")
     return low, high

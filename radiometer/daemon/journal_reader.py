@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator
@@ -17,6 +15,7 @@ from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US, PLACE_OF, SCHEM
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data.json_text import parsed_json
 from radiometer.data.reader_limits import refuse_endless
+from radiometer.data.storage import csv_text
 from radiometer.errors import InputError, UsageError
 from radiometer.plausible import PLAUSIBLE
 from radiometer.reporting.plain_text import spreadsheet_cell
@@ -223,12 +222,7 @@ class JournalReader:
 
 def to_csv(lines: Iterable[str], *, header: bool = True) -> str:
     """Return readings, given as JSON lines, as CSV with (or without) a header line."""
-    target = io.StringIO()
-    writer = csv.writer(target, lineterminator="\n")
-    if header:
-        writer.writerow(CSV_COLUMNS)
-    writer.writerows(map(_csv_row, lines))
-    return target.getvalue()
+    return csv_text([*([CSV_COLUMNS] if header else []), *map(_csv_row, lines)])
 
 
 def _csv_row(line: str) -> list[Any]:

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Final
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from radiometer.argument_types import with_checked_methods
-from radiometer.data.json_text import finite_or_null, json_text
+from radiometer.data.json_text import finite_or_null, json_text, parsed_json
 from radiometer.data.provenance import Provenance, utc_now
-from radiometer.errors import UsageError
+from radiometer.data.storage import read_text
+from radiometer.errors import InputError, UsageError
 from radiometer.numbers import below, lower_limit, upper_limit, with_u
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+T = TypeVar("T")
 CLIPPING: Final = "clipping"  # name of the contribution that says that a value is a lower bound
 _BARS: Final = 8  # contributions that a plot shows
 RADIANCE_UNIT = "W sr-1 m-2"
@@ -289,3 +293,22 @@ class Reading:
         from radiometer.data.drawing import picture
 
         return picture(self.plot, str(self))
+
+
+def of_reading(source: Reading | str | PathLike[str], use: Callable[[dict[str, Any]], T]) -> T:
+    """Return what a function makes of the JSON form of a reading, with its budget.
+
+    Args:
+        source: The reading, or the file that holds its JSON.
+        use: The function.
+
+    Raises:
+        InputError: If the file cannot be read, or lacks what the function takes.
+    """
+    if isinstance(source, Reading):
+        return use({**source.to_mapping(), "budget": source.budget_lines})
+    try:
+        return use(parsed_json(read_text(Path(source))))
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        form = "the JSON of a reading, as `radiometer measure --json` prints it"
+        raise InputError(f"{source}: is not {form} ({error})") from error

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
+import io
 import os
 import secrets
 import stat
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -224,6 +226,13 @@ def state_folder() -> Path:
 def write_text_atomic(path: Path, text: str) -> None:
     """Write UTF-8 text as `write_bytes_atomic` writes bytes."""
     write_bytes_atomic(path, text.encode())
+
+
+def csv_text(rows: Iterable[Sequence[Any]]) -> str:
+    """Return rows of cells as CSV."""
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(rows)
+    return stream.getvalue()
 
 
 def write_yaml_atomic(path: Path, mapping: Mapping[str, Any]) -> None:

@@ -23,6 +23,7 @@ _NEEDS: Final = "a drive (setting, level), the light (one column, or one per wav
 _WAVELENGTH: Final = re.compile(r"([,;\t]\s*)(\d+(?:\.\d+)?)(?=\s*(?:[,;\t\r]|$))")
 _WAVELENGTHS_NM: Final = (150.0, 3000.0)  # headings that are numbers within it are wavelengths
 _FEWEST_BANDS: Final = 5  # fewer numbers as headings are no spectrum
+_MOST_BELOW_ZERO: Final = 0.01  # of the most light: what noise and zero of a meter may be below it
 _FEWEST: Final = 6  # drives above 0 of a channel: a law of three parameters and some residuals
 
 
@@ -34,9 +35,6 @@ class ChannelDrive:
     drive: Array
     light: Array
     reading: Array
-
-
-_MOST_BELOW_ZERO: Final = 0.01  # of the most light: what noise and zero of a meter may be below it
 
 
 @dataclass(frozen=True, slots=True)

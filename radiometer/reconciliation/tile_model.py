@@ -608,14 +608,15 @@ class TileModel:
         spatial = white / n + fixed + columns * self.design.rough_columns + rows * self.design.rough_rows
         fixed = fixed + columns + rows
         rise_x, rise_y = rise_of(final.mean)
+        safe = np.maximum(total, 1e-30)
         return Prediction(
             mean=mean,
             slope_x=rise_x,
             slope_y=rise_y,
             variance=total,
             spatial=spatial,
-            neighbour_x=(tiles(final.neighbour_x) + within + band * left.within) / total,
-            neighbour_y=(tiles(final.neighbour_y) - lines / shared + band * left.lag) / total,
+            neighbour_x=(tiles(final.neighbour_x) + within + band * left.within) / safe,
+            neighbour_y=(tiles(final.neighbour_y) - lines / shared + band * left.lag) / safe,
             first=tiles(final.first_excess),
             common_variance=tiles(final.common_variance),
             row_variance=lines.mean(axis=-1),
@@ -632,13 +633,13 @@ class TileModel:
             unrounded=final.unrounded or final,
             band_variance=band,
             band_frequency=final.band_frequency,
-            mixed_x=tiles(final.neighbour_x) / total,
-            mixed_y=tiles(final.neighbour_y) / total,
+            mixed_x=tiles(final.neighbour_x) / safe,
+            mixed_y=tiles(final.neighbour_y) / safe,
             limit_variance=everywhere(final.limit_variance),
             renewed_variance=everywhere(final.renewed_variance),
-            beyond_x=everywhere(final.beyond_x) / total,
-            beyond_y=everywhere(final.beyond_y) / total,
-            beyond_rows=everywhere(final.beyond_rows) / total,
+            beyond_x=everywhere(final.beyond_x) / safe,
+            beyond_y=everywhere(final.beyond_y) / safe,
+            beyond_rows=everywhere(final.beyond_rows) / safe,
             uneven_noise=everywhere(final.uneven_noise),
         )
 

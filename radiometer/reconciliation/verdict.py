@@ -330,14 +330,16 @@ def without_essential(
 ) -> list[str]:
     """Return the names of effects of which an essential parameter is within three standard uncertainties of nothing.
 
-    One at the end of its range has no uncertainty, and is doubted where that end is nothing.
+    One at the end of its range has no uncertainty, and is doubted where that end is nothing. One that this form of the
+    effect does not fit says nothing.
 
     Args:
         parameters: Their fitted parameters by effect and name.
     """
     found = []
     for effect in effects:
-        sizes = {name: parameters[effect.name].get(name) for name in effect.essential}
+        fitted = set(effect.essential).intersection(effect.free())
+        sizes = {name: parameters[effect.name].get(name) for name in fitted}
         known = ((abs(size.value - effect.neutral(name)), size.u) for name, size in sizes.items() if size is not None)
         if any(far <= ESSENTIAL_SIGMAS * (u or 0.0) for far, u in known):
             found.append(effect.name)

@@ -15,7 +15,7 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/data/guards.py",
     ),
     "signal_and_photometry": ("radiometer/analysis/signal/*.py", "radiometer/analysis/photometry/*.py"),
-    "flicker_and_regions": ("radiometer/analysis/flicker/*.py", "radiometer/analysis/regions/*.py"),
+    "flicker_and_regions": ("radiometer/analysis/flicker.py", "radiometer/analysis/regions.py"),
     "colour": ("radiometer/analysis/colour/*.py", "radiometer/data/mosaic.py"),
     "flux": ("radiometer/analysis/flux/*.py",),
     "emva": ("radiometer/analysis/characterise/*.py",),
@@ -68,7 +68,7 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/photographs/*.py",
         "radiometer/screen/*.py",
         "radiometer/screen/exports/*.py",
-        "radiometer/screen/report/*.py",
+        "radiometer/screen/report.py",
     ),
     "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
     "reconcile_rooms": (
@@ -93,7 +93,7 @@ AREAS: dict[str, tuple[str, ...]] = {
         *(f"simulators/{room}/*.py" for room in ("cameras", "chain", "displays", "observers", "scenes")),
     ),
     "quality_and_exports": (
-        *(f"radiometer/analysis/{room}/*.py" for room in ("exports", "flicker", "quality", "regions")),
+        *(f"radiometer/analysis/{room}/*.py" for room in ("exports", "quality")),
         "radiometer/reporting/*.py",
     ),
 }

@@ -14,7 +14,6 @@ from radiometer.data import Patch
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
 from radiometer.typing import Array
-from radiometer.units import plain_name
 
 _NEEDS: Final = "the columns name, X, Y, Z (in cd/m2), and as needed u_rel, kind, left, top, width, height, capture"
 _NAMES: Final = ("name", "patch", "light", "colour", "color")
@@ -93,11 +92,3 @@ def read_spectra(path: Path) -> dict[str, Spectrum]:
         if np.any(power < 0.0) or not power.any():
             raise InputError(f"{path}: {name}: powers must be 0 or more, not all 0")
     return {name: Spectrum(name, wavelength_nm, power, is_sampled=True) for name, power in columns.items()}
-
-
-def spectrum_of(name: str, spectra: dict[str, Spectrum], path: Path) -> Spectrum:
-    """Return the spectrum of a light. Raises InputError where the table has none of that name."""
-    found = spectra.get(plain_name(name))
-    if found is None:
-        raise InputError(f"{path}: has no column {name!r}; it has {', '.join(spectra)}")
-    return found

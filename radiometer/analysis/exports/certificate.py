@@ -22,7 +22,7 @@ from radiometer.errors import ConfigurationError, InputError
 from radiometer.plausible import PLAUSIBLE, Range
 
 SCHEMA_VERSION: Final = "3.1.2"
-COVERAGE_PROBABILITY: Final = 0.9545  # of the coverage factors of readings
+_COVERED: Final = 0.9545  # of the coverage factors of readings
 _DCC, _SI = "https://ptb.de/dcc", "https://ptb.de/si"
 _SPACES: Final = {"dcc": _DCC, "si": _SI, "xsi": "http://www.w3.org/2001/XMLSchema-instance"}
 # Units of the product as the D-SI writes them.
@@ -37,7 +37,7 @@ _UNITS: Final[Mapping[str, str]] = {
 _OF_SI: Final = {si: unit for unit, si in _UNITS.items()}
 _PLAUSIBLE: Final[Mapping[str, Range]] = {"W sr-1 m-2": PLAUSIBLE["radiance"], "cd m-2": PLAUSIBLE["luminance"]}
 # D-SI asks for 1 at least; one degree of freedom has 13.97 at 95.45 % (Student's t).
-COVERAGE_FACTORS: Final = Range(1.0, 20.0)
+_COVERAGE_FACTORS: Final = Range(1.0, 20.0)
 _NUMBER: Final = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")  # xs:double without its words
 _NO_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, production 2
 
@@ -102,6 +102,17 @@ class Certified:
     results: tuple[tuple[str, Quantity, float], ...]
     budget: tuple[Contribution, ...]  # contributions to the uncertainty of the first result
     version: str  # version of the program
+
+
+def stated_factor(stated: float) -> float:
+    """Return the coverage factor of a reading to three digits, as every face prints it. Raises InputError below 2.
+
+    U is that k times u, so a reader who divides has u again.
+    """
+    k = float(f"{_COVERAGE_FACTORS.check('coverage_factor', stated):.3g}")
+    if k < 2.0:
+        raise InputError(f"coverage_factor is {k:g}; for a probability of {100 * _COVERED:g} % it is 2 or more")
+    return k
 
 
 def certificate_xml(content: Certified, laboratory: Laboratory) -> str:
@@ -193,14 +204,10 @@ def _real(label: str, quantity: Quantity, k: float | None) -> Sequence[Any]:
         raise InputError(f"{label}: the unit {quantity.unit!r} has no form in D-SI that is known here")
     expanded = k is not None and (
         "si:expandedUnc", ("si:uncertainty", repr(float(k * quantity.u))), ("si:coverageFactor", repr(float(k))),
-        ("si:coverageProbability", repr(COVERAGE_PROBABILITY)),
+        ("si:coverageProbability", repr(_COVERED)),
     )  # fmt: skip
     value = repr(float(quantity.value))
     return ("si:real", ("si:label", label), ("si:value", value), ("si:unit", _UNITS[quantity.unit]), expanded or ())
-
-
-# How releases of D-SI call uncertainty and coverage factor: 1.x and 2.1 the first, 2.2 and later the second.
-_UNCERTAINTIES: Final = (("uncertainty", "coverageFactor"), ("valueExpandedMU", "coverageFactor"))
 
 
 @bounded_reader(error=InputError)
@@ -225,11 +232,11 @@ def read_certificate(path: Path, unit: str) -> Quantity:
         raise InputError(
             f"{path}: states {len(found)} values in {unit}; just one is needed (units of its values: {stated})"
         )
-    for uncertainty, factor in _UNCERTAINTIES:
-        if _text(found[0], uncertainty) and _text(found[0], factor):
-            value, expanded, k = (_stated(path, found[0], tag) for tag in ("value", uncertainty, factor))
+    for uncertainty in ("uncertainty", "valueExpandedMU"):  # of D-SI 1.x and 2.1; of 2.2 and later
+        if _text(found[0], uncertainty) and _text(found[0], "coverageFactor"):
+            value, expanded, k = (_stated(path, found[0], tag) for tag in ("value", uncertainty, "coverageFactor"))
             _PLAUSIBLE[unit].check(f"{path}: value", value)
-            COVERAGE_FACTORS.check(f"{path}: coverage factor", k)
+            _COVERAGE_FACTORS.check(f"{path}: coverage factor", k)
             if not 0.0 < expanded < float("inf"):
                 raise InputError(f"{path}: the expanded uncertainty is {expanded:g}; it must be above 0")
             return Quantity(value, expanded / k, unit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.characterise.sensitivity import propagated
 from radiometer.analysis.flux.report import Correction, Emitter, FluxReport
 from radiometer.analysis.flux.sensor import FluxScale, SensorFlux, as_quantity, sensor_flux
 from radiometer.analysis.signal.lens import lens_factor_sr
@@ -265,13 +266,14 @@ class _Ways:
         assert distance is not None
         tau = Quantity(self.lens.transmittance or 1.0, 0.0, "1")
         u_tau = tau.value * (self.lens.transmittance_u_rel or 0.0)
-        return _propagated(
+        return propagated(
             lambda flux, transmittance, angle, away, stop, pedestal: (
                 flux
                 / transmittance
                 / self._fraction(angle, away, stop)
                 * spread_by_pedestal(_exponent(angle), pedestal)
             ),
+            "W",
             self.on_sensor(),
             Quantity(tau.value, u_tau, "1"),
             self._half_angle(),
@@ -300,8 +302,9 @@ class _Ways:
         irradiance = float(plateau.mean())
         tau_u = self.lens.transmittance_u_rel or 0.0
         scale_u = as_quantity(irradiance, self.scale, float(plateau.std()) / math.sqrt(plateau.size)).u
-        return _propagated(
+        return propagated(
             self._from_radiance,
+            "W",
             Quantity(irradiance, math.hypot(scale_u, irradiance * tau_u), "W m-2"),
             self._half_angle(),
             self.emitter.diameter_mm,
@@ -339,15 +342,3 @@ def _exponent(half_angle_deg: float) -> float:
         return intensity_exponent(half_angle_deg)
     except ValueError as error:
         raise UsageError(str(error)) from error
-
-
-def _propagated(function: Callable[..., float], *inputs: Quantity) -> Quantity:
-    """Return a flux in W of independent quantities by linear propagation (JCGM 100:2008, equation 10)."""
-    values = [q.value for q in inputs]
-    total = 0.0
-    for index, entry in enumerate(inputs):
-        if entry.u > 0:
-            above, below = list(values), list(values)
-            above[index], below[index] = entry.value + entry.u, entry.value - entry.u
-            total += ((function(*above) - function(*below)) / 2) ** 2
-    return Quantity(function(*values), math.sqrt(total), "W")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from radiometer.analysis.colour.calibration import reference
+from radiometer.analysis.colour.calibration import ColourCamera, reference
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.quality import indices, spatial
 from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
@@ -230,10 +230,9 @@ def _apart_u_rel(name: str, one: CaptureSet, first: CaptureSet, varied: str) -> 
     if varied == "temperature":
         here = [replace(settings, temperature_c=frame_conditions(there).temperature_c) for settings in here]
     stop = there[0].f_number or first.header.lens.f_number
-    as_first = reference(
-        first.header.camera, first.header.lens.model_copy(update={"f_number": stop}), frame_conditions(there),
-        there[0].iso, dt.datetime.now(dt.UTC).isoformat(), absolute=False,
-    )  # fmt: skip
+    at_stop = first.header.lens.model_copy(update={"f_number": stop})
+    taken = ColourCamera((), first.header.camera, at_stop, frame_conditions(there), there[0].iso)
+    as_first = reference(taken, dt.datetime.now(dt.UTC).isoformat(), absolute=False)
     try:
         return carried(Setup(one.header.camera, lens, as_first), here)[1]
     except CalibrationError as error:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from radiometer.cli.arguments import parse_patch
+from radiometer.cli.arguments import parse_numbers, parse_patch
 from radiometer.cli.console import console, show_remarks, show_table
 from radiometer.cli.function import command_of
+from radiometer.cli.options import words
 from radiometer.errors import UsageError
 from radiometer.numbers import unit_text
 
@@ -30,13 +31,6 @@ def _show(found: MapAnalysis) -> None:
     show_remarks(found.assumptions, flags=found.flags)
 
 
-def _numbered(text: str, count: int, option: str) -> tuple[str, ...]:
-    parts = tuple(part.strip() for part in text.split(","))
-    if len(parts) != count or not all(parts):
-        raise UsageError(f"{text!r}: expected {option}")
-    return parts
-
-
 def _regions(texts: Sequence[str]) -> dict[str, Patch]:
     found: dict[str, Patch] = {}
     for text in texts:
@@ -49,20 +43,13 @@ def _regions(texts: Sequence[str]) -> dict[str, Patch]:
     return found
 
 
-def _line(text: str) -> tuple[float, float, float, float]:
-    option = "--line X1,Y1,X2,Y2 in pixels"
-    try:
-        x1, y1, x2, y2 = (float(part) for part in _numbered(text, 4, option))
-    except ValueError as error:
-        raise UsageError(f"{text!r}: expected {option}") from error
-    return x1, y1, x2, y2
-
-
 command = command_of(
     "analyse", _show, results=("csv", "report"), source=typer.Argument(metavar="MAP"),
     converters={"regions": _regions},
     regions=typer.Option("--region", metavar="NAME:X,Y,W,H", help="A region in pixels; may be repeated."),
-    contrast=typer.Option(parser=lambda text: _numbered(text, 2, "--contrast BRIGHT,DARK"), metavar="BRIGHT,DARK"),
-    line=typer.Option(parser=_line, metavar="X1,Y1,X2,Y2"),
+    contrast=typer.Option(parser=words, metavar="BRIGHT,DARK"),
+    line=typer.Option(
+        parser=lambda text: tuple(parse_numbers(text, "--line", "X1,Y1,X2,Y2 in pixels", 4)), metavar="X1,Y1,X2,Y2"
+    ),
     fisheye=Annotated[_Projection | None, typer.Option()],
 )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import parse_patch
+from radiometer.cli.arguments import parse_numbers, parse_patch
 from radiometer.cli.console import console, note, progress
 from radiometer.cli.function import command_of
 from radiometer.cli.options import (
@@ -104,13 +104,6 @@ def _show_report(found: DisplayReport) -> None:
         console().print(line)
 
 
-def _angles(text: str) -> list[float]:
-    try:
-        return [float(part) for part in words(text)]
-    except ValueError as error:
-        raise UsageError(f"--angles {text!r}: expected degrees such as -30,30") from error
-
-
 def _fields(text: str) -> tuple[int, int]:
     columns, cross, rows = text.lower().partition("x")
     if not (cross and columns.isdecimal() and rows.isdecimal()):
@@ -120,11 +113,13 @@ def _fields(text: str) -> tuple[int, int]:
 
 _report = command_of(
     "screen_report", _show_report, files=("out",), out=typer.Option("--out", "-o"), white=WhiteOption,
-    methods=typer.Option(parser=words, metavar="NAME,NAME,…"), angles=typer.Option(parser=_angles, metavar="DEG,DEG,…"),
+    methods=typer.Option(parser=words, metavar="NAME,NAME,…"),
+    angles=typer.Option(
+        parser=lambda text: parse_numbers(text, "--angles", "degrees such as -30,30"), metavar="DEG,DEG,…"
+    ),
     checkers=typer.Option(parser=_fields, metavar="COLUMNSxROWS"), defaults={"checkers": "4x4", "display": "browser"},
     area=typer.Option(parser=parse_patch, metavar="X,Y,W,H"), warm_up_s=typer.Option("--warm-up"),
     primaries=PrimariesOption, camera=CameraOption, bench=BenchOption, calibration=CalibrationOption, seed=SeedOption,
-
 )  # fmt: skip
 app.command("report")(_report)
 

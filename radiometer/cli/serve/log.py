@@ -59,8 +59,9 @@ def command(
             out.print(f"{event['time'][:23].replace('T', ' ')}  {event['kind']:<11} {message}", markup=False)
         return
     if budget is not None:
+        parts = rm.log_budget(budget, where)
         out.print(f"{'contribution':<32} u rel. (k = 1)")
-        for name, u_rel in rm.log_budget(budget, where).items():
+        for name, u_rel in parts.items():
             out.print(f"{name:<32} {100 * u_rel:.3g} %")
         return
     found = rm.log(where, since=since, until=until, after=after, flag=flag, clean=clean, limit=limit)

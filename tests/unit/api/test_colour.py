@@ -63,7 +63,7 @@ def test_spectra_and_tristimulus_values_give_one_calibration(bench: Path) -> Non
     """The places are those of capture.yaml, the X, Y, Z those of the spectra."""
     of_spectra = rm.colour_calibrate(bench / "set", spectra=bench / "spectra.csv", kind="leds").calibration
     of_chart = rm.colour_calibrate(bench / "set", bench / "chart.csv").calibration
-    assert of_spectra.fits["all"].matrix == pytest.approx(of_chart.fits["all"].matrix, rel=1e-4)
+    assert of_spectra.matrices["all"].matrix == pytest.approx(of_chart.matrices["all"].matrix, rel=1e-4)
     assert of_spectra.unit == "cd m-2"
 
 
@@ -104,7 +104,7 @@ def test_filters_before_a_monochrome_camera_are_channels(bench: Path, tmp_path: 
         filters[colour] = tmp_path / colour
     found = rm.colour_calibrate(chart=bench / "chart.csv", filters=filters).calibration
     expected = rm.colour_calibrate(bench / "set", bench / "chart.csv").calibration
-    assert found.fits["all"].matrix == pytest.approx(expected.fits["all"].matrix, rel=1e-6)
+    assert found.matrices["all"].matrix == pytest.approx(expected.matrices["all"].matrix, rel=1e-6)
 
 
 def test_photographs_need_to_be_proportional_to_light(bench: Path, tmp_path: Path) -> None:

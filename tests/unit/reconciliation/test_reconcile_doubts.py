@@ -11,6 +11,7 @@ from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.search.localise import Disagreement, departing
 from radiometer.reconciliation.search.outcome import Step
 from radiometer.reconciliation.verdict import uncertain, without_essential
+from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
@@ -62,6 +63,19 @@ def test_fall_off_without_its_oblique_part_lacks_its_essential() -> None:
 
     assert without_essential((lens, late), fitted(0.001)) == ["natural_vignetting"]
     assert without_essential((lens, late), fitted(0.01)) == []
+
+
+def test_what_a_form_does_not_fit_is_not_missed() -> None:
+    """Shading by slant with powers of its own has no cone to fit; a power of the stop that is nothing is missed."""
+    shading = (AngleDependence(0.01, 2.1, -0.5),)
+
+    def fitted(stop_power: float) -> dict[str, dict[str, FittedParameter]]:
+        sizes = {"strength": 0.01, "radius_power": 2.1, "stop_power": stop_power}
+        values = {name: FittedParameter(size, 0.001, "1") for name, size in sizes.items()}
+        return {"angle_dependence": values | {"cone": FittedParameter(0.0, None, "1")}}
+
+    assert without_essential(shading, fitted(-0.5)) == []
+    assert without_essential(shading, fitted(0.0)) == ["angle_dependence"]
 
 
 def test_scatter_of_any_width_lacks_its_essential() -> None:

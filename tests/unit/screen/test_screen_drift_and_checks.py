@@ -36,7 +36,7 @@ from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait
 from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep, make_plan, parse_levels
-from radiometer.screen.report.mura import mura_of
+from radiometer.screen.report import mura_of
 from radiometer.screen.run import Drift, Light, Measured, curves_of, measure_steps
 from radiometer.screen.transfer_models import MODELS, fit_transfer
 from radiometer.screen.verification import VerifiedLevel

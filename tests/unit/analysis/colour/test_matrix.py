@@ -8,11 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.analysis.colour.calibration import ColourCalibration
+from radiometer.analysis.colour.calibration import (
+    GRID_NM,
+    ColourCalibration,
+    ColourCamera,
+    Training,
+    fit_matrix,
+    on_grid,
+    plausible_lights,
+    train_on_lights,
+    train_on_responsivities,
+    tristimulus_of,
+)
 from radiometer.analysis.colour.chromaticity import coordinates
-from radiometer.analysis.colour.matrix import Training, fit_matrix
-from radiometer.analysis.colour.plausible import GRID_NM, on_grid, plausible_lights, tristimulus_of
-from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
 from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.data.mosaic import COLOURS
 from radiometer.errors import CalibrationError, UsageError
@@ -194,7 +202,7 @@ def test_a_known_light_five_times_as_bright_scales_x_y_z_and_each_term_of_their_
     for brighter in (1.0, 5.0):
         known = replace(lights, xyz=brighter * lights.xyz)
         made = train_on_responsivities(camera, known, per_kind=False, u_rel=0.0)
-        found.append((*made.convert(lights.signal, noise, "surfaces"), made.fits["all"].spread))
+        found.append((*made.convert(lights.signal, noise, "surfaces"), made.matrices["all"].spread))
     for one, five, power in zip(*found, (1, 2, 2), strict=True):
         assert five == pytest.approx(5.0**power * one, rel=1e-9)
 
@@ -249,7 +257,7 @@ def test_a_file_gives_back_the_calibration_with_its_raw_readings(tmp_path):
     again = ColourCalibration.read(tmp_path / "colour.yaml")
     assert again.to_mapping() == known.to_mapping()
     assert again.training is not None
-    assert fit_matrix(again.training).matrix == pytest.approx(known.fits["all"].matrix, rel=1e-12)
+    assert fit_matrix(again.training).matrix == pytest.approx(known.matrices["all"].matrix, rel=1e-12)
     text = (tmp_path / "colour.yaml").read_text(encoding="utf-8")
     (tmp_path / "other.yaml").write_text(text.replace("channels: [red, green, blue]", "channels: [red, green]"))
     with pytest.raises(CalibrationError, match="has not 2 channels"):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from radiometer.analysis.flicker.measures import Flicker, measure_flicker
-from radiometer.analysis.flicker.waveform import waveform_of_rows
+from radiometer.analysis.flicker import Flicker, measure_flicker, waveform_of_rows
 from radiometer.typing import Array
 
 ROWS_PER_PERIOD, DEPTH = 500, 0.3

@@ -9,8 +9,7 @@ import pytest
 
 import radiometer as rm
 from radiometer.analysis.exports.maps import MapPicture, read_tiff, write_tiff
-from radiometer.analysis.regions.figures import profile, ratio_of, region_figures, vertical_illuminance
-from radiometer.analysis.regions.glare import glare_of
+from radiometer.analysis.regions import glare_of, profile, ratio_of, region_figures, vertical_illuminance
 from radiometer.data import Patch, PixelMask, Provenance, RadianceMap
 from radiometer.errors import InputError, MeasurementError, MissingLibrary, UsageError
 

@@ -9,8 +9,14 @@ from hypothesis import strategies as st
 from scipy.signal import bilinear_zpk, butter, find_peaks, freqs, resample, sosfilt, tf2zpk, zpk2sos
 
 import radiometer as rm
-from radiometer.analysis.flicker.measures import measure_flicker, short_term_severity, svm_threshold
-from radiometer.analysis.flicker.waveform import Waveform, read_waveform, waveform_of_rows
+from radiometer.analysis.flicker import (
+    Waveform,
+    measure_flicker,
+    read_waveform,
+    short_term_severity,
+    svm_threshold,
+    waveform_of_rows,
+)
 from radiometer.errors import InputError, MeasurementError, UnsettledError, UsageError
 
 RATE_HZ = 20_000.0

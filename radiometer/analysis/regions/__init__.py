@@ -1,1 +1,0 @@
-"""Measures of regions of a radiance map."""
