@@ -53,9 +53,11 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def call(*args: Any, **named: Any) -> Any:
         try:
-            given = signature.bind(*args, **named).arguments
+            bound = signature.bind(*args, **named)
         except TypeError:  # too many, too few or unknown ones: Python's own error says it
             return function(*args, **named)
+        given = bound.arguments
+        given.update({name: _plain(value) for name, value in given.items()})
         for name, hint in _hints(function).items():
             if name not in given or (value := given[name]) is signature.parameters[name].default or _fits(value, hint):
                 continue
@@ -64,9 +66,14 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
             raise UsageError(
                 f"{function.__qualname__}: {name} is {shown} ({type(value).__name__}); give {_words(hint)}"
             )
-        return function(*args, **named)
+        return function(*bound.args, **bound.kwargs)
 
     return call
+
+
+def _plain(value: Any) -> Any:
+    """Return a single number of NumPy as Python's, which has no limits of its own."""
+    return value.item() if hasattr(value, "dtype") and getattr(value, "shape", None) == () else value
 
 
 def with_checked_methods(kind: type[_T]) -> type[_T]:

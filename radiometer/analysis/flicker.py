@@ -72,6 +72,7 @@ _NOISY_REL: Final = 0.05  # of PstLM: noise that adds more is reported
 _PST_TRANSIENT_S: Final = 20.0  # that the filters need to settle; left out (IEC TR 61547-1)
 _PST_RATE_HZ: Final = 2000.0  # the least that the filters are specified for
 _MOST_BLOCKS: Final = 16  # of whole periods, of which the scatter is taken
+_LEAST_MEAN: Final = 0.01  # of the mean of absolute values, which light is equal to but for noise
 # Rounding to steps is alike in every period, so no scatter shows it: it is drawn, if values occur four times or more.
 _OCCURRENCES: Final = 4
 _FEWEST_CODES: Final = 4  # light of two or three levels need not be rounded
@@ -401,13 +402,9 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
     value of darkness adds u_dark over the mean light, for it scales every modulation. The relative standard uncertainty
     of the rate, `u_clock_rel`, counts in the frequency; where nothing states it (None), that is named.
 
-    Raises MeasurementError if the mean light is not above 0.
+    Raises MeasurementError if the mean light is not above 0, as that of an AC-coupled record.
     """
-    mean = float(waveform.light.mean())
-    if not mean > 0.0:
-        raise MeasurementError(
-            f"{waveform.origin}: the mean light is {mean:.4g}, not above 0; state the value of darkness by --dark"
-        )
+    mean = _mean_light(waveform)
     period = find_period(waveform)
     part, periods = whole_periods(waveform, period)
     blocks = max(2, min(_MOST_BLOCKS, periods)) if periods > 1 else 0
@@ -438,6 +435,10 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
             f"modulation above {waveform.rate_hz / 2.0:.4g} Hz shows at a wrong frequency, a lower one, and SVM is not "
             f"determined: it needs {2.0 * _SVM_BAND_HZ[1]:g} samples per s, the record has {waveform.rate_hz:.4g}"
         )
+    elif not periods and not waveform.others:
+        warnings.append(
+            f"SVM is not determined: no repetition was found; with its noise it is {stroboscopic_visibility(part):.2g}"
+        )
     else:
         svm = of_blocks(stroboscopic_visibility)
         other = stroboscopic_visibility(part, period, power_law_threshold)
@@ -463,6 +464,16 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
     k = coverage_factor(blocks - 1) if blocks else 2.0
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+
+
+def _mean_light(waveform: Waveform) -> float:
+    mean = float(waveform.light.mean())
+    if not mean > _LEAST_MEAN * float(np.abs(waveform.light).mean()):
+        raise MeasurementError(
+            f"{waveform.origin}: the mean light is {mean:.4g}, not above 0 by {100 * _LEAST_MEAN:g} % of its values; "
+            "record it without AC coupling, or state the value of darkness by --dark"
+        )
+    return mean
 
 
 def _with_noise(pst: Quantity, part: Waveform, period: Period | None) -> tuple[Quantity, list[str]]:

@@ -130,7 +130,8 @@ def read_session(capture: CaptureSet, report: Callable[[str], None] = lambda lin
         notes = (str(error),)
     main = max(statistics, key=lambda s: s.pixels).region
     dark = [s for s in statistics if s.settings.is_dark and s.region == main]
-    rates = tuple((t, u, rate) for t, u, rate in typical_rates(dark) if t is not None) if dark else ()
+    found = typical_rates(dark, camera.code_step_dn or 1)
+    rates = tuple((t, u, rate) for t, u, rate in found if t is not None)
     black_dn = min((d.mean_dn for d in dark), default=camera.black_level_dn or 0.0)
     return Session(
         str(capture.path),

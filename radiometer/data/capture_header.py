@@ -40,8 +40,8 @@ class TapDescription(FileSection):
 
 
 def as_binning(written: object) -> object:
-    """Return binning as one text, "2" or "2x1", for what programs write: 2, "2x2", "2 2", "(2, 1)"."""
-    factors = re.findall(r"\d+", str(written)) if isinstance(written, int | str) else []
+    """Return binning as one text, "2" or "2x1", for what programs write: 2, 2.0, "2x2", "2 2", "(2, 1)"."""
+    factors = re.findall(r"(\d+)(?:\.\d*)?", str(written)) if isinstance(written, int | float | str) else []
     return "x".join(dict.fromkeys(factors)) or written
 
 

@@ -56,6 +56,7 @@ _READ_NOISE: Final = places("RDNOISE:e- READNOIS:e- RON:e- READNOISE:e-")
 _FILTERS: Final = re.compile(r"FILT(?:ER|NAM|NAME|ID)?S?[0-9]{0,2}|INSFILTE|(?:ESO INS )?FILT[0-9]? NAME")
 _BINNING: Final = (
     ("XBINNING", "YBINNING"), ("CCDXBIN", "CCDYBIN"), ("BINX", "BINY"), ("HBIN", "VBIN"), ("BINNING",), ("CCDSUM",),
+    ("CCDBIN1", "CCDBIN2"), ("XBIN", "YBIN"), ("BIN",), ("BINMODE",), ("ESO DET WIN1 BINX", "ESO DET WIN1 BINY"),
 )  # fmt: skip
 # A sensor's comment says nothing of these.
 _ELSEWHERE: Final = re.compile(r"ambient|outside|outdoor|air|dome|mirror|focus|weather|room|tube", re.IGNORECASE)

@@ -280,7 +280,9 @@ def examine(
     taken = None if again is None else partial(first_state, design, seen, images, given)
     if again is not None:  # a source known to differ by so much from frame to frame: no flicker is searched for then
         seen = steadied(design, light, seen, again)
-        design = replace(design, header=_wandering(header, again.rms))
+        known_u = max(header.source.reproducibility_u_rel or 0.0, again.rms)
+        source = header.source.model_copy(update={"reproducibility_u_rel": known_u})
+        design = replace(design, header=header.model_copy(update={"source": source}))
     start = first_state(design, seen, images, given)
     if not start.comparison.usable["mean"].any():
         raise CaptureError(
@@ -318,12 +320,6 @@ def _repeats(state: FitState, light: FrameLight, header: CaptureHeader) -> tuple
     return tuple(replace(part, series=tuple(map(as_stated, part.series))) for part in found)
 
 
-def _wandering(header: CaptureHeader, rms: float) -> CaptureHeader:
-    """Return the header of a source that is no more reproducible than it was seen to be."""
-    known = max(header.source.reproducibility_u_rel or 0.0, rms)
-    return header.model_copy(update={"source": header.source.model_copy(update={"reproducibility_u_rel": known})})
-
-
 def _result(
     outcome: Search,
     entries: Mapping[str, type[CatalogueEffect]],
@@ -356,6 +352,7 @@ def _result(
         return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
     further = None if settled else _optional_step("the next capture", following, failed)
+    last = _largest(outcome.tests)
     return ReconcileResult(
         verdict=verdict,
         effects=effects,
@@ -363,7 +360,9 @@ def _result(
         gap_before=outcome.start.gap,
         gap_after=state.gap,
         limits=shown,
-        covariates=_by_covariate(outcome.first_tests, outcome.tests),
+        covariates={
+            name: CovariateGap(gap, last.get(name, 1.0)) for name, gap in _largest(outcome.first_tests).items()
+        },
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,
         assumptions=(*_assumptions(outcome, doubts, well), *failed),
@@ -472,11 +471,6 @@ def _found(
 
 def _place(test: Disagreement) -> Place:
     return Place(test.family, axis_of(test.where, test.block), test.form, test.chi2, test.p_value)
-
-
-def _by_covariate(before: Sequence[Disagreement], after: Sequence[Disagreement]) -> dict[str, CovariateGap]:
-    first, last = _largest(before), _largest(after)
-    return {name: CovariateGap(first[name], last.get(name, 1.0)) for name in first}
 
 
 def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Final
@@ -233,7 +233,12 @@ class Repeats:
         begins = [one for one in self.series if len(one.frames) > 2 and abs(one.apart[0]) > _CLEAR_SIGMAS * one.u[0]]
         begins = sorted(begins, key=lambda one: -abs(one.apart[0]))[:_MOST_STATED]
         text = [first] if self.scatter.u is not None and self.scatter.value > 2.0 * self.scatter.u else []
-        text += [f"first frame of a series less the others: {self._listed(begins)}"] if begins else []
+        warm = ["" if one.temperature_c is None else f", {one.temperature_c:.1f} °C" for one in begins]
+        listed = [
+            f"{self._shown(one.apart[0], one.u[0])} ({one.exposure_s:.3g} s{at})"
+            for one, at in zip(begins, warm, strict=True)
+        ]
+        text += [f"first frame of a series less the others: {', '.join(listed)}"] if begins else []
         out = [(one, at) for one in self.series for at in one.standing_out]
         if out:
             outliers = (
@@ -242,17 +247,9 @@ class Repeats:
             text.append(f"outside the scatter of the others: {', '.join(outliers)}")
         return tuple(text)
 
-    def _listed(self, series: Sequence[Series]) -> str:
-        return ", ".join(f"{self._shown(one.apart[0], one.u[0])} {_taken_at(one)}" for one in series)
-
     def _shown(self, value: float, u: float | None = None) -> str:
         size, unit = (100.0, " %") if self.scatter.unit == "1" else (1.0, f" {unit_text(self.scatter.unit)}")
         return f"{size * value:.2g}{unit}" if u is None else f"({size * value:.2f} ± {size * u:.2g}){unit}"
-
-
-def _taken_at(series: Series) -> str:
-    warm = "" if series.temperature_c is None else f", {series.temperature_c:.1f} °C"
-    return f"({series.exposure_s:.3g} s{warm})"
 
 
 _SENTENCES: Final = {

@@ -9,8 +9,8 @@ from radiometer.analysis.characterise.dark_signal import (
     DarkSignal,
     by_temperature,
     dark_signal,
+    determined,
     gain_from_darks,
-    hidden_noise,
     typical_dark_current,
 )
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
@@ -177,9 +177,8 @@ class _Work:
     gains: dict[float, Quantity]
 
     def result(self) -> Characterisation:
-        step_dn = self.subject.camera.code_step_dn or 1
         plateaus = [
-            (group, dark_signal(group, step_dn))
+            (group, dark_signal(group, self._step_dn))
             for group in by_temperature(self.at.dark)
             if any(d.has_noise for d in group)
         ]
@@ -190,6 +189,8 @@ class _Work:
         figures |= self._sensitivity(own[1], notes)
         figures |= self._dark_current(own[1], [p[1] for p in plateaus], notes)
         figures |= self._nonuniformity(own[0])
+        is_hidden = own[1].quantisation_limited
+        figures = determined(figures, self.at.dark, notes, self._step_dn, is_hidden=is_hidden)
         from_darks = gain_from_darks(self.subject, self.at.dark)
         if from_darks is not None:
             figures["K_dark"] = from_darks[0]
@@ -214,6 +215,10 @@ class _Work:
             reference_temperature_c=own[1].temperature_c,
             limited_by=self._limited_by(),
         )
+
+    @property
+    def _step_dn(self) -> int:
+        return self.subject.camera.code_step_dn or 1
 
     def _limited_by(self) -> str:
         """Return what ends the signal: pixels that pile up below the converter's end show the full well."""
@@ -245,10 +250,9 @@ class _Work:
                 lambda top, black, k: (top - black) / k, "e-", saturation.plateau_dn, dark.mean_dn, K
             )
         sat_dn = Quantity(saturation.linear_signal_dn, saturation.u_linear_signal_dn, "DN")
-        step_dn, hidden = self.subject.camera.code_step_dn or 1, dark.quantisation_limited
-        found = sensitivity_figures(K, dark.variance_dn2, sat_dn, eta, step_dn, is_bound=hidden)
-        if hidden:
-            notes.append(hidden_noise(step_dn))
+        found = sensitivity_figures(
+            K, dark.variance_dn2, sat_dn, eta, self._step_dn, is_bound=dark.quantisation_limited
+        )
         if not saturation.reached:
             notes.append(
                 "saturation was not reached: saturation capacity, SNR_max, DR and linearity are left out or hold up to "
@@ -268,7 +272,7 @@ class _Work:
         figures["mu_I_mean"] = propagated(lambda s, k: s / k, "e-/s", slope, K)
         slope = Quantity(own.variance_line.slope, own.variance_line.u_slope, "DN^2/s")
         figures["mu_I_var"] = propagated(lambda s, k: s / k**2, "e-/s", slope, K)
-        return figures | typical_dark_current(self.at.dark, own.temperature_c, K)
+        return figures | typical_dark_current(self.at.dark, own.temperature_c, K, self._step_dn)
 
     def _nonuniformity(self, dark: Sequence[GroupStatistics]) -> dict[str, Quantity]:
         saturation = self.at.saturation.signal_dn

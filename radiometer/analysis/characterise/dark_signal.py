@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, typical_pixels
 from radiometer.analysis.characterise.line_fit import Line, fit_line
+from radiometer.analysis.characterise.photon_transfer import FLOOR_SHARE
 from radiometer.analysis.characterise.rounding import PLAIN_FROM
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Quantity
@@ -24,6 +25,7 @@ _LARGEST_U_REL: Final = 0.2  # above it the dark current is too weak to tell the
 _MOST_PIXELS: Final = 250_000  # a variance is then known to 0.3 %; more cost time alone
 _MOST_FRAMES: Final = 64  # bounds the memory: 64 frames of 250,000 pixels are 128 MB
 _LEAST_SPAN_DN: Final = 2.0  # of the typical dark signal: less shows no shot noise
+_OF_DARKS: Final = ("mu_y_dark", "sigma_", "mu_e_min", "mu_p_min", "DR", "mu_I", "T_d", "DSNU")
 _FINEST_TEMPERATURE_K: Final = 0.05  # rounding to a tenth: the finest that cameras state
 
 
@@ -51,17 +53,13 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
 
     Source: EMVA Standard 1288, release 4.0, sections 6.7 and 7.
     """
-    times = np.array([d.settings.exposure_s for d in dark])
-    common = pooled_frame_sd(dark)
-    means = np.array([d.mean_dn for d in dark])
-    u_means = np.array([max(d.u_mean_dn, common / math.sqrt(d.frames)) for d in dark])
     mean_line = None
-    if np.unique(times).size > 2:
-        mean_line = fit_line(times, means, u_means)
+    if len({d.settings.exposure_s for d in dark}) > 2:
+        mean_line = _mean_line(dark, [d.mean_dn for d in dark], step_dn)
         mean = Quantity(mean_line.intercept, mean_line.u_intercept, "DN")
     else:
-        first = int(np.argmin(times))
-        mean = Quantity(float(means[first]), float(u_means[first]), "DN")
+        first = min(range(len(dark)), key=lambda i: dark[i].settings.exposure_s)
+        mean = Quantity(dark[first].mean_dn, float(_u_of_means(dark, step_dn)[first]), "DN")
     variance_line, variance = _variance([d for d in dark if d.has_noise])
     smallest = PLAIN_FROM * step_dn**2
     limited = variance.value < smallest
@@ -78,16 +76,67 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
     )
 
 
-def hidden_noise(step_dn: int = 1) -> str:
-    """Return in words that rounding hides the temporal noise of dark frames.
+def _u_of_means(dark: Sequence[GroupStatistics], step_dn: int) -> NDArray[np.float64]:
+    common = pooled_frame_sd(dark)
+    noise = [max(d.u_mean_dn, common / math.sqrt(d.frames)) for d in dark]
+    return np.hypot(noise, [d.u_of_rounding_dn(step_dn) for d in dark])
+
+
+def _mean_line(dark: Sequence[GroupStatistics], means_dn: Sequence[float], step_dn: int) -> Line:
+    """Return the line of means over exposure.
+
+    Rounding errs alike at like means, so that more of them average none of it: its errors add up with the signs that
+    move the line most (JCGM 100:2008, 5.2.2, note 1).
+    """
+    times = np.array([d.settings.exposure_s for d in dark])
+    u = _u_of_means(dark, step_dn)
+    line = fit_line(times, means_dn, u)
+    rounding = np.array([d.u_of_rounding_dn(step_dn) for d in dark])
+    weights = u**-2 / np.sum(u**-2)
+    from_centre = times - weights @ times
+    of_slope = weights * from_centre / (weights @ from_centre**2)
+    of_intercept = weights - (weights @ times) * of_slope
+    return replace(
+        line,
+        u_slope=max(line.u_slope, float(np.abs(of_slope) @ rounding)),
+        u_intercept=max(line.u_intercept, float(np.abs(of_intercept) @ rounding)),
+    )
+
+
+def is_cut_off(dark: Sequence[GroupStatistics]) -> bool:
+    """Return whether the camera cuts the noise of dark frames off at 0, so that their moments are not those of it."""
+    return any(d.floor_share > FLOOR_SHARE for d in dark)
+
+
+def determined(
+    figures: Mapping[str, Quantity], dark: Sequence[GroupStatistics], notes: list[str], step_dn: int, *, is_hidden: bool
+) -> dict[str, Quantity]:
+    """Return the figures that dark frames determine where noise is cut off at 0 or rounding hides it; a note says why.
 
     Args:
+        figures: Figures of the camera by symbol.
+        dark: Dark groups that they come from.
+        notes: Where the note goes.
         step_dn: Distance between codes in DN.
+        is_hidden: Rounding hides the temporal noise of the dark frames.
     """
-    return (
-        f"the dark noise is below {PLAIN_FROM * step_dn**2:g} DN², where rounding hides it: sigma_y_dark is "
-        "the most that it can be; raise the gain to measure it"
+    if is_cut_off(dark):
+        notes.append(
+            f"more than {100 * FLOOR_SHARE:g} % of the dark pixels are at 0, where noise is cut off: raise the "
+            "camera's black level. Black level, dark noise, dynamic range, dark current and DSNU are not determined"
+        )
+        return {name: q for name, q in figures.items() if not name.startswith(_OF_DARKS)}
+    if not is_hidden:
+        return dict(figures)
+    notes.append(
+        f"the dark noise is below {PLAIN_FROM * step_dn**2:g} DN², where rounding hides it: sigma_y_dark is the most "
+        "that it can be. DSNU and a dark current of less than a code are not determined; raise the gain to measure them"
     )
+    return {
+        name: q
+        for name, q in figures.items()
+        if not name.startswith(("DSNU", "mu_I_var")) and not (name.startswith("mu_I") and q.value < 2 * q.u)
+    }
 
 
 def _variance(dark: Sequence[GroupStatistics]) -> tuple[Line | None, Quantity]:
@@ -238,24 +287,22 @@ def _unmixed(
     return variances, np.sqrt((inverse**2) @ u_squares**2)
 
 
-def typical_rates(dark: Sequence[GroupStatistics]) -> list[tuple[float | None, float, Quantity]]:
+def typical_rates(dark: Sequence[GroupStatistics], step_dn: int = 1) -> list[tuple[float | None, float, Quantity]]:
     """Return (temperature in °C, its standard uncertainty in K, dark current in DN/s) of each plateau of temperature.
 
     The typical pixel's mean is used: a few hot pixels with another doubling hold much of the mean of all. The
-    temperature is known to a step of its readings.
+    temperature is known to a step of its readings. Plateaus whose noise is cut off at 0 are left out.
 
     Args:
         dark: Dark groups of one gain and region.
+        step_dn: Distance between codes in DN.
     """
     found = []
     for plateau in by_temperature(dark):
-        times = np.array([d.settings.exposure_s for d in plateau])
-        if np.unique(times).size < 2:
+        times = [d.settings.exposure_s for d in plateau]
+        if len(set(times)) < 2 or is_cut_off(plateau):
             continue
-        means = np.array([d.mean_dn if d.typical_dn is None else d.typical_dn for d in plateau])
-        common = pooled_frame_sd(plateau)
-        u = np.array([max(d.u_mean_dn, common / math.sqrt(d.frames)) for d in plateau])
-        line = fit_line(times, means, u)
+        line = _mean_line(plateau, [d.mean_dn if d.typical_dn is None else d.typical_dn for d in plateau], step_dn)
         known = [d.settings.temperature_c for d in plateau if d.settings.temperature_c is not None]
         # Two exposures leave no degree of freedom to see scatter by.
         rate = Quantity(line.slope, line.u_slope, "DN/s")
@@ -266,7 +313,7 @@ def typical_rates(dark: Sequence[GroupStatistics]) -> list[tuple[float | None, f
 
 
 def typical_dark_current(
-    dark: Sequence[GroupStatistics], temperature_c: float | None, K: Quantity | None
+    dark: Sequence[GroupStatistics], temperature_c: float | None, K: Quantity | None, step_dn: int = 1
 ) -> dict[str, Quantity]:
     """Return the typical pixel's dark current nearest a temperature, in e-/s or (without K) DN/s, and its doubling.
 
@@ -274,8 +321,9 @@ def typical_dark_current(
         dark: Dark groups of one gain and region.
         temperature_c: Temperature of the bright frames in °C; None for the warmest.
         K: Overall system gain in DN/e-.
+        step_dn: Distance between codes in DN.
     """
-    rates = typical_rates(dark)
+    rates = typical_rates(dark, step_dn)
     if not rates:
         return {}
     reference_c = math.inf if temperature_c is None else temperature_c
@@ -317,7 +365,7 @@ def gain_from_darks(
         return None  # statistics without pictures
     for plateau in by_temperature(dark):
         typical = [d.mean_dn if d.typical_dn is None else d.typical_dn for d in plateau]
-        if len(plateau) < 3 or max(typical) - min(typical) < _LEAST_SPAN_DN:
+        if len(plateau) < 3 or is_cut_off(plateau) or max(typical) - min(typical) < _LEAST_SPAN_DN:
             continue
         found = dark_transfer(_frames(subject, plateau))
         if found is not None:

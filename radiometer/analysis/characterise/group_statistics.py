@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.characterise.rounding import rounding_u_of_mean
 from radiometer.data import FrameSettings, Patch
 from radiometer.data.frame import DigitalNumbers
 from radiometer.errors import MeasurementError
@@ -90,11 +91,6 @@ def split_spatial_variance(average: NDArray[np.float64], noise: NoiseLeft) -> Sp
     )
 
 
-def typical_mean(average: NDArray[np.float64]) -> float:
-    """Return the mean of the pixels within four robust standard deviations of the median: hot ones do not count."""
-    return float(np.mean(average[typical_pixels(average)]))
-
-
 def typical_pixels(average: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which pixels' means are within four robust standard deviations (at least 0.5 DN) of their median."""
     reach = _REACH_SIGMAS * max(robust_sigma(average), _LEAST_SIGMA_DN)
@@ -124,6 +120,8 @@ class GroupStatistics:
     # Spatial variance by rows, columns and pixels; None where the pictures are not known
     split: SpatialSplit | None = None
     typical_dn: float | None = None  # mean without hot pixels in DN; None where the pictures are not known
+    # Spatial variance as above without hot pixels; None where the pictures are not known
+    typical_variance_dn2: float | None = None
     frame_variance_dn2: float = 0.0  # variance of the frames' means in DN²; 0 where there is one frame
     floor_share: float = 0.0  # share of pixels at 0
     # Of dark frames: standard error of the temporal variance by the scatter of that of blocks of pixels in DN². A track
@@ -140,6 +138,14 @@ class GroupStatistics:
         """Return the standard uncertainty of the mean due to temporal noise in DN."""
         noise = self.variance_dn2 if self.has_noise else self.spatial_variance_dn2
         return math.sqrt(max(noise, 1 / 12) / (self.frames * self.pixels))
+
+    def u_of_rounding_dn(self, step_dn: int) -> float:
+        """Return what rounding to codes of a distance in DN leaves uncertain in the mean, a standard uncertainty in DN.
+
+        Hot pixels spread over other codes than the rest, and do not show where between two codes these are.
+        """
+        spatial = self.spatial_variance_dn2 if self.typical_variance_dn2 is None else self.typical_variance_dn2
+        return rounding_u_of_mean(max(self.variance_dn2 + spatial, 0.0), step_dn)
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -223,6 +229,7 @@ class _Sums:
             common = float(np.var(self._means, ddof=1))
             temporal = max((within - common) * pixels / max(pixels - 1, 1), 0.0)
         spatial = float(np.var(average, ddof=1)) - temporal / count if pixels > 1 else 0.0
+        typical = average[typical_pixels(average)]
         return GroupStatistics(
             settings=settings,
             frames=count,
@@ -234,7 +241,8 @@ class _Sums:
             photons=photons,
             region=region,
             split=split_spatial_variance(average, self._noise_left(temporal)) if min(average.shape) > 1 else None,
-            typical_dn=typical_mean(average),
+            typical_dn=float(np.mean(typical)),
+            typical_variance_dn2=float(np.var(typical)) - temporal / count,
             frame_variance_dn2=common,
             floor_share=self._at_zero / (count * pixels),
             u_of_blocks_dn2=u_of_blocks,

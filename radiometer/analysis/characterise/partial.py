@@ -10,8 +10,8 @@ import numpy as np
 from radiometer.analysis.characterise.dark_signal import (
     by_temperature,
     dark_signal,
+    determined,
     gain_from_darks,
-    hidden_noise,
     typical_dark_current,
 )
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
@@ -61,13 +61,16 @@ def partial_characterisation(
         figures["K_dark"] = from_darks[0]
         notes += disagreeing_gains(K, from_darks[0])
     best = K or (from_darks[0] if from_darks else None)
-    figures |= _dark_figures(own_dark, best, subject, _temperature(lit), notes)
-    figures |= _nonuniformity([b for b in lit if b.region == main], own_dark, best)
+    of_darks, is_hidden = _dark_figures(own_dark, best, subject, _temperature(lit), notes)
+    figures |= of_darks | _nonuniformity([b for b in lit if b.region == main], own_dark, best)
     if "mu_y_dark" not in figures and subject.masked_dn:
         figures["mu_y_dark"] = _of_masked_rows(subject.masked_dn)
         notes.append("the black level is that of the masked rows")
     if not figures or (K is None and not own_dark and "mu_y_dark" not in figures):
         raise MeasurementError(_nothing(subject, bright, lit))
+    figures = determined(figures, own_dark, notes, subject.camera.code_step_dn or 1, is_hidden=is_hidden)
+    if not figures:
+        raise MeasurementError(f"{subject.origin}: {notes[-1]}")
     if best is not None:
         notes += stated_gain_doubt(subject.camera.conversion_gain_e_per_dn, best, gain_db)
     return Characterisation(
@@ -202,10 +205,11 @@ def _dark_figures(
     subject: Subject,
     temperature_c: float | None,
     notes: list[str],
-) -> dict[str, Quantity]:
+) -> tuple[dict[str, Quantity], bool]:
+    """Return the figures of darks, and whether rounding hides their noise."""
+    figures, is_hidden = dict[str, Quantity](), False
     if not dark:
-        return {}
-    figures: dict[str, Quantity] = {}
+        return figures, is_hidden
     step_dn = subject.camera.code_step_dn or 1
     noisy = [p for p in by_temperature(dark) if any(d.has_noise for d in p)]
     if noisy:
@@ -217,11 +221,9 @@ def _dark_figures(
         figures["sigma_y_dark"] = Quantity(
             math.sqrt(signal.variance_dn2.value), signal.variance_dn2.u / 2 / math.sqrt(signal.variance_dn2.value), "DN"
         )
-        if signal.quantisation_limited:
-            notes.append(hidden_noise(step_dn))
+        is_hidden = signal.quantisation_limited
         if K is not None:
-            hidden = signal.quantisation_limited
-            found = sensitivity_figures(K, signal.variance_dn2, None, None, step_dn, is_bound=hidden)
+            found = sensitivity_figures(K, signal.variance_dn2, None, None, step_dn, is_bound=is_hidden)
             figures |= {name: found[name] for name in ("sigma_d", "mu_e_min")}
             if signal.mean_line is not None:
                 line = signal.mean_line
@@ -229,12 +231,13 @@ def _dark_figures(
                 figures["mu_I_mean"] = Quantity(line.slope / K.value, u, "e-/s")
     else:
         first = min(dark, key=lambda d: d.settings.exposure_s)
-        figures["mu_y_dark"] = Quantity(first.mean_dn, first.u_mean_dn, "DN")
+        u = math.hypot(first.u_mean_dn, first.u_of_rounding_dn(step_dn))
+        figures["mu_y_dark"] = Quantity(first.mean_dn, u, "DN")
         notes.append("no two dark frames of one setting: no temporal dark noise")
-    figures |= typical_dark_current(dark, temperature_c, K)
-    if not any(name in figures for name in ("mu_I_typical", "mu_I_dn")):
+    figures |= typical_dark_current(dark, temperature_c, K, step_dn)
+    if len({d.settings.exposure_s for d in dark}) < 2:
         notes.append("dark current needs dark frames at two exposures or more")
-    return figures
+    return figures, is_hidden
 
 
 def _nonuniformity(

@@ -19,7 +19,7 @@ USED_SHARE = 0.7  # of saturation: EMVA 1288, release 4.0 (linear)
 CLIPPED_SHARE = 1e-4  # hot pixels at full scale; from there on clipping takes more than 0.1 % of the variance
 # With σ² of noise before it, rounding adds 1/12 ± (1/π² + 4σ²)·exp(−2π²σ²) steps²: below 0.001 from σ² = 0.42 on.
 _BLURRED_VARIANCE = 0.5  # of squared code steps
-_FLOOR_SHARE = 0.01  # pixels at 0
+FLOOR_SHARE = 0.01  # pixels at 0
 _FEWEST_STEPS = 3
 UNSEEN_CURVE_U_REL = 0.02  # of K from one or two levels: real photon transfers bend by 2 to 4 % on the way up
 
@@ -143,7 +143,7 @@ def transfer_of_few(steps: Sequence[SignalStep]) -> Quantity | None:
 
 
 def _is_in_range(step: SignalStep, saturation_dn: float) -> bool:
-    if step.bright.clipped_share > CLIPPED_SHARE or step.bright.floor_share > _FLOOR_SHARE:
+    if step.bright.clipped_share > CLIPPED_SHARE or step.bright.floor_share > FLOOR_SHARE:
         return False
     return 0 < step.signal_dn <= USED_SHARE * saturation_dn
 

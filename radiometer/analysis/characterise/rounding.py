@@ -19,6 +19,7 @@ from radiometer.data import Quantity
 
 SHEPPARD: Final = 1.0 / 12.0  # squared code steps
 PLAIN_FROM: Final = 0.24  # variance after rounding; below it, EMVA 1288 (6.7) gives an upper limit only
+_OF_TWO_CODES: Final = 0.25  # the most that two codes vary by, in squared code steps
 # From here on Sheppard's correction errs by less than (1/π² + 4σ²)·exp(−2π²σ²) = 0.003 squared steps.
 _SHEPPARD_FROM: Final = 0.40
 _SIGMAS: Final = np.concatenate([[1e-3], np.geomspace(0.02, 0.75, 60)])  # noise before rounding, in steps
@@ -59,6 +60,28 @@ def unrounded_variance(
     low = _SIGMAS[max(int(fits[0]) - 1, 0)] ** 2
     high = _SIGMAS[min(int(fits[-1]) + 1, _SIGMAS.size - 1)] ** 2
     return Quantity((low + high) / 2.0 * squared, (high - low) / math.sqrt(12.0) * squared, "DN^2")
+
+
+def rounding_u_of_mean(variance_dn2: float, step_dn: int = 1) -> float:
+    """Return the standard uncertainty in DN that rounding leaves in a mean, which is no less of many pixels and frames.
+
+    Noise before rounding spreads the pixels over the codes, and the mean over these errs by less.
+
+    Args:
+        variance_dn2: Variance after rounding in DN², of pixels and frames together.
+        step_dn: Distance between codes in DN.
+
+    Returns:
+        That of a place anywhere between two codes, which the harmonics of the error over this place give. Two codes
+        vary by a quarter of a squared step at most, and below that there may be no noise at all.
+
+    Source: Widrow, Kollár, Quantization Noise (2008), chapter 4.
+    """
+    steps = variance_dn2 / step_dn**2
+    noise = 0.0 if steps < _OF_TWO_CODES else steps - SHEPPARD
+    harmonic = np.arange(1, 100)
+    squares = np.exp(-4.0 * (np.pi * harmonic) ** 2 * noise) / (2.0 * (np.pi * harmonic) ** 2)
+    return step_dn * math.sqrt(float(np.sum(squares)))
 
 
 def _predicted(mean: float, spread: float) -> NDArray[np.float64]:

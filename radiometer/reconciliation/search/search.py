@@ -293,7 +293,9 @@ def _unnamed(
     fresh = [t for t in standing if smooth_term(state, t).name not in tried]
     rated = ((test, _smooth_gain(state, test)) for test in fresh[:_SMOOTHS_TRIED])
     worthy = ((test, nats) for test, nats in rated if nats > PARAMETER_NATS * scatter_of(state))
-    tried_out = ((test, nats, _with_curve(state, test)) for test, nats in worthy)
+    old = tuple(term for term in state.terms if term.is_smooth)
+    curved = ((test, nats, with_terms(state, (*old, smooth_term(state, test)))) for test, nats in worthy)
+    tried_out = ((test, nats, refit(reweighted(refit(model))).recorded()) for test, nats, model in curved)
     found = next((entry for entry in tried_out if entry[2].evidence > state.evidence), None)
     if found is None:
         return None
@@ -304,12 +306,6 @@ def _unnamed(
     run.steps.append(Step("unnamed", test.where, nats, state.gap, following.gap, closest=closest, block=test.family))
     run.say(f"unnamed {smooth_term(state, test).name}: {nats:.1f} nats, gap {state.gap:.3f} → {following.gap:.3f}")
     return following
-
-
-def _with_curve(state: FitState, test: Disagreement) -> FitState:
-    """Return the model with a smooth term that takes up a disagreement, all fitted anew."""
-    old = tuple(term for term in state.terms if term.is_smooth)
-    return refit(reweighted(refit(with_terms(state, (*old, smooth_term(state, test)))))).recorded()
 
 
 def _forget(run: _Run, name: str) -> None:

@@ -200,8 +200,9 @@ def test_darkness_scales_every_modulation_and_counts_in_u():
     lifted = measure_flicker(Waveform(light + 0.5, RATE_HZ, "lamp", u_dark=0.03))
     assert lifted.modulation_depth.value == pytest.approx(bare.modulation_depth.value / 1.5, rel=1e-6)
     assert lifted.modulation_depth.u == pytest.approx(lifted.modulation_depth.value * 0.03 / 1.5, rel=0.01)
-    with pytest.raises(MeasurementError, match="--dark"):
-        measure_flicker(Waveform(light - 2.0, RATE_HZ, "lamp"))
+    for mean in (-1.0, 0.0, 1e-16, 1e-3):
+        with pytest.raises(MeasurementError, match=r"AC coupling.*--dark"):
+            measure_flicker(Waveform(light - 1.0 + mean, RATE_HZ, "lamp"))
 
 
 def test_what_a_record_cannot_give_is_not_determined():
@@ -212,6 +213,8 @@ def test_what_a_record_cannot_give_is_not_determined():
     noise = measure_flicker(Waveform(1.0 + np.random.default_rng(7).normal(0, 0.01, 9000), 9000.0, "noise"))
     assert noise.frequency is None
     assert noise.pst_lm is None
+    assert noise.svm is None
+    assert any("SVM is not determined: no repetition" in warning for warning in noise.warnings)
     assert noise.periods == 0
 
 

@@ -69,6 +69,14 @@ def test_a_wrong_type_is_a_radiometer_error(name, argument, values, desk, tmp_pa
         assert_works_or_says(lambda value=value: getattr(rm, name)(**others(name, argument), **{argument: value}))
 
 
+def test_a_single_number_of_numpy_is_a_number(tmp_path, monkeypatch):
+    """What a loop over an array gives; a time step of NumPy is none."""
+    monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path / "state"))
+    assert rm.light_pulse("spot", np.float32(0.1), level=np.uint16(2000), box="sim").state.channel == "spot"
+    with pytest.raises(rm.UsageError, match="duration_s"):
+        rm.light_pulse("spot", np.timedelta64(1, "s"), level=2000, box="sim")
+
+
 @pytest.mark.parametrize("kind", ["Meter", "Reading", "Stack", "Radiance", "LoggedReadings", "CalibratedScreen"])
 def test_a_wrong_type_to_a_method_is_a_radiometer_error(kind, desk, monkeypatch):
     """The same as every argument of every method of what the functions return."""

@@ -478,12 +478,22 @@ def test_filters_of_every_wheel_part_the_frames(write_fits, keys, first, second)
     assert len({entry.pattern for entry in open_capture(folder.parent).header.frames}) == 2
 
 
-@pytest.mark.parametrize("binned", [{"XBINNING": 2}, {"CCDSUM": "2 2"}, {"BINNING": "2x2"}, {"CCDXBIN": 2}])
+@pytest.mark.parametrize(
+    "binned",
+    [
+        {"XBINNING": 2}, {"CCDSUM": "2 2"}, {"BINNING": "2x2"}, {"CCDXBIN": 2}, {"CCDBIN1": 2, "CCDBIN2": 2},
+        {"XBINNING": 2.0, "YBINNING": 2.0}, {"XBIN": 2, "YBIN": 2}, {"BIN": 2}, {"BINMODE": "2x2"},
+        {"HIERARCH ESO DET WIN1 BINX": 2, "HIERARCH ESO DET WIN1 BINY": 2},
+    ],
+)  # fmt: skip
 def test_binned_frames_are_another_set(write_fits, binned):
     """Four pixels in one have another gain, though a window of the sensor has the same size."""
     write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0)
     write_fits("s/b.fits", FITS_PICTURE, EXPTIME=1.0, **binned)
-    assert len(import_sources([write_fits("s/c.fits", FITS_PICTURE, EXPTIME=2.0).parent], ImportOptions())) == 2
+    folder = write_fits("s/c.fits", FITS_PICTURE, EXPTIME=2.0, XBINNING=1.0, YBINNING=1.0).parent
+    found = import_sources([folder], ImportOptions())
+    assert len(found) == 2
+    assert "2" in {one.header.camera.binning for one in found}
 
 
 def test_two_cameras_are_not_mixed(write_fits):

@@ -24,7 +24,7 @@ from radiometer.analysis.characterise.group_statistics import (
     SpatialSplit,
     split_spatial_variance,
     statistics_of_group,
-    typical_mean,
+    typical_pixels,
 )
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
@@ -319,10 +319,10 @@ def subject(**camera):
     return Subject("made", CAMERA.model_copy(update=camera), LensDescription(), (), (None,), (None,))
 
 
-def lit_levels(**more):
+def lit_levels(black_dn=BLACK_DN, dark_dn2=40.0, **more):
     """Return groups of a camera of 0.5 DN per electron at one exposure and twelve levels."""
     return [
-        group(BLACK_DN + 3000.0 * x, 40.0 + 1500.0 * x, level=float(x), split=NO_SPLIT, **more)
+        group(black_dn + 3000.0 * x, dark_dn2 + 1500.0 * x, level=float(x), split=NO_SPLIT, **more)
         for x in np.geomspace(0.02, 1.0, 12)
     ]
 
@@ -330,6 +330,57 @@ def lit_levels(**more):
 def whole(*darks):
     """Return the figures of such a camera with dark groups."""
     return characterise(subject(), [*lit_levels(), *darks])
+
+
+def drawn_darks(black_dn, sigma_dn, rate_dn_per_s=0.4, step_dn=1, hot=0.0):
+    """Return groups of two drawn dark frames at five exposures, in codes as a camera writes them."""
+    rng, found = np.random.default_rng(7), []
+    hot_dn = np.where(np.arange(3600).reshape(60, 60) % 50 < 50 * hot, 40.0 * step_dn, 0.0)
+    for t in np.linspace(0.1, 1.0, 5):
+        dn = [rng.normal(black_dn + rate_dn_per_s * t + hot_dn, sigma_dn, (60, 60)) for _ in range(2)]
+        codes = np.clip(np.rint(np.array(dn) / step_dn) * step_dn, 0, 65535).astype(np.uint16)
+        found += statistics_of_group(iter(codes), FrameSettings(float(t), shutter="closed"), (None,), 65535)
+    return found
+
+
+@pytest.mark.parametrize("step_dn", [1, 4])
+@pytest.mark.parametrize("hot", [0.0, 0.02])
+@pytest.mark.parametrize(
+    ("black", "sigma", "is_hidden"), [(25.3, 0.02, True), (25.45, 0.05, True), (25.3, 0.3, True), (25.0, 0.8, False)]
+)
+def test_what_rounding_hides_of_darkness_is_in_u_or_not_stated(black, sigma, is_hidden, hot, step_dn):
+    """Black levels and dark currents of less than a code: the truth within 2 u, or no figure; also in the file."""
+    darks = drawn_darks(black * step_dn, sigma * step_dn, 0.4 * step_dn, step_dn, hot)
+    for groups in (darks, [*lit_levels(darks[-1].mean_dn, darks[-1].variance_dn2), *darks]):
+        result = characterise(subject(code_step_dn=step_dn), groups)
+        found = result.figures
+        assert abs(found["mu_y_dark"].value - (black + 40.0 * hot) * step_dn) < 2 * found["mu_y_dark"].u
+        for name, gain in (("mu_I_mean", 0.5), ("mu_I_typical", 0.5), ("mu_I_dn", 1.0)):
+            assert name not in found or abs(found[name].value * gain - 0.4 * step_dn) < 2 * found[name].u * gain
+        hidden = [note for note in result.notes if "rounding hides it" in note]
+        assert bool(hidden) == is_hidden
+        assert is_hidden == ("mu_I_var" not in found and "DSNU_1288" not in found) or groups is darks
+        assert ("dark_current_e_per_s" in result.to_mapping()["camera"]) == ("mu_I_mean" in found)
+
+
+@pytest.mark.parametrize(("black", "is_cut"), [(0.0, True), (3.0, True), (10.0, False)])
+def test_noise_that_the_camera_cuts_off_at_zero_makes_no_figure_of_darkness(black, is_cut):
+    """With σ = 2 DN a black level of 3 DN loses 6 % of the pixels: the gain stays, the file keeps what it had."""
+    darks = drawn_darks(black, 2.0)
+    result = characterise(subject(black_level_dn=7.0), [*lit_levels(black, 4.0), *darks])
+    dark = {"mu_y_dark", "sigma_d", "mu_e_min", "mu_I_mean", "mu_I_var", "mu_I_typical", "DSNU_1288"}
+    assert dark & set(result.figures) == (set() if is_cut else dark)
+    assert any("raise the camera's black level" in note for note in result.notes) == is_cut
+    assert result.figures["K"].value == pytest.approx(0.5, rel=0.02)
+    kept = result.to_mapping()["camera"]
+    assert (kept["black_level_dn"] == 7.0, "read_noise_e" not in kept) == (is_cut, is_cut)
+    assert typical_rates(darks) == [] if is_cut else len(typical_rates(darks)) == 1
+
+
+def test_darks_that_are_cut_off_at_zero_alone_are_refused_with_the_way_out():
+    """There is nothing else to characterise in them."""
+    with pytest.raises(MeasurementError, match="raise the camera's black level"):
+        characterise(subject(), drawn_darks(0.0, 2.0))
 
 
 def test_patterns_of_darkness_are_those_at_the_exposure_of_the_light():
@@ -779,6 +830,10 @@ def test_patterns_of_each_kind_are_light_s_less_darkness_s():
 
 def test_a_typical_pixel_is_no_hot_one():
     """Within four robust deviations of the median, two DN at least, a pixel counts, beyond it does not."""
+
+    def typical_mean(average):
+        return average[typical_pixels(average)].mean()
+
     even = np.full(99, 100.0)
     assert typical_mean(np.append(even, 102.0)) == pytest.approx(100.02)
     assert typical_mean(np.append(even, 102.1)) == 100.0
