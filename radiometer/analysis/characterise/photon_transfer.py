@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.characterise.line_fit import Line, fit_line, is_bent
 from radiometer.analysis.characterise.rounding import PLAIN_FROM, SHEPPARD
 from radiometer.analysis.characterise.steps import SignalStep
+from radiometer.analysis.signal.model import FLOOR_SHARE
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 
@@ -19,7 +20,6 @@ USED_SHARE = 0.7  # of saturation: EMVA 1288, release 4.0 (linear)
 CLIPPED_SHARE = 1e-4  # hot pixels at full scale; from there on clipping takes more than 0.1 % of the variance
 # With σ² of noise before it, rounding adds 1/12 ± (1/π² + 4σ²)·exp(−2π²σ²) steps²: below 0.001 from σ² = 0.42 on.
 _BLURRED_VARIANCE = 0.5  # of squared code steps
-FLOOR_SHARE = 0.01  # pixels at 0
 _FEWEST_STEPS = 3
 UNSEEN_CURVE_U_REL = 0.02  # of K from one or two levels: real photon transfers bend by 2 to 4 % on the way up
 

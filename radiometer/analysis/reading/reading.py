@@ -39,6 +39,7 @@ from radiometer.analysis.signal.model import (
     corrected_frames,
     crop_frames,
     dark_levels,
+    picked,
     refuse_brighter_darks,
     straightened,
     temperature_factor,
@@ -64,7 +65,6 @@ from radiometer.data.frame import Copies
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
-from radiometer.errors import MeasurementError
 
 
 def read_patch(
@@ -119,7 +119,8 @@ def patch_situation(
     if calibration is not None:
         frames = corrected_frames(frames, calibration.found, settled.black.dn)
     levelled, taps = levelled_frames(frames, setup)
-    light, dark_frames, shape = crop_frames(levelled, patch, settled.model, None if taps is None else taps.lit)
+    lit, defects = None if taps is None else taps.lit, calibration.defects if calibration else ()
+    light, dark_frames, shape = crop_frames(levelled, patch, settled.model, lit, defects)
     tap = None if taps is None else taps.tap_of(patch)
     if calibration is not None and settled.model.linear:
         light = [_straightened(one, calibration.found, settled.model) for one in light]
@@ -127,8 +128,8 @@ def patch_situation(
     # Below its data the curve is a line to the black level. Noise that was cut off there reads as light, in the longest
     # frame the least.
     chosen = [one for one in chosen if one.in_data] or chosen[-1:]
-    good = ~np.any([one.clipped for one in chosen], axis=0) if chosen[0].usable else np.ones(chosen[0].dn.shape, bool)
-    good = _without_defects(good, calibration, patch)
+    good = chosen[0].sound
+    dark_frames = [picked(frame, good) for frame in dark_frames]
     masked = [one.masked_dn for one in chosen]
     dark = dark_levels(
         [one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked,
@@ -151,7 +152,9 @@ def patch_situation(
     field = _field(camera, settled.lens, shape, patch)
     conditions = _conditions(estimate, chosen, settled, surround, place, field).model_copy(update={"tap": tap})
     scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
-    shown = Shown(estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light), copies.notes)
+    shown = Shown(
+        estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light), (*copies.notes, *_left_out(good))
+    )
     falloff = _falloff(calibration, camera, settled.lens, chosen, place)
     now = now or setup.taken or dt.datetime.now(dt.UTC)
     return PatchSituation(settled, shown, scale, conditions, surround, falloff, now, stray, taps)
@@ -174,6 +177,11 @@ def _corrected_scale(
     warm = scale * temperature_factor(found, here.temperature_c, there.temperature_c)
     gain, of_surround = without_glare(found.glare, there.surround)
     return warm * gain, warm * of_surround * surround.rate
+
+
+def _left_out(good: NDArray[np.bool_]) -> tuple[str, ...]:
+    count = int(np.count_nonzero(~good))
+    return (f"{count} of {good.size} pixels are left out: defective, or struck in one frame alone",) if count else ()
 
 
 def _unsteady(light: list[PatchFrame]) -> bool:
@@ -235,18 +243,6 @@ def _falloff(
     numbers = {one.settings.f_number or lens.f_number for one in chosen}
     doubt = flat_doubt(calibration, lens, numbers) * abs(1.0 - float(place.mean()))
     return Falloff("flat_field", math.hypot(flat.u_rel, doubt))
-
-
-def _without_defects(good: NDArray[np.bool_], calibration: Calibration | None, patch: Patch) -> NDArray[np.bool_]:
-    kept = good.copy()
-    for x, y in calibration.defects if calibration else ():
-        if patch.x <= x < patch.x + patch.width and patch.y <= y < patch.y + patch.height:
-            kept[y - patch.y, x - patch.x] = False
-    if not kept.any():
-        raise MeasurementError(
-            f"every pixel of the patch {patch.x},{patch.y},{patch.width},{patch.height} is defective; choose another"
-        )
-    return kept
 
 
 def _sensitivity(

@@ -24,7 +24,7 @@ from radiometer.data import (
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.sensor_noise import most_dark_e_per_s
 from radiometer.errors import CalibrationError, MeasurementError
-from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma
+from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma, robust_sigma
 from radiometer.units import gain_factor
 
 # A full well is where charge stops; linearity and the datasheet's figure end a little before.
@@ -43,8 +43,11 @@ _MASKED_U_REL = 0.1
 _ROUNDS = 12  # each leaves a part a₂ of the error, some per cent
 # A patch counts as unclipped where its mean stays this many standard deviations of its pixels below clipping.
 _CLEAR_OF_CLIPPING_SIGMA = 4.0
-# More clipped pixels than this are part of the scene, fewer are defects.
-_DEFECT_FRACTION = 0.01
+# Particles strike fewer pixels of a frame than this: where more clip in one frame alone, the light changes.
+_STRUCK_SHARE = 0.01
+_HOT_SIGMAS = 10.0  # of the noise of dark frames: pixels that far above their middle are hot
+# Dark frames with more of their pixels at 0 have their noise cut off there: its mean is above the black level.
+FLOOR_SHARE = 0.01
 # So many pixels of the whole picture give its mean.
 _PIXELS_OF_THE_WHOLE = 4096
 
@@ -239,7 +242,8 @@ def dark_levels(
 
     A dark frame of the same exposure and gain is used as it is; so are masked pixels of the frame itself. Dark
     frames of other exposures correct the black level, with the modelled dark current taken off theirs. Without any,
-    black level and model stand alone.
+    black level and model stand alone. Of dark frames that are cut off at 0 the mean is the most that the dark signal
+    can be.
 
     Args:
         settings: Of the light frames.
@@ -266,9 +270,21 @@ def _level(
         return _from_frames(settings, matching, model)
     if masked_dn is not None:
         return _from_masked(settings, masked_dn, model)
-    if same_gain := [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]:
-        return _from_other_exposures(settings, same_gain, model, black, darkest)
-    return _from_model(settings, model, black, darkest)
+    same_gain = [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]
+    if whole := [frame for frame in same_gain if not is_cut_off(frame)]:
+        return _from_other_exposures(settings, whole, model, black, darkest)
+    level = _from_model(settings, model, black, darkest)
+    if not same_gain:
+        return level
+    nearest = min(same_gain, key=lambda frame: abs(math.log(frame.settings.exposure_s / settings.exposure_s)))
+    # Over [0, most] the root mean square distance from the end is most/√3.
+    u_cut = max(float(signal_of(nearest, model, settings).mean()) - level.signal, 0.0) / math.sqrt(3.0)
+    return replace(level, u_common=math.hypot(level.u_common, u_cut))
+
+
+def is_cut_off(frame: Frame) -> bool:
+    """Return whether the camera cuts a dark frame's noise off at 0, so that its mean is above its black level."""
+    return float(np.mean(frame.dn == 0)) > FLOOR_SHARE
 
 
 def refuse_brighter_darks(
@@ -293,13 +309,14 @@ def refuse_brighter_darks(
 
 
 def matching_darks(settings: FrameSettings, dark_frames: Sequence[Frame]) -> list[Frame]:
-    """Return the dark frames of the same exposure, gain and, where both are known, temperature."""
+    """Return the dark frames of the same exposure, gain and, where both are known, temperature, none cut off at 0."""
     return [
         frame
         for frame in dark_frames
         if abs(frame.settings.exposure_s / settings.exposure_s - 1.0) <= _SAME_EXPOSURE_REL
         and frame.settings.gain_db == settings.gain_db
         and _as_warm(frame.settings.temperature_c, settings.temperature_c)
+        and not is_cut_off(frame)
     ]
 
 
@@ -383,7 +400,7 @@ def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel, 
 
 
 def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> BlackLevel | None:
-    """Return the black level that dark frames show; None without any.
+    """Return the black level that dark frames show; None without any whose noise is whole.
 
     The dark signal of several exposure times is a straight line over time: its start is the black level. Of one time
     alone the modelled dark current is taken off.
@@ -392,10 +409,11 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
         dark_frames: Frames with the shutter closed; those of the lowest gain are used.
         calibration: Its noise model and the uncertainty of its black level.
     """
-    if not dark_frames:
+    whole = [frame for frame in dark_frames if not is_cut_off(frame)]
+    if not whole:
         return None
-    lowest_db = min(frame.settings.gain_db for frame in dark_frames)
-    used = [frame for frame in dark_frames if frame.settings.gain_db == lowest_db]
+    lowest_db = min(frame.settings.gain_db for frame in whole)
+    used = [frame for frame in whole if frame.settings.gain_db == lowest_db]
     times = np.array([frame.settings.exposure_s for frame in used])
     means = np.array([float(frame.dn.mean()) for frame in used])
     own, noise = calibration.black_level, calibration.noise
@@ -458,8 +476,18 @@ def some_lit_pixels(frame: Frame, lit: NDArray[np.bool_] | None = None) -> Frame
     few = cut(frame, (slice(None, None, step), slice(None, None, step)))
     if lit is None:
         return few
-    kept, offset = lit[::step, ::step], few.black_offset_dn
-    return replace(few, dn=few.dn[kept][None], black_offset_dn=None if offset is None else offset[kept][None])
+    return picked(few, lit[::step, ::step])
+
+
+def picked(frame: Frame, where: NDArray[np.bool_]) -> Frame:
+    """Return some pixels of a frame in one row.
+
+    Args:
+        frame: The frame.
+        where: True at the pixels, shape (height, width).
+    """
+    offset = frame.black_offset_dn
+    return replace(frame, dn=frame.dn[where][None], black_offset_dn=None if offset is None else offset[where][None])
 
 
 def darkest_signal(few: Frame, model: SignalModel) -> float:
@@ -578,6 +606,7 @@ class PatchFrame:
     unclipped: bool  # whether no part of the patch clips
     in_data: bool  # whether the patch's mean is above the dark end of the response curve's data
     clipped: NDArray[np.bool_]  # pixels at or above clipping, same shape
+    sound: NDArray[np.bool_]  # pixels that count: neither defective nor struck in one of the frames; same shape
     whole: float  # mean signal x of the whole picture, dark level not yet taken off
     whole_clipped: float  # part of the whole picture that clips; the mean is too low then
     masked_dn: float | None = None  # what the sensor's masked pixels read, in DN; None where it is not stated
@@ -586,7 +615,11 @@ class PatchFrame:
 
 
 def crop_frames(
-    frames: Bracket | Iterable[Frame], patch: Patch, model: SignalModel, lit: NDArray[np.bool_] | None = None
+    frames: Bracket | Iterable[Frame],
+    patch: Patch,
+    model: SignalModel,
+    lit: NDArray[np.bool_] | None = None,
+    defects: Iterable[tuple[int, int]] = (),
 ) -> tuple[list[PatchFrame], list[Frame], tuple[int, int]]:
     """Return the patch in every light frame, the dark frames cut to the patch, and the frames' (height, width).
 
@@ -595,12 +628,13 @@ def crop_frames(
         patch: Where to read.
         model: Signal model of the camera.
         lit: Pixels that gather light, shape (height, width); None for all.
+        defects: Defective pixels of the camera (x, y).
 
     Raises:
-        MeasurementError: If there is no light frame, the patch is outside the frame, or the frames do not belong
-            together.
+        MeasurementError: If there is no light frame, the patch is outside the frame, every pixel of it is defective,
+            or the frames do not belong together.
     """
-    light: list[PatchFrame] = []
+    light: list[tuple[Frame, Frame]] = []
     dark: list[Frame] = []
     shape: tuple[int, int] | None = None
     for frame in frames.every_frame if isinstance(frames, Bracket) else frames:
@@ -609,15 +643,57 @@ def crop_frames(
         if frame.settings.is_dark:
             dark.append(cut(frame, patch.slices))
         else:
-            light.append(_crop(frame, patch, model, lit))
+            light.append((cut(frame, patch.slices), some_lit_pixels(frame, lit)))
     if not light or shape is None:
         raise MeasurementError("there is no frame with the shutter open; capture at least one")
-    levels = {one.settings.source_level for one in light}
+    parts = [part for part, _ in light]
+    levels = {part.settings.source_level for part in parts}
     if len(levels) > 1:
         raise MeasurementError(
             f"the frames were taken at {len(levels)} different source levels; read those of one level at a time"
         )
-    return sorted(light, key=lambda one: one.settings.effective_exposure_s), dark, shape
+    sound = _without_defects(patch, defects) & ~_hot(parts, dark, model) & ~_struck(parts, model)
+    if not sound.any():
+        raise MeasurementError(
+            f"every pixel of the patch {patch.x},{patch.y},{patch.width},{patch.height} is defective; choose another"
+        )
+    cropped = [_crop(part, few, model, sound) for part, few in light]
+    return sorted(cropped, key=lambda one: one.settings.effective_exposure_s), dark, shape
+
+
+def _without_defects(patch: Patch, defects: Iterable[tuple[int, int]]) -> NDArray[np.bool_]:
+    kept = np.ones((patch.height, patch.width), bool)
+    for x, y in defects:
+        if patch.x <= x < patch.x + patch.width and patch.y <= y < patch.y + patch.height:
+            kept[y - patch.y, x - patch.x] = False
+    return kept
+
+
+def _hot(parts: Sequence[Frame], dark: Sequence[Frame], model: SignalModel) -> NDArray[np.bool_]:
+    """Return the pixels of a patch that clip, and that dark frames show to do so without light as well."""
+    hot = np.zeros(parts[0].shape, bool)
+    for frame in dark:
+        signal = signal_of(frame, model)
+        noise = max(robust_sigma(signal), math.sqrt(float(model.variance(0.0, frame.settings))))
+        hot |= signal > float(np.median(signal)) + _HOT_SIGMAS * noise
+    return hot & np.any([one.dn >= model.saturation_dn(one.settings) for one in (*parts, *dark)], axis=0)
+
+
+def _struck(parts: Sequence[Frame], model: SignalModel) -> NDArray[np.bool_]:
+    """Return the pixels of a patch that clip in one frame, but in no other of its setting come near it: particles."""
+    alike: dict[tuple[float | None, ...], list[Frame]] = {}
+    for part in parts:
+        one = part.settings
+        alike.setdefault((one.exposure_s, one.gain_db, one.f_number, one.black_level_dn), []).append(part)
+    struck = np.zeros(parts[0].shape, bool)
+    for same in alike.values():
+        limit = model.saturation_dn(same[0].settings)
+        clear = limit - 2.0 * _CLEAR_OF_CLIPPING_SIGMA * _noise_dn(model, same[0].settings, limit)
+        once = np.sum([one.dn >= clear for one in same], axis=0) == 1
+        for one in same if len(same) > 1 else ():
+            here = once & (one.dn >= limit)
+            struck |= here & (here.sum() <= _STRUCK_SHARE * here.size)
+    return struck
 
 
 def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: SignalModel) -> None:
@@ -637,36 +713,33 @@ def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: Si
         )
 
 
-def _crop(frame: Frame, patch: Patch, model: SignalModel, lit: NDArray[np.bool_] | None) -> PatchFrame:
-    part = cut(frame, patch.slices)
-    dn = part.dn
-    limit = model.saturation_dn(frame.settings)
-    end = model.saturation_dn(frame.settings, within_data=False)
-    clipped = dn >= limit
-    few = clipped.sum() <= _DEFECT_FRACTION * dn.size
-    brightest = _brightest_part(dn) if few else float(dn.max())
-    sigma = max(_neighbour_noise(dn), _noise_dn(model, frame.settings, brightest))
-    usable = bool(few and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < limit)
-    unclipped = usable or bool(dn.max() < end and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < end)
-    lowest = model.valid_dn[0] + model.black_of(frame.settings) - model.black_dn
+def _crop(part: Frame, few_of_all: Frame, model: SignalModel, sound: NDArray[np.bool_]) -> PatchFrame:
+    settings, dn = part.settings, part.dn
+    counted = dn[sound]
+    limit = model.saturation_dn(settings)
+    end = model.saturation_dn(settings, within_data=False)
+    noise = _neighbour_noise(dn)
+    brightest = _brightest_part(counted, noise)
+    sigma = max(noise, _noise_dn(model, settings, brightest))
+    most, clear_dn = float(counted.max()), brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma
+    lowest = model.valid_dn[0] + model.black_of(settings) - model.black_dn
     in_data = model.linear or float(dn.mean()) >= lowest
-    few_of_all = some_lit_pixels(frame, lit)
     whole, whole_clipped = float(signal_of(few_of_all, model).mean()), float(np.mean(few_of_all.dn >= end))
-    slope = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(frame.settings.gain_db)
+    slope = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(settings.gain_db)
     return PatchFrame(
-        frame.settings, dn, signal_of(part, model), usable, unclipped, in_data, clipped, whole, whole_clipped,
-        frame.masked_dn, darkest_signal(few_of_all, model), slope * frame.black_u_dn / math.sqrt(patch.height),
+        settings, dn, signal_of(part, model), max(most, clear_dn) < limit, max(most, clear_dn) < end, in_data,
+        dn >= limit, sound, whole, whole_clipped, part.masked_dn, darkest_signal(few_of_all, model),
+        slope * part.black_u_dn / math.sqrt(part.dn.shape[0]),
     )  # fmt: skip
 
 
-def _brightest_part(dn: DigitalNumbers) -> float:
-    """Return the level of the brightest part of a patch that is more than a defect, its noise taken off.
+def _brightest_part(dn: DigitalNumbers, noise: float) -> float:
+    """Return the level of the brightest twentieth of a patch, its noise in DN taken off.
 
     A patch may cross an edge: then it is the bright half that must not clip. In an even patch the 95th percentile is
     1.645 standard deviations of the noise above the level.
     """
-    high = float(np.percentile(dn, 95.0))
-    return max(float(np.median(dn)), high - TWENTIETH_TO_SIGMA * _neighbour_noise(dn))
+    return max(float(np.median(dn)), float(np.percentile(dn, 95.0)) - TWENTIETH_TO_SIGMA * noise)
 
 
 def _neighbour_noise(dn: DigitalNumbers) -> float:
