@@ -576,14 +576,74 @@ def test_a_full_well_clips_before_the_converter(rig, gain_db):
     assert usable(rig, board(int(end - 3.5 * sigma)), 5000.0, gain_db=gain_db) == (False, False)
 
 
-@pytest.mark.parametrize(("clipped", "used"), [(0, True), (1, True), (2, False), (50, False)])
-def test_one_pixel_in_a_hundred_is_a_defect(rig, clipped, used):
-    """More clipped pixels are the scene's; the clipped ones of a used frame take no part."""
-    dn = board(1000, [4095] * clipped)
-    assert usable(rig, dn)[0] is used
-    if used:
-        found = read_exactly(rig, [replace(flat(0), dn=dn.astype(np.uint16))])
-        assert found.radiance.value == pytest.approx(read_exactly(rig, [flat(1000)]).radiance.value, rel=1e-12)
+def spotted(frame, *spots):
+    """Return a frame with other numbers at some pixels (row, column)."""
+    dn = frame.dn.copy()
+    for row, column, number in spots:
+        dn[row, column] = number
+    return replace(frame, dn=dn)
+
+
+def left_out(reading):
+    return [one for one in reading.provenance.assumptions if "pixels are left out" in one]
+
+
+@pytest.mark.parametrize("bright", [3064, 4095])
+def test_bright_points_of_the_scene_count(rig, bright):
+    """One pixel of a hundred at 1 ms: the mean where it does not clip, a lower bound where it always does."""
+    found = read_exactly(rig, [spotted(flat(1064), (5, 5, bright))] * 5)
+    rate = (99 * 1000 + bright - BLACK) / 100 * 1e3
+    assert found.radiance.value == pytest.approx(rig.true_scale * rate * 4 * 4.0**2 / math.pi, rel=1e-9)
+    assert (Flag.SATURATED in found.flags) is (bright == 4095)
+    assert Flag.NONUNIFORM in found.flags
+    assert not left_out(found)
+
+
+def test_a_point_that_clips_in_the_longer_frame_counts_as_the_shorter_one_shows_it(rig):
+    """Three times as bright as the rest: the mean of the short frame, and the long one is not used."""
+    short, long = spotted(flat(1064), (5, 5, 3064)), spotted(flat(2064, 2e-3), (5, 5, 4095))
+    found = read_exactly(rig, [short, long])
+    assert found.radiance.value == pytest.approx(read_exactly(rig, [short]).radiance.value, rel=1e-12)
+    assert found.exposures_s == (1e-3,)
+
+
+@pytest.mark.parametrize("known", ["dark frames", "calibration", "other frames"])
+def test_what_is_shown_to_be_defective_or_struck_is_left_out_and_counted(rig, known):
+    """A white pixel that is hot in dark frames, known as a defect, or white in one frame of three: as without it."""
+    hot = known == "dark frames"
+    dark = flat(64, shutter="closed")
+    clean, white = flat(1064), spotted(flat(1064), (5, 5, 4095))
+    frames = [white, *[clean if known == "other frames" else white] * 2, spotted(dark, (5, 5, 4095)) if hot else dark]
+    given = replace(exact(rig), defects=((5, 5),)) if known == "calibration" else exact(rig)
+    found = read_exactly(rig, frames, given)
+    assert found.radiance.value == pytest.approx(read_exactly(rig, [clean, dark]).radiance.value, rel=1e-12)
+    assert left_out(found) == ["1 of 100 pixels are left out: defective, or struck in one frame alone"]
+    assert Flag.SATURATED not in found.flags
+
+
+def cut_frames(exposures_s, rate_dn, dark_count=2):
+    """Return light and dark frames of a camera whose noise of 0.92 DN is cut off at its black level 0."""
+    rng, found = np.random.default_rng(48_117), []
+    for shutter, rate, count in (("open", rate_dn, 3), ("closed", 0.0, dark_count)):
+        for exposure_s in exposures_s * count:
+            dn = rng.normal(rate * exposure_s, np.sqrt(0.92**2 + rate * exposure_s / GAIN_E), (40, 40))
+            setting = FrameSettings(exposure_s, 0.0, 4.0, 0.0, temperature_c=25.0, shutter=shutter)
+            found.append(Frame(np.clip(np.round(dn), 0, 4095).astype(np.uint16), 12, setting))
+    return found
+
+
+@pytest.mark.parametrize("rate_dn", [400.0, 1000.0, 4000.0, 40_000.0])
+@pytest.mark.parametrize("exposures_s", [(0.016,), (0.004, 0.008, 0.016)])
+def test_dark_frames_that_are_cut_off_give_no_black_level(rig, rate_dn, exposures_s):
+    """Their mean is 0.4 DN: the stated level 0 counts, within U of the truth, in a patch and in a map."""
+    known = replace(exact(rig, black_level=BlackLevel(dn=0.0, u_dn=0.0, dark_u_rel=0.0)))
+    setup = Setup(rig.description, rig.lens, known)
+    frames, truth = cut_frames(exposures_s, rate_dn), rig.true_scale * rate_dn * 4 * 4.0**2 / math.pi
+    found = read_patch(frames, WHERE, setup)
+    assert abs(found.radiance.value - truth) < found.coverage_factor * found.radiance.u
+    assert (Flag.DARK_ASSUMED in found.flags) is (rate_dn < 4000.0)
+    mapped = merge(Bracket.from_frames(frames), setup)
+    assert abs(float(mapped.radiance.mean()) - truth) < 2.0 * float(np.median(mapped.u_radiance))
 
 
 @pytest.mark.parametrize(("brightest", "unclipped"), [(254, True), (255, False)])
@@ -648,16 +708,6 @@ def test_a_surround_that_clips_may_be_of_any_brightness(rig, white, reported):
     deep = exact(rig)
     deep = replace(deep, noise=replace(deep.noise, full_well_e=1e6))  # white is then the converter's last number
     assert (Flag.STRAY_LIGHT in read_exactly(rig, [replace(flat(1000), dn=dn)] * 5, deep).flags) is reported
-
-
-def test_a_pixel_that_clips_in_one_frame_takes_part_in_none(rig):
-    """Three times as bright as the rest: seen in the short frame, clipped in the long one, left out of both."""
-    short, long = flat(1064), flat(2064, 2e-3)
-    dn = [short.dn.copy(), long.dn.copy()]
-    dn[0][5, 5], dn[1][5, 5] = 3064, 4095
-    found = read_exactly(rig, [replace(short, dn=dn[0]), replace(long, dn=dn[1])])
-    assert found.radiance.value == pytest.approx(read_exactly(rig, [short, long]).radiance.value, rel=1e-9)
-    assert found.exposures_s == (1e-3, 2e-3)
 
 
 def test_another_focus_costs_what_the_change_is_known_to(rig):
