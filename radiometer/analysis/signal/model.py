@@ -48,6 +48,7 @@ _STRUCK_SHARE = 0.01
 _HOT_SIGMAS = 10.0  # of the noise of dark frames: pixels that far above their middle are hot
 # Dark frames with more of their pixels at 0 have their noise cut off there: its mean is above the black level.
 FLOOR_SHARE = 0.01
+_HEADROOM_SIGMAS = 4.0  # of its noise above 0: there a black level keeps it whole
 # So many pixels of the whole picture give its mean.
 _PIXELS_OF_THE_WHOLE = 4096
 
@@ -283,8 +284,13 @@ def _level(
 
 
 def is_cut_off(frame: Frame) -> bool:
-    """Return whether the camera cuts a dark frame's noise off at 0, so that its mean is above its black level."""
-    return float(np.mean(frame.dn == 0)) > FLOOR_SHARE
+    """Return whether the camera cuts a dark frame's noise off at 0, so that its mean is above its black level.
+
+    Pixels at 0 that are far below the others are dead.
+    """
+    if float(np.mean(frame.dn == 0)) <= FLOOR_SHARE:
+        return False
+    return bool(np.median(frame.dn) <= _HEADROOM_SIGMAS * robust_sigma(frame.dn))
 
 
 def refuse_brighter_darks(
