@@ -151,12 +151,16 @@ def _extreme_u(noise: float, count: int) -> float:
 
 
 def _flags(mask: NDArray[np.uint8], black: NDArray[np.bool_]) -> tuple[str, ...]:
-    outside = (mask & PixelMask.EXTRAPOLATED) != 0
+    parts = (PixelMask.EXTRAPOLATED, PixelMask.INCONSISTENT, PixelMask.MOVED)
+    outside, apart, moved = ((mask & part) != 0 for part in parts)
     dark, beyond = (f"{pixels.sum()} of {pixels.size} pixels are" for pixels in (black, outside))
+    contradicted, still = (f"of {pixels.sum()} of {pixels.size} pixels" for pixels in (apart, moved))
     known = {
         "saturated: highest, mean and uniformity are bounds": mask & PixelMask.SATURATED,
         f"below noise: {dark} black in every frame; lowest and mean are upper bounds": black,
         f"extrapolated: {beyond} outside the response's data": outside,
+        f"inconsistent: the frames {contradicted} disagree beyond their noise, which no uncertainty holds": apart,
+        f"moved: the values {still} are those of the frames that agree": moved,
     }
     return tuple(text for text, pixels in known.items() if pixels.any())
 

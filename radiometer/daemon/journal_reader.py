@@ -185,6 +185,16 @@ class JournalReader:
             (version,) = connection.execute("PRAGMA user_version").fetchone()
             return dict(connection.execute("SELECT name, json FROM patches").fetchall()) if version >= 2 else {}
 
+    def known(self, after: int) -> int:
+        """Return the number after which a client asks, 0 where it is above the newest: one of another journal.
+
+        Raises:
+            InputError: As `lines`.
+        """
+        with self._connect() as connection:
+            (newest,) = connection.execute("SELECT coalesce(max(sequence), 0) FROM readings").fetchone()
+        return after if after <= newest else 0
+
     def bounds(self) -> tuple[int, int, int]:
         """Return lowest and highest sequence number and the count; (0, 0, 0) if empty. Raises InputError."""
         with self._connect() as connection:

@@ -62,6 +62,8 @@ async def list_readings(request: web.Request) -> web.StreamResponse:
     form = _form(request, query.get("format"))
     row_filter = _filter(query, request.app[LIMITS].rows)
     reader = JournalReader(request.app[STATION].journal_path, deadline_s=_QUERY_DEADLINE_S)
+    if row_filter.after is not None:
+        row_filter = replace(row_filter, after=await asyncio.to_thread(reader.known, row_filter.after))
     if form != "json" and "limit" not in query:
         return await _send_all(request, reader, replace(row_filter, limit=_REPLAY_ROWS, newest_first=False), form)
     async with request.app[QUERIES]:
@@ -142,15 +144,17 @@ async def stream_readings(request: web.Request) -> web.StreamResponse:
     response = web.StreamResponse(headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"})
     response.content_type = "text/event-stream" if form == "sse" else "application/x-ndjson"
     response.charset = "utf-8"
-    after = query.get("after", _last_event_id(request))
+    # A client that reconnects to an address with `after` states both: the header is the newer.
+    last = _last_event_id(request)
+    after = query.get("after") if last is None else last
     subscription = station.hub.subscribe()
     try:
         await response.prepare(request)
         if request.method == "HEAD":
             return response
         _keep_little_unsent(request)
-        last = await _replay(request, response, after, form) if after is not None else 0
-        await _follow(response, subscription, form, last)
+        sent = await _replay(request, response, after, form) if after is not None else 0
+        await _follow(response, subscription, form, sent)
     except (TimeoutError, ConnectionError):
         station.metrics.refused.labels(
             "http", "dropped"
@@ -188,7 +192,7 @@ async def _follow(response: web.StreamResponse, subscription: Subscription, form
 async def _replay(request: web.Request, response: web.StreamResponse, after: int, form: str) -> int:
     """Send what the journal holds above a number and return the last number sent."""
     reader = JournalReader(request.app[STATION].journal_path, deadline_s=_QUERY_DEADLINE_S)
-    last = after
+    last = await asyncio.to_thread(reader.known, after)
     while lines := await _piece(request, reader, ReadingFilter(after=last, limit=_STREAMED_ROWS, stream="")):
         events = [Event("reading", line, int(parsed_json(line)["sequence"])) for line in lines]
         await _write(response, "".join(_encoded(event, form) for event in events).encode())

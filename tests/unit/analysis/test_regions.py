@@ -82,12 +82,15 @@ def test_pixels_that_are_black_in_every_frame_count_as_bounds():
     assert "30 of 100 pixels" in figures.flags[0]
 
 
-def test_a_region_says_how_many_of_its_pixels_are_outside_the_response():
-    """Of 99 in 100 pixels it says 99 of 100; without any it says nothing."""
+@pytest.mark.parametrize("part", [PixelMask.EXTRAPOLATED, PixelMask.INCONSISTENT, PixelMask.MOVED])
+def test_a_region_says_how_many_of_its_pixels_are_in_doubt(part):
+    """Outside the response, or of frames that disagree: of 99 in 100 pixels it says 99 of 100, without any nothing."""
     found = map_of(np.full((10, 10), 5.0))
     assert region_figures(found, "x", Patch(0, 0, 10, 10)).flags == ()
-    found.mask.ravel()[1:] = PixelMask.EXTRAPOLATED
-    assert "99 of 100 pixels" in region_figures(found, "x", Patch(0, 0, 10, 10)).flags[0]
+    found.mask.ravel()[1:] = part
+    (flag,) = region_figures(found, "x", Patch(0, 0, 10, 10)).flags
+    assert flag.startswith(f"{part.name.lower()}: ")
+    assert "99 of 100 pixels" in flag
 
 
 @pytest.mark.parametrize("projection", ["equidistant", "equisolid", "stereographic", "orthographic"])

@@ -151,6 +151,18 @@ async def test_the_stream_replays_and_follows_without_gap(http, station):
     assert numbers == list(range(4, 44))
 
 
+async def test_a_number_of_another_journal_gets_all_of_this_one(http, station):
+    """After a new journal was begun, clients and pollers ask after numbers that it does not have; the header counts."""
+    for _ in range(2):
+        await station.acquisition.measure()
+    reply = await http.get("/readings", params={"after": "100000"})
+    assert [one["sequence"] for one in reply.json()] == [1, 2]
+    asked = {"params": {"format": "jsonl", "after": "1"}, "headers": {"Last-Event-ID": "100000"}}
+    async with http.session.get("/readings/stream", **asked) as stream:
+        line = await asyncio.wait_for(stream.content.readline(), within(20.0))
+    assert json.loads(line)["sequence"] == 1
+
+
 async def test_the_stream_as_json_lines(http, station):
     """Each line is a reading."""
     await station.acquisition.measure()

@@ -97,7 +97,7 @@ function setOnline(online) {
 // ---- readings ------------------------------------------------------------------------------------------------------
 function note(reading) {
   state.latest.set(reading.name || "main", reading);
-  state.last = Math.max(state.last, reading.sequence);
+  state.last = reading.sequence; // the stream is in order; lower only where a new journal was begun
 }
 /** Show what was last read of the patches with names, where it is of the place that each has now. */
 async function recall() {
