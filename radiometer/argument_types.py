@@ -72,7 +72,7 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a single number of NumPy as Python's, which has no limits of its own."""
+    """Return a single number of NumPy as Python's, which has no limits."""
     return value.item() if hasattr(value, "dtype") and getattr(value, "shape", None) == () else value
 
 

@@ -136,6 +136,7 @@ class CameraSession:
             "conversion_gain_e_per_dn": None if gain is None else gain * 2.0 ** (base.bit_depth - bits),
             "black_level_dn": self.settings.black_level_dn,
             "mosaic": RAW_FORMATS[self.settings.pixel_format].mosaic,
+            "binning": str(self.settings.binning),
         }
         return base.model_copy(update={**own, **scaled})
 

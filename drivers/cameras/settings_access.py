@@ -147,7 +147,12 @@ class SettingsAccess:
     def _binning(self) -> int:
         if not self.camera.is_binning_available():
             return 1
-        return max(1, int(self.features.call(self.camera.get_binning).dx))
+        binning = self.features.call(self.camera.get_binning)
+        if binning.dx != binning.dy:
+            raise DeviceError(
+                f"{self.name}: bins {binning.dx} × {binning.dy} pixels; set BinningHorizontal and BinningVertical alike"
+            )
+        return max(1, int(binning.dx))
 
     def _binning_bounds(self) -> tuple[int, int]:
         if not self.camera.is_binning_available():

@@ -70,6 +70,10 @@ class Instrument:
                 f"camera {self.camera.identity.device_id}: its frames are a mosaic of colours ({mosaic}), which has no "
                 "one radiance; capture it with `radiometer bracket`, then `radiometer colour measure`"
             )
+        self._require_fit()
+
+    def _require_fit(self) -> None:
+        """Refuse a calibration or a patch that the camera, as it is set now, does not fit."""
         if self.calibration is not None:
             require_camera(self.calibration, self.camera.description)
         refuse_outside(self.patch, self.camera)
@@ -95,7 +99,14 @@ class Instrument:
         return self.read(self.take_bracket(target_u_rel=target_u_rel, progress=progress), sequence=sequence)
 
     def take_bracket(self, *, target_u_rel: float | None = None, progress: Progress | None = None) -> Bracket:
-        """Meter the patch and return the frames that cover it. Raises DeviceError if the camera fails."""
+        """Meter the patch and return the frames that cover it.
+
+        Raises:
+            DeviceError: If the camera fails.
+            CalibrationError: If the camera is set otherwise than the calibration holds for.
+            UsageError: If the patch leaves the frame.
+        """
+        self._require_fit()
         request = BracketRequest(region=self.patch, target_u_rel=target_u_rel, time_limit_s=self.time_limit_s)
         plan = plan_for_scene(self.camera, request)
         plan = steadied(plan, self.source.flicker_hz if self.source else None, self.time_limit_s)

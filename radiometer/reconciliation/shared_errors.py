@@ -647,8 +647,7 @@ def errors_of_few_pixels(
 ) -> tuple[FixedError, ...]:
     """Return what few pixels that are the same in all captures leave to chance: their numbers, and a tile's noise.
 
-    Two captures share the pixels of that in which fewer count: numbers n and m have the covariance min(n, m). On the
-    scale of twice the root, where a count has the variance 1, that is √(min(n, m)/max(n, m)).
+    Two captures share the pixels of that in which fewer count: numbers n and m have the covariance min(n, m).
     """
     found = []
     if prediction.uneven_noise.any():
@@ -658,11 +657,11 @@ def errors_of_few_pixels(
         found.append(FixedError("noise of few pixels", _whatever(noise), np.ones(len(one))))
     for name in ("outliers", "unsteady"):
         count = np.where(usable[name], getattr(prediction, name), 0.0)
-        if not count.any():
-            continue
-        root = np.sqrt(count + ANSCOMBE)
-        values, vectors = np.linalg.eigh(np.minimum.outer(root, root) / np.maximum.outer(root, root))
+        scale = np.sqrt(count + ANSCOMBE)  # of what twice the root moves by
+        values, vectors = np.linalg.eigh(np.minimum.outer(count, count) / np.outer(scale, scale))
         kept = values > _SMALL_SHARE
+        if not kept.any():
+            continue
         part = {name: _of_captures(vectors[:, kept] * np.sqrt(values[kept]))}
         found.append(FixedError(f"number: {name}", _whatever(part), np.ones(kept.sum())))
     return tuple(found)

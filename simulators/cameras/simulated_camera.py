@@ -119,6 +119,7 @@ class SimulatedCamera(Opened):
                 "conversion_gain_e_per_dn": None if known_gain is None else known_gain / scale,
                 "black_level_dn": None if known_black is None else known_black * scale,
                 "mosaic": self._filters.mosaic if self._filters else None,
+                "binning": str(self._settings.binning),
             }
         )
 

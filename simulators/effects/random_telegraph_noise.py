@@ -58,6 +58,7 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
         """Return the moments of the pixels that count, with the numbers of those that stand out and are unsteady."""
         if getattr(context, "frames", None) is None:
             return after
+        settings: Any = context.settings
         frames = np.asarray(getattr(context, "frames", 1.0), dtype=np.float64)[..., None]
         white, pattern = _of_frame(before.variance + _of_codes(context)), _of_frame(before.spatial_variance)
         sigma = np.sqrt(white / frames + pattern)
@@ -67,7 +68,8 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
         moved = height * (high - 0.5)
         stands = ndtr(moved / sigma - _OUTLYING)
         jumps = squares / white
-        calm = 1.0 - share_unsteady(frames, 1.0, jumps)
+        dark = np.broadcast_to(np.ravel(settings.is_dark), stands.shape[-4])[:, None, None, None]
+        calm = np.where(dark, 1.0 - share_unsteady(frames, 1.0, jumps), 1.0)
         kept = 1.0 - stands
         kept = kept * _left_by_darks(1.0 - (kept * calm).mean(axis=-1, keepdims=True), context)
         shares = self.share * EXPONENTIAL_SHARES[:, None] / _FROM_HALF.size

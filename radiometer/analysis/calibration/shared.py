@@ -23,6 +23,7 @@ _AUTOMATIC_BALANCE: Final = (
     "the camera weighed the colours of all photographs alike, though its white balance is automatic: at the camera, "
     "set it by hand"
 )
+_UNBINNED: Final = "1"  # so usual that a calibration which states none of it raises no doubt
 # Colours that photographs are read in; numbers of a grey frame are of no colour.
 _COLOURS: Final = frozenset({"red", "green", "blue", "luminance"})
 
@@ -287,6 +288,8 @@ def require_camera(calibration: OfCamera, camera: CameraDescription) -> tuple[st
     settle("mosaic", mine.mosaic, camera.mosaic)
     gains = mine.conversion_gain_e_per_dn, camera.conversion_gain_e_per_dn
     settle("conversion gain", *gains, equal=_is_near(*gains))
+    if mine.binning is None and camera.binning == _UNBINNED:
+        mine = mine.model_copy(update={"binning": _UNBINNED})
     settings = (_assumed(name, getattr(mine, name), getattr(camera, name)) for name in CameraDescription.SETTINGS)
     weighed = _AUTOMATIC_BALANCE if camera.white_balance == AUTOMATIC else None
     return tuple(filter(None, (*settings, weighed)))

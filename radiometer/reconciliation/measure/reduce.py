@@ -326,7 +326,7 @@ class CaptureSums:
         )
 
     def finish(
-        self, black_dn: float, bins: RowBins, *, structured: bool = False
+        self, black_dn: float, bins: RowBins, *, structured: bool = False, dark: bool = False
     ) -> tuple[dict[str, Array | float], Mask]:
         """Return the statistics of the capture by name, and the map of its outlying and unsteady pixels.
 
@@ -334,6 +334,7 @@ class CaptureSums:
             black_dn: Stated black level in DN; NaN where unknown.
             bins: Bins of rows for bands.
             structured: Whether the tiles show a scene rather than even light: nothing in them is outlying or unsteady.
+            dark: Whether it is a dark capture, whose unsteady pixels leave its noise.
         """
         n, tiles = len(self.frame_means), self.low.size
         out = {name: np.full(tiles, np.nan) for name in _PER_TILE}
@@ -343,7 +344,7 @@ class CaptureSums:
         residuals, counting = [], []
         for number, group in enumerate(self.groups):
             residual, good = self._finish_group(
-                number, group, means, np.inf if structured else spacing_dn, out, outlying, unsteady
+                number, group, means, np.inf if structured else spacing_dn, out, outlying, unsteady, dark=dark
             )
             residuals.append(residual)
             counting.append(good)
@@ -404,6 +405,8 @@ class CaptureSums:
         out: dict[str, Array],
         outlying: Mask,
         unsteady: Mask,
+        *,
+        dark: bool,
     ) -> tuple[Array, Mask]:
         n = means.shape[0]
         good = group.cut(~self.defects)
@@ -427,7 +430,7 @@ class CaptureSums:
         out["spatial"][index] = np.sum(residual**2, axis=(1, 2)) / (pixels - _TREND_TERMS)
         out["slope_x"][index] = coefficients[:, 1] / group.slope_norm[0]
         out["slope_y"][index] = coefficients[:, 2] / group.slope_norm[1]
-        calm = good * ~restless
+        calm = good * ~restless if dark else good
         out["variance_dof"][index] = (n - 1) * (calm.sum(axis=(1, 2)) - 1)
         if n > 1:
             self._temporal(number, group, calm, out, n)
@@ -727,12 +730,13 @@ def reduce_frames(
                 progress(done, len(design.header.frames))
         structured = not design.uniform and design.source_level[number] > 0
         stated = float(design.black_level_dn[number])
-        black_dn = stated if np.isfinite(stated) or design.closed[number] else darkest
-        collected[number], outlying = sums.finish(black_dn, bins, structured=structured)
+        dark = bool(design.closed[number])
+        black_dn = stated if np.isfinite(stated) or dark else darkest
+        collected[number], outlying = sums.finish(black_dn, bins, structured=structured, dark=dark)
         if apart:
-            later, _ = sums.without(first).finish(black_dn, bins, structured=structured)
+            later, _ = sums.without(first).finish(black_dn, bins, structured=structured, dark=dark)
             collected[number] |= _later_noise(later, count, structured=structured)
-        if design.closed[number]:
+        if dark:
             defects = defects | outlying
             darkest = float(np.fmin(darkest, np.median(np.asarray(collected[number]["mean"]))))
     names = [entry.name for entry in fields(CaptureStatistics)]

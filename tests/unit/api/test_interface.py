@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 
 import radiometer as rm
 from drivers.cameras.aravis_camera import load_library
-from radiometer.data import CaptureSetWriter
+from radiometer.data import Calibration, CaptureSetWriter
+from radiometer.data.config_files import shipped_config
 from radiometer.devices.exposure_account import NO_EYE
-from radiometer.errors import CaptureError, DeviceLost, MissingLibrary, UsageError
+from radiometer.errors import CalibrationError, CaptureError, DeviceLost, MissingLibrary, UsageError
 
 BENCH = """\
 format: radiometer-bench/1
@@ -57,6 +59,34 @@ def test_a_meter_reads_a_patch_and_says_what_it_is(bench):
     gap = first.radiance.value - second.radiance.value
     assert abs(gap) < 4 * np.hypot(first.radiance.u, second.radiance.u)
     assert second.patch == rm.Patch(4, 4, 12, 12)
+
+
+@pytest.mark.parametrize("stated", ["1", None])
+def test_a_camera_that_bins_is_not_read_as_one_that_does_not(stated, tmp_path):
+    """Refused by a calibration of unbinned pixels, for readings and maps; named where the calibration says nothing."""
+    known, path, patch = (
+        Calibration.read(shipped_config("calibrations/simulated.yaml")),
+        tmp_path / "cal.yaml",
+        (8,) * 4,
+    )
+    replace(known, camera=known.camera.model_copy(update={"binning": stated})).write(path)
+    lens = "f_number: 4, transmittance: 0.95, transmittance_u_rel: 0.01}"
+    (tmp_path / "bench.yaml").write_text(BENCH.replace("f_number: 4}", lens), encoding="utf-8")
+    with rm.open(tmp_path / "bench.yaml", calibration=path) as meter:
+        first, camera = meter.measure(patch), meter.instrument.camera
+        assert abs(first.radiance.value - 0.3) < 3 * first.radiance.u
+        assert not any("binning" in line for line in first.more["assumptions"])
+        camera.configure(replace(camera.settings, binning=2))
+        stack = meter.bracket(patch)
+        if stated:
+            for ask in (lambda: meter.measure(patch), lambda: rm.merge(stack, calibration=path)):
+                with pytest.raises(CalibrationError, match="holds for binning 1, the frames were taken with 2"):
+                    ask()
+            return
+        for assumed in (meter.measure(patch).more["assumptions"], rm.merge(stack, calibration=path).assumptions):
+            assert any(line.startswith("binning 2 at calibration too") for line in assumed)
+        with pytest.raises(UsageError, match="leaves the frame of 48 × 32 pixels"):
+            meter.measure()
 
 
 def test_a_closed_meter_is_closed_once(bench):

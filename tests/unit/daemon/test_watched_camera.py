@@ -184,8 +184,8 @@ def test_a_measurement_is_taken_at_its_own_gain_and_exposure(tmp_path):
 
 @pytest.mark.parametrize(
     ("of_camera", "of_lens"),
-    [({"model": "other"}, {}), ({}, {"focal_length_mm": 35.0}), ({}, {"transmittance": None})],
-    ids=["camera", "lens", "transmittance"],
+    [({"model": "other"}, {}), ({"binning": "2"}, {}), ({}, {"focal_length_mm": 35.0}), ({}, {"transmittance": None})],
+    ids=["camera", "binning", "lens", "transmittance"],
 )
 def test_a_calibration_that_no_reading_could_use_is_refused_at_once(of_camera, of_lens, tmp_path):
     """Read again, one of another camera or lens is refused, and the old one goes on."""
@@ -200,7 +200,9 @@ def test_a_calibration_that_no_reading_could_use_is_refused_at_once(of_camera, o
     before = instrument.calibration_summary
     wrong = replace(right, camera=camera.model_copy(update=of_camera), lens=lens.model_copy(update=of_lens))
     replace(wrong, created="2026-01-01T00:00:00Z").write(path)
-    with pytest.raises(CalibrationError, match=r"another camera|with a lens of 35 mm|states none"):
+    with pytest.raises(
+        CalibrationError, match=r"another camera|for binning 2, .* with 1|with a lens of 35 mm|states none"
+    ):
         instrument.reload_calibration()
     assert instrument.calibration_summary == before
     assert instrument.measure(FIXED).reading.radiance.value > 0

@@ -402,6 +402,14 @@ def test_limits_come_in_seconds_and_in_the_formats_own_numbers(access, name, ful
     assert limits.pixel_formats == ("Mono8", "Mono12p", "Mono16", "BayerRG8")
 
 
+def test_pixels_of_unequal_binning_are_refused(access):
+    """The frames' scale would be of neither 1 nor 2."""
+    access.camera.is_binning_available = lambda: True
+    access.camera.get_binning = lambda: SimpleNamespace(dx=2, dy=1)
+    with pytest.raises(DeviceError, match="bins 2 × 1 pixels; set BinningHorizontal and BinningVertical alike"):
+        access.read()
+
+
 @pytest.mark.parametrize("exposure_s", [10e-6, 31.0])
 def test_nothing_is_written_where_a_value_is_out_of_range(access, exposure_s):
     """The refusal gives the limits in s, and the camera keeps what it had."""
