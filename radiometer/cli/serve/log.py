@@ -54,7 +54,11 @@ def command(
         raise UsageError("--json, --csv, --events and --budget exclude each other")
     where, out = file or journal, console()
     if events:
-        for event in rm.log_events(where, since=since, limit=limit or 200):
+        most = limit or 200
+        shown = rm.log_events(where, since=since, limit=most)
+        if len(shown) == most:
+            out.print(f"the newest {most} events; --limit N shows more", markup=False)
+        for event in shown:
             message = " ".join(event["message"].split())  # one line each, whatever a remark holds
             out.print(f"{event['time'][:23].replace('T', ' ')}  {event['kind']:<11} {message}", markup=False)
         return
