@@ -635,9 +635,10 @@ class StreamingMerge:
     def _doubt_dark_current(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
         """Add to what pixels share that of a dark current that nothing states; return whether there is such a one.
 
-        It is not noise: a pixel that it may explain is still above the noise.
+        It is not noise: a pixel that it may explain is still above the noise. The tightest bound of the frames holds for
+        all that have no dark frames of their exposure.
         """
-        u_rate = min(terms.u_unstated / terms.exposure for terms in self._terms)
+        u_rate = min((one.u_unstated / one.exposure for one in self._terms if one.u_unstated > 0.0), default=0.0)
         if u_rate > 0.0:
             on_axis = self._on_axis() * self._terms[0].exposure
             np.hypot(shared, np.float32(u_rate * on_axis), out=shared)
