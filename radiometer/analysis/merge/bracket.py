@@ -614,13 +614,15 @@ class StreamingMerge:
         on_all_cores(self._known_shape(), work)
 
     def _doubt_falloff(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
-        """Add to what pixels share that of a fall-off that is not declared nor measured so; return whether there is."""
+        """Add to what pixels share that of a fall-off that is corrected and not measured; return whether there is."""
         calibration, lens = self._calibration, self._situation.lens
         if calibration is None:
             return False
         flat = calibration.flat_field
         if flat is None:
-            part = calibration.uncertainties.falloff_u_rel * (falloff_known(self._camera, lens) == "assumed")
+            stated = calibration.uncertainties
+            of_known = {"cos4": stated.cos4_u_rel, "assumed": stated.falloff_u_rel}
+            part = of_known.get(falloff_known(self._camera, lens), 0.0)
         else:
             part = flat_doubt(calibration, lens, self._numbers())
         if part == 0.0:
@@ -635,8 +637,8 @@ class StreamingMerge:
     def _doubt_dark_current(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
         """Add to what pixels share that of a dark current that nothing states; return whether there is such a one.
 
-        It is not noise: a pixel that it may explain is still above the noise. The tightest bound of the frames holds for
-        all that have no dark frames of their exposure.
+        It is not noise: a pixel that it may explain is still above the noise. The tightest bound of all frames without
+        dark frames of their exposure counts.
         """
         u_rate = min((one.u_unstated / one.exposure for one in self._terms if one.u_unstated > 0.0), default=0.0)
         if u_rate > 0.0:
