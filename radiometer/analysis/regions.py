@@ -21,6 +21,7 @@ from radiometer.typing import Array
 # dim light would be one of the pixels that noise made brighter.
 LOST: Final = PixelMask.SATURATED | PixelMask.UNLIT
 _MOST_LOST: Final = 0.01  # share of an image circle without a value
+_WHOLE_HEMISPHERE: Final = 0.99  # pixels at the rim of the circle are whole or left out
 Projection = Literal["equidistant", "equisolid", "stereographic", "orthographic"]
 # Views of Radiance: angular (equidistant), hemispherical (orthographic) and planisphere (stereographic) fisheyes.
 _VIEWS: Final = {"equidistant": "a", "orthographic": "h", "stereographic": "s"}
@@ -238,7 +239,8 @@ def vertical_illuminance(
     """Return the illuminance in lx (or irradiance in W·m⁻²) on a plane across the axis of a fisheye picture.
 
     E = Σ L·cos θ·dω over the image circle up to 90°, with the solid angle dω of each pixel under the projection.
-    Raises InputError if the field of view is not above 0 and at most 360°, or the map is a relative one.
+    Raises InputError if the field of view is not above 0 and at most 360°, or the map is a relative one, and
+    MeasurementError if the picture holds less than the hemisphere.
     """
     if found.unit == "relative":
         raise InputError("a relative map has no illuminance; merge with a calibration")
@@ -251,6 +253,11 @@ def vertical_illuminance(
         return np.where(cosine > 0.0, cosine * solid, 0.0) / radius**2
 
     (noise, shared), light, here = found.parts_of_u(inside), found.radiance[inside], weight(field_of_view_deg)
+    if (held := float(np.sum(here)) / math.pi) < _WHOLE_HEMISPHERE:
+        raise MeasurementError(
+            f"the picture holds {100 * held:.3g} % of the hemisphere, weighted by the cosine: its illuminance has no "
+            "upper bound; take a lens of 180° whose whole circle is in the picture"
+        )
     value = float(np.sum(here * light))
     more, less = (float(np.sum(weight(field_of_view_deg + moved) * light)) for moved in (u_field_deg, -u_field_deg))
     u_own = float(np.linalg.norm(here * noise)), float(np.sum(here * shared))

@@ -102,6 +102,13 @@ def test_an_even_hemisphere_gives_pi_times_its_luminance(projection):
     assert (lux.unit, lux.u) == ("lx", pytest.approx(0.02 * lux.value, rel=0.02))
 
 
+@pytest.mark.parametrize(("field_deg", "radius_px"), [(150.0, None), (180.0, 240.0)])
+def test_a_picture_of_a_part_of_the_hemisphere_has_no_illuminance(field_deg, radius_px):
+    """Light from beyond a narrow lens, or beyond the edges of the picture, is in no sum."""
+    with pytest.raises(MeasurementError, match="of the hemisphere"):
+        vertical_illuminance(map_of(np.full((401, 401), 50.0)), "equidistant", field_deg, 0.0, radius_px)
+
+
 def test_a_small_source_on_the_axis_and_off_it():
     """A small source on the axis and off it."""
     values = np.zeros((401, 401))
