@@ -199,9 +199,9 @@ def waveform_of_rows(
     if np.any(rows.mean() <= 0.0) or (flat is not None and np.any(shading <= 0.0)):
         raise InputError(f"{origin}: rows at or below the black level {black_dn:g} DN; state the right --black-level")
     u_dark = u_black_dn / float(np.mean(shading))
-    plain = Waveform(rows / shading, 1.0 / row_time_s, origin, u_dark, exposure_s)
+    plain = Waveform(rows, 1.0 / row_time_s, origin, u_dark, exposure_s)
     if flat is not None:
-        return plain
+        return replace(plain, light=rows / shading)
     assumed = (
         "the fall-off over the rows is a polynomial, fitted together with the light; --flat FILE of steady light "
         "measures it"
@@ -640,7 +640,7 @@ def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeM
     if kept > 0.99:
         return []
     outcome = "modulation depth, flicker index and SVM are lower bounds"
-    if kept >= _LEAST_KEPT:
+    if kept >= _LEAST_KEPT and not shape.hidden:
         outcome = "modulation depth and flicker index are lower bounds, SVM is corrected for it"
         if shape.is_series:
             outcome = "modulation depth, flicker index and SVM are corrected for it, but faster light may be hidden"
@@ -660,6 +660,7 @@ class ShapeMeasures:
     is_series: bool  # whether a Fourier series describes the shape; the loss by exposure is then corrected
     phase: Array  # phases of the shape in periods, rising, shape (n,)
     light: Array  # light there, as it was sampled, shape (n,)
+    hidden: bool = False  # whether the exposure hides one of the harmonics
 
 
 def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
@@ -670,7 +671,11 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     """
     whole, parts = _folds(waveform, period)
     orders = _supported_orders(whole)
-    kept = _kept(period.frequency_hz * waveform.averaged_s, orders[1] if orders else 1)
+    averaged_periods = period.frequency_hz * waveform.averaged_s
+    kept = _kept(averaged_periods, orders[1] if orders else 1)
+    hidden = orders is not None and bool(np.any(_sinc(averaged_periods, orders[0]) < _LEAST_KEPT))
+    if hidden:  # without one of its harmonics the light would have another shape
+        kept = np.ones_like(kept)
 
     def of(fold: _Fold) -> tuple[Array, Array]:
         return _of_series(fold, *orders, kept) if orders else _of_phases(fold)
@@ -681,7 +686,7 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     if orders:
         phase = np.arange(_GRID) / _GRID
         light = harmonics(phase, orders[1]) @ _Series.of(whole, orders[1]).factors
-    return ShapeMeasures(values, u, len(parts), bool(orders), phase, light)
+    return ShapeMeasures(values, u, len(parts), bool(orders) and not hidden, phase, light, hidden)
 
 
 def measure_record(waveform: Waveform) -> ShapeMeasures:
@@ -820,6 +825,11 @@ def _kept(averaged_periods: float, order: int) -> Array:
     kept = np.sinc(averaged_periods * np.arange(1, order + 1))  # numpy's sinc holds the π
     kept[np.abs(kept) < _LEAST_KEPT] = 1.0
     return np.concatenate([[1.0], kept, kept])
+
+
+def _sinc(averaged_periods: float, order: int) -> Array:
+    """Return the share of each harmonic's amplitude that an exposure keeps."""
+    return np.asarray(np.abs(np.sinc(averaged_periods * np.arange(1, order + 1))))
 
 
 def _of_series(fold: _Fold, enough: int, order: int, kept: Array) -> tuple[Array, Array]:
