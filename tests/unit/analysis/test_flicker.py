@@ -160,8 +160,9 @@ def test_coarse_samples_of_a_rectangle_do_not_ring(samples, duty, depth, phase, 
     found = measure_flicker(Waveform(np.where(at < duty, 1.0, low), 10.0 * samples, "pwm"))
     mean = duty + (1.0 - duty) * low
     assert abs(found.modulation_depth.value - depth) <= 2.0 * found.modulation_depth.u + 1e-12
-    # Each edge is anywhere between two samples: two rectangular distributions end √6 u away.
-    assert abs(found.flicker_index.value - duty * (1.0 - mean) / mean) <= 2.5 * found.flicker_index.u
+    # Each edge is anywhere between two samples: two rectangular distributions end √6 u away, and the period that was
+    # found moves them by a little more.
+    assert abs(found.flicker_index.value - duty * (1.0 - mean) / mean) <= 2.7 * found.flicker_index.u
 
 
 @pytest.mark.parametrize("second_hz", [130.0, 137.3, 218.0])
