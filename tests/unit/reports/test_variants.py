@@ -4,6 +4,8 @@ Each reader gets files whose units, columns, separators, pages and tags are exch
 value that the file was made with, or the file is refused, or a doubt is reported.
 """
 
+from __future__ import annotations
+
 import json
 import tempfile
 from collections.abc import Callable
