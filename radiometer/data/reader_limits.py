@@ -216,7 +216,8 @@ def _virtual_bytes() -> int:
 @contextmanager
 def _limited_time() -> Iterator[None]:
     """End the block after `READER_SECONDS` of processor time of its thread, as soon as Python runs in it."""
-    reader, done, over, lock = threading.get_ident(), threading.Event(), threading.Event(), threading.Lock()
+    reader, lock = threading.get_ident(), threading.Lock()
+    done, over = threading.Event(), threading.Event()
     clock = time.pthread_getcpuclockid(reader)
     end_s = time.clock_gettime(clock) + READER_SECONDS
 
