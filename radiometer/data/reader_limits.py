@@ -235,7 +235,7 @@ def _limited_time() -> Iterator[None]:
     finally:
         with lock:
             done.set()
-            # What was raised and has not arrived. Where nothing was, Python 3.11 would ever after look for it at each step.
+            # What was raised and has not arrived. Where nothing was, Python 3.11 would look for it at each later step.
             if over.is_set():
                 _raise_in(reader, None)
         watcher.join()

@@ -682,15 +682,16 @@ def _hot(parts: Sequence[Frame], dark: Sequence[Frame], model: SignalModel) -> N
         signal = signal_of(frame, model)
         noise = max(robust_sigma(signal), math.sqrt(float(model.variance(0.0, frame.settings))))
         hot |= signal > float(np.median(signal)) + _HOT_SIGMAS * noise
-    return hot & np.any([one.dn >= model.saturation_dn(one.settings) for one in (*parts, *dark)], axis=0)
+    clipped = np.any([one.dn >= model.saturation_dn(one.settings) for one in (*parts, *dark)], axis=0)
+    return np.asarray(hot & clipped)
 
 
 def _struck(parts: Sequence[Frame], model: SignalModel) -> NDArray[np.bool_]:
     """Return the pixels of a patch that clip in one frame, but in no other of its setting come near it: particles."""
     alike: dict[tuple[float | None, ...], list[Frame]] = {}
     for part in parts:
-        one = part.settings
-        alike.setdefault((one.exposure_s, one.gain_db, one.f_number, one.black_level_dn), []).append(part)
+        taken = part.settings
+        alike.setdefault((taken.exposure_s, taken.gain_db, taken.f_number, taken.black_level_dn), []).append(part)
     struck = np.zeros(parts[0].shape, bool)
     for same in alike.values():
         limit = model.saturation_dn(same[0].settings)
