@@ -20,7 +20,7 @@ _LONGEST_NUMBER: Final = 40  # characters; a fraction of 10^99999999 would fill 
 _HUGE_POWER: Final = re.compile(r"[eE][+-]?0*\d{3}")
 _PREFIXES: Final = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "c": 1e-2, "d": 1e-1, "k": 1e3}
 
-# Half-stop dials print these, rounded so far that a third of a stop lies as near. Some third-stop dials do as well.
+# Half-stop dials print these, rounded so far that a third of a stop is as near. Some third-stop dials do as well.
 _HALF_STOPS_S: Final = (1.5, 3.0, 1.0 / 3.0)
 _SAME_PRINT_REL: Final = 1e-3
 _TELLING: Final = 0.02  # in ln of the time: dials print to 6 %, and where only one prints a time the other is 8 % off

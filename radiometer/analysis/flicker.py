@@ -673,7 +673,8 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     orders = _supported_orders(whole)
     averaged_periods = period.frequency_hz * waveform.averaged_s
     kept = _kept(averaged_periods, orders[1] if orders else 1)
-    hidden = orders is not None and bool(np.any(_sinc(averaged_periods, orders[0]) < _LEAST_KEPT))
+    lost = np.abs(np.sinc(averaged_periods * np.arange(1, orders[0] + 1))) < _LEAST_KEPT if orders else np.zeros(1)
+    hidden = bool(np.any(lost))
     if hidden:  # without one of its harmonics the light would have another shape
         kept = np.ones_like(kept)
 
@@ -825,11 +826,6 @@ def _kept(averaged_periods: float, order: int) -> Array:
     kept = np.sinc(averaged_periods * np.arange(1, order + 1))  # numpy's sinc holds the π
     kept[np.abs(kept) < _LEAST_KEPT] = 1.0
     return np.concatenate([[1.0], kept, kept])
-
-
-def _sinc(averaged_periods: float, order: int) -> Array:
-    """Return the share of each harmonic's amplitude that an exposure keeps."""
-    return np.asarray(np.abs(np.sinc(averaged_periods * np.arange(1, order + 1))))
 
 
 def _of_series(fold: _Fold, enough: int, order: int, kept: Array) -> tuple[Array, Array]:

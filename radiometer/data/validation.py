@@ -31,7 +31,7 @@ _ALIKE: Final = 0.85  # share of letters in common: one wrong, missing or swappe
 _LONGEST_KEY: Final = 64  # characters; those of this program have up to 30
 _UNITS: Final = frozenset(
     ("s", "ms", "us", "ns", "min", "db", "x", "dn", "adu", "e", "c", "k", "degc", "um", "mm", "nm", "m", "hz", "px")
-) | {"number", "name"}  # last words of keys that say no more than the others
+) | {"number", "name"}  # last words of keys that add nothing to the others
 _MOST_SIDE: Final = 100_000  # pixels; the longest line sensors have 32,768
 _MOST_PIXELS: Final = 200_000_000  # the largest sensors sold have 151 million
 

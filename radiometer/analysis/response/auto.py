@@ -47,7 +47,7 @@ _FEW_LIGHTS: Final = (
     "all pixels show one light within their noise, or one of a few: noise decides which of them is the brighter. A "
     "scene with more tones gives a curve that is known better"
 )
-_MOST_IN_STEPS: Final = 0.9  # of the groups: others lie at the edges between two lights
+_MOST_IN_STEPS: Final = 0.9  # of the groups: others are at the edges between two lights
 _AS_STATED = "exposure times as stated"
 # Times are freed only where the error of predicting left-out quadrants falls to this part.
 _LEAST_GAIN_OF_TIMES = 0.9

@@ -306,7 +306,7 @@ def included(
         fitted = _converged(near, early_stop=early_stop)
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
-    if _is_nothing(fitted, effect.name):  # it is no model of its own: none of the posterior's
+    if _is_nothing(fitted, effect.name):  # no separate model, so none of the posterior's
         raise UnfitError(effect.name)
     return fitted.recorded()
 

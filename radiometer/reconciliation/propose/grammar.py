@@ -203,7 +203,7 @@ def _step(values: Array, known: _Known) -> _Made:
     positive = values[values > 0]  # dark frames hold no light at all
     logarithmic = positive.size > 1 and positive[-1] > 30 * positive[0]
     between = np.sqrt(positive[1:] * positive[:-1]) if logarithmic else between[apart] if apart.any() else between
-    spread = np.searchsorted(between, np.linspace(between[0], between[-1], _STEPS))  # a few of many may lie far apart
+    spread = np.searchsorted(between, np.linspace(between[0], between[-1], _STEPS))  # a few of many may be far apart
     for index in np.union1d(np.linspace(0, between.size - 1, _STEPS).astype(int), spread):
         yield {}, {"at": float(between[index])}
 
