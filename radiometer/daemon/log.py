@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
-from radiometer.daemon.journal import default_journal_path
+from radiometer.daemon.journal import BOUNDS, default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.patches import MAIN, NamedPatch, PatchLimits
 from radiometer.daemon.timestamps import parse_moment
@@ -43,10 +44,14 @@ class Place:
     readings: tuple[Mapping[str, Any], ...]  # its readings, oldest first
 
     def summary(self) -> str:
-        """Return number, time span, mean and standard deviation in one line."""
-        values = [one["radiance"]["value"] for one in self.readings if one["radiance"]["value"] is not None]
+        """Return number, time span, mean and standard deviation in one line; bounds are left out of both."""
+        known = [one for one in self.readings if one["radiance"]["value"] is not None]
+        values = [one["radiance"]["value"] for one in known if not _bound(one)]
         span = f"{self.readings[0]['time'][:19]} to {self.readings[-1]['time'][:19]}"
         head = f"{self.name}: {len(self.readings)} readings, {span}"
+        if left_out := Counter(flag for one in known if (flag := _bound(one))):
+            named = ", ".join(f"{count} {flag} ({BOUNDS[flag]} their value)" for flag, count in left_out.items())
+            head += f"; left out of the mean: {named}"
         if len(values) < 2:
             return head
         mean, spread = statistics.fmean(values), statistics.stdev(values)
@@ -150,6 +155,11 @@ class LoggedReadings(Result):
         return f"{len(self.stored)} readings of {len(self.places)} places"
 
 
+def _bound(reading: Mapping[str, Any]) -> str:
+    """Return the flag that makes a logged value a bound; "" where it is a value."""
+    return next((flag for flag in BOUNDS if flag in reading["flags"]), "")
+
+
 def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Sequence[Any]]) -> str:
     name, session, instrument, x, y, width, height, unit = key
     title = name or f"patch {x},{y} {width} × {height}"
@@ -173,7 +183,9 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
         axes.plot(*zip(*alone, strict=True), "o", markersize=3, color=line.get_color())
     low, high = ([v + sign * s for v, s in zip(values, spread, strict=True)] for sign in (-1, 1))
     axes.fill_between(moments, low, high, alpha=0.22, color=line.get_color(), linewidth=0)
-    least, most = (chosen(v for v in edge if not math.isnan(v)) for chosen, edge in ((min, low), (max, high)))
+    least, most = (
+        chosen((v for v in edge if not math.isnan(v)), default=math.nan) for chosen, edge in ((min, low), (max, high))
+    )
     room = _LIMIT_ROOM * (most - least)
     sides = ((limits.low, 1), (limits.high, -1))
     outside = [bound for bound, sign in sides if bound is not None and sign * (bound - values[-1]) > 0]
@@ -184,13 +196,19 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
         else:  # such an artist widens nothing
             across = axes.get_yaxis_transform()
             axes.add_artist(Line2D([0, 1], [bound, bound], transform=across, **dashed))
-    flagged: Any = [(moment_of(one["time"]), one["radiance"]["value"]) for one in readings if one["flags"]]
-    if flagged:
-        axes.plot(*zip(*flagged, strict=True), ".", color="#b3261e", label=label(f"{name}, flagged"))
+    for bound, marker in {"": ".", "saturated": "^", "below_noise": "v"}.items():
+        flagged: Any = [
+            (moment_of(one["time"]), one["radiance"]["value"])
+            for one in readings
+            if one["flags"] and _bound(one) == bound
+        ]
+        if flagged:
+            what = f"{name}, {f'{bound}: {BOUNDS[bound]} this' if bound else 'flagged'}"
+            axes.plot(*zip(*flagged, strict=True), marker, color="#b3261e", label=label(what))
 
 
 def _with_gaps(readings: Sequence[Mapping[str, Any]]) -> list[tuple[Any, float, float]]:
-    """Return time, radiance and expanded uncertainty of readings; between two that are far apart, one of NaN."""
+    """Return time, radiance and expanded uncertainty of readings, NaN between two that are far apart and for bounds."""
     times = [moment_of(one["time"]) for one in readings]
     pauses_s = [(later - earlier).total_seconds() for earlier, later in pairwise(times)]
     longest_s = max(_GAP_PERIODS * statistics.median(pauses_s), _GAP_S) if pauses_s else math.inf
@@ -198,7 +216,8 @@ def _with_gaps(readings: Sequence[Mapping[str, Any]]) -> list[tuple[Any, float, 
     for time, one, pause_s in zip(times, readings, [0.0, *pauses_s], strict=True):
         if pause_s > longest_s:
             found.append((time, math.nan, math.nan))
-        found.append((time, one["radiance"]["value"], one["radiance"]["u"] * one["coverage_factor"]))
+        value, spread = one["radiance"]["value"], one["radiance"]["u"] * one["coverage_factor"]
+        found.append((time, math.nan, math.nan) if _bound(one) else (time, value, spread))
     return found
 
 
