@@ -238,6 +238,11 @@ class Design:
             since[order[1:]] = np.diff(stamps[order])
         return self._in_parts(since)[1:]
 
+    def goes_on(self, number: int) -> bool:
+        """Return whether a capture's frames follow, without a break, those of the capture before, of one setting."""
+        before, own = self.captures[max(number - 1, 0)].frames, self.captures[number].frames
+        return bool(before[-1] + 1 == own[0] and self.setting_id[number - 1] == self.setting_id[number])
+
     @cached_property
     def frame_numbers(self) -> tuple[Array, Array, Array]:
         """Return the numbers in the header of each capture's frames, of its first one and of the others.
