@@ -85,8 +85,8 @@ class FrameLight:
 def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.bool_]) -> Periodic | None:
     """Return the period in which the light of frames comes back; None where chance explains what there is.
 
-    Any dependence on a frame's place within its capture is removed first, apart for captures that go on with the setting
-    before. A first frame that differs, or a drift within the repeats, has a separate statistic.
+    Any dependence on a frame's place within its capture is removed first, apart for captures that go on with the
+    setting before. A first frame that differs, or a drift within the repeats, has a separate statistic.
 
     Args:
         light: The light of each frame.
