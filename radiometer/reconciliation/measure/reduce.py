@@ -696,6 +696,7 @@ class PatternImages:
 _LOOKS: Final = 4  # frames of a pattern that show where it is even, from its faintest light to its brightest
 _SHARES: Final = (2 / 3, 1 / 2, 1 / 3)  # of a cell's sides that its even part may have
 _PLACES: Final = 9  # along either side of a cell that are tried
+_BY_CHANCE: Final = 5.0  # sigmas of a variance
 
 
 def with_even_tiles(design: Design, read: FrameReader) -> Design:
@@ -719,27 +720,31 @@ def with_even_tiles(design: Design, read: FrameReader) -> Design:
 
 
 def _even_part(tile: Tile, pictures: Array, cell_px: int) -> Tile:
-    """Return the part of a tile whose mean light is known best from (patterns, rows, columns) in cells."""
+    """Return the part of a tile whose mean light is known best from (patterns, rows, columns) in cells.
+
+    Of the places that are best but for chance the middle one is taken: the luckiest would feign less noise.
+    """
     top, left = -(-tile.y // cell_px), -(-tile.x // cell_px)
     own = pictures[:, top : (tile.y + tile.height) // cell_px, left : (tile.x + tile.width) // cell_px]
-    best, found = _u2_of_mean(own[:, None], cell_px), tile
+    least, found = float(_u2_of_mean(own[:, None])[0]), tile
     for height, width in ((int(share * own.shape[1]), int(share * own.shape[2])) for share in _SHARES):
         if min(height, width) * cell_px < SMALLEST_TILE_PX:
             break
-        rows, columns = (
-            np.unique(np.linspace(0, whole - part, _PLACES).astype(int))
-            for whole, part in zip(own.shape[1:], (height, width), strict=True)
+        spare = (own.shape[1] - height, own.shape[2] - width)
+        at = np.stack(np.meshgrid(*(np.unique(np.linspace(0, n, _PLACES).astype(int)) for n in spare)), -1).reshape(
+            -1, 2
         )
-        parts = sliding_window_view(own, (height, width), axis=(1, 2))[:, rows[:, None], columns]
-        u2 = _u2_of_mean(parts.reshape(len(own), -1, height, width), cell_px)
-        at = int(np.argmin(u2))
-        if u2[at] < best[0]:
-            y, x = (top + int(rows[at // columns.size])) * cell_px, (left + int(columns[at % columns.size])) * cell_px
-            best, found = u2[at : at + 1], replace(tile, x=x, y=y, width=width * cell_px, height=height * cell_px)
+        u2 = _u2_of_mean(sliding_window_view(own, (height, width), axis=(1, 2))[:, at[:, 0], at[:, 1]])
+        if u2.min() < least:
+            least = float(u2.min())
+            good = at[u2 <= least * (1.0 + _BY_CHANCE * math.sqrt(2.0 / (height * width)))]
+            y, x = good[np.argmin(np.sum(np.square(good - good.mean(axis=0)), axis=1))].tolist()
+            place = {"x": (left + x) * cell_px, "y": (top + y) * cell_px}
+            found = replace(tile, **place, width=width * cell_px, height=height * cell_px)
     return found
 
 
-def _u2_of_mean(parts: Array, cell_px: int) -> Array:
+def _u2_of_mean(parts: Array) -> Array:
     """Return the relative variance of the mean of parts of pictures, (patterns, parts, rows, columns), about a surface.
 
     Infinite where a part shows no light, or is too small to tell.
