@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from radiometer.compiled import compiled
@@ -18,11 +19,14 @@ from radiometer.data import Frame
 from radiometer.errors import CaptureError
 from radiometer.reconciliation.measure.design import (
     COMB_PERIODS,
+    SMALLEST_TILE_PX,
     CaptureStatistics,
     Design,
     PatchSides,
+    Tile,
     TileGroup,
     patch_sides,
+    surface,
     tile_groups,
 )
 from radiometer.reconciliation.measure.lines import RowBins, edge_shares, row_light
@@ -32,6 +36,8 @@ from radiometer.units import gain_factor
 from simulators.chain.unsteady_pixels import unsteady_from
 
 Corners = NDArray[np.intp]
+FrameReader = Callable[[int], Frame]
+Progress = Callable[[int, int], None]
 
 
 # The inner loops hold no lock, so that other threads read the next frames meanwhile.
@@ -687,10 +693,73 @@ class PatternImages:
         return np.asarray(np.where(seen, values, values.max(initial=0.0)))
 
 
-_AHEAD: Final = 2  # frames that are read before they are needed
+_LOOKS: Final = 4  # frames of a pattern that show where it is even, from its faintest light to its brightest
+_SHARES: Final = (2 / 3, 1 / 2, 1 / 3)  # of a cell's sides that its even part may have
+_PLACES: Final = 9  # along either side of a cell that are tried
+_BY_CHANCE: Final = 5.0  # sigmas of a variance
 
-FrameReader = Callable[[int], Frame]
-Progress = Callable[[int, int], None]
+
+def with_even_tiles(design: Design, read: FrameReader) -> Design:
+    """Return the design of an unknown scene in which each tile is the part of its cell that shows the light best.
+
+    What bends, saturates or stays behind does not act on a tile's mean light where half of the tile is dark. The part
+    whose mean is known best is taken, structure beyond a quadratic surface counted as noise: the whole of an even cell,
+    and of one that is textured throughout.
+
+    Args:
+        design: The cells of the scene; a design of known patches is returned as it is.
+        read: Gives the frame at a position of the header.
+    """
+    images = PatternImages.empty(design)
+    for pattern in range(0 if design.uniform else len(design.patterns)):
+        lit = [n for n in np.argsort(images.scale).tolist() if images.scale[n] > 0 and images.pattern[n] == pattern]
+        for place in np.unique(np.linspace(0, len(lit) - 1, _LOOKS).astype(int)) if lit else ():
+            images.add(read(design.captures[lit[place]].frames[0]), lit[place])
+    pictures = np.stack([images.picture(pattern) for pattern in range(len(design.patterns))])
+    return replace(design, tiles=tuple(_even_part(tile, pictures, images.cell_px) for tile in design.tiles))
+
+
+def _even_part(tile: Tile, pictures: Array, cell_px: int) -> Tile:
+    """Return the part of a tile whose mean light is known best from (patterns, rows, columns) in cells.
+
+    Of the places that are best but for chance the middle one is taken: the luckiest would feign less noise.
+    """
+    top, left = -(-tile.y // cell_px), -(-tile.x // cell_px)
+    own = pictures[:, top : (tile.y + tile.height) // cell_px, left : (tile.x + tile.width) // cell_px]
+    least, found = float(_u2_of_mean(own[:, None])[0]), tile
+    for height, width in ((int(share * own.shape[1]), int(share * own.shape[2])) for share in _SHARES):
+        if min(height, width) * cell_px < SMALLEST_TILE_PX:
+            break
+        spare = (own.shape[1] - height, own.shape[2] - width)
+        at = np.stack(np.meshgrid(*(np.unique(np.linspace(0, n, _PLACES).astype(int)) for n in spare)), -1).reshape(
+            -1, 2
+        )
+        u2 = _u2_of_mean(sliding_window_view(own, (height, width), axis=(1, 2))[:, at[:, 0], at[:, 1]])
+        if u2.min() < least:
+            least = float(u2.min())
+            good = at[u2 <= least * (1.0 + _BY_CHANCE * math.sqrt(2.0 / (height * width)))]
+            y, x = good[np.argmin(np.sum(np.square(good - good.mean(axis=0)), axis=1))].tolist()
+            place = {"x": (left + x) * cell_px, "y": (top + y) * cell_px}
+            found = replace(tile, **place, width=width * cell_px, height=height * cell_px)
+    return found
+
+
+def _u2_of_mean(parts: Array) -> Array:
+    """Return the relative variance of the mean of parts of pictures, (patterns, parts, rows, columns), about a surface.
+
+    Infinite where a part shows no light, or is too small to tell.
+    """
+    patterns, count, height, width = parts.shape
+    pixels = height * width
+    if pixels <= _TREND_TERMS:
+        return np.full(count, np.inf)
+    flat = parts.reshape(patterns, count, pixels)
+    left = np.sum(np.square(flat), axis=-1) - np.sum(np.square(flat @ surface(height, width)), axis=-1)
+    mean = np.maximum(flat.mean(axis=-1), 1e-30)
+    return np.asarray(np.sum(np.maximum(left, 0.0) / (pixels - _TREND_TERMS) / pixels / mean**2, axis=0))
+
+
+_AHEAD: Final = 2  # frames that are read before they are needed
 
 
 def reduce_frames(
