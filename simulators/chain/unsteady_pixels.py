@@ -15,7 +15,7 @@ _FALSE: Final = 1e-6  # share of the pixels of normal noise that are restless, t
 _EDGES: Final = np.arange(31) / 3.0
 EXPONENTIAL: Final = 0.5 * (_EDGES[1:] + _EDGES[:-1])  # values of an exponential distribution, in units of its mean
 EXPONENTIAL_SHARES: Final = np.exp(-_EDGES[:-1]) - np.exp(-_EDGES[1:])  # share of each
-_QUANTILES: Final = (np.arange(64) + 0.5) / 64
+_QUANTILES: Final = (np.arange(16) + 0.5) / 16
 
 
 def unsteady_from(frames: Any) -> Any:

@@ -15,7 +15,9 @@ from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 _OUTLYING: Final = 6.0  # sigmas of a time mean
-_FROM_HALF: Final = ndtri(0.5 + 0.5 * (np.arange(8) + 0.5) / 8)  # sigmas by which a count is off one half
+_TILES: Final = (np.arange(4) + 0.5) / 4  # places among those of a capture, by noise, that stand for all
+# Sigmas by which a count is off one half, for each of these tiles
+_FROM_HALF: Final = np.tile(ndtri(0.5 + 0.5 * (np.arange(8) + 0.5) / 8), _TILES.size)
 
 
 @dataclass(frozen=True)
@@ -93,8 +95,10 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
 
 
 def _of_frame(values: Any) -> Any:
-    """Return the mean over tiles, (…, captures, 1, 1, 1)."""
-    return np.mean(values, axis=(-2, -1), keepdims=True)[..., None]
+    """Return the values of the tiles that stand for all, each for all counts, (…, captures, 1, 1, counts)."""
+    ordered = np.sort(np.reshape(values, (*np.shape(values)[:-2], -1)), axis=-1)
+    chosen = ordered[..., (_TILES * ordered.shape[-1]).astype(np.intp)]
+    return np.repeat(chosen, _FROM_HALF.size // _TILES.size, axis=-1)[..., None, None, :]
 
 
 def _of_codes(context: ExposureContext) -> Any:
