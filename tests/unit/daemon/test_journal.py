@@ -569,16 +569,17 @@ async def test_what_cannot_be_deleted_is_an_alarm(tmp_path, make_reading, monkey
 
 
 def test_deletion_deletes_all_that_is_old(tmp_path, make_reading):
-    """Readings and events go in one call, and of the trend whole old minutes."""
+    """Readings and alarms go in one call, and of the trend whole old minutes; a person's remark stays."""
     with Journal(tmp_path / "j.sqlite") as journal:
         journal.append([make_reading(time=iso_time(START_US + hour * HOUR_US)) for hour in range(10)])
-        journal.note("device", "lost")
+        journal.note("alarm", "lost")
+        journal.note("remark", "lamp exchanged")
         assert journal.drop_older(START_US + 9 * HOUR_US) == 9
         reader = JournalReader(tmp_path / "j.sqlite")
         assert sum(point.count for point in reader.trend("", START_US, START_US + 20 * HOUR_US)) == 1
-        assert len(reader.events()) == 1
+        assert len(reader.events()) == 2
         journal.drop_older(2**61)
-        assert (reader.events(), reader.bounds()) == ([], (10, 10, 1))
+        assert ([event["kind"] for event in reader.events()], reader.bounds()) == (["remark"], (10, 10, 1))
 
 
 @pytest.mark.parametrize(
@@ -887,7 +888,7 @@ async def test_a_damaged_line_of_readings_that_waited_stays_and_stops_nothing(tm
 
 
 def test_a_start_states_that_the_run_before_had_no_stop(tmp_path):
-    """After a kill, not after a stop; whatever the journal has deleted since."""
+    """After a kill, with the time of what was written last, not after a stop; whatever was deleted since."""
     for kinds in (["start", "alarm"], ["start", "alarm", "stop"], ["start", "stop"]):
         with Journal(tmp_path / "j.sqlite") as journal:
             for kind in kinds:
@@ -897,6 +898,7 @@ def test_a_start_states_that_the_run_before_had_no_stop(tmp_path):
     assert [event["kind"] for event in events] == ["start", "alarm", "stop", "start", "alarm", "stop", "start", "stop"]
     assert [bool(event["message"]) for event in events] == [number == 2 for number in range(8)]
     assert "ended without a stop" in events[2]["message"]
+    assert events[2]["message"].endswith(events[1]["time"][:19].replace("T", " "))
 
 
 async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path, make_reading):
