@@ -44,7 +44,7 @@ def ran(folder: Path, files: dict[str, str], *words: str) -> tuple[int, str]:
         (folder / name).write_text(text)
     root = Path(__file__).resolve().parents[2]
     first = "import os, sys, pytest; os.environ['FIRST'] = str(os.getpid()); sys.exit(pytest.main(sys.argv[1:]))"
-    command = [sys.executable, "-c", first, *"-q -p no:cacheprovider -p no:randomly --processes=3".split(), *words]
+    command = [sys.executable, "-c", first, "-q", "--processes=3", *words]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     done = subprocess.run(
         [*command, str(folder)], cwd=folder, env=environment, capture_output=True, text=True, timeout=within(60.0)

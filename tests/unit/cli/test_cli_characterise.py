@@ -82,22 +82,6 @@ def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path):
     CameraModel.ideal(preset.camera, LensDescription(f_number=4.0))
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "message"),
-    [
-        ([], 2, "name a capture set (or descriptor file), or a camera with --camera"),
-        (["nowhere"], 1, "nowhere does not exist"),
-        (["nowhere", "--camera", "sim"], 2, "one of both"),
-    ],
-)
-def test_misuse_is_one_line_with_its_exit_code(words, code, message, capsys):
-    """Neither or both of capture and camera is misuse; a missing folder is a failure."""
-    assert run(["characterise", *words]) == code
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-
-
 @pytest.fixture
 def flux_capture(tmp_path: Path) -> Path:
     """Return a bracket of a 5 mW diode of half angle 60° and 3 mm at 80 mm from a 20 mm lens."""
@@ -260,22 +244,6 @@ def test_several_steps_need_a_hand(bench, tmp_path, capsys):
     assert not (tmp_path / "s").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["nonsense", "far"], "is no procedure"),
-        (["focus", "middle"], "is no step of focus"),
-        (["size", "../x"], "no step"),
-        *((["range", name], "no step") for name in ("12,5dB", "+12dB", "1e1dB", "nandB", "12dBm", "gain12dB")),
-        *((["polarisation", name], "no step") for name in ("nan", "1e999", "45\n")),
-    ],
-)
-def test_unknown_names_are_misuse(words, message, tmp_path, capsys):
-    """Procedures and steps that there are not; a step's name never leaves the session's folder."""
-    assert main(["quality", "take", str(tmp_path / "s"), *words]) == 2
-    assert message in capsys.readouterr().err
-
-
 def test_a_step_is_not_taken_twice(bench, tmp_path, capsys):
     """A capture that is there is left alone, and stated."""
     words = ["quality", "take", str(tmp_path / "s"), "focus", "far", "--bench", str(bench)]
@@ -350,22 +318,6 @@ def test_export_names_what_it_wrote(calibration, tmp_path, capsys):
     assert {p.name for p in tmp_path.iterdir()} == {"oled.json", "oled.vcgt"}
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["screen", "calibrate", "--display", "plasma"],
-        ["screen", "calibrate", "--display", "oled", "--levels", "few"],
-        ["screen", "calibrate", "--display", "oled", "--export", "xlsx"],
-        ["screen", "calibrate", "--display", "oled", "--channels", "gray"],
-    ],
-)
-def test_misuse_is_exit_code_two(words, tmp_path, capsys):
-    """A wrong word is named and nothing is written."""
-    assert run([*words, "-o", str(tmp_path / "x.yaml")]) == 2
-    assert capsys.readouterr().err.startswith("error:")
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.slow
 def test_json_and_argyll_speak_for_programs(tmp_path, capsys):
     """--json is one object; --argyll prints a line of spotread's for every level."""
@@ -390,14 +342,6 @@ def test_own_export_is_imported_and_a_kept_calibration_is_verified(calibration, 
     assert run(["screen", "verify", str(calibration), "--display", "lcd", "--levels", "0,128,255"]) == 1
 
 
-@pytest.mark.parametrize("words", [["calibrate", "-o", "x.yaml"], ["verify", "CALIBRATION"]])
-def test_real_screen_needs_a_real_camera(words, calibration, tmp_path, monkeypatch):
-    """Without --camera or --bench a browser's page is not measured by the simulated camera; nothing is written."""
-    monkeypatch.chdir(tmp_path)
-    assert run(["screen", *(str(calibration) if word == "CALIBRATION" else word for word in words)]) == 2
-    assert list(tmp_path.iterdir()) == []
-
-
 # `radiometer adapt bleach`, `protocols`, `retest` and what `fit` reports of the subject.
 
 
@@ -415,20 +359,6 @@ def test_protocols_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["adapt", "protocols"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == list(SHIPPED)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["nothing", "--subject", "A", "--simulate", "steady"],
-        ["classic", "--subject", "A", "--simulate", "asleep"],
-        ["classic", "--subject", "A", "--simulate", "steady", "--box", "LB000001"],
-    ],
-)
-def test_misuse_of_adapt_is_exit_code_two(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """Unknown protocol, unknown subject, and a simulated subject before a real box."""
-    assert run(["adapt", "run", *words]) == 2
-    assert capsys.readouterr().err.startswith("error:")
 
 
 def _table(path: Path, break_min: float, seed: int, head: str = "") -> str:

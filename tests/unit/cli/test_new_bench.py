@@ -49,23 +49,6 @@ def test_a_simulated_bench_measures(tmp_path, capsys):
     assert '"uncalibrated"' in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "needs a camera"),
-        (["--camera", "1", "--focal-length", "16"], "needs its f-number"),
-        (["--camera", "1", "--focal-length", "-3"], "give finite number above 0"),
-        (["--camera", "1", "--patch", "1,2,3"], "expected X,Y,W,H"),
-    ],
-)
-def test_what_cannot_be_a_bench_is_misuse_and_leaves_no_file(tmp_path, capsys, words, message):
-    """Exit code 2, one line, nothing written."""
-    path = tmp_path / "bench.yaml"
-    assert run(["new-bench", str(path), *words]) == 2
-    assert message in capsys.readouterr().err
-    assert not path.exists()
-
-
 @pytest.fixture
 def hidden_library(monkeypatch):
     """Hide PyGObject, as on a computer without it."""

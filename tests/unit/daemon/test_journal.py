@@ -894,13 +894,18 @@ def filled(path, make_reading):
 
 async def test_measuring_pauses_at_the_size_limit(tmp_path, make_reading):
     """At the first readings that have no place, not when memory is full of them; the alarm names the option."""
+    writer = writer_of(filled(tmp_path / "j.sqlite", make_reading), closing_s=0.05)
+    await writer.open()
+    task = asyncio.create_task(writer.run())
+    async with asyncio.timeout(20.0):
+        while writer.has_room:
+            writer.submit(make_reading(time=iso_time(now_us())))
+            await asyncio.sleep(0.01)
+    assert "--journal-max-mb: raise that" in writer.trouble
+    assert "measuring is paused" in writer.trouble
+    task.cancel()
     with pytest.raises(OutputError, match="readings are not in the journal"):
-        async with running(filled(tmp_path / "j.sqlite", make_reading), closing_s=0.05) as writer, asyncio.timeout(20):
-            while writer.has_room:
-                writer.submit(make_reading(time=iso_time(now_us())))
-                await asyncio.sleep(0.01)
-            assert "--journal-max-mb: raise that" in writer.trouble
-            assert "measuring is paused" in writer.trouble
+        await writer.close()
 
 
 async def test_a_journal_that_is_full_at_the_start_makes_room_by_deleting(tmp_path, make_reading):
