@@ -82,6 +82,7 @@ MISUSE = [
     ("measure --u-rel 120%", 2, "--u-rel 120%: must be below 100 %"),
     ("measure --u-rel -0.01", 2, "--u-rel '-0.01': must be 0 or more"),
     ("measure --f-number 0.008", 2, "f-numbers go from 0.5 to 1000; is it the exposure time?"),
+    ("merge p -o a.exr --align maybe", 2, "auto, on, off"),
     ("measure --measured-iso 200=136", 2, "--photographs"),
     ("measure --photographs . --camera sim", 2, "--photographs"),
     ("measure --photographs .", 2, "--photographs"),
@@ -125,6 +126,19 @@ MISUSE = [
     ("light calibrate --channel green --box sim", 2, "it has bleach, spot"),
     ("light status --box NONE0001", 1, "--box sim"),
     ("log none.sqlite", 1, "radiometer serve"),
+    *(
+        (f"adapt run quick --subject S7 --simulate steady {words}", 2, f"{words.split()[0]} has no effect without {other}")
+        for words, other in (
+            ("--display lcd", "--screen"), ("--port 8000", "--screen"), ("--room 1", "--box sim"),
+            ("--preset box.yaml", "--box"), ("--calibration light.yaml", "--box"), ("--fixation 0.1", "--box"),
+        )
+    ),
+    ("adapt run quick --subject S7 --box sim", 2, "the simulated box needs a simulated subject: --simulate steady"),
+    ("response p -o curve.txt", 2, "ending must be one of"),
+    ("response p --plot curve.gif", 2, "ending must be one of"),
+    ("response p --method guess", 2, "there is no response method 'guess'"),
+    *((f"serve --mqtt {text}", 2, "HOST") for text in (":1883", "host:0", "host:99999", "host:abc")),
+    ("serve --mqtt localhost --mqtt-prefix lab/#", 2, "prefix"),
     ("serve --scpi-address 0.0.0.0", 2, "--scpi-allow"),
     ("serve --http-address 0.0.0.0 --no-scpi", 2, "--token-file"),
     ("serve --scpi-allow nonsense", 2, "no network"),
@@ -132,7 +146,7 @@ MISUSE = [
     ("serve --patch 1,2,3", 2, "--patch"),
     ("serve --every -1", 2, "--every"),
     ("serve --scpi-port 99999", 2, "--scpi-port"),
-]
+]  # fmt: skip
 
 
 @pytest.fixture
