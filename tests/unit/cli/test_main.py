@@ -127,8 +127,8 @@ MISUSE = [
     ("light status --box NONE0001", 1, "--box sim"),
     ("log none.sqlite", 1, "radiometer serve"),
     *(
-        (f"adapt run quick --subject S7 --simulate steady {words}", 2, f"{words.split()[0]} has no effect without {other}")
-        for words, other in (
+        (f"adapt run quick --subject S --simulate steady {own}", 2, f"{own.split()[0]} has no effect without {other}")
+        for own, other in (
             ("--display lcd", "--screen"), ("--port 8000", "--screen"), ("--room 1", "--box sim"),
             ("--preset box.yaml", "--box"), ("--calibration light.yaml", "--box"), ("--fixation 0.1", "--box"),
         )
