@@ -438,7 +438,8 @@ def test_fewer_bits_are_told_by_where_pixels_pile_up(write_fits):
     ("keys", "first", "second"),
     [
         (("FILTER1", "FILTER2"), ("clear", "R"), ("clear", "V")), (("FILTNAM",), ("R",), ("V",)),
-        (("FILTER", "FILTER2"), ("R", "ND0"), ("R", "ND2")), (("INSFILTE",), ("R",), ("V",)), (("FILTER",), ("R",), ("V",)),
+        (("FILTER", "FILTER2"), ("R", "ND0"), ("R", "ND2")), (("INSFILTE",), ("R",), ("V",)),
+        (("FILTER",), ("R",), ("V",)),
     ],
 )  # fmt: skip
 def test_filters_of_every_wheel_part_the_frames(write_fits, keys, first, second):
