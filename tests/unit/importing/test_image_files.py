@@ -477,12 +477,6 @@ def test_two_cameras_are_not_mixed(write_fits):
         open_capture(folder)
 
 
-def test_no_exposure_anywhere_is_an_error(write_fits):
-    """Without an exposure a frame says nothing; the message names it."""
-    with pytest.raises(CaptureError, match=r"a\.fits"):
-        open_capture(write_fits("a.fits", FITS_PICTURE, IMAGETYP="flat"))
-
-
 @pytest.mark.parametrize(
     ("cards", "white_dn"),
     [
