@@ -28,16 +28,6 @@ def _photographs(folder: Path, *, times=(0.01, 0.02, 0.04, 0.08, 0.16), dtype=np
     return folder
 
 
-def test_curve_is_written_as_the_format_says(tmp_path, capsys):
-    """The CSV has the header dn,log_exposure,u_log_exposure and one row per digital number, 0 in the middle."""
-    assert run(["response", str(_photographs(tmp_path / "p")), "-o", str(tmp_path / "curve.csv")]) == 0
-    lines = (tmp_path / "curve.csv").read_text().splitlines()
-    assert lines[0] == "dn,log_exposure,u_log_exposure"
-    assert len(lines) == 257
-    assert lines[129].startswith("128,0.0,")
-    assert "quadrants of the picture differ by" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("words", [["--plot"], ["--plot", "picture.svg"]])
 def test_plot_with_and_without_a_name(tmp_path, monkeypatch, words):
     """`--plot` alone draws next to the output, `--plot FILE` where it is asked to."""
