@@ -9,7 +9,6 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.auto import solve_colours_auto
 from radiometer.analysis.response.basis import ValueBasis, hat_weight
@@ -360,7 +359,6 @@ def test_calibrate_takes_regions_and_gives_absolute_exposures(stretched, tmp_pat
 # Frames that are off in their own way, and colours of one set of photographs that share their exposures.
 
 
-Array = NDArray[np.float64]
 SIGMA = 0.01
 TIMES = tuple(0.25 * 1.7**k for k in range(6))
 
