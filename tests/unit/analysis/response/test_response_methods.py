@@ -183,7 +183,7 @@ def test_a_polynomial_off_the_first_estimate_owns_up_to_it(make_stack, monkeypat
      pytest.param("gamma", 16, marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_a_stack_gives_its_response_back(make_stack, inner_error, response, bits):
-    """The rms error of ln H over 5–95 % stays under 0.003, with shot noise of 10 500 e⁻, rounding of 8 bits included."""
+    """The rms error of ln H over 5–95 % stays under 0.003, shot noise of 10 500 e⁻ and rounding of 8 bits included."""
     shape = {"shape": (384, 512)} if bits == 12 else {}
     estimate = recover_response_debevec1997(make_stack(response, bit_depth=bits, **shape))
     assert estimate.curve.log_exposure.size == 2**bits
