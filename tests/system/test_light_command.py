@@ -107,16 +107,6 @@ def test_calibrate_then_set_by_radiance(surroundings, capsys, tmp_path):
     assert "allowed is" in capsys.readouterr().err
 
 
-def test_pulse_blink_and_off_on_the_simulated_box(surroundings, capsys):
-    """The other commands run on the simulated box and say what they did."""
-    assert run(["light", "pulse", "spot", "--level", "500", "--duration", "200ms", "--box", "sim", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["mode"] == "pulse"
-    assert run(["light", "blink", "spot", "--level", "500", "--count", "2", "--box", "sim", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["mode"] == "blink"
-    assert run(["light", "off", "--box", "sim", "--json"]) == 0
-    assert all(json.loads(capsys.readouterr().out)["dark"].values())
-
-
 def test_light_of_separate_commands_adds_up_until_it_is_refused(served, capsys, tmp_path):
     """1 % of the limit is allowed, each command gives 0.5 %: the third is refused, and `light off` is not."""
     preset = tmp_path / "bright.yaml"

@@ -36,16 +36,6 @@ def test_plot_with_and_without_a_name(tmp_path, monkeypatch, words):
     assert (tmp_path / (words[1] if len(words) > 1 else "curve.png")).stat().st_size > 5000
 
 
-def test_json_is_one_object_with_the_diagnostics(tmp_path, capsys):
-    """--json prints a single object; the curve file is named in it."""
-    target = tmp_path / "curve.yaml"
-    assert run(["response", str(_photographs(tmp_path / "p")), "-o", str(target), "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["files"] == [str(target)]
-    assert result["curves"][0]["bit_depth"] == 8
-    assert ResponseCurve.read(target).bit_depth == 8
-
-
 def test_each_channel_gets_a_file(tmp_path):
     """--channel each writes one curve per colour, the colour in the name."""
     folder = _photographs(tmp_path / "p", colour=True)
