@@ -784,6 +784,21 @@ def test_frames_of_one_setting_share_their_dark():
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 5.0 / np.sqrt(signal.size)
 
 
+def test_a_model_s_frames_are_those_of_its_moments():
+    """A chain with the effect, drawn: mean, noise and pattern of its frames without light."""
+    context, effect = _setting(), DarkFrameSubtracted(0.2, 32.0)
+    model = CameraModel.ideal(context.camera, context.lens).with_effect(effect)
+    scene = np.zeros((ROWS, COLUMNS))
+    frames = np.array([model.sample(scene, context, (n,)).dn for n in range(DARK_FRAMES)], dtype=np.float64)
+    predicted = model.moments(scene, context)
+    seen, noise = frames.mean(axis=0), frames.var(axis=0, ddof=1)
+    assert seen.mean() == pytest.approx(float(np.mean(predicted.mean)), abs=5 * seen.std() / np.sqrt(seen.size))
+    assert noise.mean() == pytest.approx(float(np.mean(predicted.variance)), rel=0.03)
+    assert seen.var() - noise.mean() / DARK_FRAMES == pytest.approx(
+        float(np.mean(predicted.spatial_variance)), rel=0.05
+    )
+
+
 @pytest.mark.parametrize("lacking", ["conversion_gain_e_per_dn", "read_noise_e", "black_level_dn"])
 def test_what_a_dark_holds_must_be_stated(lacking):
     """Without gain, read noise or black level no one says what a dark frame holds."""
