@@ -330,6 +330,15 @@ def test_declared_dark_charge_is_what_the_chain_collects(staged, binning, temper
     assert dark == pytest.approx(0.01 * warmer * binning**2, rel=1e-6)
 
 
+def test_cos4_falls_off_with_the_field_angle():
+    """At a field angle of 45° a lens with cos⁴ passes a quarter of the light on its axis."""
+    lens = LensDescription(focal_length_mm=4.5, f_number=4.0, vignetting="cos4", principal_point_px=(0.0, 0.0))
+    staged = CameraModel.ideal(STAGED, lens)
+    geometry = FrameGeometry.of_image(1001, 1, principal_point_px=(0.0, 0.0), pixel_spacing_um=4.5)
+    irradiance = staged.mean(np.ones((1, 1001)), staged.context(SETTINGS, geometry), until=Stage.OPTICS)
+    assert irradiance[0, 1000] / irradiance[0, 0] == pytest.approx(0.25, rel=1e-12)
+
+
 def test_fitted_figures_stay_within_what_a_camera_can_have():
     """A step of a fit by e^30 of the gain or the noise ends at the bound: 1e-4 and 1e4 e⁻/DN, 1e4 e⁻, 1e7 e⁻."""
     camera = CameraDescription(bit_depth=12)
