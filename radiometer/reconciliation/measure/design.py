@@ -704,6 +704,6 @@ class CaptureStatistics:
     edge: Array  # (captures,) share of a step at a patch's edge that is in the last line inside it
     edge_u: Array  # (captures,) its standard uncertainty; infinite where no edge is seen
     outliers: Array  # (captures,) pixels that stand out of their tile by more than 6 robust sigmas
-    unsteady: Array  # (captures,) pixels whose temporal variance is above all that chance gives their tile's
+    unsteady: Array  # (captures,) pixels that scatter far more than their tile without their highest frame, too
     comb: Array  # (captures, periods) amplitude of a regular comb in the histogram, real part of its Fourier term
     comb_count: Array  # (captures,) samples in that histogram
