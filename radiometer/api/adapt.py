@@ -45,7 +45,7 @@ from radiometer.data.json_text import json_text
 from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import MeasurementError, OutputRefused, UsageError
-from radiometer.numbers import rounded, unit_text
+from radiometer.numbers import rounded, unit_text, with_u
 from radiometer.plausible import (
     Age,
     AnyCount,
@@ -384,9 +384,12 @@ class Retest(Result):
     def lines(self) -> Iterator[tuple[str, list[str]]]:
         """Yield for each quantity its heading and its lines."""
         for one in self.comparisons:
-            text = [f"{a:9.3f} then {b:9.3f}   difference {b - a:+.3f}" for a, b in one.visits]
+            text = [
+                f"{with_u(a, 2 * u_a)} then {with_u(b, 2 * u_b)} (k = 2)   difference {b - a:+.3f}"
+                for (a, b), (u_a, u_b) in zip(one.visits, one.u, strict=True)
+            ]
             text += [f"not in both visits of pair {', '.join(map(str, one.missing))}"] if one.missing else []
-            text.append(f"standard uncertainty of a difference by the fits alone: {one.u_fits:.3f}")
+            text.append(f"standard uncertainty of a difference by the fits alone: {one.u_fits:.2g}")
             limits = one.agreement
             if limits is None:
                 text.append(f"limits of agreement need {FEWEST_PAIRS} pairs")
