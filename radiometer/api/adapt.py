@@ -423,7 +423,7 @@ def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[
     if len(visits) % 2:
         raise UsageError(f"{len(visits)} tables: give two for each subject, first and second visit")
     known = StatementMap.of(mapped)
-    curves = [_fitted(Path(one), known) for one in visits]
+    curves = [_fitted(Path(one), known, 0, 0.0) for one in visits]  # a scale that both share cancels
     for first, second in zip(curves[::2], curves[1::2], strict=True):
         for name in ("subject", "eye", "protocol"):
             then, now = (one.series.facts.get(name) for one in (first, second))
@@ -436,11 +436,9 @@ def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[
     return Retest(tuple(compare_visits(list(zip(fits[::2], fits[1::2], strict=True)))))
 
 
-def _fitted(file: Path, mapped: StatementMap, bootstrap: int = 0) -> AdaptationCurve:
-    series = ThresholdSeries.read(file, mapped)
-    request = FitRequest(bootstrap_draws=bootstrap, intercept=intercept_of(series.facts))
+def _fitted(file: Path, mapped: StatementMap, bootstrap: int, stimulus_u_log10: float | None) -> AdaptationCurve:
     try:
-        return AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, file.stem)
+        return adapt_fit(file, stimulus_u_log10=stimulus_u_log10, bootstrap=bootstrap, seed=1, mapped=mapped)
     except MeasurementError as error:
         raise MeasurementError(f"{file}: {error}") from error
 
@@ -577,7 +575,7 @@ def adapt_visits(
     if len(visits) < 2:
         raise UsageError(f"{len(visits)} visit: name two at least")
     known = StatementMap.of(mapped)
-    found = Visits(tuple(_fitted(Path(one), known, _VISIT_DRAWS) for one in visits))
+    found = Visits(tuple(_fitted(Path(one), known, _VISIT_DRAWS, None) for one in visits))
     if report is not None:
         found.write_report(report)
     return found

@@ -118,7 +118,7 @@ class LoggedReadings(Result):
         """
         from matplotlib.dates import ConciseDateFormatter
 
-        panels: dict[str, list[tuple[Place, list[dict[str, Any]]]]] = {}
+        panels: dict[str, list[tuple[Place, list[Mapping[str, Any]]]]] = {}
         for place in self.places:
             known = [one for one in place.readings if None not in (one["radiance"]["value"], one["radiance"]["u"])]
             if known:
@@ -169,6 +169,7 @@ def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Seque
 
 
 def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: Sequence[_Span], colour: str) -> None:
+    from matplotlib.dates import date2num
     from matplotlib.lines import Line2D
 
     moments, values, spread = zip(*_with_gaps(readings), strict=True)
@@ -184,15 +185,16 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
     least, most = (chosen(v for v in edge if not math.isnan(v)) for chosen, edge in ((min, low), (max, high)))
     room = _LIMIT_ROOM * (most - least)
     for at, end, shown in limits:
+        times: Any = [at, end]
         for bound, sign in ((shown.low, 1), (shown.high, -1)):
             if bound is None:
                 continue
             dashed: Any = {"color": colour, "linestyle": "--", "linewidth": 1.0}
             is_beyond = shown in in_force and sign * (bound - values[-1]) > 0
             if is_beyond or least - room < bound < most + room:
-                axes.plot([at, end], [bound, bound], **dashed)
+                axes.plot(times, [bound, bound], **dashed)
             else:  # such an artist widens nothing
-                axes.add_artist(Line2D(axes.convert_xunits([at, end]), [bound, bound], **dashed))
+                axes.add_artist(Line2D(date2num(times), [bound, bound], **dashed))  # type: ignore[no-untyped-call]
     flagged: Any = [(moment_of(one["time"]), one["radiance"]["value"]) for one in readings if one["flags"]]
     if flagged:
         axes.plot(*zip(*flagged, strict=True), "x", markersize=4, color=colour)
