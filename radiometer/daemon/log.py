@@ -104,7 +104,7 @@ class LoggedReadings(Result):
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the readings with a band of their expanded uncertainty, a line for each place, flagged ones marked.
 
-        Each unit has a panel of its own, one below the other. A line ends where the readings pause. The limits that
+        Each unit has a separate panel, one below the other. A line ends where the readings pause. The limits that
         were in force are dashed. They widen the picture where they are near, or where the newest reading is beyond.
 
         Args:
