@@ -168,7 +168,7 @@ def _residuals(axes: Axes, fit: AdaptationFit) -> None:
     axes.axhline(0.0, color=RULE, lw=1.0)
     axes.axhspan(-fit.chosen.sigma, fit.chosen.sigma, color=DIMMED, alpha=0.2, lw=0)
     axes.plot(series.time_min, series.log_threshold - fit.chosen.threshold(series.time_min), "o", ms=3.2, color=SEEN)
-    dress(axes, "minutes in the dark", "residual")
+    dress(axes, "minutes in the dark", "residual (log₁₀)")
 
 
 def label_of(name: str, fit: AdaptationFit) -> str:
