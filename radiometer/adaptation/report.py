@@ -174,7 +174,9 @@ def _residuals(axes: Axes, fit: AdaptationFit) -> None:
 def label_of(name: str, fit: AdaptationFit) -> str:
     """Return the label of an estimate; a single branch may be the rods', so it is not called the cones'."""
     label = LABELS.get(name, name)
-    return label if fit.has_break else label.removeprefix("Cone ").capitalize()
+    if fit.has_break or not label.startswith("Cone "):
+        return label
+    return label.removeprefix("Cone ").capitalize()
 
 
 def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
