@@ -110,7 +110,7 @@ class LoggedReadings(Result):
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the readings with a band of their expanded uncertainty, a line for each place, flagged ones marked.
 
-        Each unit has a panel of its own, one below the other. A line ends where the readings pause. The limits that
+        Each unit has a separate panel, one below the other. A line ends where the readings pause. The limits that
         were in force are dashed. They widen the picture where they are near, or where the newest reading is beyond.
 
         Args:
@@ -124,7 +124,7 @@ class LoggedReadings(Result):
         """
         from matplotlib.dates import ConciseDateFormatter
 
-        panels: dict[str, list[tuple[Place, list[dict[str, Any]]]]] = {}
+        panels: dict[str, list[tuple[Place, list[Mapping[str, Any]]]]] = {}
         for place in self.places:
             known = [one for one in place.readings if None not in (one["radiance"]["value"], one["radiance"]["u"])]
             if known:
@@ -182,6 +182,7 @@ def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Seque
 
 
 def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: Sequence[_Span], colour: str) -> None:
+    from matplotlib.dates import date2num
     from matplotlib.lines import Line2D
 
     moments, values, spread = zip(*_with_gaps(readings), strict=True)
@@ -199,19 +200,24 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
     )
     room = _LIMIT_ROOM * (most - least)
     for at, end, shown in limits:
+        times: Any = [at, end]
         for bound, sign in ((shown.low, 1), (shown.high, -1)):
             if bound is None:
                 continue
             dashed: Any = {"color": colour, "linestyle": "--", "linewidth": 1.0}
             is_beyond = shown in in_force and sign * (bound - values[-1]) > 0
             if is_beyond or least - room < bound < most + room:
-                axes.plot([at, end], [bound, bound], **dashed)
+                axes.plot(times, [bound, bound], **dashed)
             else:  # such an artist widens nothing
-                axes.add_artist(Line2D(axes.convert_xunits([at, end]), [bound, bound], **dashed))
+                axes.add_artist(Line2D(date2num(times), [bound, bound], **dashed))  # type: ignore[no-untyped-call]
     for flag, marker in _MARKERS.items():
-        flagged = [one for one in readings if one["flags"] and _bound(one) == flag]
-        times: Any = [moment_of(one["time"]) for one in flagged]
-        axes.plot(times, [one["radiance"]["value"] for one in flagged], marker, markersize=4, color=colour)
+        flagged: Any = [
+            (moment_of(one["time"]), one["radiance"]["value"])
+            for one in readings
+            if one["flags"] and _bound(one) == flag
+        ]
+        if flagged:
+            axes.plot(*zip(*flagged, strict=True), marker, markersize=4, color=colour)
 
 
 def _with_gaps(readings: Sequence[Mapping[str, Any]]) -> list[tuple[Any, float, float]]:

@@ -62,8 +62,8 @@ class PatchLimits:
             return None
         name, low, high, unit = found.groups()
         try:
-            bounds = [None if text == "none" else float(text) for text in (low, high)]
-            return name, cls(*bounds, unit=unit or "")
+            lowest, highest = (None if text == "none" else float(text) for text in (low, high))
+            return name, cls(lowest, highest, unit=unit or "")
         except (ValueError, UsageError):  # of no daemon's writing
             return None
 

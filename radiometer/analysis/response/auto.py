@@ -445,7 +445,7 @@ def _notes(
 
 
 def _shows_few_lights(result: FittedResponse) -> bool:
-    """Return whether the groups' exposures are at a few levels that spread by no more than the noise of a pixel there.
+    """Return whether the groups' exposures are at a few levels that spread by at most the noise of a pixel there.
 
     Noise then decides to which group of a level a pixel belongs, and the residuals of neighbouring groups are alike
     without any disagreement of the frames.

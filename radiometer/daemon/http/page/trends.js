@@ -93,13 +93,13 @@ export class TrendPanel {
       pen.beginPath(); pen.moveTo(left, y); pen.lineTo(left + width, y); pen.stroke();
     }
     pen.setLineDash([2 * ratio, 3 * ratio]); pen.lineWidth = ratio;
-    const drawn = new Set();
+    const drawn = new Set(), crowded = this.events.length > width / (24 * ratio);  // lines would hide the curve
     for (const event of this.events) {  // where many fall together, one line of each kind is enough
       const x = u.valToPos(event.at, "x", true), bad = event.kind === "alarm" || event.kind === "changed", place = `${event.kind} ${Math.round(x / (4 * ratio))}`;
       if (drawn.has(place)) continue;
       drawn.add(place);
       pen.strokeStyle = pen.fillStyle = css(bad ? "--bad" : event.kind === "remark" ? "--ink" : "--quiet");
-      pen.beginPath(); pen.moveTo(x, top); pen.lineTo(x, top + height); pen.stroke();
+      if (!crowded || event.kind === "remark") { pen.beginPath(); pen.moveTo(x, top); pen.lineTo(x, top + height); pen.stroke(); }
       pen.beginPath(); pen.moveTo(x - 4 * ratio, top); pen.lineTo(x + 4 * ratio, top); pen.lineTo(x, top + 7 * ratio); pen.fill();
     }
     pen.restore();
