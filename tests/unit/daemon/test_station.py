@@ -389,22 +389,6 @@ async def test_without_a_box_no_light_is_believed(instrument, tmp_path):
         alone.configure(gain_db=1.0)
 
 
-async def test_gauges_show_the_devices_as_they_are(station, instrument):
-    """Up, how often lost, how warm, how many alarms: as the camera and its keeper say."""
-    station.camera.losses = 3
-    station.alarms.put_up("lens", "dusty")
-    station.refresh_metrics()
-    shown = station.metrics.render().decode()
-    for line in (
-        'radiometer_device_up{device="camera"} 1.0',
-        'radiometer_device_up{device="light box"} 1.0',
-        'radiometer_temperature_celsius{device="camera"} 41.5',
-        'radiometer_temperature_celsius{device="light box"} 30.0',
-        "radiometer_alarms 1.0",
-    ):
-        assert line in shown
-
-
 ALL_X, OTHER_X = 7, 20  # the fake instrument's radiance is 1 + x
 
 
