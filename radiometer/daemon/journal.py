@@ -59,7 +59,12 @@ _TREND_COLUMNS: Final = (
     "flagged INTEGER NOT NULL",
     "PRIMARY KEY (stream, minute, unit, place)",
 )
-PLACE_OF: Final = "json_extract({}, '$.instrument', '$.patch')"  # readings of other places share neither mean nor line
+BOUNDS: Final = {"saturated": "at least", "below_noise": "at most"}  # what a value with such a flag is
+_BOUND_OF: Final = " ".join(
+    f"WHEN json_extract({{0}}, '$.flags') LIKE '%\"{flag}\"%' THEN ' {bound}'" for flag, bound in BOUNDS.items()
+)
+# Readings of other places, and values and bounds, share neither mean nor line.
+PLACE_OF: Final = f"json_extract({{0}}, '$.instrument', '$.patch') || CASE {_BOUND_OF} ELSE '' END"
 _TREND: Final = f"CREATE TABLE trend ({', '.join(_TREND_COLUMNS)}) WITHOUT ROWID;"
 _STREAMS: Final = """
 CREATE INDEX readings_by_stream ON readings (stream, sequence);

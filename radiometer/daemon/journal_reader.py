@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US, PLACE_OF, SCHEMA_VERSION, refuse_foreign_objects
+from radiometer.daemon.journal import (
+    APPLICATION_ID,
+    BOUNDS,
+    MINUTE_US,
+    PLACE_OF,
+    SCHEMA_VERSION,
+    refuse_foreign_objects,
+)
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data.json_text import parsed_json
 from radiometer.data.reader_limits import refuse_endless
@@ -91,7 +98,12 @@ class TrendPoint:
     count: int  # how many readings
     flagged: int  # how many of them have a flag
     unit: str  # unit of the radiances
-    place: str = ""  # camera and patch that they are of
+    place: str = ""  # camera and patch that they are of; "at least" or "at most" behind it where they are bounds
+
+    @property
+    def bound(self) -> str:
+        """Return "at least" where the readings are saturated, "at most" where below the noise; "" for values."""
+        return next((bound for bound in BOUNDS.values() if self.place.endswith(bound)), "")
 
 
 class JournalReader:
@@ -132,7 +144,8 @@ class JournalReader:
     def trend(self, stream: str, since_us: int, until_us: int, points: int = 1500) -> list[TrendPoint]:
         """Return the course of a stream, oldest first, as means over times that suit the number of points.
 
-        Readings of two places, where a patch was moved or another camera serves, share no mean.
+        Readings of two places, where a patch was moved or another camera serves, share no mean, nor do values and
+        bounds.
 
         Args:
             stream: The stream, "" for the patch measured for all.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
-from radiometer.daemon.journal import default_journal_path
+from radiometer.daemon.journal import BOUNDS, default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.patches import MAIN, PatchLimits
 from radiometer.daemon.timestamps import parse_moment
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 _GAP_PERIODS: Final = 5.0
 _GAP_S: Final = 10.0
 _Span = tuple[datetime, datetime, PatchLimits]  # from when to when limits were in force
+_MARKERS: Final = {"": "x", "saturated": "^", "below_noise": "v"}  # of readings with such a flag, "" for any other
 _LIMIT_ROOM: Final = 10.0  # a limit widens the picture within so many ranges of the readings, as on the page
 
 
@@ -44,10 +46,14 @@ class Place:
     readings: tuple[Mapping[str, Any], ...]  # its readings, oldest first
 
     def summary(self) -> str:
-        """Return number, time span, mean and standard deviation in one line."""
-        values = [one["radiance"]["value"] for one in self.readings if one["radiance"]["value"] is not None]
+        """Return number, time span, mean and standard deviation in one line; bounds are left out of both."""
+        known = [one for one in self.readings if one["radiance"]["value"] is not None]
+        values = [one["radiance"]["value"] for one in known if not _bound(one)]
         span = f"{self.readings[0]['time'][:19]} to {self.readings[-1]['time'][:19]}"
         head = f"{self.name}: {len(self.readings)} readings, {span}"
+        if left_out := Counter(flag for one in known if (flag := _bound(one))):
+            named = ", ".join(f"{count} {flag} ({BOUNDS[flag]} their value)" for flag, count in left_out.items())
+            head += f"; left out of the mean: {named}"
         if len(values) < 2:
             return head
         mean, spread = statistics.fmean(values), statistics.stdev(values)
@@ -130,8 +136,10 @@ class LoggedReadings(Result):
         for where, (unit, drawn) in zip((first, *others), panels.items(), strict=True):
             for place, known in drawn:
                 _draw(where, place.name, known, self._limits_of(place), colours[place.name])
-            if any(one["flags"] for _, known in drawn for one in known):
-                where.plot([], [], "x", markersize=4, color=RULE, label="flagged")
+            flags = {_bound(one) for _, known in drawn for one in known if one["flags"]}
+            for flag in sorted(flags):
+                shown = f"{flag}: {BOUNDS[flag]} this" if flag else "flagged"
+                where.plot([], [], _MARKERS[flag], markersize=4, color=RULE, label=shown)
             where.set_ylabel(f"radiance ({unit})\nband: U (95.45 %)")
             where.xaxis.set_major_formatter(ConciseDateFormatter(where.xaxis.get_major_locator()))  # type: ignore[no-untyped-call]
             where.grid(alpha=0.25)
@@ -161,6 +169,11 @@ class LoggedReadings(Result):
         return f"{len(self.stored)} readings of {len(self.places)} places"
 
 
+def _bound(reading: Mapping[str, Any]) -> str:
+    """Return the flag that makes a logged value a bound; "" where it is a value."""
+    return next((flag for flag in BOUNDS if flag in reading["flags"]), "")
+
+
 def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Sequence[Any]]) -> str:
     name, session, instrument, x, y, width, height, _ = key
     title = name or f"patch {x},{y} {width} × {height}"
@@ -181,7 +194,9 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
         axes.plot(*zip(*alone, strict=True), "o", markersize=3, color=colour)
     low, high = ([v + sign * s for v, s in zip(values, spread, strict=True)] for sign in (-1, 1))
     axes.fill_between(moments, low, high, alpha=0.22, color=colour, linewidth=0)
-    least, most = (chosen(v for v in edge if not math.isnan(v)) for chosen, edge in ((min, low), (max, high)))
+    least, most = (
+        chosen((v for v in edge if not math.isnan(v)), default=math.nan) for chosen, edge in ((min, low), (max, high))
+    )
     room = _LIMIT_ROOM * (most - least)
     for at, end, shown in limits:
         for bound, sign in ((shown.low, 1), (shown.high, -1)):
@@ -193,13 +208,14 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
                 axes.plot([at, end], [bound, bound], **dashed)
             else:  # such an artist widens nothing
                 axes.add_artist(Line2D(axes.convert_xunits([at, end]), [bound, bound], **dashed))
-    flagged: Any = [(moment_of(one["time"]), one["radiance"]["value"]) for one in readings if one["flags"]]
-    if flagged:
-        axes.plot(*zip(*flagged, strict=True), "x", markersize=4, color=colour)
+    for flag, marker in _MARKERS.items():
+        flagged = [one for one in readings if one["flags"] and _bound(one) == flag]
+        times: Any = [moment_of(one["time"]) for one in flagged]
+        axes.plot(times, [one["radiance"]["value"] for one in flagged], marker, markersize=4, color=colour)
 
 
 def _with_gaps(readings: Sequence[Mapping[str, Any]]) -> list[tuple[Any, float, float]]:
-    """Return time, radiance and expanded uncertainty of readings; between two that are far apart, one of NaN."""
+    """Return time, radiance and expanded uncertainty of readings, NaN between two that are far apart and for bounds."""
     times = [moment_of(one["time"]) for one in readings]
     pauses_s = [(later - earlier).total_seconds() for earlier, later in pairwise(times)]
     longest_s = max(_GAP_PERIODS * statistics.median(pauses_s), _GAP_S) if pauses_s else math.inf
@@ -207,7 +223,8 @@ def _with_gaps(readings: Sequence[Mapping[str, Any]]) -> list[tuple[Any, float, 
     for time, one, pause_s in zip(times, readings, [0.0, *pauses_s], strict=True):
         if pause_s > longest_s:
             found.append((time, math.nan, math.nan))
-        found.append((time, one["radiance"]["value"], one["radiance"]["u"] * one["coverage_factor"]))
+        value, spread = one["radiance"]["value"], one["radiance"]["u"] * one["coverage_factor"]
+        found.append((time, math.nan, math.nan) if _bound(one) else (time, value, spread))
     return found
 
 

@@ -31,6 +31,7 @@ _LETTERS: Final = {"red": "R", "green": "G", "blue": "B"}  # channels of colour 
 _SHARED: Final = "shared standard uncertainty"  # name of the page with what pixels of one level share
 _WITHOUT_VALUE: Final = int(PixelMask.SATURATED | PixelMask.UNLIT)
 _CLIPPED_COLOUR: Final = "#ff40ff"
+_RADIANCE_LM_PER_W: Final = 179.0  # luminous efficacy in Radiance's pictures (WHTEFFICACY, src/common/color.h)
 _MOST_DECADES: Final = 6.0  # more than an eye can tell apart in one picture
 
 _Unit = Literal["W sr-1 m-2", "cd m-2", "relative", "1", "K"]  # of maps that this program writes
@@ -98,6 +99,7 @@ def _channels(picture: MapPicture) -> dict[str, Any]:
 def write_hdr(path: Path, picture: MapPicture) -> None:
     """Write a picture as .hdr; values in its unit, EXPOSURE 1, negative values as 0.
 
+    Programs that read the form take luminance as 179 lm/W times the values: cd·m⁻² are divided by that.
     The form keeps no uncertainty and resolves 0.4 %; it holds no path and no user name.
 
     Raises:
@@ -108,15 +110,17 @@ def write_hdr(path: Path, picture: MapPicture) -> None:
     grey = picture.first.radiance
     planes = [picture.maps[name].radiance for name in ("red", "green", "blue")] if picture.is_colour else [grey] * 3
     height, width = grey.shape
+    is_luminance = picture.unit == LUMINANCE_UNIT
     header = (
         "#?RADIANCE\n"
         f"SOFTWARE=radiometer {radiometer.__version__}\n"
-        f"UNIT={picture.unit}\n"
+        f"UNIT={f'{LUMINANCE_UNIT} / {_RADIANCE_LM_PER_W:g}' if is_luminance else picture.unit}\n"
         "EXPOSURE=1\n"
         "FORMAT=32-bit_rle_rgbe\n\n"
         f"-Y {height} +X {width}\n"
     )
-    write_bytes_atomic(path, header.encode("ascii") + rgbe(np.stack(planes, axis=-1)).tobytes())
+    values = np.stack(planes, axis=-1) / np.float32(_RADIANCE_LM_PER_W if is_luminance else 1.0)
+    write_bytes_atomic(path, header.encode("ascii") + rgbe(values).tobytes())
 
 
 def rgbe(values: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -551,7 +551,7 @@ BASE_US = 1_790_000_000_000_000 // DAY_US * DAY_US
 # Second of the day, radiance, its u, flags: three in the first minute, one in the second, one in the fourth.
 FIVE = (
     (0, 1.0, 0.1, ()),
-    (10, 2.0, 0.2, (Flag.SATURATED,)),
+    (10, 2.0, 0.2, (Flag.NONUNIFORM,)),
     (59, 6.0, 0.6, ()),
     (60, 5.0, 0.9, ()),
     (180, 7.0, 0.7, ()),

@@ -19,6 +19,7 @@ from radiometer.cli.main import run
 from radiometer.daemon.http.patches import trend_columns
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
+from radiometer.daemon.log import log
 from radiometer.daemon.mqtt import topic_level
 from radiometer.daemon.patches import NamedPatch, PatchLimits, PatchWatch, check_name
 from radiometer.daemon.serving import LogThrottle
@@ -361,11 +362,18 @@ def test_an_hour_is_drawn_from_the_readings(tmp_path, make_reading):
 
 
 @pytest.mark.parametrize(
-    "other", [{"patch": Patch(0, 0, 11, 10)}, {"instrument": "4712"}, {"patch": Patch(1, 0, 10, 10)}]
+    ("other", "bound"),
+    [
+        ({"patch": Patch(0, 0, 11, 10)}, ""),
+        ({"instrument": "4712"}, ""),
+        ({"patch": Patch(1, 0, 10, 10)}, ""),
+        ({"flags": (Flag.NONUNIFORM, Flag.SATURATED)}, "at least"),
+        ({"flags": (Flag.BELOW_NOISE,)}, "at most"),
+    ],
 )
 @pytest.mark.parametrize("minutes", [90, 24 * 60])
-def test_a_trend_does_not_mix_places(tmp_path, make_reading, other, minutes):
-    """A patch that was moved, or read by another camera: no mean holds both, and no line joins them."""
+def test_a_trend_mixes_neither_places_nor_values_with_bounds(tmp_path, make_reading, other, bound, minutes):
+    """A patch that was moved, read by another camera, or saturated: no mean holds both, and no line joins them."""
     readings = []
     for k in range(60):
         changes = {} if k < 31 else other
@@ -377,8 +385,15 @@ def test_a_trend_does_not_mix_places(tmp_path, make_reading, other, minutes):
     found = JournalReader(tmp_path / "j.sqlite").trend("", START_US, START_US + minutes * 60_000_000, 10)
     assert {point.value for point in found} == {1.0, 2.0}
     assert sum(point.count for point in found) == 60
-    values = trend_columns(found, 20.0)["value"]
+    columns = trend_columns(found, 20.0)
+    values = columns["value"]
     assert values[values.index(2.0) - 1] is None
+    assert dict(zip(values, columns["bound"], strict=True)) == {1.0: "", None: None, 2.0: bound}
+    logged = log(tmp_path / "j.sqlite")
+    logged.write_plot(tmp_path / "log.svg")
+    if bound:
+        assert f"29 {other['flags'][-1]} ({bound} their value): mean 1," in logged.places[0].summary()
+        assert f"{other['flags'][-1]}: {bound} this" in (tmp_path / "log.svg").read_text(encoding="utf-8")
     assert values.count(None) == 1
 
 

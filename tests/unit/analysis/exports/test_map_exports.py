@@ -65,10 +65,11 @@ def test_tiff_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
     assert facts[0]["unit"] == "W sr-1 m-2"
 
 
-def test_hdr_is_read_back_by_opencv_to_its_resolution(grey, tmp_path):
-    """Half a step of an 8-bit mantissa is 0.4 % at worst; what is negative becomes 0."""
-    writer_for(tmp_path / "map.hdr")(tmp_path / "map.hdr", MapPicture({"mono": grey}))
-    back = cv2.imread(str(tmp_path / "map.hdr"), cv2.IMREAD_UNCHANGED)
+@pytest.mark.parametrize(("unit", "per_value"), [("W sr-1 m-2", 1.0), ("cd m-2", 179.0)])
+def test_hdr_is_read_back_by_opencv_to_its_resolution(grey, tmp_path, unit, per_value):
+    """Half a step of an 8-bit mantissa is 0.4 % at worst; what is negative becomes 0; luminance is 179 lm/W of it."""
+    writer_for(tmp_path / "map.hdr")(tmp_path / "map.hdr", MapPicture({"mono": replace(grey, unit=unit)}))
+    back = per_value * cv2.imread(str(tmp_path / "map.hdr"), cv2.IMREAD_UNCHANGED)
     assert back[0, 0].tolist() == [0.0, 0.0, 0.0]
     np.testing.assert_allclose(back[..., 1].ravel()[1:], grey.radiance.ravel()[1:], rtol=1 / 256)
     assert abs(np.mean(back[..., 1].ravel()[1:] / grey.radiance.ravel()[1:]) - 1) < 5e-4  # rounded, not cut

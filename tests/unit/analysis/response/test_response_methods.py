@@ -118,6 +118,18 @@ def test_mitsunaga_says_how_the_exponent_is_fixed(make_stack):
     assert np.prod(estimate.exposure_ratios) == pytest.approx(2.0**8, rel=1e-6)
 
 
+@pytest.mark.parametrize("method", ["auto", "debevec1997"])
+def test_a_camera_that_is_full_below_the_middle_number_gives_its_response(make_stack, method):
+    """No frame shows M_mid of a sensor that stops at 1500 of 4095 DN; its numbers are proportional to light to 3 %."""
+    frames = [Frame(np.minimum(f.dn, 1500), 12, f.settings) for f in make_stack("linear", shape=(96, 128)).light]
+    curve = METHODS[method]([Bracket.from_frames(frames)]).curve
+    assert curve.valid_dn is not None
+    assert curve.valid_dn[1] > 1200
+    dn = np.arange(100, 1200)
+    assert np.ptp(curve.log_exposure[dn] - np.log(dn)) < 0.06
+    assert np.median(curve.u_log_exposure[dn]) < 0.1
+
+
 def test_linear_spline_finds_the_black_level(make_stack):
     """An unstated black level of 50 DN is found to 2 DN on a linear stack, and the deviation stays under 2 %."""
     frames = [
