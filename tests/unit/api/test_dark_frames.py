@@ -144,7 +144,7 @@ def test_an_unstated_black_level_is_that_of_the_dark_frames(tmp_path):
 
 
 def test_the_response_of_frames_that_state_no_black_level_starts_at_that_of_their_dark_frames(tmp_path):
-    """A linear camera with 500 DN of black: the curve between its ends is ln(M − 500) within k = 2 and 3 %; dim light, too, merges with it."""
+    """A linear camera with 500 DN of black: the curve is ln(M − 500) within k = 2 and 3 %; dim light merges with it."""
     rng, scene = np.random.default_rng(6), np.geomspace(0.05, 1.0, 32) * np.ones((24, 1))
     with CaptureSetWriter(tmp_path / "set", CameraDescription(bit_depth=12), LENS) as writer:
         for time_s in 0.0005 * 2.0 ** np.arange(7):
