@@ -46,6 +46,7 @@ class _MapFacts(FileSection):
     units: tuple[_Unit, ...] | None = None
     origin: dict[str, Any] = Field(default_factory=dict)
     not_in_u: tuple[str, ...] = ()
+    u_rel_pattern: float = Field(0.0, ge=0)
 
 
 def write_exr(path: Path, picture: MapPicture) -> None:
@@ -54,8 +55,8 @@ def write_exr(path: Path, picture: MapPicture) -> None:
     Channels are Y (or R, G, B) for the values, Y.u (R.u, …) for their standard uncertainty, both 32-bit floating
     point, and Y.mask (R.mask, …) for the PixelMask bits. Where pixels of one level share a part of the uncertainty,
     that is Y.shared (R.shared, …). Several quantities have their own names. The header names the
-    unit of the first channel and of each, what all pixels share (`u_rel_common`), and what is in no uncertainty
-    (`not_in_u`).
+    unit of the first channel and of each, what all pixels share (`u_rel_common`), what pixels may differ by
+    (`u_rel_pattern`), and what is in no uncertainty (`not_in_u`).
 
     Raises:
         MissingLibrary: If the OpenEXR package is not installed.
@@ -71,6 +72,7 @@ def write_exr(path: Path, picture: MapPicture) -> None:
         "unit": picture.unit,
         "units": "; ".join(f"{_LETTERS.get(name, name)}: {one.unit}" for name, one in picture.maps.items()),
         "u_rel_common": float(picture.first.u_rel_common),
+        "u_rel_pattern": float(picture.first.u_rel_pattern),
         "not_in_u": "; ".join(picture.first.not_in_u),
         "software": f"radiometer {radiometer.__version__}",
     }
@@ -176,7 +178,7 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
             if quantity == "value":
                 provenance = picture.first.provenance
                 facts["origin"] = {**provenance.parameters.get("origin", {}), "merged": moment(provenance.created)}
-                facts["not_in_u"] = picture.first.not_in_u
+                facts |= {"not_in_u": picture.first.not_in_u, "u_rel_pattern": picture.first.u_rel_pattern}
             tiff.write(
                 values if len(names) > 1 else values[..., 0],
                 photometric="rgb" if picture.is_colour else "minisblack",
@@ -230,6 +232,7 @@ def read_tiff(path: Path) -> MapPicture:
                 provenance=provenance,
                 not_in_u=stated.not_in_u,
                 u_shared=None if shared is None else shared[..., n],
+                u_rel_pattern=stated.u_rel_pattern,
             )
             for n, name in enumerate(names)
         }

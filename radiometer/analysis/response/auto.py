@@ -380,7 +380,7 @@ def _curve(samples: ResponseSamples, result: FittedResponse, u: Array) -> Respon
         supported_range(result.samples),
         method=METHOD,
         channel=samples.channel,
-        black_dn=samples.limits.black_dn,
+        black_dn=samples.limits.no_light_dn,
         parameters={
             "smoothing": result.fit.smoothing,
             "time_spread": result.fit.time_spread,
