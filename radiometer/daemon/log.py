@@ -211,7 +211,8 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
     for flag, marker in _MARKERS.items():
         flagged = [one for one in readings if one["flags"] and _bound(one) == flag]
         times: Any = [moment_of(one["time"]) for one in flagged]
-        axes.plot(times, [one["radiance"]["value"] for one in flagged], marker, markersize=4, color=colour)
+        if flagged:
+            axes.plot(times, [one["radiance"]["value"] for one in flagged], marker, markersize=4, color=colour)
 
 
 def _with_gaps(readings: Sequence[Mapping[str, Any]]) -> list[tuple[Any, float, float]]:
