@@ -385,10 +385,16 @@ def _result(
 
 
 def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> FoundEffect:
-    """Return a found effect with its probability, and its parameters averaged over the models that hold it."""
+    """Return a found effect with its probability, and its parameters averaged over the models that hold it.
+
+    A test alone may show what has no name: without a model of it there is no probability.
+    """
+    provisional = verdict is Verdict.INCOMPLETE and effect.name != UNNAMED
+    if not any(effect.name in model.names for model in weighed.models):
+        return replace(effect, provisional=provisional)
     return replace(
         effect,
-        provisional=verdict is Verdict.INCOMPLETE and effect.name != UNNAMED,
+        provisional=provisional,
         probability=weighed.probability(effect.name),
         probability_of_any=weighed.probability(effect.name, *effect.alternatives),
         averaged=weighed.averaged(effect.name),

@@ -15,7 +15,7 @@ from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 _OUTLYING: Final = 6.0  # sigmas of a time mean
-_TILES: Final = (np.arange(4) + 0.5) / 4  # places among those of a capture, by noise, that stand for all
+_TILES: Final = (np.arange(4) + 0.5) / 4  # places of representative tiles among those of a capture, by noise
 # Sigmas by which a count is off one half, for each of these tiles
 _FROM_HALF: Final = np.tile(ndtri(0.5 + 0.5 * (np.arange(8) + 0.5) / 8), _TILES.size)
 
@@ -95,7 +95,7 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
 
 
 def _of_frame(values: Any) -> Any:
-    """Return the values of the tiles that stand for all, each for all counts, (…, captures, 1, 1, counts)."""
+    """Return the values of representative tiles, each for all counts, (…, captures, 1, 1, counts)."""
     ordered = np.sort(np.reshape(values, (*np.shape(values)[:-2], -1)), axis=-1)
     chosen = ordered[..., (_TILES * ordered.shape[-1]).astype(np.intp)]
     return np.repeat(chosen, _FROM_HALF.size // _TILES.size, axis=-1)[..., None, None, :]

@@ -762,7 +762,7 @@ def _even_part(tile: Tile, pictures: Array, cell_px: int) -> Tile:
 def _u2_of_mean(parts: Array) -> Array:
     """Return the relative variance of the mean of parts of pictures, (patterns, parts, rows, columns), about a surface.
 
-    Infinite where a part shows no light, or is too small to tell.
+    Infinite where a part shows no light, or is too small.
     """
     patterns, count, height, width = parts.shape
     pixels = height * width

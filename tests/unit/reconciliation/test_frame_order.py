@@ -89,7 +89,8 @@ def test_every_fifth_frame_dim_does_not_agree(make_capture: Callable[..., Any]) 
     result = reconcile(header, captured.frames, with_limits=False)
     assert str(result.verdict) == "unnamed_effect"
     (rest,) = result.effects
-    assert (rest.where, rest.block) == ("frame", "common")
+    assert (rest.where, rest.block, rest.probability) == ("frame", "common", None)
+    assert rest.gain_nats > 7.0
     assert rest.parameters["period_frames"].value == 5.0
     assert rest.parameters["depth_rel"].value == pytest.approx(0.06, abs=0.005)
 
