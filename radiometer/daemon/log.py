@@ -211,13 +211,10 @@ def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]], limits: 
             else:  # such an artist widens nothing
                 axes.add_artist(Line2D(date2num(times), [bound, bound], **dashed))  # type: ignore[no-untyped-call]
     for flag, marker in _MARKERS.items():
-        flagged: Any = [
-            (moment_of(one["time"]), one["radiance"]["value"])
-            for one in readings
-            if one["flags"] and _bound(one) == flag
-        ]
+        flagged = [one for one in readings if one["flags"] and _bound(one) == flag]
+        when: Any = [moment_of(one["time"]) for one in flagged]
         if flagged:
-            axes.plot(*zip(*flagged, strict=True), marker, markersize=4, color=colour)
+            axes.plot(when, [one["radiance"]["value"] for one in flagged], marker, markersize=4, color=colour)
 
 
 def _with_gaps(readings: Sequence[Mapping[str, Any]]) -> list[tuple[Any, float, float]]:

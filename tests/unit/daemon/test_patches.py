@@ -579,7 +579,7 @@ def test_each_unit_has_a_panel_in_the_picture(tmp_path, make_reading):
     """A calibration that came later moves the readings to an axis of their own; a patch keeps its colour."""
     with Journal(tmp_path / "j.sqlite") as written:
         raw = [replace(one, radiance=Quantity(9e4, 50.0, "relative")) for one in from_now(make_reading, 0, 1)]
-        written.append([*raw, *from_now(make_reading, 2, 3, flags=(Flag.SATURATED,))])
+        written.append([*raw, *from_now(make_reading, 2, 3, flags=(Flag.NONUNIFORM,))])
     upper, lower = rm.log(tmp_path / "j.sqlite").plot().figure.axes
     assert upper.get_ylim()[0] > 8e4 > 1 > lower.get_ylim()[1]
     assert [axes.get_ylabel().split("\n")[0] for axes in (upper, lower)] == [
