@@ -121,8 +121,8 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     "mosaic": _of_device("mosaic")
     | {
         State.READING_SILENT: _refused(
-            "the calibration is of one colour of a mosaic {there}, the frames state no mosaic: all colours would be read "
-            "as one; add `mosaic: {there}` to the capture set's camera, or calibrate with frames that state none"
+            "the calibration is of one colour of a mosaic {there}, the frames state no mosaic and would be read as one "
+            "colour; add `mosaic: {there}` to the camera of the capture set"
         ),
         State.CALIBRATION_SILENT: _refused(
             "the frames are of a mosaic {here}, the calibration states none, so it is of all colours as one; calibrate "
