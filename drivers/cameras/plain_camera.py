@@ -202,7 +202,10 @@ class PlainCamera(NamedCamera):
             "serial": who.serial or None,
         }
         if settings is not None:
+            limits = self._link.capabilities
             known |= {"bit_depth": bits_of(settings.pixel_format), "black_level_dn": settings.black_level_dn}
+            # Such cameras do not say how they bin, but pictures of another size have other pixels.
+            known |= {"mode": base.mode or f"{limits.width} × {limits.height} pixels"}
         return base.model_copy(update=known)
 
     @property

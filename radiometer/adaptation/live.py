@@ -11,6 +11,7 @@ import numpy as np
 from radiometer.adaptation.adaptation_fit import best_branches
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.adaptation.reliability import BLIND_SPOT, BRIGHT
+from radiometer.adaptation.run_facts import method_bias
 from radiometer.adaptation.threshold_series import FEWEST, ThresholdSeries
 from radiometer.data.event_journal import Event
 from radiometer.errors import MeasurementError
@@ -100,6 +101,12 @@ class LiveState:
         return len(self.hasty) + sum(pressed for _, pressed in self.catches.values())
 
     @property
+    def bias_log10(self) -> float:
+        """Return the bias of the protocol's method in log10 units; 0 where it has none."""
+        bias = method_bias(self.protocol.method)
+        return 0.0 if bias is None else bias.log10
+
+    @property
     def points(self) -> list[tuple[float, float]]:
         """Return the thresholds found: minutes and log10."""
         return [(minutes, value) for minutes, value in self.thresholds.values() if value is not None]
@@ -146,8 +153,13 @@ class RunningFit:
         return {"count": self.count, "text": self.text, "curve": [[round(t, 3), round(v, 3)] for t, v in self.curve]}
 
 
-def running_fit(points: Iterable[tuple[float, float]]) -> RunningFit:
-    """Return the fit of thresholds so far, or why there is none yet."""
+def running_fit(points: Iterable[tuple[float, float]], bias_log10: float = 0.0) -> RunningFit:
+    """Return the fit of thresholds so far, or why there is none yet.
+
+    Args:
+        points: Minutes and log10 thresholds as they were found.
+        bias_log10: Bias of the method, which the plateau that is stated is without, as that of `adapt fit`.
+    """
     known = sorted(points)
     if len(known) < FEWEST:
         return RunningFit(len(known), f"a fit needs {FEWEST} thresholds")
@@ -158,7 +170,7 @@ def running_fit(points: Iterable[tuple[float, float]]) -> RunningFit:
         return RunningFit(len(known), f"no fit yet: {error}")
     times = np.linspace(table[0, 0], table[-1, 0], _CURVE_POINTS)
     curve = tuple((float(t), float(v)) for t, v in zip(times, fit.threshold(times), strict=True))
-    return RunningFit(len(known), _words(fit.values), curve)
+    return RunningFit(len(known), _words(fit.values | {"plateau": fit.values["plateau"] - bias_log10}), curve)
 
 
 def _words(values: dict[str, float]) -> str:

@@ -178,7 +178,7 @@ class LivePage(Opened):
                 while not over:
                     newer = self._points.get_nowait()
                     over, points = newer is _OVER, points if newer is _OVER else newer
-            found = running_fit(points)
+            found = running_fit(points, self._state.bias_log10)
             self._server.soon(lambda found=found: self._fitted(found))  # type: ignore[misc]
             if over:
                 return

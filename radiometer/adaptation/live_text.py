@@ -49,7 +49,7 @@ class LiveText:
         """Return what is to be seen now; the fit is brought up to date here."""
         points = self._state.points
         if len(points) != self._fit.count:
-            self._fit = running_fit(points)
+            self._fit = running_fit(points, self._state.bias_log10)
         waited_s = 0.0 if self._state.phase == "over" else self._clock() - self._newest_s
         return live_lines(self._state, self._fit, columns, waited_s)
 

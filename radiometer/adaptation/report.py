@@ -168,13 +168,15 @@ def _residuals(axes: Axes, fit: AdaptationFit) -> None:
     axes.axhline(0.0, color=RULE, lw=1.0)
     axes.axhspan(-fit.chosen.sigma, fit.chosen.sigma, color=DIMMED, alpha=0.2, lw=0)
     axes.plot(series.time_min, series.log_threshold - fit.chosen.threshold(series.time_min), "o", ms=3.2, color=SEEN)
-    dress(axes, "minutes in the dark", "residual")
+    dress(axes, "minutes in the dark", "residual (log₁₀)")
 
 
 def label_of(name: str, fit: AdaptationFit) -> str:
     """Return the label of an estimate; a single branch may be the rods', so it is not called the cones'."""
     label = LABELS.get(name, name)
-    return label if fit.has_break else label.removeprefix("Cone ").capitalize()
+    if fit.has_break or not label.startswith("Cone "):
+        return label
+    return label.removeprefix("Cone ").capitalize()
 
 
 def to_mapping(fit: AdaptationFit) -> dict[str, Any]:

@@ -52,10 +52,14 @@ class Compared:
     name: str  # its name
     unit: str  # its unit
     visits: NDArray[np.float64]  # first and second value of the pairs in which both visits have it, shape (pairs, 2)
-    # Standard uncertainty of a difference as the fits alone have it (root mean square); NaN where unknown
-    u_fits: float
+    u: NDArray[np.float64]  # standard uncertainties of these by their fits; NaN where unknown
     missing: tuple[int, ...]  # numbers, from 1, of the pairs in which a visit has it not
     agreement: Agreement | None  # limits of agreement; None for fewer than three pairs
+
+    @property
+    def u_fits(self) -> float:
+        """Return the standard uncertainty of a difference as the fits alone have it, root mean square of the pairs."""
+        return math.sqrt(float(np.mean(np.sum(self.u**2, axis=1))))
 
     def to_mapping(self) -> dict[str, Any]:
         """Return what is written to the JSON."""
@@ -63,6 +67,7 @@ class Compared:
             "unit": self.unit,
             "pairs": len(self.visits),
             "visits": [[float(value) for value in pair] for pair in self.visits],
+            "u_of_the_visits": [[float(u) if math.isfinite(u) else None for u in pair] for pair in self.u],
             "u_difference_of_the_fits": self.u_fits if math.isfinite(self.u_fits) else None,
             "pairs_without_it": list(self.missing),
             "agreement": None if self.agreement is None else self.agreement.to_mapping(),
@@ -114,11 +119,11 @@ def compare_visits(fits: Sequence[tuple[AdaptationFit, AdaptationFit]]) -> list[
         if not both:
             continue
         visits = np.array([[a.value, b.value] for a, b in both])
-        u_fits = math.sqrt(float(np.mean([a.u**2 + b.u**2 for a, b in both])))
+        u = np.array([[a.u, b.u] for a, b in both])
         missing = tuple(number for number, known in enumerate(has, 1) if not known)
         enough = len(both) >= FEWEST_PAIRS
         agreement = limits_of_agreement(visits[:, 1] - visits[:, 0]) if enough else None
-        found.append(Compared(name, both[0][0].unit, visits, u_fits, missing, agreement))
+        found.append(Compared(name, both[0][0].unit, visits, u, missing, agreement))
     return found
 
 

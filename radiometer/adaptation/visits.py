@@ -204,7 +204,7 @@ def visits_html(visits: Sequence[tuple[AdaptationFit, str]]) -> str:
             if differ
             else "",
             section("What each visit found", table(head, rows), paragraph(HALF_INTERVAL, "small")),
-            section("How each was made", table(("visit", "protocol", "age", "pupil in mm", "program"), facts,
+            section("How each was made", table(("visit", "protocol", "age in years", "pupil in mm", "program"), facts,
                                                words=(1, 4))),
         ],
         kind="Dark adaptation",

@@ -41,7 +41,7 @@ class RegionFigures:
     median: Quantity  # median of them
     lowest: Quantity  # least mean over a box
     highest: Quantity  # greatest mean over a box
-    deviation: Quantity  # standard deviation over the pixels, their noise taken off
+    deviation: Quantity  # standard deviation over the pixels, their noise taken off; the camera's pattern is in u
     uniformity: Quantity  # lowest over highest
     good_share: float  # share of pixels with a value
     u_rel_shared: float = 0.0  # relative uncertainty of the mean that its pixels share beyond what all pixels share
@@ -84,7 +84,8 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     low, high = (float(boxes[at]) for at in ends)
     u_low, u_high = (math.hypot(noise[at], _extreme_u(noise[at], values.size)) for at in ends)
     variance = float(values[good].var(ddof=1)) if count > 1 else math.nan  # of one pixel it is not known
-    spread = spread_beyond_noise(variance, float(np.mean(own[good] ** 2)), count)
+    pattern = float(np.mean((found.u_rel_pattern * values[good]) ** 2))
+    spread = spread_beyond_noise(variance, float(np.mean(own[good] ** 2)) - pattern, count, pattern)
     uniformity = low / high if high > 0 else math.nan
     u_uniformity = u_low / max(high, 1e-30)
     if low > 0:
@@ -109,12 +110,20 @@ def u_of_ratio(one: float, other: float, u_rel_one: float, u_rel_other: float) -
     return math.sqrt(max(u_rel_one**2 + u_rel_other**2 - 2.0 * alike * u_rel_one * u_rel_other, 0.0))
 
 
-def spread_beyond_noise(variance: float, noise_variance: float, count: float) -> Quantity:
-    """Return the standard deviation of n values without that of their normal noise: Var(s²) is 4S²σ²/n + 2σ⁴/n."""
-    square = max(variance - noise_variance, 0.0)
-    u_square = math.sqrt((4.0 * square + 2.0 * noise_variance) * noise_variance / count)
-    u = min(math.sqrt(u_square), u_square / (2.0 * math.sqrt(square)) if square > 0.0 else math.inf)
-    return Quantity(math.sqrt(square), u, "1")
+def spread_beyond_noise(variance: float, noise_variance: float, count: float, may_vary: float = 0.0) -> Quantity:
+    """Return the standard deviation of n values without that of their normal noise: Var(s²) is 4S²σ²/n + 2σ⁴/n.
+
+    Args:
+        variance: Of the values.
+        noise_variance: Of their noise, which is taken off.
+        count: n.
+        may_vary: Variance that may be in the values besides, anywhere from 0 to this: k = 2 covers all of it.
+    """
+    noise, square = max(noise_variance, 0.0) + may_vary, max(variance - noise_variance, 0.0)
+    u_square = math.sqrt((4.0 * square + 2.0 * noise) * noise / count)
+    value, least = math.sqrt(square), math.sqrt(max(square - may_vary - 2.0 * u_square, 0.0))
+    u = min(math.sqrt(u_square), u_square / (2.0 * value) if square > 0.0 else math.inf)
+    return Quantity(value, max(u, (value - least) / 2.0), "1")
 
 
 def image_circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Array, float]:

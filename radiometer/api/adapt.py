@@ -45,7 +45,7 @@ from radiometer.data.json_text import json_text
 from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import MeasurementError, OutputRefused, UsageError
-from radiometer.numbers import rounded, unit_text
+from radiometer.numbers import rounded, unit_text, with_u
 from radiometer.plausible import (
     Age,
     AnyCount,
@@ -384,9 +384,12 @@ class Retest(Result):
     def lines(self) -> Iterator[tuple[str, list[str]]]:
         """Yield for each quantity its heading and its lines."""
         for one in self.comparisons:
-            text = [f"{a:9.3f} then {b:9.3f}   difference {b - a:+.3f}" for a, b in one.visits]
+            text = [
+                f"{with_u(a, 2 * u_a)} then {with_u(b, 2 * u_b)} (k = 2)   difference {b - a:+.3f}"
+                for (a, b), (u_a, u_b) in zip(one.visits, one.u, strict=True)
+            ]
             text += [f"not in both visits of pair {', '.join(map(str, one.missing))}"] if one.missing else []
-            text.append(f"standard uncertainty of a difference by the fits alone: {one.u_fits:.3f}")
+            text.append(f"standard uncertainty of a difference by the fits alone: {one.u_fits:.2g}")
             limits = one.agreement
             if limits is None:
                 text.append(f"limits of agreement need {FEWEST_PAIRS} pairs")
@@ -420,7 +423,7 @@ def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[
     if len(visits) % 2:
         raise UsageError(f"{len(visits)} tables: give two for each subject, first and second visit")
     known = StatementMap.of(mapped)
-    curves = [_fitted(Path(one), known) for one in visits]
+    curves = [_fitted(Path(one), known, 0, 0.0) for one in visits]  # a scale that both share cancels
     for first, second in zip(curves[::2], curves[1::2], strict=True):
         for name in ("subject", "eye", "protocol"):
             then, now = (one.series.facts.get(name) for one in (first, second))
@@ -433,11 +436,9 @@ def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[
     return Retest(tuple(compare_visits(list(zip(fits[::2], fits[1::2], strict=True)))))
 
 
-def _fitted(file: Path, mapped: StatementMap, bootstrap: int = 0) -> AdaptationCurve:
-    series = ThresholdSeries.read(file, mapped)
-    request = FitRequest(bootstrap_draws=bootstrap, intercept=intercept_of(series.facts))
+def _fitted(file: Path, mapped: StatementMap, bootstrap: int, stimulus_u_log10: float | None) -> AdaptationCurve:
     try:
-        return AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, file.stem)
+        return adapt_fit(file, stimulus_u_log10=stimulus_u_log10, bootstrap=bootstrap, seed=1, mapped=mapped)
     except MeasurementError as error:
         raise MeasurementError(f"{file}: {error}") from error
 
@@ -574,7 +575,7 @@ def adapt_visits(
     if len(visits) < 2:
         raise UsageError(f"{len(visits)} visit: name two at least")
     known = StatementMap.of(mapped)
-    found = Visits(tuple(_fitted(Path(one), known, _VISIT_DRAWS) for one in visits))
+    found = Visits(tuple(_fitted(Path(one), known, _VISIT_DRAWS, None) for one in visits))
     if report is not None:
         found.write_report(report)
     return found

@@ -11,7 +11,7 @@ from radiometer.acquire.bracketing import DEFAULT_TIME_LIMIT_S, BracketRequest, 
 from radiometer.api.files import PathLike, Stack
 from radiometer.argument_types import with_checked_methods
 from radiometer.bench.assembly import open_instrument
-from radiometer.bench.instrument import Instrument
+from radiometer.bench.instrument import Instrument, refuse_outside
 from radiometer.data import Bracket, Calibration, Patch, Reading
 from radiometer.data.pile_up import with_white_levels
 from radiometer.plausible import AnyCount, FNumber, NotNegative, RelativeUncertainty
@@ -87,9 +87,12 @@ class Meter:
 
         Raises:
             DeviceError: If the camera fails, or darks are requested and it has no shutter.
+            UsageError: If the patch leaves the frame.
         """
         camera = self.instrument.camera
         request = BracketRequest(as_patch(patch), None, time_limit_s, darks)
+        if request.region is not None:
+            refuse_outside(request.region, camera)
         with self._one_call:
             frames = with_white_levels(list(take_plan(camera, plan_for_scene(camera, request), request)))
         origin = camera.identity.device_id

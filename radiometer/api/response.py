@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.exports.curves import CURVE_SUFFIXES, draw_responses, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
+from radiometer.analysis.response.limits import black_of_darks
 from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, compare_methods, method_names
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Drawn, Progress
@@ -253,8 +254,12 @@ def _read(
     placed = taken.placed(align if by_hand else "off", progress or unseen)  # a camera on a bench stands still
     if placed.absent:
         note(f"{taken.folder}: {placed.alignment}")
-    if unused := sum(len(one.dark) for one in placed.brackets.values()):
-        note(f"{taken.folder}: {unused} dark frames are not used; the lowest value of the light frames is black")
+    for one in placed.brackets.values():
+        level = black_of_darks(one)
+        if level is not None:
+            note(f"{taken.folder}: the black level is that of {len(one.dark)} dark frames, {level:.1f} DN")
+        elif one.dark:
+            note(f"{taken.folder}: {len(one.dark)} dark frames are not used; the frames state their black level")
     return [(_channel(bracket), bracket) for bracket in placed.common.values()]
 
 

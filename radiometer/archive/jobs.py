@@ -87,7 +87,10 @@ def write_map(merged: RadianceMap, path: Path) -> None:
                 continue
             group.create_array(name, shape=values.shape, dtype=values.dtype)[:] = values
         group.attrs.update(
-            unit=merged.unit, u_rel_common=merged.u_rel_common, provenance=merged.provenance.to_mapping()
+            unit=merged.unit,
+            u_rel_common=merged.u_rel_common,
+            u_rel_pattern=merged.u_rel_pattern,
+            provenance=merged.provenance.to_mapping(),
         )
         shutil.rmtree(path, ignore_errors=True)
         unfinished.rename(path)

@@ -206,19 +206,21 @@ class Instrument:
 
 def refuse_outside(patch: Patch, camera: Camera) -> None:
     """Raise UsageError for a patch that leaves the camera's frame."""
-    limits = camera.capabilities
-    roi = camera.settings.roi
-    width, height = (roi.width, roi.height) if roi else (limits.width, limits.height)
-    binning = camera.settings.binning
-    if not patch.fits((height // binning, width // binning)):
+    height, width = _frame_shape(camera)
+    if not patch.fits((height, width)):
         raise UsageError(
-            f"patch {patch.x},{patch.y},{patch.width},{patch.height} leaves the frame of "
-            f"{width // binning} × {height // binning} pixels"
+            f"patch {patch.x},{patch.y},{patch.width},{patch.height} leaves the frame of {width} × {height} pixels"
         )
 
 
 def central_patch(camera: Camera) -> Patch:
     """Return a patch in the middle of the frame, a tenth of it in each direction."""
-    limits = camera.capabilities
-    width, height = max(1, limits.width // 10), max(1, limits.height // 10)
-    return Patch((limits.width - width) // 2, (limits.height - height) // 2, width, height)
+    height, width = _frame_shape(camera)
+    across, down = max(1, width // 10), max(1, height // 10)
+    return Patch((width - across) // 2, (height - down) // 2, across, down)
+
+
+def _frame_shape(camera: Camera) -> tuple[int, int]:
+    """Return height and width of a camera's frames as it is set; its region is in pixels after binning."""
+    limits, roi, binning = camera.capabilities, camera.settings.roi, camera.settings.binning
+    return (roi.height, roi.width) if roi else (limits.height // binning, limits.width // binning)

@@ -12,18 +12,26 @@ from radiometer.errors import DeviceError, MissingLibrary
 PAUSE_S: Final = 0.5  # between two tries: what an opening of a camera that is there takes at most
 
 
-def refuse_another(found: CameraIdentity, known: CameraIdentity) -> None:
-    """Refuse a camera that answers in place of the one that was lost: its readings would pass for that one's.
+def refuse_another(found: str, known: str) -> None:
+    """Refuse a device that answers in place of the one that was lost: all it does would pass for that one's.
+
+    Args:
+        found: What it is and its serial number, in words.
+        known: The same of the one that was open before.
 
     Raises:
-        DeviceError: If vendor, model or serial number differ.
+        DeviceError: If they differ.
     """
-    who, before = (f"{one.vendor} {one.model} {one.serial}" for one in (found, known))
-    if who != before:
+    if found != known:
         raise DeviceError(
-            f"another camera answers, {who}, in place of {before}; connect that one again, or start the program again"
-            " to measure with the other"
+            f"another device answers, {found}, in place of {known}; connect that one again, or start the program again"
+            " to use the other"
         )
+
+
+def name_of_camera(camera: CameraIdentity) -> str:
+    """Return how a camera is named where it could be mistaken for another one."""
+    return f"camera {camera.vendor} {camera.model} {camera.serial}"
 
 
 def reopen(
@@ -39,13 +47,13 @@ def reopen(
     Raises:
         MissingLibrary: If it can never be opened here.
     """
-    known = camera.identity
+    known = name_of_camera(camera.identity)
     camera.close()
     reason = ""
     while True:
         try:
             camera.open()
-            refuse_another(camera.identity, known)
+            refuse_another(name_of_camera(camera.identity), known)
             camera.configure(settings)
         except MissingLibrary:
             raise

@@ -20,7 +20,7 @@ from radiometer.bench.boxes import open_light_box
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
-from radiometer.bench.reopening import refuse_another
+from radiometer.bench.reopening import name_of_camera, refuse_another
 from radiometer.daemon.instrument import DeviceReport, Measurement, MeasurementSettings
 from radiometer.data import Bracket, Calibration, CameraDescription, Flag, Frame, LensDescription, Patch, ResponseCurve
 from radiometer.data.setup import Setup
@@ -205,7 +205,7 @@ class BenchInstrument:
         self.close()
         camera = self._camera = WatchedCamera(open_camera(self._config, self._where, self._name))
         if self._identity != _UNKNOWN:
-            refuse_another(camera.identity, self._identity)
+            refuse_another(name_of_camera(camera.identity), name_of_camera(self._identity))
         self._identity, self._limits = camera.identity, camera.capabilities
 
     def close(self) -> None:
@@ -328,6 +328,7 @@ class BenchLight:
         self._open_box, self._name = open_box, name
         self._box: LightBox | None = None
         self._held = ExitStack()
+        self._serial = ""
         self._channels: tuple[str, ...] = ()
         self._limits: dict[str, float] = {}
 
@@ -357,10 +358,13 @@ class BenchLight:
         return None
 
     def open(self) -> None:
-        """Open the box, all channels dark. Raises DeviceError."""
+        """Open the box, all channels dark, and refuse another one than was open before. Raises DeviceError."""
         self.close()
         with ExitStack() as opening:
             box = opening.enter_context(self._open_box())
+            serial = self._serial or box.identity.serial
+            refuse_another(f"light box {box.identity.serial}", f"light box {serial}")
+            self._serial = serial
             self._channels = tuple(box.channels)
             self._held = opening.pop_all()
         self._box = box

@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
-from radiometer.daemon.timestamps import microseconds, now_us
+from radiometer.daemon.timestamps import iso_time, microseconds, now_us
 from radiometer.data import Reading
 from radiometer.data.guards import MOST_FILE_BYTES
 from radiometer.data.json_text import json_text, parsed_json
@@ -33,7 +33,13 @@ OWN_STREAM: Final = "own"
 _BUSY_TIMEOUT_S: Final = 2.0  # a reader's snapshot or a backup lasts that long; then an alarm
 _WAITING: Final = "-waiting-"  # after the journal's name: readings that could not be committed at the end
 _NEEDED: Final = {"time", "instrument", "patch", "radiance", "flags", "budget"}  # of a reading that waits
-_NO_STOP: Final = "the run before ended without a stop: killed, a power cut, or a journal that could not be written"
+_NO_STOP: Final = (
+    "the run before ended without a stop: killed, a power cut, or a journal that could not be written;"
+    " the last that it wrote is of "
+)
+_LAST_WRITTEN: Final = (
+    "SELECT max(at) FROM (SELECT max(time_us) AS at FROM readings UNION SELECT max(time_us) FROM events)"
+)
 _CHECKPOINT_CHANGES: Final = 500  # rows written between two checkpoints: some 4 MB of SQLite's log
 _LOG_PART: Final = 0.25  # of the size that the journal may have: SQLite's log next to the file
 _ROW_BYTES: Final = 32_768  # that a row takes in the log at most: a page of each table and index
@@ -53,7 +59,12 @@ _TREND_COLUMNS: Final = (
     "flagged INTEGER NOT NULL",
     "PRIMARY KEY (stream, minute, unit, place)",
 )
-PLACE_OF: Final = "json_extract({}, '$.instrument', '$.patch')"  # readings of other places share neither mean nor line
+BOUNDS: Final = {"saturated": "at least", "below_noise": "at most"}  # what a value with such a flag is
+_BOUND_OF: Final = " ".join(
+    f"WHEN json_extract({{0}}, '$.flags') LIKE '%\"{flag}\"%' THEN ' {bound}'" for flag, bound in BOUNDS.items()
+)
+# Readings of other places, and values and bounds, share neither mean nor line.
+PLACE_OF: Final = f"json_extract({{0}}, '$.instrument', '$.patch') || CASE {_BOUND_OF} ELSE '' END"
 _TREND: Final = f"CREATE TABLE trend ({', '.join(_TREND_COLUMNS)}) WITHOUT ROWID;"
 _STREAMS: Final = """
 CREATE INDEX readings_by_stream ON readings (stream, sequence);
@@ -343,7 +354,9 @@ class Journal:
             if kind in ("start", "stop"):
                 running = connection.execute("SELECT 1 FROM counters WHERE name = 'running' AND value").fetchone()
                 if kind == "start" and running:
-                    _insert_event(connection, "stop", _NO_STOP)
+                    (last_us,) = connection.execute(_LAST_WRITTEN).fetchone()
+                    shown = iso_time(last_us)[:19].replace("T", " ") if last_us else "an unknown time"
+                    _insert_event(connection, "stop", _NO_STOP + shown)
                 connection.execute("INSERT OR REPLACE INTO counters VALUES ('running', ?)", (int(kind == "start"),))
             _insert_event(connection, kind, message)
 
@@ -402,11 +415,12 @@ class Journal:
                 connection.execute("INSERT INTO counters VALUES (?, ?)", (name, wall_us - time_us))
 
     def drop_older(self, before_us: int) -> int:
-        """Delete readings and events older than a time, oldest first, and return how many readings went.
+        """Delete readings and alarms older than a time, oldest first, and return how many readings went.
 
         The age of a reading does not count by how much the clock was set after it. The newest reading always stays, and
-        so do all after the first that is young enough: a gap in the numbers would be damage. Events and minutes of the
-        trend have no number, so they stay where any reading of their time could be young enough.
+        so do all after the first that is young enough: a gap in the numbers would be damage. Alarms and minutes of the
+        trend have no number, so they stay where any reading of their time could be young enough. Other events stay, as
+        remarks of persons and starts.
 
         Works in small transactions so that writing is never held up for long.
 
@@ -425,7 +439,9 @@ class Journal:
                     " ORDER BY sequence LIMIT ?)",
                     (kept, _RETENTION_CHUNK),
                 ).rowcount
-                connection.execute("DELETE FROM events WHERE time_us < ?", (all_before_us,))
+                connection.execute(
+                    "DELETE FROM events WHERE time_us < ? AND kind IN ('alarm', 'cleared')", (all_before_us,)
+                )
                 connection.execute("DELETE FROM trend WHERE minute < ?", (all_before_us // MINUTE_US,))
                 if count < _RETENTION_CHUNK:
                     connection.executemany(

@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US, PLACE_OF, SCHEMA_VERSION, refuse_foreign_objects
+from radiometer.daemon.journal import (
+    APPLICATION_ID,
+    BOUNDS,
+    MINUTE_US,
+    PLACE_OF,
+    SCHEMA_VERSION,
+    refuse_foreign_objects,
+)
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data.json_text import parsed_json
 from radiometer.data.reader_limits import refuse_endless
@@ -91,7 +98,12 @@ class TrendPoint:
     count: int  # how many readings
     flagged: int  # how many of them have a flag
     unit: str  # unit of the radiances
-    place: str = ""  # camera and patch that they are of
+    place: str = ""  # camera and patch that they are of; "at least" or "at most" behind it where they are bounds
+
+    @property
+    def bound(self) -> str:
+        """Return "at least" where the readings are saturated, "at most" where below the noise; "" for values."""
+        return next((bound for bound in BOUNDS.values() if self.place.endswith(bound)), "")
 
 
 class JournalReader:
@@ -132,7 +144,8 @@ class JournalReader:
     def trend(self, stream: str, since_us: int, until_us: int, points: int = 1500) -> list[TrendPoint]:
         """Return the course of a stream, oldest first, as means over times that suit the number of points.
 
-        Readings of two places, where a patch was moved or another camera serves, share no mean.
+        Readings of two places, where a patch was moved or another camera serves, share no mean, nor do values and
+        bounds.
 
         Args:
             stream: The stream, "" for the patch measured for all.
@@ -160,15 +173,16 @@ class JournalReader:
         return [TrendPoint(row[0] * bucket_us + bucket_us // 2, *row[1:]) for row in rows]
 
     def events(
-        self, since_us: int | None = None, limit: int = 1000, until_us: int | None = None
+        self, since_us: int | None = None, limit: int = 1000, until_us: int | None = None, kind: str | None = None
     ) -> list[dict[str, Any]]:
-        """Return the newest events of a time, oldest first, each {time, kind, message}. Raises InputError."""
+        """Return the newest events of a time, and kind, oldest first, each {time, kind, message}. Raises InputError."""
         with self._connect() as connection:
             rows = connection.execute(
-                "SELECT time_us, kind, message FROM events WHERE time_us >= ? AND time_us < ? ORDER BY id DESC LIMIT ?",
-                (since_us or 0, until_us or 2**62, limit),
+                "SELECT time_us, kind, message FROM events WHERE time_us >= ? AND time_us < ?"
+                " AND kind = coalesce(?, kind) ORDER BY id DESC LIMIT ?",
+                (since_us or 0, until_us or 2**62, kind, limit),
             ).fetchall()
-        return [{"time": iso_time(at), "kind": kind, "message": message} for at, kind, message in reversed(rows)]
+        return [{"time": iso_time(at), "kind": what, "message": message} for at, what, message in reversed(rows)]
 
     def budget(self, sequence: int) -> dict[str, float]:
         """Return the relative standard uncertainty per contribution of one reading. Raises InputError."""
@@ -178,12 +192,6 @@ class JournalReader:
         if row is None:
             raise InputError(f"{self._path} holds no reading {sequence}")
         return {str(name): float(u_rel) for name, u_rel in parsed_json(row[0]).items()}
-
-    def patches(self) -> dict[str, str]:
-        """Return what the journal keeps of patches, a line of JSON each by name. Raises InputError."""
-        with self._connect() as connection:
-            (version,) = connection.execute("PRAGMA user_version").fetchone()
-            return dict(connection.execute("SELECT name, json FROM patches").fetchall()) if version >= 2 else {}
 
     def known(self, after: int) -> int:
         """Return the number after which a client asks, 0 where it is above the newest: one of another journal.

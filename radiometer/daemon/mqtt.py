@@ -229,9 +229,10 @@ class MqttPublisher:
         self._in_loop(lambda: self._waiting.pop(mid, None))
 
     def _found(self, client: Any, userdata: Any, message: Any) -> None:
-        """Called in paho's thread: a reading that an earlier daemon left behind is cleared if its patch is gone.
+        """Called in paho's thread: a reading that the broker holds is cleared if its patch is gone.
 
-        The last will of an earlier daemon may come late: its connection ended by a power cut, say.
+        An earlier daemon left it behind, or it came late. The last will of an earlier daemon may come late, too: its
+        connection ended by a power cut, say.
         """
         if message.topic == f"{self.topic}/{_DAEMON}":
             if message.payload != self._own_name.encode():
@@ -239,7 +240,7 @@ class MqttPublisher:
         elif message.topic == f"{self.topic}/state":
             if message.payload == b"offline":
                 self._in_loop(self._online)
-        elif message.retain and message.payload:
+        elif message.payload:
             self._in_loop(lambda: self._left_behind(message.topic.removeprefix(f"{self.topic}/")))
 
     def _online(self) -> None:

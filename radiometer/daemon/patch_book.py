@@ -81,6 +81,8 @@ class PatchBook:
     def set_limits(self, name: str, limits: PatchLimits) -> None:
         """Alarm where a patch leaves its limits. Raises UsageError if there is no such patch."""
         watch = self._watch(name)
+        if limits.any and not limits.unit and watch.latest:
+            limits = replace(limits, unit=watch.latest.radiance.unit)
         watch.limit(limits)
         if watch.every_s is None or not limits.any:
             watch.every_s = self._acquisition.every_s if limits.any else None
@@ -88,8 +90,7 @@ class PatchBook:
         self._metrics.limit_alarm.labels(name).set(0)
         self._keep(name)
         self._alarms.clear(limit_alarm(name), "the limits were set anew")
-        shown = " to ".join("none" if value is None else f"{value:g}" for value in (limits.low, limits.high))
-        self._writer.note("patch", f"limits of {name}: {shown}")
+        self._writer.note("patch", limits.note(name))
         self._changed()
 
     @property
@@ -120,6 +121,7 @@ class PatchBook:
         if watch.limits.any and not watch.limits.unit:
             watch.limits = replace(watch.limits, unit=reading.radiance.unit)
             self._keep(name)
+            self._writer.note("patch", watch.limits.note(name))
         if not watch.take(reading):
             return
         self._metrics.limit_alarm.labels(name).set(bool(watch.breached))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -18,6 +19,7 @@ _LONGEST_NAME: Final = 32  # fits a column of the page and a level of a topic
 UNSEEN: Final = "unseen"  # in place of the limit that is broken: a bound does not show whether it is
 _CONFIRMATIONS: Final = 2  # so many readings in a row must say the same: one outlier is no alarm, and no all-clear
 DEFAULT_HYSTERESIS_REL: Final = 0.01  # a few times the noise of a reading
+_NOTE: Final = re.compile(r"limits of (.+): (\S+) to (\S+)(?: in (.+))?")  # as `PatchLimits.note` writes it
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,27 @@ class PatchLimits:
     def any(self) -> bool:
         """Return whether there is a limit at all."""
         return (self.low, self.high) != (None, None)
+
+    @property
+    def bounds(self) -> str:
+        """Return both limits in words."""
+        return " to ".join("none" if value is None else f"{value:g}" for value in (self.low, self.high))
+
+    def note(self, name: str) -> str:
+        """Return the line among the events of a journal which says that a patch has these limits from now on."""
+        return f"limits of {name}: {self.bounds}{f' in {unit_text(self.unit)}' if self.unit and self.any else ''}"
+
+    @classmethod
+    def from_note(cls, message: str) -> tuple[str, PatchLimits] | None:
+        """Return the patch's name and the limits that an event states, None where it states none."""
+        if not (found := _NOTE.fullmatch(message)):
+            return None
+        name, low, high, unit = found.groups()
+        try:
+            lowest, highest = (None if text == "none" else float(text) for text in (low, high))
+            return name, cls(lowest, highest, unit=unit or "")
+        except (ValueError, UsageError):  # of no daemon's writing
+            return None
 
     def to_mapping(self) -> dict[str, float | str | None]:
         """Return {low, high, hysteresis_rel, unit}."""

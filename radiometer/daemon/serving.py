@@ -133,7 +133,7 @@ def serve(
         every_s: Time from one reading's start to the next's in s.
         on_demand: Measure only when a client asks.
         journal: Journal file; in the user's state folder by default.
-        keep_days: Delete readings older than this; none by default.
+        keep_days: Delete readings and alarms older than this; none by default.
         journal_max_mb: Let the journal grow no larger; measuring pauses at the limit.
         scpi_address: Address for SCPI.
         scpi_port: Port for SCPI; 0 chooses one.

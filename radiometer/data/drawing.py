@@ -38,6 +38,23 @@ def own_axes() -> Axes:
     return Figure(figsize=_SIZE_IN, layout="constrained").subplots()
 
 
+def divided(axes: Axes, count: int) -> list[Axes]:
+    """Return so many axes, one below the other with one x axis, in the place of one. Raises UsageError."""
+    spec = axes.get_subplotspec()
+    if count == 1:
+        return [axes]
+    if spec is None:
+        raise UsageError(f"axes that are no subplot cannot be divided into {count} panels; leave axes out")
+    figure: Any = axes.figure
+    places = spec.subgridspec(count, 1)
+    axes.set_subplotspec(places[0])
+    panels = [axes, *(figure.add_subplot(places[n], sharex=axes) for n in range(1, count))]
+    for one in panels[:-1]:
+        one.tick_params(labelbottom=False)
+        one.xaxis.get_offset_text().set_visible(False)
+    return panels
+
+
 def check_plot_name(path: Path) -> None:
     """Refuse a name whose ending is no form of a picture. Raises UsageError."""
     if path.suffix.lower() not in PLOT_SUFFIXES:

@@ -42,6 +42,9 @@ class RadianceMap:
     # Part of `u_radiance` that pixels of one level and place share, so that no mean makes it smaller (response curve,
     # dark level, fall-off, exposure), float32; None where there is none
     u_shared: NDArray[np.float32] | None = None
+    # Part of `u_radiance`, relative to the value, for pixels that may differ in responsivity: each by an error of its
+    # own, which a picture does or does not show. No scatter is known to hold it
+    u_rel_pattern: float = 0.0
 
     def scaled(self, factor: float, unit: str) -> RadianceMap:
         """Return the map with all values and uncertainties times a factor, in another unit."""

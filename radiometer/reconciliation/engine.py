@@ -29,7 +29,13 @@ from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
-from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, reduce_frames
+from radiometer.reconciliation.measure.reduce import (
+    FrameReader,
+    PatternImages,
+    Progress,
+    reduce_frames,
+    with_even_tiles,
+)
 from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior
 from radiometer.reconciliation.propose.search import held_to_laws
@@ -126,7 +132,7 @@ def evidence_for(
     Raises:
         CaptureError: If a scene is shown by one frame alone, which cannot be compared with any other.
     """
-    design, light, shown = _read_by(Design.of(header, shape), read, progress)
+    design, light, shown = _read_by(with_even_tiles(Design.of(header, shape), read), read, progress)
     at, black_dn = jumps(design, light.of_tiles), black_by_noise(design, shown[0])
     apart = _by_scene(header, light)
     if not at and black_dn is None and apart is None:
@@ -135,7 +141,7 @@ def evidence_for(
     if black_dn is not None:
         camera = header.camera.model_copy(update={"black_level_dn": black_dn})
         header = header.model_copy(update={"camera": camera})
-    return _read_by(Design.of(header, shape, at), read, progress)
+    return _read_by(with_even_tiles(Design.of(header, shape, at), read), read, progress)
 
 
 def _by_scene(header: CaptureHeader, light: FrameLight) -> CaptureHeader | None:
@@ -379,10 +385,16 @@ def _result(
 
 
 def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> FoundEffect:
-    """Return a found effect with its probability, and its parameters averaged over the models that hold it."""
+    """Return a found effect with its probability, and its parameters averaged over the models that hold it.
+
+    A test alone may show what has no name: without a model of it there is no probability.
+    """
+    provisional = verdict is Verdict.INCOMPLETE and effect.name != UNNAMED
+    if not any(effect.name in model.names for model in weighed.models):
+        return replace(effect, provisional=provisional)
     return replace(
         effect,
-        provisional=verdict is Verdict.INCOMPLETE and effect.name != UNNAMED,
+        provisional=provisional,
         probability=weighed.probability(effect.name),
         probability_of_any=weighed.probability(effect.name, *effect.alternatives),
         averaged=weighed.averaged(effect.name),

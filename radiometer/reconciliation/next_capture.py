@@ -60,7 +60,8 @@ class CapturePool:
         frames = tuple(FrameEntry.of("", settings) for settings in dict.fromkeys(_settings(old, patterns)))
         patches = tuple(_extended(patch, old.patterns[0], patterns) for patch in header.patches)
         pool = header.model_copy(update={"frames": frames, "patterns": patterns, "patches": patches})
-        return cls(Design.of(pool, old.shape), images, state)
+        design = Design.of(pool, old.shape)
+        return cls(design if old.uniform else replace(design, tiles=old.tiles), images, state)
 
     @cached_property
     def model(self) -> TileModel:

@@ -256,7 +256,7 @@ _SENTENCES: Final = {
     Verdict.AGREES: "Nothing is missing: simulation and measurement agree.",
     Verdict.EFFECTS_FOUND: "The missing effect was found; with it simulation and measurement agree.",
     Verdict.UNNAMED: "Simulation and measurement disagree, and no known effect explains it.",
-    Verdict.INCOMPLETE: "Structure remains, so every name is provisional.",
+    Verdict.INCOMPLETE: "The answer is not complete, so every name is provisional.",
 }
 
 

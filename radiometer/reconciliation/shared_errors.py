@@ -658,7 +658,9 @@ def errors_of_few_pixels(
     for name in ("outliers", "unsteady"):
         count = np.where(usable[name], getattr(prediction, name), 0.0)
         scale = np.sqrt(count + ANSCOMBE)  # of what twice the root moves by
-        values, vectors = np.linalg.eigh(np.minimum.outer(count, count) / np.outer(scale, scale))
+        shared = np.minimum.outer(count, count) / np.outer(scale, scale)
+        np.fill_diagonal(shared, 0.0)  # by itself each scatters as counts do, which is in its weight already
+        values, vectors = np.linalg.eigh(shared)
         kept = values > _SMALL_SHARE
         if not kept.any():
             continue

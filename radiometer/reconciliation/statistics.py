@@ -239,8 +239,8 @@ class Counted:
 
     @property
     def quiet(self) -> Mask:
-        """Return which captures show the noise of the sensor alone: no light, not even what a scene left behind."""
-        return np.asarray(self.design.uniform & self.patched & ~(self.design.source_level > 0) & self.noisy.all(axis=1))
+        """Return which captures show the noise of the sensor alone: what a scene left behind is in one frame only."""
+        return np.asarray(self.patched & ~(self.design.source_level > 0) & self.noisy.all(axis=1))
 
     def lines(self, name: str) -> Mask:
         """Return where a profile of lines has freedom left and is above zero."""

@@ -182,7 +182,7 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
         where,
         before,
         after,
-        gain_nats=sum(step.gain_nats for step in steps),
+        gain_nats=sum(step.gain_nats for step in steps) - (np.log(max(again.p_value, 1e-300)) if again else 0.0),
         block=block,
         closest=steps[0].closest if steps and again is None else None,
         elsewhere=tuple(others),

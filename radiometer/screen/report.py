@@ -511,12 +511,14 @@ def mura_of(found: RadianceMap) -> Mura:
     u_spot = u * math.hypot(1.0, math.sqrt(2.0 * math.log(tied)) / math.sqrt(3.0))
     # A maximum of width σ is found to about σ·noise/height; a pixel is a rectangle.
     u_place = math.hypot(math.sqrt(2.0) * fine * u / max(abs(spot), u), 1.0 / math.sqrt(12.0))
+    known = float(np.mean(noise**2))
+    pattern = known * float(np.mean((found.u_rel_pattern * flat) ** 2)) / max(float(np.mean(own**2)), 1e-300)
     return Mura(
         band,
         Quantity(spot, u_spot, "1"),
         Quantity((x + 0.5) / width, u_place / width, "1"),
         Quantity((y + 0.5) / height, u_place / height, "1"),
-        spread_beyond_noise(float(band.var()), float(np.mean(noise**2)), cells),
+        spread_beyond_noise(float(band.var()), known - pattern, cells, pattern),
         u * math.sqrt(2.0 * math.log(20.0 * cells)),
     )
 

@@ -89,7 +89,7 @@ class ImageLag(UnitSlope, CatalogueEffect):
         of what is released, and by m one further. The scatter about their mean falls by 2·Σ(1 − k/n)·ρ_k/(n − 1) of
         the variance, and the mean's variance, which pixels show, rises by 2·Σ(1 − k/n)·ρ_k of what it is for noise.
         """
-        previous = np.zeros(1) if context.previous_e is None else context.previous_e
+        previous, own = self._held(context.previous_e, context), self._held(before.mean, context)
         frames: Any = getattr(context, "frames", 1.0)
         counted = np.where(frames > 2, frames - 1.0, frames)  # the first of three or more is not among them
         alike = (self._rise(before.mean, context), self.older_share)
@@ -99,8 +99,8 @@ class ImageLag(UnitSlope, CatalogueEffect):
             spatial_variance=after.spatial_variance + (_alike(alike, frames) + calmer) * before.variance / frames,
             first_excess=before.first_excess
             + self._released(previous, context)
-            - self._released(before.mean, context)
-            + self._slow_first(previous, before.mean, context),
+            - self._released(own, context)
+            + self._slow_first(previous, own, context),
         )
 
     def _slow_first(self, previous: Any, own: Any, context: ExposureContext) -> Any:
@@ -110,13 +110,20 @@ class ImageLag(UnitSlope, CatalogueEffect):
 
     def _left(self, signal: Signal, context: ExposureContext) -> Any:
         """Return the remainder of the frame before; n − 1 of a capture's n frames follow one of their kind."""
-        previous = np.zeros(1, dtype=signal.dtype) if context.previous_e is None else context.previous_e
         frames: Any = getattr(context, "frames", None)
         if frames is None:
+            previous = np.zeros(1, dtype=signal.dtype) if context.previous_e is None else context.previous_e
             return self._released(previous, context) + self.older_share * previous
+        previous, signal = self._held(context.previous_e, context), self._held(signal, context)
         older = np.minimum(frames, 2.0)
         slow = self.older_share * (older * previous + (frames - older) * signal) / frames
         return (self._released(previous, context) + (frames - 1.0) * self._released(signal, context)) / frames + slow
+
+    def _held(self, light: Any, context: ExposureContext) -> Any:
+        """Return what frames of some light hold at their end: what those before them left behind, too."""
+        if light is None:
+            return np.zeros(1)
+        return light + self._released(light, context) + self.older_share * light
 
     def _rise(self, held: Any, context: ExposureContext) -> Any:
         """Return d(released)/d(held)."""

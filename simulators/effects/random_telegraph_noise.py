@@ -8,14 +8,16 @@ from typing import Any, Final, cast
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from simulators.chain.unsteady_pixels import EXPONENTIAL, EXPONENTIAL_SHARES, share_unsteady
+from simulators.chain.unsteady_pixels import EXPONENTIAL, EXPONENTIAL_SHARES, share_restless, share_unsteady
 from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, gain_of
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 _OUTLYING: Final = 6.0  # sigmas of a time mean
-_FROM_HALF: Final = ndtri(0.5 + 0.5 * (np.arange(8) + 0.5) / 8)  # sigmas by which a count is off one half
+_TILES: Final = (np.arange(4) + 0.5) / 4  # places of representative tiles among those of a capture, by noise
+# Sigmas by which a count is off one half, for each of these tiles
+_FROM_HALF: Final = np.tile(ndtri(0.5 + 0.5 * (np.arange(8) + 0.5) / 8), _TILES.size)
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,8 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
         squares = np.square(height) * high * (1.0 - high) * frames  # their sum about the time mean
         moved = height * (high - 0.5)
         stands = ndtr(moved / sigma - _OUTLYING)
-        jumps = squares / white
         dark = np.broadcast_to(np.ravel(settings.is_dark), stands.shape[-4])[:, None, None, None]
-        calm = np.where(dark, 1.0 - share_unsteady(frames, 1.0, jumps), 1.0)
+        calm = np.where(dark, 1.0 - share_restless(frames, 1.0, squares / white), 1.0)
         kept = 1.0 - stands
         kept = kept * _left_by_darks(1.0 - (kept * calm).mean(axis=-1, keepdims=True), context)
         shares = self.share * EXPONENTIAL_SHARES[:, None] / _FROM_HALF.size
@@ -80,7 +81,9 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
         of_pixel = calm * squares / np.maximum(frames - 1.0, 1.0)
         noise = of_pixels(kept * of_pixel)
         fixed = of_pixels(kept * np.square(moved)) - noise / frames[..., 0]
-        unsteady = share_unsteady(frames, white / (white + noise[..., None]), jumps)
+        of_tile, sigmas = white / (white + noise[..., None]), height / np.sqrt(white)
+        both = (share_unsteady(frames, of_tile, sigmas, frames * share) for share in (high, 1.0 - high))
+        unsteady = 0.5 * sum(both)
         pixels = np.sum(getattr(context, "tile_pixels", 1.0))
         return after.changed(
             variance=before.variance + noise,
@@ -92,8 +95,10 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
 
 
 def _of_frame(values: Any) -> Any:
-    """Return the mean over tiles, (…, captures, 1, 1, 1)."""
-    return np.mean(values, axis=(-2, -1), keepdims=True)[..., None]
+    """Return the values of representative tiles, each for all counts, (…, captures, 1, 1, counts)."""
+    ordered = np.sort(np.reshape(values, (*np.shape(values)[:-2], -1)), axis=-1)
+    chosen = ordered[..., (_TILES * ordered.shape[-1]).astype(np.intp)]
+    return np.repeat(chosen, _FROM_HALF.size // _TILES.size, axis=-1)[..., None, None, :]
 
 
 def _of_codes(context: ExposureContext) -> Any:

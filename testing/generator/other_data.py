@@ -20,15 +20,6 @@ from testing.generator.scene import Chart
 from testing.generator.world import World, develop
 
 # Table of the thesis: luminance in cd/m2 of two screens, and what a light meter advised at ISO 136 (sold as 200).
-LIGHT_METER_CSV = """\
-screen,luminance,f_number,time,iso
-Lenovo,250,16,1/8,136
-Lenovo,250,5.6,1/60,136
-Lenovo,250,1.7,1/640,136
-AOC,350,16,1/13,136
-AOC,350,5.6,1/100,136
-AOC,350,1.7,1/1000,136
-"""
 
 
 @dataclass(frozen=True)

@@ -187,15 +187,6 @@ def test_press_and_release_are_events(talker):
     )
 
 
-def test_lost_event_can_be_had_again(talker):
-    """EV reports a kept event once more, in the same words."""
-    talker.button(True)
-    talker.run(0.03)
-    event = re.fullmatch(rb"!02 (BT D [0-9.]+)\*[0-9A-F]{8}\n", talker.take())
-    assert event is not None
-    assert talker.ask("#01 EV 02") == framed(f"=01 OK {event[1].decode()}")
-
-
 def test_any_undamaged_request_keeps_the_light_on(talker):
     """Requests that fail do not count as silence, damaged lines do."""
     talker.ask(HELLO)

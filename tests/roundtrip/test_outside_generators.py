@@ -72,14 +72,6 @@ def test_what_is_hidden_changes_the_session(module, hidden):
     assert with_it.secret.name == hidden.name
 
 
-def test_outsiders_say_where_they_act():
-    """At least a dozen things of no catalogue, each with stage and covariates and without a right name."""
-    outsiders = [hidden for _, hidden in HIDDEN if hidden.kind == "outsider"]
-    assert len(outsiders) >= 12
-    assert all(hidden.stage and hidden.covariates for hidden in outsiders)
-    assert all(hidden.right for _, hidden in HIDDEN if hidden.kind != "outsider")
-
-
 @pytest.mark.parametrize("generator", [2, 3])
 def test_a_written_session_is_a_capture_set(generator, tmp_path):
     """The folder is read back with the very codes and settings that were drawn."""

@@ -31,10 +31,10 @@ def test_flicker_seen_at_short_exposures_alone_has_two_names() -> None:
     assert {effect.name, *effect.alternatives} == {"mains_ripple", "pwm_flicker"}
 
 
-def test_saturation_is_not_judged_where_the_tiles_that_show_it_are_left_out() -> None:
-    """The brightest tiles of a scene are in part saturated and left out: the pile alone shows it, and has no limit."""
+def test_saturation_is_judged_by_the_even_part_of_a_cell() -> None:
+    """Borders of patches run through the cells: the even part of each shows the full well, and its limit."""
     answer = _ask("full_well_saturation", with_limits=True)
     assert [effect.name for effect in answer.effects] == ["full_well_saturation"]
-    assert answer.limits["full_well_saturation"].amplitude is None
-    assert answer.limits["adc_saturation"].amplitude is None
+    assert answer.effects[0].parameters["full_well_e"].value == pytest.approx(8430.08, abs=5.0)
+    assert answer.limits["full_well_saturation"].amplitude == pytest.approx(8430.08, abs=5.0)
     assert answer.limits["exposure_time_offset"].amplitude is not None

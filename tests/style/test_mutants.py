@@ -1,16 +1,12 @@
 """Mistakes drawn at random are plausible ones, and the tests chosen against them are those that can notice them."""
 
 import ast
-import os
-import resource
-import signal
 
 import pytest
 
 from tests.mutants import harness
 from tests.mutants.areas import AREAS
-from tests.mutants.blind import PACKAGES, Record, draw, sources_of
-from tests.mutants.harness import ROOT
+from tests.mutants.blind import PACKAGES, draw, sources_of
 from tests.mutants.mistakes import places, places_in_c
 
 
@@ -82,25 +78,6 @@ def test_every_pattern_of_an_area_finds_sources_and_every_source_has_an_area():
     assert product.keys() - {name for patterns in AREAS.values() for name in sources_of(patterns)} == set()
 
 
-def test_the_nearest_tests_of_a_line_come_first():
-    """Those of the nearest folder, of these what ran least; what is made at import asks the lines that name it."""
-    line = next(
-        k
-        for k, text in enumerate((ROOT / "radiometer/analysis/flux/sensor.py").read_text().splitlines(), 1)
-        if text.startswith("def ")
-    )
-    near, wide, far = "tests/unit/analysis/flux/a::b", "tests/unit/analysis/flux/a::c", "tests/unit/cli/a::b"
-    record = Record()
-    record.tests_of["radiometer/analysis/flux/sensor.py"] = {line + 1: {far, wide, near}}
-    record.lines_of.update({near: 2, wide: 3, far: 1})
-    assert record.tests("radiometer/analysis/flux/sensor.py", line + 1) == [near, wide, far]
-    assert record.tests("radiometer/analysis/flux/sensor.py", line) == [near, wide, far]  # the function's own
-    assert record.tests("radiometer/analysis/flux/estimate.py", 1) == [near, wide]  # the folder's
-    firmware = "tests/unit/firmware/a::b"
-    record.lines_of.update({firmware: 5})
-    assert record.tests("drivers/firmware/light_box/pwm.c", 20) == [firmware]  # no test runs C by its lines
-
-
 def test_every_mistake_has_a_time_of_its_own(tmp_path, monkeypatch):
     """Two of one size in one file would run as the first, whose bytecode is kept; the corrected file keeps the time."""
     file, seen = tmp_path / "a.py", []
@@ -116,27 +93,3 @@ def test_every_mistake_has_a_time_of_its_own(tmp_path, monkeypatch):
     assert [text for text, _ in seen] == ["x = 2\n", "x = 3\n"]
     assert len({sound.st_mtime, *(time for _, time in seen)}) == 3
     assert (file.read_text(encoding="utf-8"), file.stat().st_mtime) == ("x = 1\n", sound.st_mtime)
-
-
-@pytest.mark.slow  # starts processes, one of which works and one of which waits
-@pytest.mark.parametrize("never_ends", ["while True: pass", "signal.pause()"])
-def test_a_mistake_that_never_ends_is_ended(monkeypatch, never_ends):
-    """Work without an end is ended by its limit, waiting without an end after a while; both count as noticed."""
-    monkeypatch.setattr(harness, "IDLE", 0.2)
-    child = os.fork()
-    if child == 0:
-        resource.setrlimit(resource.RLIMIT_CPU, (1, 1))
-        os.setsid()
-        exec(never_ends, {"signal": signal})
-        os._exit(0)
-    assert harness.ended(child) is None
-    assert None not in harness.PASSED
-
-
-@pytest.mark.slow
-def test_a_mistake_that_ends_reports_how():
-    """Its code is pytest's, or nothing where a signal ended it."""
-    for code in (0, 1, 5):
-        if (child := os.fork()) == 0:
-            os._exit(code)
-        assert harness.ended(child) == code

@@ -106,31 +106,6 @@ def test_finished_run_is_never_taken_up(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    ("option", "needed"),
-    [
-        ({"display": "lcd"}, "--screen"),
-        ({"port": 8000}, "--screen"),
-        ({"room": 1.0}, "--box sim"),
-        ({"preset": "box.yaml"}, "--box"),
-        ({"calibration": "light.yaml"}, "--box"),
-        ({"fixation": 0.1}, "--box"),
-    ],
-)
-def test_option_without_the_one_that_it_needs_is_misuse(tmp_path, option, needed):
-    """No wish is dropped in silence."""
-    (name,) = option
-    with pytest.raises(rm.UsageError, match=f"--{name} has no effect without {needed}:"):
-        rm.adapt_run("quick", "S7", tmp_path / "j", simulate="steady", **option)
-
-
-def test_the_simulated_box_needs_a_simulated_subject(tmp_path):
-    """Nobody else can look at it: it is misuse, and no journal begins."""
-    with pytest.raises(rm.UsageError, match="the simulated box needs a simulated subject: --simulate steady"):
-        rm.adapt_run("quick", "S7", tmp_path / "j", box="sim")
-    assert not (tmp_path / "j").exists()
-
-
 def test_practice_run_bleaches_nothing_and_is_no_visit_of_the_test(tmp_path, monkeypatch):
     """Three minutes of the task; its journal has another protocol's name, and nothing of it is fitted."""
     monkeypatch.chdir(tmp_path)

@@ -100,14 +100,6 @@ def test_curl_reads_history_picture_and_stream(daemon, tmp_path):
     assert numbers == list(range(numbers[0], numbers[0] + 2))
 
 
-def test_curl_posts_a_measurement(daemon):
-    """POST /measure with a patch of its own."""
-    body = '{"patch": {"x": 100, "y": 30, "width": 20, "height": 20}}'
-    command = [_need("curl"), "-sS", "-f", "--json", body, f"{daemon.url}/measure"]
-    reading = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=within(30)).stdout)
-    assert abs(reading["radiance"]["value"] - DIM) < 4 * reading["radiance"]["u"]
-
-
 @pytest.fixture
 async def browser(tmp_path):
     """Return a headless browser with an empty profile."""

@@ -14,9 +14,8 @@ import pytest
 
 from radiometer.daemon.bench_instrument import BenchInstrument
 from radiometer.daemon.journal import Journal
-from radiometer.daemon.mqtt import MqttPublisher, MqttTarget, parse_target
+from radiometer.daemon.mqtt import MqttPublisher, MqttTarget
 from radiometer.daemon.station import Station
-from radiometer.errors import UsageError
 from testing.daemon_process import DaemonProcess, write_small_bench
 from testing.patience import within
 
@@ -146,16 +145,3 @@ async def test_a_broker_that_is_away_is_an_alarm_not_an_end(tmp_path):
         daemon.wait_for_reading()
         await _until(lambda: [alarm["name"] for alarm in daemon.get("/status")["alarms"]] == ["mqtt"], 20)
         assert daemon.stop() == 0
-
-
-@pytest.mark.parametrize("text", ["", ":1883", "host:0", "host:99999", "host:abc"])
-def test_a_broker_must_be_named_rightly(text):
-    """HOST or HOST:PORT; anything else is refused."""
-    with pytest.raises(UsageError, match="HOST"):
-        parse_target(text, "radiometer", None, None, tls=False)
-
-
-def test_a_topic_prefix_has_no_wildcards():
-    """A wildcard in a topic to publish to is a mistake."""
-    with pytest.raises(UsageError, match="prefix"):
-        parse_target("localhost", "lab/#", None, None, tls=False)

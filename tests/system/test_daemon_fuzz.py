@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from benchmarks import daemon_fuzz
 from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.lexer import block_end, split_message
+from radiometer.daemon.scpi.lexer import split_message
 from radiometer.daemon.scpi.table import command_table
 
 TABLE = command_table()
@@ -41,11 +41,3 @@ def test_the_lexer_takes_any_text(message: str) -> None:
         except ScpiError as failure:
             number = failure.number
         assert number in (0, -113)
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.binary(max_size=80), st.data())
-def test_framing_never_ends_before_the_newline(content: bytes, data: st.DataObject) -> None:
-    """The end of a message is at or after the newline that was found."""
-    upto = data.draw(st.integers(0, len(content)))
-    assert block_end(content, upto) >= upto

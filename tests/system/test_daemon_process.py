@@ -25,29 +25,6 @@ def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int) -> None:
     assert not daemon.journal.with_name("journal.sqlite-wal").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (["--scpi-address", "0.0.0.0", "--scpi-port", "0"], 2, "--scpi-allow"),
-        (["--http-address", "0.0.0.0", "--http-port", "0", "--no-scpi"], 2, "--token-file"),
-        (["--scpi-allow", "nonsense"], 2, "no network"),
-        (["--bench", "/nonexistent.yaml"], 2, "/nonexistent.yaml"),
-        (["--patch", "1,2,3"], 2, "--patch"),
-        (["--every", "-1"], 2, "--every"),
-        (["--journal", "/proc/nowhere/journal.sqlite", "--scpi-port", "99999"], 2, "--scpi-port"),
-    ],
-)
-def test_wrong_options_are_refused(arguments: list[str], code: int, message: str, tmp_path: Path) -> None:
-    """One line says what is wrong; the exit code distinguishes misuse and failure."""
-    usual = {"--journal": str(tmp_path / "j.sqlite"), "--scpi-port": "0", "--http-port": "0"}
-    others = [word for option, value in usual.items() if option not in arguments for word in (option, value)]
-    command = [sys.executable, "-m", "radiometer", "serve", *others, *arguments]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60))
-    assert done.returncode == code
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 def test_hangup_reloads_the_calibration(tmp_path: Path) -> None:
     """A changed file is taken; a broken one, or one that nests without end, is an alarm and the old one stays."""
     calibration = tmp_path / "calibration.yaml"
@@ -111,14 +88,6 @@ def test_log_queries_exports_and_plots(tmp_path: Path) -> None:
     assert "camera is open" not in _log(daemon, "--events")
     _log(daemon, "--plot", str(tmp_path / "plot.png"))
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_log_without_a_journal_says_so(tmp_path: Path) -> None:
-    """Exit code 1 and the way out."""
-    command = [sys.executable, "-m", "radiometer", "log", str(tmp_path / "none.sqlite")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60))
-    assert done.returncode == 1
-    assert "radiometer serve" in done.stderr
 
 
 def test_systemd_is_notified(tmp_path: Path) -> None:

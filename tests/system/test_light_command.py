@@ -107,39 +107,6 @@ def test_calibrate_then_set_by_radiance(surroundings, capsys, tmp_path):
     assert "allowed is" in capsys.readouterr().err
 
 
-def test_pulse_blink_and_off_on_the_simulated_box(surroundings, capsys):
-    """The other commands run on the simulated box and say what they did."""
-    assert run(["light", "pulse", "spot", "--level", "500", "--duration", "200ms", "--box", "sim", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["mode"] == "pulse"
-    assert run(["light", "blink", "spot", "--level", "500", "--count", "2", "--box", "sim", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["mode"] == "blink"
-    assert run(["light", "off", "--box", "sim", "--json"]) == 0
-    assert all(json.loads(capsys.readouterr().out)["dark"].values())
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["set", "spot", "--box", "sim"], "either --radiance or --level"),
-        (["set", "spot", "--level", "5", "--radiance", "1", "--box", "sim"], "either --radiance or --level"),
-        (["set", "green", "--level", "5", "--box", "sim"], "it has bleach, spot"),
-        (["pulse", "spot", "--level", "5", "--duration", "soon", "--box", "sim"], "--duration 'soon'"),
-        (["calibrate", "--channel", "green", "--box", "sim"], "it has bleach, spot"),
-    ],
-)
-def test_misuse_is_answered_with_the_way_out(surroundings, capsys, words, message):
-    """Wrong words end with exit code 2 and one line."""
-    assert run(["light", *words]) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_no_box_is_reported(surroundings, capsys):
-    """Without any box the message names the ways to one."""
-    code = run(["light", "status", "--box", "NONE0001"])
-    assert code == 1
-    assert "--box sim" in capsys.readouterr().err
-
-
 def test_light_of_separate_commands_adds_up_until_it_is_refused(served, capsys, tmp_path):
     """1 % of the limit is allowed, each command gives 0.5 %: the third is refused, and `light off` is not."""
     preset = tmp_path / "bright.yaml"

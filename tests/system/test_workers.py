@@ -24,12 +24,3 @@ def test_tests_of_a_file_stay_in_one_worker_and_both_work(project_root: Path) ->
     assert sorted(workers) == sorted(files), done.stdout + done.stderr
     assert {len(seen) for seen in workers.values()} == {1}
     assert set.union(*workers.values()) == {"gw0", "gw1"}
-
-
-def test_what_waits_for_real_time_is_one_group() -> None:
-    """The wire's contracts and the protocols' tests share a worker; other files do not join them."""
-    from tests.conftest import together
-
-    assert together("tests/contract/light_box/test_x.py::test_a") == together("tests/protocol/test_y.py::test_b[1]")
-    assert together("tests/unit/firmware/test_a.py::t") == together("tests/unit/firmware/test_b.py::t")
-    assert together("tests/unit/daemon/test_a.py::t") != together("tests/unit/daemon/test_b.py::t")

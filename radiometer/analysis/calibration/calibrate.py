@@ -210,7 +210,7 @@ def scale_from_radiance(
         method="known_radiance",
         degrees_of_freedom=degrees_of_freedom,
         f_number=f_number,
-        reference=f"{radiance_w_sr_m2:g} {unit_text(RADIANCE_UNIT)} known to {100 * u_rel:.3g} %",
+        reference=f"{radiance_w_sr_m2:g} {unit_text(RADIANCE_UNIT)} known to {100 * u_rel:.3g} % (k = 1)",
     )
 
 

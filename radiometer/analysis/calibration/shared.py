@@ -117,7 +117,18 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     "bit depth": {state: _of_device("bit depth")[state] for state in (State.EQUAL, State.DIFFERENT)},
     # Binned pixels have another, and another scale.
     "pixel pitch": _of_device("pixel pitch in µm"),
-    "mosaic": _of_device("mosaic"),
+    # Without it the four colours are read as one.
+    "mosaic": _of_device("mosaic")
+    | {
+        State.READING_SILENT: _refused(
+            "the calibration is of one colour of a mosaic {there}, the frames state no mosaic: all colours would be read "
+            "as one; add `mosaic: {there}` to the capture set's camera, or calibrate with frames that state none"
+        ),
+        State.CALIBRATION_SILENT: _refused(
+            "the frames are of a mosaic {here}, the calibration states none, so it is of all colours as one; calibrate "
+            "with frames that state `mosaic: {here}`"
+        ),
+    },
     # Read-out mode, gain in the camera's own unit and the like.
     "mode": _of_settings("mode"),
     "filter": _of_settings("filter"),

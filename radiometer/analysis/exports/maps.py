@@ -31,6 +31,7 @@ _LETTERS: Final = {"red": "R", "green": "G", "blue": "B"}  # channels of colour 
 _SHARED: Final = "shared standard uncertainty"  # name of the page with what pixels of one level share
 _WITHOUT_VALUE: Final = int(PixelMask.SATURATED | PixelMask.UNLIT)
 _CLIPPED_COLOUR: Final = "#ff40ff"
+_RADIANCE_LM_PER_W: Final = 179.0  # luminous efficacy in Radiance's pictures (WHTEFFICACY, src/common/color.h)
 _MOST_DECADES: Final = 6.0  # more than an eye can tell apart in one picture
 
 _Unit = Literal["W sr-1 m-2", "cd m-2", "relative", "1", "K"]  # of maps that this program writes
@@ -45,6 +46,7 @@ class _MapFacts(FileSection):
     units: tuple[_Unit, ...] | None = None
     origin: dict[str, Any] = Field(default_factory=dict)
     not_in_u: tuple[str, ...] = ()
+    u_rel_pattern: float = Field(0.0, ge=0)
 
 
 def write_exr(path: Path, picture: MapPicture) -> None:
@@ -53,8 +55,8 @@ def write_exr(path: Path, picture: MapPicture) -> None:
     Channels are Y (or R, G, B) for the values, Y.u (R.u, …) for their standard uncertainty, both 32-bit floating
     point, and Y.mask (R.mask, …) for the PixelMask bits. Where pixels of one level share a part of the uncertainty,
     that is Y.shared (R.shared, …). Several quantities have their own names. The header names the
-    unit of the first channel and of each, what all pixels share (`u_rel_common`), and what is in no uncertainty
-    (`not_in_u`).
+    unit of the first channel and of each, what all pixels share (`u_rel_common`), what pixels may differ by
+    (`u_rel_pattern`), and what is in no uncertainty (`not_in_u`).
 
     Raises:
         MissingLibrary: If the OpenEXR package is not installed.
@@ -70,6 +72,7 @@ def write_exr(path: Path, picture: MapPicture) -> None:
         "unit": picture.unit,
         "units": "; ".join(f"{_LETTERS.get(name, name)}: {one.unit}" for name, one in picture.maps.items()),
         "u_rel_common": float(picture.first.u_rel_common),
+        "u_rel_pattern": float(picture.first.u_rel_pattern),
         "not_in_u": "; ".join(picture.first.not_in_u),
         "software": f"radiometer {radiometer.__version__}",
     }
@@ -98,6 +101,7 @@ def _channels(picture: MapPicture) -> dict[str, Any]:
 def write_hdr(path: Path, picture: MapPicture) -> None:
     """Write a picture as .hdr; values in its unit, EXPOSURE 1, negative values as 0.
 
+    Programs that read the form take luminance as 179 lm/W times the values: cd·m⁻² are divided by that.
     The form keeps no uncertainty and resolves 0.4 %; it holds no path and no user name.
 
     Raises:
@@ -108,15 +112,17 @@ def write_hdr(path: Path, picture: MapPicture) -> None:
     grey = picture.first.radiance
     planes = [picture.maps[name].radiance for name in ("red", "green", "blue")] if picture.is_colour else [grey] * 3
     height, width = grey.shape
+    is_luminance = picture.unit == LUMINANCE_UNIT
     header = (
         "#?RADIANCE\n"
         f"SOFTWARE=radiometer {radiometer.__version__}\n"
-        f"UNIT={picture.unit}\n"
+        f"UNIT={f'{LUMINANCE_UNIT} / {_RADIANCE_LM_PER_W:g}' if is_luminance else picture.unit}\n"
         "EXPOSURE=1\n"
         "FORMAT=32-bit_rle_rgbe\n\n"
         f"-Y {height} +X {width}\n"
     )
-    write_bytes_atomic(path, header.encode("ascii") + rgbe(np.stack(planes, axis=-1)).tobytes())
+    values = np.stack(planes, axis=-1) / np.float32(_RADIANCE_LM_PER_W if is_luminance else 1.0)
+    write_bytes_atomic(path, header.encode("ascii") + rgbe(values).tobytes())
 
 
 def rgbe(values: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -172,7 +178,7 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
             if quantity == "value":
                 provenance = picture.first.provenance
                 facts["origin"] = {**provenance.parameters.get("origin", {}), "merged": moment(provenance.created)}
-                facts["not_in_u"] = picture.first.not_in_u
+                facts |= {"not_in_u": picture.first.not_in_u, "u_rel_pattern": picture.first.u_rel_pattern}
             tiff.write(
                 values if len(names) > 1 else values[..., 0],
                 photometric="rgb" if picture.is_colour else "minisblack",
@@ -226,6 +232,7 @@ def read_tiff(path: Path) -> MapPicture:
                 provenance=provenance,
                 not_in_u=stated.not_in_u,
                 u_shared=None if shared is None else shared[..., n],
+                u_rel_pattern=stated.u_rel_pattern,
             )
             for n, name in enumerate(names)
         }

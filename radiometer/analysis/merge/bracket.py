@@ -655,15 +655,20 @@ class StreamingMerge:
         np.hypot(shared, u_rel * radiance, out=shared)
         return True
 
-    def _doubt_pattern(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> tuple[str, ...]:
-        """Add to the uncertainty of every pixel, in place, what pixels differ by; return what to say if it is unknown.
+    def _doubt_pattern(
+        self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]
+    ) -> tuple[float, tuple[str, ...]]:
+        """Add to the uncertainty of every pixel, in place, what pixels differ by.
 
         It is one error of all frames of a pixel, and another one of the next pixel. Only a calibration states it.
+
+        Returns:
+            What was added, relative to the values; and what to say if it is unknown.
         """
         u_rel = self._situation.stated.prnu_u_rel
         if self._calibration is None or not self._calibration.absolute:
             usual = f"pixels differ in responsivity: {100 * u_rel:.2g} % (k = 1) are usual"
-            return (f"{usual}, which u does not hold",) if u_rel else ()
+            return 0.0, (f"{usual}, which u does not hold",) if u_rel else ()
         values, own = radiance.ravel(), u_radiance.ravel()
 
         def work(start: int, stop: int) -> None:
@@ -672,7 +677,7 @@ class StreamingMerge:
 
         if u_rel:
             on_all_cores(self._known_shape(), work)
-        return ()
+        return u_rel, ()
 
     def _of_taps(
         self, radiance: NDArray[np.float32], mask: NDArray[np.uint8]
@@ -794,7 +799,7 @@ class StreamingMerge:
         repair_defects(*images, calibration.defects if calibration else ())
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
         used, doubtful = self._of_taps(images[0], images[2])
-        of_pattern = self._doubt_pattern(*images[:2])
+        u_rel_pattern, of_pattern = self._doubt_pattern(*images[:2])
         shared = self._share(*images[:2])
         of_time = self._exposure_offset()
         in_u = of_time if self._exposures_in_u else ()
@@ -827,6 +832,7 @@ class StreamingMerge:
             ),
             not_in_u=not_in_u,
             u_shared=shared,
+            u_rel_pattern=u_rel_pattern,
         )
 
     def _origin(self) -> dict[str, str]:

@@ -723,6 +723,8 @@ def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Fla
     if calibration is not None:
         found[Flag.FEW_FRAMES] = _too_few_frames(situation)
         found[Flag.STRAY_LIGHT] = situation.surround.clipped > _SURROUND_CLIPS
+        # The calibration holds for one gain of the camera's own, and the frames do not state theirs.
+        found[Flag.GAIN] = calibration.camera.mode is not None and situation.settled.setup.camera.mode is None
     raised = {flag for flag, here in found.items() if here} | _dominant(situation.value, terms)
     if situation.value < _NOISE_FLOOR_SIGMA * _floor(terms, "repeatability"):
         raised.discard(Flag.DARK_ASSUMED)  # dark frames would not help: it is below the noise as well

@@ -48,6 +48,7 @@ _FEW_LIGHTS: Final = (
     "scene with more tones gives a curve that is known better"
 )
 _MOST_IN_STEPS: Final = 0.9  # of the groups: others are at the edges between two lights
+_NOISE_WIDTH: Final = 3.29  # 5 to 95 % of a normal distribution, in its standard deviations
 _AS_STATED = "exposure times as stated"
 # Times are freed only where the error of predicting left-out quadrants falls to this part.
 _LEAST_GAIN_OF_TIMES = 0.9
@@ -379,7 +380,7 @@ def _curve(samples: ResponseSamples, result: FittedResponse, u: Array) -> Respon
         supported_range(result.samples),
         method=METHOD,
         channel=samples.channel,
-        black_dn=samples.limits.black_dn,
+        black_dn=samples.limits.no_light_dn,
         parameters={
             "smoothing": result.fit.smoothing,
             "time_spread": result.fit.time_spread,
@@ -444,7 +445,7 @@ def _notes(
 
 
 def _shows_few_lights(result: FittedResponse) -> bool:
-    """Return whether the groups' exposures are at a few levels that spread by less than the noise of a pixel.
+    """Return whether the groups' exposures are at a few levels that spread by at most the noise of a pixel there.
 
     Noise then decides to which group of a level a pixel belongs, and the residuals of neighbouring groups are alike
     without any disagreement of the frames.
@@ -452,10 +453,14 @@ def _shows_few_lights(result: FittedResponse) -> bool:
     rows, g = result.samples, result.log_exposure
     log_h = value_at(g, rows.dn)
     log_radiance = log_h - rows.log_time - group_residual(rows, log_h, rows.pixels)[0]
-    noise = float(np.median(np.sqrt(rows.variance) * slope_at(g, rows.dn, rows)))
-    ordered = np.sort(log_radiance)
-    levels = np.split(ordered, np.flatnonzero(np.diff(ordered) > noise) + 1)
-    narrow = [one.size for one in levels if np.diff(np.quantile(one, (0.05, 0.95)))[0] < noise]
+    order = np.argsort(log_radiance)
+    ordered, noise = log_radiance[order], (np.sqrt(rows.variance) * slope_at(g, rows.dn, rows))[order]
+    cuts = np.flatnonzero(np.diff(ordered) > np.median(noise)) + 1
+    narrow = [
+        light.size
+        for light, of_pixel in zip(np.split(ordered, cuts), np.split(noise, cuts), strict=True)
+        if np.diff(np.quantile(light, (0.05, 0.95)))[0] < _NOISE_WIDTH * np.median(of_pixel)
+    ]
     return sum(narrow) >= _MOST_IN_STEPS * ordered.size
 
 

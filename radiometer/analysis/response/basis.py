@@ -43,6 +43,15 @@ class ValueBasis:
         """Return the number of coefficients."""
         return _SPLINE_PIECES + _ORDER
 
+    @property
+    def anchor_dn(self) -> int:
+        """Return the digital number whose g a fit holds at 0: M_mid, or the middle of the data where they end below it.
+
+        What no frame shows is not known to any factor, and would make all of g so.
+        """
+        middle, low, high = 1 << (self.bit_depth - 1), self.limits.black_dn, self.limits.saturated_dn
+        return middle if low < middle < high else (low + high) // 2
+
     def design(self, dn: NDArray[np.float64]) -> sp.csr_array:
         """Return the matrix of basis values, shape (len(dn), size), for digital numbers 0 to 2**bit_depth − 1."""
         u = self._stretched(dn)

@@ -92,7 +92,7 @@ def _solve(
         basis.design(samples.dn), samples.log_time, (hat**2 + 1e-9) * samples.pixels, samples.group
     )
     every = basis.all_values()
-    middle = basis.design(np.array([float(1 << (samples.bit_depth - 1))])).toarray()[0]
+    middle = basis.values_at(basis.anchor_dn)
     solution = solve_penalised(normal, basis.roughness(), middle, smoothing)
     meat = normal.robust_meat(solution.coefficients)
     covariance = solution.inverse @ meat @ solution.inverse

@@ -327,7 +327,7 @@ class _Problem:
         free = len(expected)
         size = normal.matrix.shape[0]
         middle = np.zeros(size)
-        middle[: basis.size] = basis.values_at(1 << (samples.bit_depth - 1))
+        middle[: basis.size] = basis.values_at(basis.anchor_dn)
         trace = float(np.trace(normal.matrix[: basis.size, : basis.size]))
         fixed = normal.matrix + np.outer(middle, middle) * trace / float(middle @ middle)
         labels = np.arange(basis.size, basis.size + free)

@@ -36,15 +36,16 @@ class ValueLimits:
 
     black_dn: int  # values at or below are black (clipped, or the black level itself)
     saturated_dn: int  # values at or above are saturated
+    no_light_dn: float = 0.0  # digital number of no light: the black level, where it is known
 
 
 def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
     """Return the black and saturation level of brackets taken with one camera.
 
-    Saturation is the lowest white level that the frames of a bracket show or state. Black is 0, the stated black
-    level, or the lowest value where it gathers far more pixels than those next above it. Besides, a value at which
-    much of the shortest frames stands still while their exposure grows is black: the fog of a film, or a black level
-    that is not stated.
+    Saturation is the lowest white level that the frames of a bracket show or state. Black is the stated black level,
+    else that of the dark frames, or the lowest value where it gathers far more pixels than those next above it.
+    Besides, a value at which much of the shortest frames stands still while their exposure grows is black: the fog of
+    a film, or a black level that is not stated.
 
     Raises:
         MeasurementError: If every value of every frame is clipped.
@@ -54,13 +55,24 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
     for bracket in brackets:
         for frame in bracket.light:
             histogram += np.bincount(frame.dn.ravel(), minlength=full_scale + 1)[: full_scale + 1]
-    stated = [f.settings.black_level_dn for b in brackets for f in b.light if f.settings.black_level_dn]
+    known = [f.settings.black_level_dn for b in brackets for f in b.light if f.settings.black_level_dn]
+    known = known or [level for b in brackets if (level := black_of_darks(b)) is not None]
     fog = max(_fog(bracket, full_scale) for bracket in brackets)
-    black = max(_floor(histogram), int(np.ceil(max(stated))) if stated else 0, fog)
+    black = max(_floor(histogram), int(np.ceil(max(known))) if known else 0, fog)
+    no_light = max(known) if known else float(black)
     saturated = min(white_level_dn(bracket) for bracket in brackets)
     if saturated - black < 4 or histogram[black + 1 : saturated].sum() == 0:
         raise MeasurementError(_all_clipped(histogram, full_scale))
-    return ValueLimits(black, saturated)
+    return ValueLimits(black, saturated, no_light)
+
+
+def black_of_darks(bracket: Bracket) -> float | None:
+    """Return the mean of the shortest dark frames in DN, which black is where no frame states it; None without any."""
+    if any(frame.settings.black_level_dn for frame in bracket.light) or not bracket.dark:
+        return None
+    shortest = min(frame.settings.exposure_s for frame in bracket.dark)
+    used = [frame.dn for frame in bracket.dark if frame.settings.exposure_s == shortest]
+    return float(np.mean([dn.mean(dtype=np.float64) for dn in used]))
 
 
 def white_level_dn(bracket: Bracket) -> int:

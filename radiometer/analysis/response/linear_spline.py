@@ -102,8 +102,8 @@ def _notes(misfit: float) -> tuple[str, ...]:
 
 def _black(samples: ResponseSamples) -> float:
     """Return the stated black level, or the one of least residual over the dark quarter of the range."""
-    if samples.limits.black_dn > 0:
-        return float(samples.limits.black_dn)
+    if samples.limits.no_light_dn > 0:
+        return samples.limits.no_light_dn
     lowest = float(samples.dn.min())
     reach = 0.25 * (samples.limits.saturated_dn - samples.limits.black_dn)
 

@@ -488,7 +488,7 @@ def _curve(samples: ResponseSamples, g: Array, u: Array, order: int) -> Response
         (min(first, high - 4), high),
         method=METHOD,
         channel=samples.channel,
-        black_dn=samples.limits.black_dn,
+        black_dn=samples.limits.no_light_dn,
         parameters={"order": order},
         assumptions=(ASSUMPTION,),
     )

@@ -129,6 +129,6 @@ def _curve(samples: ResponseSamples, g: Array, u: Array) -> ResponseCurve:
         supported_range(samples),
         method=METHOD,
         channel=samples.channel,
-        black_dn=samples.limits.black_dn,
+        black_dn=samples.limits.no_light_dn,
         assumptions=("noise equal for all digital numbers of one exposure time",),
     )

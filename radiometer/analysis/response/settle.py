@@ -142,19 +142,19 @@ class FittedResponse:
         return scale * float(self.fit.time_modes[place]), scale * float(np.sqrt(self.fit.inverse[row, row]))
 
     def u_of(self, covariance: Array) -> Array:
-        """Return the standard uncertainty of g − g(M_mid) that a covariance of the solution makes."""
+        """Return the standard uncertainty of g from that of the anchor that a covariance of the solution makes."""
         inner = covariance[: self.fit.basis_size, : self.fit.basis_size]
         every = self._basis.all_values()
-        middle = self._basis.values_at(every.shape[0] // 2)
+        middle = self._basis.values_at(self._basis.anchor_dn)
         with_middle = inner @ middle
         square = self._basis.variances(inner) - 2.0 * (every @ with_middle) + middle @ with_middle
         return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
     @property
     def relative(self) -> Array:
-        """Return g − g(M_mid) before it was made rising."""
+        """Return g from that of the anchor, before it was made rising."""
         g = self._basis.all_values() @ self.fit.coefficients
-        return np.asarray(g - g[g.size // 2])
+        return np.asarray(g - g[self._basis.anchor_dn])
 
     @property
     def _basis(self) -> ValueBasis:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.signal.borders import borders
+from radiometer.analysis.signal.model import is_cut_off
 from radiometer.data import Bracket, Frame, Patch, TapDescription
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
@@ -86,9 +87,12 @@ class ReadOut:
         return all(tap.overscan for tap in self.taps)
 
     def with_darks(self, darks: Iterable[Frame]) -> ReadOut:
-        """Return it with the differences between the black levels of taps in dark frames, the shortest of each gain."""
+        """Return it with the differences between the black levels of taps in dark frames, the shortest of each gain.
+
+        Frames whose noise is cut off at 0 are left out: their means are above the black levels.
+        """
         shortest: dict[float, list[Frame]] = {}
-        for frame in sorted(darks, key=lambda one: one.settings.exposure_s):
+        for frame in sorted(itertools.filterfalse(is_cut_off, darks), key=lambda one: one.settings.exposure_s):
             known = shortest.setdefault(frame.settings.gain_db, [])
             if not known or known[0].settings.exposure_s == frame.settings.exposure_s:
                 known.append(frame)

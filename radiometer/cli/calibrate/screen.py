@@ -227,11 +227,7 @@ def import_command(
         names = ", ".join(found.left_out)
         note(f"{names} left out: their spectra are not known; --primaries names a display type or a CSV")
     for curve in found.calibration.channels.values():
-        black, white_cd = found.luminance_range(curve)
-        console().print(
-            f"{curve.name}: {len(curve.levels)} levels, {rounded(black.value, 2 * black.u)[0]} to "
-            f"{with_u(white_cd.value, 2 * white_cd.u, white_cd.unit, k=2)}"
-        )
+        _print_channel(found, curve)
     _print_end(found)
 
 

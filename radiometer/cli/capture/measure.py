@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -162,6 +162,9 @@ def _time(seconds: float) -> str:
     return f"{seconds / scale:.4g} {unit}"
 
 
+_ENDLESS: Final = 1e5  # degrees of freedom: Student's t is the normal distribution to 5 digits
+
+
 def _show_budget(reading: Reading) -> None:
     from rich.table import Table
 
@@ -170,7 +173,7 @@ def _show_budget(reading: Reading) -> None:
     for heading in ("contribution", "u rel. %", "share %", "type", "dof", "from"):
         table.add_column(heading, justify="right" if "%" in heading or heading == "dof" else "left")
     for entry in sorted(reading.budget, key=lambda contribution: -contribution.u_rel):
-        dof = "∞" if entry.degrees_of_freedom == float("inf") else f"{entry.degrees_of_freedom:.0f}"
+        dof = f"{entry.degrees_of_freedom:.0f}" if entry.degrees_of_freedom < _ENDLESS else "∞"
         share = 100 * entry.u_rel**2 / total
         table.add_row(entry.name, f"{100 * entry.u_rel:.3f}", f"{share:.1f}", entry.kind, dof, entry.note)
     console().print(table)

@@ -254,7 +254,7 @@ def _show_lit(found: rm.LitChannel, *, json: bool) -> None:
     if found.choice is None:
         return
     value = with_u(found.choice.radiance_w_sr_m2, 2 * found.choice.u_w_sr_m2, "W sr-1 m-2", k=2)
-    console().print(f"radiance  {value}, settled after {found.choice.settle_s:.0f} s")
+    console().print(f"radiance  {value}, the nearest that the box gives; settled after {found.choice.settle_s:.0f} s")
     if abs(found.choice.start_rel - 1) > _JUMP_SHOWN:
         note(f"just after switching on it is {100 * (found.choice.start_rel - 1):+.1f} % off")
 

@@ -26,7 +26,7 @@ def command(
     on_demand: Annotated[bool, typer.Option("--on-demand", help="Measure only when a client asks.")] = False,
     journal: Annotated[Path | None, typer.Option(help="Journal file; by default in the user's state folder.")] = None,
     keep_days: Annotated[
-        Days | None, typer.Option(help="Delete readings older than this, once an hour; by default none is deleted.")
+        Days | None, typer.Option(help="Delete readings and alarms older than this, once an hour; by default none.")
     ] = None,
     journal_max_mb: Annotated[
         Megabytes | None, typer.Option(help="Let the journal and its log grow no larger; measuring pauses then.")

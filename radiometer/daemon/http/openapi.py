@@ -70,6 +70,7 @@ _SCHEMAS: Final[dict[str, Any]] = {
                 name: {"type": "array", "items": _NUMBER_OR_NULL}
                 for name in ("time", "value", "U", "low", "high", "count", "flagged")
             },
+            "bound": {"type": "array", "items": {"type": ["string", "null"]}},
         },
     },
     "Health": {

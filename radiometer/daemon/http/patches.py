@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from collections.abc import Sequence
 from typing import Any, Final
 
 from aiohttp import web
@@ -107,8 +108,8 @@ def trend_columns(points: list[TrendPoint], every_s: float | None) -> dict[str, 
         every_s: Period of continuous measurement in s; None where there is none.
     """
     unit = points[-1].unit if points else ""
-    columns: dict[str, list[float | int | None]] = {
-        name: [] for name in ("time", "value", "U", "low", "high", "count", "flagged")
+    columns: dict[str, list[float | int | str | None]] = {
+        name: [] for name in ("time", "value", "U", "low", "high", "count", "flagged", "bound")
     }
     shown = [point for point in points if point.unit == unit]
     longest_us = _longest_pause_us(shown, every_s)
@@ -119,8 +120,8 @@ def trend_columns(points: list[TrendPoint], every_s: float | None) -> dict[str, 
             for name, column in columns.items():
                 column.append((before.time_us + point.time_us) / 2e6 if name == "time" else None)
         before = point
-        row = (point.time_us / 1e6, point.value, _COVERAGE_FACTOR * point.u, point.low, point.high, point.count,
-               point.flagged)  # fmt: skip
+        row: Sequence[float | str] = (point.time_us / 1e6, point.value, _COVERAGE_FACTOR * point.u, point.low,
+               point.high, point.count, point.flagged, point.bound)  # fmt: skip
         for column, value in zip(columns.values(), row, strict=True):
             column.append(value)
     return {"unit": unit, **columns}

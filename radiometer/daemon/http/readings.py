@@ -274,7 +274,7 @@ ROUTES: Final = (
         "/readings/stream",
         stream_readings,
         "Readings as they come, each once it is in the journal. `id` is the sequence number, so a client that"
-        " reconnects misses nothing. An event named `status` reports a change of state.",
+        " reconnects misses nothing of the same journal. An event named `status` reports a change of state.",
         reply="text/event-stream",
         query=_STREAM_QUERY,
     ),

@@ -91,7 +91,7 @@ class Session:
         questionable |= bits.CAMERA_LOST * (station.camera.state is not DeviceState.READY)
         questionable |= bits.BOX_LOST * box_lost
         questionable |= bits.READING_FLAGGED * bool(flags - _CALIBRATION_FLAGS)
-        questionable |= bits.JOURNAL_BLOCKED * any(alarm.name == "journal" for alarm in station.alarms.active)
+        questionable |= bits.ALARM * bool(station.alarms.active)
         self.status.questionable.update(questionable)
 
     def state_changed(self) -> None:

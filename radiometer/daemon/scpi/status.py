@@ -25,7 +25,7 @@ CALIBRATION: Final = 1 << 8
 CAMERA_LOST: Final = 1 << 9
 BOX_LOST: Final = 1 << 10
 READING_FLAGGED: Final = 1 << 11
-JOURNAL_BLOCKED: Final = 1 << 12
+ALARM: Final = 1 << 12
 
 OPERATION_BITS: Final = {4: "measuring", 8: "continuous measurement is on"}
 QUESTIONABLE_BITS: Final = {
@@ -33,7 +33,7 @@ QUESTIONABLE_BITS: Final = {
     9: "camera lost, overdue or failing",
     10: "light box lost or overdue",
     11: "latest reading carries another flag (`FETCh:FLAGs?` names it)",
-    12: "journal cannot be written; readings are held back",
+    12: "an alarm is active, such as a limit, the period or the journal (`SYSTem:ALARm?` names it)",
 }
 
 

@@ -48,7 +48,6 @@ from radiometer.reconciliation.statistics import (
 )
 from radiometer.statistics.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.typing import Array, Mask
-from simulators.chain.unsteady_pixels import FALSE_UNSTEADY
 
 TILE_BLOCKS: Final = named(given=Given.TILE)
 CAPTURE_BLOCKS: Final = named(given=Given.CAPTURE)
@@ -189,14 +188,8 @@ class Comparison:
         if scale is Scale.LOGARITHM:
             return np.asarray(np.log(np.maximum(expected, 1e-12)))
         if scale is Scale.ROOT:
-            normal = _FALSE_OUTLIERS + (self._normal_unsteady if name == "unsteady" else 0.0)
-            return np.asarray(2.0 * np.sqrt(normal + np.maximum(expected, 0.0) + ANSCOMBE))
+            return np.asarray(2.0 * np.sqrt(_FALSE_OUTLIERS + np.maximum(expected, 0.0) + ANSCOMBE))
         return expected
-
-    @cached_property
-    def _normal_unsteady(self) -> Array:
-        """Return how many pixels of normal noise count as unsteady by chance, (captures,)."""
-        return np.asarray(FALSE_UNSTEADY * np.nansum(self.seen.pixels, axis=1))
 
     @cached_property
     def _seen(self) -> dict[str, Array]:

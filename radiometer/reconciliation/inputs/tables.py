@@ -35,6 +35,7 @@ from radiometer.units import exact_f_number
 
 _GAP_UNIT: Final = "standard deviation of ln K within a source"
 _COINCIDENCE: Final = 2e-3  # rows that agree to this, though printed values scatter by more, are no chance
+_FEWEST_FREE: Final = 2  # readings beyond one for each source and stop, to tell that a stop is off
 _STEP_OF_A_METER: Final = math.log(2.0) / 3.0  # meters and cameras run in thirds of a stop
 
 
@@ -92,7 +93,9 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
     inner_printed = _spread(_by_source(closed, exact=False))
     inner_exact = _spread(_by_source(closed, exact=True))
     by_rounding = (inner_exact < _COINCIDENCE < inner_printed) or (exact < _COINCIDENCE < printed)
-    rest = _rest(rows, widest)
+    stops, left, freedom = _by_stop(rows)
+    rest = stops[widest]
+    by_stops = freedom >= _FEWEST_FREE and left < _COINCIDENCE < exact
     effects: tuple[FoundEffect, ...] = ()
     verdict = Verdict.AGREES if printed < _COINCIDENCE else Verdict.UNNAMED
     remarks: list[str] = []
@@ -101,6 +104,8 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
         effects = (_nominal(before, after),)
         verdict = Verdict.EFFECTS_FOUND if abs(rest) <= _STEP_OF_A_METER / 2 * 1.01 else Verdict.INCOMPLETE
         remarks.append(_rounding_in_words(before, after, widest if inner_exact < _COINCIDENCE <= exact else None))
+    elif verdict is Verdict.UNNAMED and by_stops:
+        effects, verdict = (_of_stops(stops, exact, left, freedom),), Verdict.EFFECTS_FOUND
     elif verdict is Verdict.UNNAMED:
         effects = (FoundEffect("unnamed", {}, _likely_axis(rows), printed, printed, block="meter constant"),)
     extra: dict[str, Any] = {"constants": _table(rows)}
@@ -116,13 +121,13 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
         if verdict is Verdict.INCOMPLETE:
             effects = (*effects, FoundEffect("unnamed", {}, "f_number", exact, exact, ("fnumber_tstop_error",)))
     extra["remarks"] = remarks
-    blind = {"fnumber_tstop_error": Limit(None, "error_per_stop", "1")}
+    of_stops = Limit(_COINCIDENCE if freedom >= _FEWEST_FREE else None, "errors_rel", "1")
     return ReconcileResult(
         verdict=verdict,
         effects=effects,
-        gap_before=effects[0].gap_before if by_rounding else printed,
-        gap_after=effects[0].gap_after if by_rounding else printed,
-        limits={"nominal_settings": Limit(_COINCIDENCE, "share", "1")} | blind,
+        gap_before=effects[0].gap_before if effects else printed,
+        gap_after=effects[0].gap_after if effects else printed,
+        limits={"nominal_settings": Limit(_COINCIDENCE, "share", "1"), "fnumber_tstop_error": of_stops},
         captures=len(rows),
         assumptions=("times run in thirds of a stop, f-numbers in thirds or halves",),
         gap_unit=_GAP_UNIT,
@@ -163,16 +168,30 @@ def _rest_in_words(rest: float, widest: float) -> str:
     )
 
 
-def _rest(rows: Sequence[MeterRow], widest: float) -> float:
-    """Return by how much ln K at the widest aperture exceeds the rest of its source, averaged over sources."""
-    found = []
-    for source in dict.fromkeys(row.source for row in rows):
-        own = [row for row in rows if row.source == source]
-        wide = [math.log(row.k_exact) for row in own if exact_f_number(row.f_number) <= widest]
-        others = [math.log(row.k_exact) for row in own if exact_f_number(row.f_number) > widest]
-        if wide and others:
-            found.append(float(np.mean(wide) - np.mean(others)))
-    return float(np.mean(found)) if found else 0.0
+def _by_stop(rows: Sequence[MeterRow]) -> tuple[dict[float, float], float, int]:
+    """Return ln K at each exact stop beyond that at the middle one, the standard deviation left, and its freedom.
+
+    Each source and each stop has a level; readings that do not connect all stops leave no freedom.
+    """
+    k = np.log([row.k_exact for row in rows])
+    sources, source = np.unique([row.source for row in rows], return_inverse=True)
+    stops, stop = np.unique([exact_f_number(row.f_number) for row in rows], return_inverse=True)
+    columns = np.hstack([np.eye(sources.size)[source], np.eye(stops.size)[stop]])
+    level, _, rank, _ = np.linalg.lstsq(columns, k)
+    freedom = k.size - int(rank) if rank == sources.size + stops.size - 1 else 0
+    left = float(np.linalg.norm(k - columns @ level)) / math.sqrt(max(freedom, 1))
+    own = level[sources.size :]
+    return dict(zip(stops.tolist(), (own - np.sort(own)[(own.size - 1) // 2]).tolist(), strict=True)), left, freedom
+
+
+def _of_stops(stops: Mapping[float, float], before: float, left: float, freedom: int) -> FoundEffect:
+    """Return the effect of stops that let through more or less light than their number says, against the middle one."""
+    errors = {n: math.expm1(-more) for n, more in stops.items() if abs(more) > _COINCIDENCE}
+    found = {f"errors_rel at f/{n:.2g}": FittedParameter(error, _COINCIDENCE, "1") for n, error in errors.items()}
+    nats, rivals = freedom * math.log(before / _COINCIDENCE), ("meter_resolution",)
+    return FoundEffect(
+        "fnumber_tstop_error", found, "f_number", before, left, rivals, gain_nats=nats, block="meter constant"
+    )
 
 
 def _likely_axis(rows: Sequence[MeterRow]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -237,6 +238,11 @@ class Design:
         if np.isfinite(stamps).all():
             since[order[1:]] = np.diff(stamps[order])
         return self._in_parts(since)[1:]
+
+    def goes_on(self, number: int) -> bool:
+        """Return whether a capture's frames follow, without a break, those of the capture before, of one setting."""
+        before, own = self.captures[max(number - 1, 0)].frames, self.captures[number].frames
+        return bool(before[-1] + 1 == own[0] and self.setting_id[number - 1] == self.setting_id[number])
 
     @cached_property
     def frame_numbers(self) -> tuple[Array, Array, Array]:
@@ -545,20 +551,25 @@ def slope_lengths(design: Design) -> tuple[Array, Array]:
 def _group(tiles: Sequence[Tile], height: int, width: int) -> TileGroup:
     index = [i for i, tile in enumerate(tiles) if (tile.height, tile.width) == (height, width)]
     chosen = tuple(tiles[i] for i in index)
-    v, u = np.meshgrid(_centred(height), _centred(width), indexing="ij")
-    shapes = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(height * width, 6)
-    trend, _ = np.linalg.qr(shapes)
-    trend *= np.sign(np.sum(trend * shapes, axis=0))
+    u, v = (math.sqrt(across) * float(np.linalg.norm(_centred(n))) for n, across in ((width, height), (height, width)))
     return TileGroup(
         np.array(index, dtype=np.intp),
         chosen,
         height,
         width,
-        trend,
-        (float(np.linalg.norm(u)), float(np.linalg.norm(v))),
+        surface(height, width),
+        (u, v),
         np.array([np.arange(tile.y, tile.y + height) for tile in chosen]),
         np.array([np.arange(tile.x, tile.x + width) for tile in chosen]),
     )
+
+
+def surface(height: int, width: int) -> Array:
+    """Return an orthonormal basis of the smooth shapes 1, u, v, u², uv, v² over pixels, (height × width, 6)."""
+    v, u = np.meshgrid(_centred(height), _centred(width), indexing="ij")
+    shapes = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(height * width, SURFACE_TERMS)
+    trend, _ = np.linalg.qr(shapes)
+    return np.asarray(trend * np.sign(np.sum(trend * shapes, axis=0)))
 
 
 def _centred(count: int) -> Array:
@@ -693,6 +704,6 @@ class CaptureStatistics:
     edge: Array  # (captures,) share of a step at a patch's edge that is in the last line inside it
     edge_u: Array  # (captures,) its standard uncertainty; infinite where no edge is seen
     outliers: Array  # (captures,) pixels that stand out of their tile by more than 6 robust sigmas
-    unsteady: Array  # (captures,) pixels whose temporal variance is above all that chance gives their tile's
+    unsteady: Array  # (captures,) pixels that scatter far more than their tile without their highest frame, too
     comb: Array  # (captures, periods) amplitude of a regular comb in the histogram, real part of its Fourier term
     comb_count: Array  # (captures,) samples in that histogram

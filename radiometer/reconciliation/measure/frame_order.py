@@ -85,8 +85,8 @@ class FrameLight:
 def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.bool_]) -> Periodic | None:
     """Return the period in which the light of frames comes back; None where chance explains what there is.
 
-    Any dependence on a frame's place within its setting is removed first. A first frame that differs, or a drift
-    within the repeats, has a separate statistic.
+    Any dependence on a frame's place within its capture is removed first, apart for captures that go on with the
+    setting before. A first frame that differs, or a drift within the repeats, has a separate statistic.
 
     Args:
         light: The light of each frame.
@@ -100,7 +100,8 @@ def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.b
     apart = [light.of_capture(design.captures[n].frames, clear[n]) for n in chosen]
     more = max(float(np.median([np.var(a, ddof=1) - unit[n] for a, n in zip(apart, chosen, strict=True)])), 0.0)
     weight = [1.0 / (unit[n] + more) for n in chosen]
-    found = [_rated([design.captures[n].frames for n in chosen], apart, weight, period) for period in _PERIODS]
+    frames, goes_on = [design.captures[n].frames for n in chosen], [design.goes_on(n) for n in chosen]
+    found = [_rated(frames, goes_on, apart, weight, period) for period in _PERIODS]
     best = min((entry for entry in found if entry is not None), key=lambda entry: entry.p_value, default=None)
     if best is None or best.p_value * len(_PERIODS) > FRAME_SIGNIFICANCE:
         return None
@@ -127,13 +128,15 @@ def steadied(design: Design, light: FrameLight, seen: CaptureStatistics, again: 
     return replace(seen, **found)
 
 
-def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float], period: int) -> Periodic | None:
-    """Return the one-way analysis of variance by phase, settings' means and places within a setting taken out."""
+def _rated(
+    frames: list[tuple[int, ...]], goes_on: list[bool], apart: list[Array], weight: list[float], period: int
+) -> Periodic | None:
+    """Return the one-way analysis of variance by phase, captures' means and places within a capture taken out."""
     longest = max(len(numbers) for numbers in frames)
     phases, places, values = [], [], []
-    for numbers, light, known in zip(frames, apart, weight, strict=True):
+    for numbers, later, light, known in zip(frames, goes_on, apart, weight, strict=True):
         phase = np.equal.outer(np.array(numbers) % period, np.arange(period)).astype(np.float64)
-        place = np.eye(longest)[: len(numbers)]
+        place = np.eye(2 * longest)[later * longest :][: len(numbers)]
         phases.append((phase - phase.mean(axis=0)) * np.sqrt(known))
         places.append((place - place.mean(axis=0)) * np.sqrt(known))
         values.append((light - light.mean()) * np.sqrt(known))
@@ -141,7 +144,8 @@ def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float
     columns, seen = residual(of_place, of_phase, rank=_RANK), residual(of_place, np.concatenate(values), rank=_RANK)
     left, size, right = np.linalg.svd(columns, full_matrices=False)
     kept = size > _RANK * np.linalg.norm(of_phase)  # a period that is that of the series leaves nothing
-    rank, freedom = int(kept.sum()), seen.size - len(frames) - (longest - 1) - int(kept.sum())
+    rank = int(kept.sum())
+    freedom = seen.size - len(frames) - int(np.linalg.matrix_rank(of_place)) - rank
     if not rank or freedom < 1:
         return None
     along = left[:, kept].T @ seen

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from radiometer.compiled import compiled
@@ -18,11 +19,14 @@ from radiometer.data import Frame
 from radiometer.errors import CaptureError
 from radiometer.reconciliation.measure.design import (
     COMB_PERIODS,
+    SMALLEST_TILE_PX,
     CaptureStatistics,
     Design,
     PatchSides,
+    Tile,
     TileGroup,
     patch_sides,
+    surface,
     tile_groups,
 )
 from radiometer.reconciliation.measure.lines import RowBins, edge_shares, row_light
@@ -32,6 +36,8 @@ from radiometer.units import gain_factor
 from simulators.chain.unsteady_pixels import unsteady_from
 
 Corners = NDArray[np.intp]
+FrameReader = Callable[[int], Frame]
+Progress = Callable[[int, int], None]
 
 
 # The inner loops hold no lock, so that other threads read the next frames meanwhile.
@@ -47,6 +53,7 @@ def add_tiles(
     comb_mad_dn: float,
     total: Array,
     square: Array,
+    highest: Array,
     pair_x: Array,
     pair_y: Array,
     histogram: Array,
@@ -63,6 +70,7 @@ def add_tiles(
         comb_mad_dn: Median absolute deviation above which a tile's histogram must be smooth, in DN.
         total: (tiles, height, width) sum of deviations from the tile's mean in DN; this frame is added.
         square: Same shape, sum of their squares; this frame is added.
+        highest: Same shape, the highest of them; this frame is compared.
         pair_x: Same shape, sum of products with the left neighbour in DN²; this frame is added.
         pair_y: The same with the upper neighbour.
         histogram: Counts of digital numbers over smooth tiles, longer than the largest one; this frame is added.
@@ -100,6 +108,7 @@ def add_tiles(
                 deviation = dn[y0 + i, x0 + j] - middle
                 total[k, i, j] += deviation
                 square[k, i, j] += deviation * deviation
+                highest[k, i, j] = max(highest[k, i, j], deviation)
                 along += deviation * good[y0 + i, x0 + j]
                 pair_x[k, i, j] += deviation * before
                 before = deviation
@@ -246,6 +255,7 @@ class CaptureSums:
     frame_means: list[Array]  # per frame, (tiles,) mean of each tile's good pixels in DN
     total: list[Array]  # per group, sum of pixels minus their tile's mean, (tiles, height, width)
     square: list[Array]  # the same of squares
+    highest: list[Array]  # the highest deviation of each pixel in any frame
     # Per group, sum of products of each pixel's deviation with its left neighbour's in DN², as `total`
     pair_x: list[Array]
     pair_y: list[Array]  # the same with its upper neighbour's
@@ -267,6 +277,7 @@ class CaptureSums:
             [],
             zeros,
             [np.zeros_like(z) for z in zeros],
+            [np.full(z.shape, -np.inf, np.float32) for z in zeros],
             [np.zeros(z.shape, np.float32) for z in zeros],
             [np.zeros(z.shape, np.float32) for z in zeros],
             [[] for _ in groups],
@@ -293,6 +304,7 @@ class CaptureSums:
                 _SMOOTH_MAD_DN,
                 self.total[number],
                 self.square[number],
+                self.highest[number],
                 self.pair_x[number],
                 self.pair_y[number],
                 self.histogram,
@@ -311,7 +323,7 @@ class CaptureSums:
             self.occurring = np.pad(self.occurring, (0, more))
 
     def without(self, first: CaptureSums) -> CaptureSums:
-        """Return the sums over the frames but the first; the histogram stays that of all."""
+        """Return the sums over the frames but the first; histogram and highest stay those of all."""
         return replace(
             self,
             frame_means=self.frame_means[1:],
@@ -328,31 +340,33 @@ class CaptureSums:
     def finish(
         self, black_dn: float, bins: RowBins, *, structured: bool = False, dark: bool = False
     ) -> tuple[dict[str, Array | float], Mask]:
-        """Return the statistics of the capture by name, and the map of its outlying and unsteady pixels.
+        """Return the statistics of the capture by name, and the map of its outlying and restless pixels.
 
         Args:
             black_dn: Stated black level in DN; NaN where unknown.
             bins: Bins of rows for bands.
             structured: Whether the tiles show a scene rather than even light: nothing in them is outlying or unsteady.
-            dark: Whether it is a dark capture, whose unsteady pixels leave its noise.
+            dark: Whether it is a dark capture, whose restless pixels leave its noise.
         """
         n, tiles = len(self.frame_means), self.low.size
         out = {name: np.full(tiles, np.nan) for name in _PER_TILE}
-        outlying, unsteady = np.zeros((2, *self.defects.shape), dtype=np.bool_)
+        outlying, restless = np.zeros((2, *self.defects.shape), dtype=np.bool_)
+        unsteady = 0.0
         means = np.array(self.frame_means)
         spacing_dn = _code_spacing(self.occurring)
         residuals, counting = [], []
         for number, group in enumerate(self.groups):
-            residual, good = self._finish_group(
-                number, group, means, np.inf if structured else spacing_dn, out, outlying, unsteady, dark=dark
+            residual, good, switching = self._finish_group(
+                number, group, means, np.inf if structured else spacing_dn, out, outlying, restless, dark=dark
             )
+            unsteady += switching
             residuals.append(residual)
             counting.append(good)
         out["low"], out["high"] = self.low / n, self.high / n
         row_sums = self._without_flicker(means, counting, out, black_dn) if structured and n > 1 else self.row_sums
         result: dict[str, Array | float] = dict(out)
         result["outliers"] = float(outlying.sum())
-        result["unsteady"] = float(unsteady.sum())
+        result["unsteady"] = unsteady
         free = _free(out)  # a clipped tile has hardly any noise and would outweigh all
         variance, spatial = (np.where(free, out[name], np.nan) for name in ("variance", "spatial"))
         known = [group.cut(~self.defects).astype(np.bool_) for group in self.groups]
@@ -363,17 +377,19 @@ class CaptureSums:
         result |= _additive_fluctuation(means, out, self._half_waves())
         result["side_lines"], result["side_unevenness"] = self.sides.lines(self.side_pixels / n)
         result |= _comb(self.histogram)
-        return result, outlying | unsteady
+        return result, outlying | restless
 
-    def _unsteady(self, number: int, good: Array, n: int, spacing_dn: float) -> Mask:
+    def _restless(self, number: int, good: Array, n: int, spacing_dn: float) -> tuple[Mask, float]:
         """Return which pixels, defects or not, scatter far more than those of their tile that count.
+
+        Second, how many of them do so without their highest frame, too: no cosmic ray.
 
         Where the noise hides below the spacing of the codes, one sample two codes off is no sign of that, nor is any
         where most are cut off.
         """
         far = np.zeros(good.shape, dtype=np.bool_)
         if n < 2:
-            return far
+            return far, 0.0
         index = self.groups[number].index
         whole = np.maximum(self.low, self.high)[index] < _LITTLE_CUT * n
         scatter = (self.square[number] - np.square(self.total[number]) / n) / (n - 1)
@@ -382,7 +398,12 @@ class CaptureSums:
             variance = (scatter * calm).sum(axis=(1, 2)) / np.maximum(calm.sum(axis=(1, 2)), 1.0)
             limit = np.maximum(unsteady_from(n) * variance, 4.0 * spacing_dn**2 / n)
             far = scatter > np.where(whole, limit, np.inf)[:, None, None]
-        return np.asarray(far)
+        if n < 3:
+            return far, 0.0
+        top = np.square(self.highest[number] - self.total[number] / n) * n / (n - 1)
+        others = (scatter * (n - 1) - top) / (n - 2)
+        limit = np.maximum(unsteady_from(n - 1) * variance, 4.0 * spacing_dn**2 / (n - 1))
+        return far, float(np.sum(far & (others > limit[:, None, None])))
 
     def _half_waves(self) -> Array:
         """Return the mean over each tile of half waves down the frame, (tiles, waves): as many as tiles can resolve."""
@@ -404,19 +425,19 @@ class CaptureSums:
         spacing_dn: float,
         out: dict[str, Array],
         outlying: Mask,
-        unsteady: Mask,
+        restless: Mask,
         *,
         dark: bool,
-    ) -> tuple[Array, Mask]:
+    ) -> tuple[Array, Mask, float]:
         n = means.shape[0]
         good = group.cut(~self.defects)
         picture = self.total[number] / n
         outside = _outlying(picture, group, spacing_dn)
         good = good * ~outside  # known defects and what stands out here
-        restless = self._unsteady(number, good, n, spacing_dn)
-        for tile, spots, restless_spots in zip(group.tiles, outside, restless, strict=True):
+        scattering, unsteady = self._restless(number, good, n, spacing_dn)
+        for tile, spots, scattering_spots in zip(group.tiles, outside, scattering, strict=True):
             outlying[tile.slices] |= spots
-            unsteady[tile.slices] |= restless_spots
+            restless[tile.slices] |= scattering_spots
         pixels = good.sum(axis=(1, 2))
         shift = (picture * good).sum(axis=(1, 2)) / pixels
         flat = (picture - shift[:, None, None]) * good
@@ -430,11 +451,11 @@ class CaptureSums:
         out["spatial"][index] = np.sum(residual**2, axis=(1, 2)) / (pixels - _TREND_TERMS)
         out["slope_x"][index] = coefficients[:, 1] / group.slope_norm[0]
         out["slope_y"][index] = coefficients[:, 2] / group.slope_norm[1]
-        calm = good * ~restless if dark else good
+        calm = good * ~scattering if dark else good
         out["variance_dof"][index] = (n - 1) * (calm.sum(axis=(1, 2)) - 1)
         if n > 1:
             self._temporal(number, group, calm, out, n)
-        return np.asarray(residual), np.asarray(good)
+        return np.asarray(residual), np.asarray(good), unsteady
 
     def _without_flicker(
         self, means: Array, counting: Sequence[Mask], out: dict[str, Array], black_dn: float
@@ -687,10 +708,73 @@ class PatternImages:
         return np.asarray(np.where(seen, values, values.max(initial=0.0)))
 
 
-_AHEAD: Final = 2  # frames that are read before they are needed
+_LOOKS: Final = 4  # frames of a pattern that show where it is even, from its faintest light to its brightest
+_SHARES: Final = (2 / 3, 1 / 2, 1 / 3)  # of a cell's sides that its even part may have
+_PLACES: Final = 9  # along either side of a cell that are tried
+_BY_CHANCE: Final = 5.0  # sigmas of a variance
 
-FrameReader = Callable[[int], Frame]
-Progress = Callable[[int, int], None]
+
+def with_even_tiles(design: Design, read: FrameReader) -> Design:
+    """Return the design of an unknown scene in which each tile is the part of its cell that shows the light best.
+
+    What bends, saturates or stays behind does not act on a tile's mean light where half of the tile is dark. The part
+    whose mean is known best is taken, structure beyond a quadratic surface counted as noise: the whole of an even cell,
+    and of one that is textured throughout.
+
+    Args:
+        design: The cells of the scene; a design of known patches is returned as it is.
+        read: Gives the frame at a position of the header.
+    """
+    images = PatternImages.empty(design)
+    for pattern in range(0 if design.uniform else len(design.patterns)):
+        lit = [n for n in np.argsort(images.scale).tolist() if images.scale[n] > 0 and images.pattern[n] == pattern]
+        for place in np.unique(np.linspace(0, len(lit) - 1, _LOOKS).astype(int)) if lit else ():
+            images.add(read(design.captures[lit[place]].frames[0]), lit[place])
+    pictures = np.stack([images.picture(pattern) for pattern in range(len(design.patterns))])
+    return replace(design, tiles=tuple(_even_part(tile, pictures, images.cell_px) for tile in design.tiles))
+
+
+def _even_part(tile: Tile, pictures: Array, cell_px: int) -> Tile:
+    """Return the part of a tile whose mean light is known best from (patterns, rows, columns) in cells.
+
+    Of the places that are best but for chance the middle one is taken: the luckiest would feign less noise.
+    """
+    top, left = -(-tile.y // cell_px), -(-tile.x // cell_px)
+    own = pictures[:, top : (tile.y + tile.height) // cell_px, left : (tile.x + tile.width) // cell_px]
+    least, found = float(_u2_of_mean(own[:, None])[0]), tile
+    for height, width in ((int(share * own.shape[1]), int(share * own.shape[2])) for share in _SHARES):
+        if min(height, width) * cell_px < SMALLEST_TILE_PX:
+            break
+        spare = (own.shape[1] - height, own.shape[2] - width)
+        at = np.stack(np.meshgrid(*(np.unique(np.linspace(0, n, _PLACES).astype(int)) for n in spare)), -1).reshape(
+            -1, 2
+        )
+        u2 = _u2_of_mean(sliding_window_view(own, (height, width), axis=(1, 2))[:, at[:, 0], at[:, 1]])
+        if u2.min() < least:
+            least = float(u2.min())
+            good = at[u2 <= least * (1.0 + _BY_CHANCE * math.sqrt(2.0 / (height * width)))]
+            y, x = good[np.argmin(np.sum(np.square(good - good.mean(axis=0)), axis=1))].tolist()
+            place = {"x": (left + x) * cell_px, "y": (top + y) * cell_px}
+            found = replace(tile, **place, width=width * cell_px, height=height * cell_px)
+    return found
+
+
+def _u2_of_mean(parts: Array) -> Array:
+    """Return the relative variance of the mean of parts of pictures, (patterns, parts, rows, columns), about a surface.
+
+    Infinite where a part shows no light, or is too small.
+    """
+    patterns, count, height, width = parts.shape
+    pixels = height * width
+    if pixels <= _TREND_TERMS:
+        return np.full(count, np.inf)
+    flat = parts.reshape(patterns, count, pixels)
+    left = np.sum(np.square(flat), axis=-1) - np.sum(np.square(flat @ surface(height, width)), axis=-1)
+    mean = np.maximum(flat.mean(axis=-1), 1e-30)
+    return np.asarray(np.sum(np.maximum(left, 0.0) / (pixels - _TREND_TERMS) / pixels / mean**2, axis=0))
+
+
+_AHEAD: Final = 2  # frames that are read before they are needed
 
 
 def reduce_frames(
@@ -698,7 +782,7 @@ def reduce_frames(
 ) -> tuple[CaptureStatistics, PatternImages]:
     """Return the statistics of all captures and the mean image of each pattern.
 
-    Dark captures come first, so that their outlying and unsteady pixels (defects) are left out everywhere.
+    Dark captures come first, so that their outlying and restless pixels (defects) are left out everywhere.
 
     Args:
         read: Gives the frame at a position of the header.

@@ -51,6 +51,7 @@ from radiometer.reconciliation.search.outcome import (
     worth,
 )
 from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
+from radiometer.reconciliation.statistics import STATISTICS, Scale
 from radiometer.reconciliation.thresholds import (
     HUGE_NATS,
     LAW_SHARE,
@@ -290,7 +291,7 @@ def _unnamed(
     run: _Run,
 ) -> FitState | None:
     tried = {old.name for old in state.terms} | run.refused
-    fresh = [t for t in standing if smooth_term(state, t).name not in tried]
+    fresh = [t for t in standing if smooth_term(state, t).name not in tried and not _too_few(state, t.block)]
     rated = ((test, _smooth_gain(state, test)) for test in fresh[:_SMOOTHS_TRIED])
     worthy = ((test, nats) for test, nats in rated if nats > PARAMETER_NATS * scatter_of(state))
     old = tuple(term for term in state.terms if term.is_smooth)
@@ -306,6 +307,12 @@ def _unnamed(
     run.steps.append(Step("unnamed", test.where, nats, state.gap, following.gap, closest=closest, block=test.family))
     run.say(f"unnamed {smooth_term(state, test).name}: {nats:.1f} nats, gap {state.gap:.3f} → {following.gap:.3f}")
     return following
+
+
+def _too_few(state: FitState, block: str) -> bool:
+    """Return whether fewer pixels count than names predict: that refutes a name, for what stays unnamed only adds."""
+    left = state.residual[state.comparison.cuts[block]]
+    return STATISTICS[block].scale is Scale.ROOT and float(left.sum()) < 0
 
 
 def _forget(run: _Run, name: str) -> None:

@@ -292,21 +292,6 @@ def test_command_prints_rate_and_measure_flags_the_light(tmp_path: Path, capsys:
     assert "flicker" in json.loads(capsys.readouterr().out)["flags"]
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ([], "--camera"),
-        (["lamp.csv", "--camera", "sim"], "no file"),
-        (["--camera", "sim", "--duration", "0"], "above 0"),
-        (["--camera", "sim", "--dark", "0.1"], "no file"),
-    ],
-)
-def test_misuse_is_one_line(words: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """What contradicts is named, exit code 2."""
-    assert run(["flicker", *words]) == 2
-    assert expected in capsys.readouterr().err
-
-
 def times(*exposures_s, flicker_hz=None, limit_s=60.0):
     return steadied(ExposurePlan(exposures_s), flicker_hz, limit_s).exposures_s
 

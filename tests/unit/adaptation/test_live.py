@@ -93,6 +93,8 @@ def test_running_fit_finds_the_break_and_says_why_there_is_none():
     assert float(fit.text.split("break ")[1].split()[0]) == pytest.approx(9.0, abs=1.2)
     errors = [value - SubjectCurve().threshold(t) for t, value in fit.curve]
     assert np.sqrt(np.mean(np.square(errors))) < 0.1
+    plateaus = [float(running_fit(whole, bias).text.split("plateau ")[1].split(",")[0]) for bias in (0.0, -0.1)]
+    assert plateaus[1] - plateaus[0] == pytest.approx(0.1, abs=0.011)  # as `adapt fit` removes the method's bias
     assert running_fit(whole[:5]).text == "a fit needs 8 thresholds"
     assert "no fit yet" in running_fit([(t, -1.0) for t, _ in whole]).text
 

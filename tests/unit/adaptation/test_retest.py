@@ -96,7 +96,9 @@ def test_pair_without_a_break_is_left_out_and_named() -> None:
 def test_json_says_the_limits_where_there_are_enough_pairs(pairs: int) -> None:
     """Of three pairs and more; what is not known, or not a number, is null."""
     agreement = limits_of_agreement(np.array([-1.0, 0.0, 1.0])) if pairs > 2 else None
-    shown = Compared("plateau", "log10", np.ones((pairs, 2)), math.nan, (4,), agreement).to_mapping()
+    shown = Compared(
+        "plateau", "log10", np.ones((pairs, 2)), np.full((pairs, 2), math.nan), (4,), agreement
+    ).to_mapping()
     assert (shown["pairs"], shown["pairs_without_it"], shown["u_difference_of_the_fits"]) == (pairs, [4], None)
     if agreement is None:
         assert shown["agreement"] is None

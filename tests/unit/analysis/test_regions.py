@@ -45,6 +45,18 @@ def test_the_uncertainties_hold_for_drawn_noise():
     assert min(inside.values()) >= 91, inside
 
 
+@pytest.mark.parametrize("camera", [0.0, 0.005, 0.01])
+@pytest.mark.parametrize("scene", [0.0, 0.005, 0.02])
+def test_a_deviation_holds_whatever_pattern_the_camera_has(camera, scene):
+    """Pixels that may differ by 1 %, and do by 0 to 1 %: the scene's own unevenness is within U, which is no more."""
+    rng = np.random.default_rng(2_438_001)
+    even, u = np.full((80, 100), 5.0), math.hypot(0.02, 0.05)
+    light = even * (1.0 + scene * rng.standard_normal(even.shape))
+    seen = light * (1.0 + camera * rng.standard_normal(even.shape)) + rng.normal(0.0, 0.02, even.shape)
+    found = region_figures(replace(map_of(seen, u=u), u_rel_pattern=0.01), "x", Patch(0, 0, 100, 80)).deviation
+    assert abs(found.value - light.std()) <= 2.0 * found.u <= 1.2 * 5.0 * math.hypot(camera, 0.01) + 0.04 * found.value
+
+
 def test_what_all_pixels_share_drops_out_of_a_contrast():
     """What all pixels share drops out of a contrast."""
     values = np.full((20, 40), 100.0)
@@ -363,7 +375,8 @@ def test_a_file_keeps_what_pixels_share(tmp_path):
     """TIFF writes it as a page of its own and reads it back; a map without has three pages as before."""
     own = map_of(np.full((6, 8), 2.0))
     for shared in (None, np.full((6, 8), 0.005, np.float32)):
-        write_tiff(tmp_path / "map.tiff", MapPicture({"mono": replace(own, u_shared=shared)}))
+        write_tiff(tmp_path / "map.tiff", MapPicture({"mono": replace(own, u_shared=shared, u_rel_pattern=0.01)}))
         back = read_tiff(tmp_path / "map.tiff").first
+        assert back.u_rel_pattern == 0.01
         assert (back.u_shared is None) == (shared is None)
         assert np.array_equal(back.parts_of_u(np.s_[:, :])[1], np.zeros((6, 8)) if shared is None else shared)

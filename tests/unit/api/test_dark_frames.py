@@ -143,6 +143,26 @@ def test_an_unstated_black_level_is_that_of_the_dark_frames(tmp_path):
     assert "black level 0 DN, which nothing states" in scales["without"].provenance.assumptions
 
 
+def test_the_response_of_frames_that_state_no_black_level_starts_at_that_of_their_dark_frames(tmp_path):
+    """A linear camera with 500 DN of black: the curve is ln(M − 500) within k = 2 and 3 %; dim light merges with it."""
+    rng, scene = np.random.default_rng(6), np.geomspace(0.05, 1.0, 32) * np.ones((24, 1))
+    with CaptureSetWriter(tmp_path / "set", CameraDescription(bit_depth=12), LENS) as writer:
+        for time_s in 0.0005 * 2.0 ** np.arange(7):
+            for light, shutter in ((3e5 * scene, "open"), (0.0 * scene, "closed")):
+                electrons = rng.poisson(light * time_s * GAIN_E_PER_DN) + rng.normal(0.0, 2.0, scene.shape)
+                dn = np.clip(np.rint(BLACK_DN + electrons / GAIN_E_PER_DN), 0, 4095).astype(np.uint16)
+                writer.add(Frame(dn, 12, FrameSettings(time_s, shutter=shutter)))
+    found = rm.recover_response(tmp_path / "set")
+    low, high = found.curve.valid_dn
+    at = np.arange(max(low, int(BLACK_DN) + 20), high + 1)
+    error = found.curve.log_exposure[at] - np.log((at - BLACK_DN) / (found.curve.mid_dn - BLACK_DN))
+    assert np.abs(error).max() < 0.03
+    assert np.mean(np.abs(error) < 2.0 * found.curve.u_log_exposure[at]) > 0.95
+    assert any("black level is that of 7 dark frames" in text for text in found.notes)
+    column = rm.merge(tmp_path / "set", found).value.mean(axis=0)
+    assert column[0] / column[-1] == pytest.approx(0.05, rel=0.03)
+
+
 def test_light_that_may_all_be_dark_current_carries_no_scale(tmp_path):
     """Nothing states the dark current: after half a second 36,000 e⁻/s may be all of an even picture."""
     with CaptureSetWriter(tmp_path / "set", CameraDescription(bit_depth=12, black_level_dn=BLACK_DN), LENS) as writer:

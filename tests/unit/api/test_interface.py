@@ -85,8 +85,9 @@ def test_a_camera_that_bins_is_not_read_as_one_that_does_not(stated, tmp_path):
             return
         for assumed in (meter.measure(patch).more["assumptions"], rm.merge(stack, calibration=path).assumptions):
             assert any(line.startswith("binning 2 at calibration too") for line in assumed)
-        with pytest.raises(UsageError, match="leaves the frame of 48 × 32 pixels"):
-            meter.measure()
+        for ask in (meter.measure, lambda: meter.bracket((40, 0, 20, 20))):
+            with pytest.raises(UsageError, match="leaves the frame of 48 × 32 pixels"):
+                ask()
 
 
 def test_a_closed_meter_is_closed_once(bench):

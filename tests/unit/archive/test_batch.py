@@ -77,18 +77,6 @@ def test_light_of_unknown_kind_is_flagged_in_the_table(make_archive, tmp_path):
     assert table["u"].iloc[0] > 2 * table["u"].iloc[1]
 
 
-def test_a_failing_capture_does_not_stop_the_rest(make_archive, tmp_path):
-    """A truncated frame makes a row with its error; the others are done."""
-    root = make_archive(4)
-    victim = root / "day-0002" / "frames" / "0001.png"
-    os.truncate(victim, 40)
-    summary = batch(root, tmp_path / "results.csv")
-    table = pd.read_csv(tmp_path / "results.csv")
-    assert [row["capture"].endswith("day-0002") for row in summary.failures] == [True]
-    assert table["status"].tolist() == ["ok", "ok", "failed", "ok"]
-    assert "truncated" in table["error"][2]
-
-
 @pytest.mark.parametrize("job", ["measure", "merge"])
 def test_frames_without_the_source_are_no_reading(make_archive, tmp_path, job):
     """A capture whose source was off in every frame fails; off in one of two, that one is left out."""
@@ -112,15 +100,6 @@ def test_what_is_done_is_not_done_again(make_archive, tmp_path):
     shutil.copy(root / "day-0000" / "frames" / "0000.png", root / "day-0001" / "frames" / "0000.png")
     again = batch(root, tmp_path / "results.csv")
     assert (again.done, again.skipped, again.rows_in_table) == (1, 2, 3)
-
-
-def test_other_settings_are_another_result(make_archive, tmp_path):
-    """The same captures with another patch are measured anew."""
-    root = make_archive(2)
-    batch(root, tmp_path / "results.csv")
-    moved = JobSettings("measure", patch=(0, 0, 8, 8))
-    summary = run_batch(find_captures(str(root))[0], moved, tmp_path / "results.csv")
-    assert summary.done == 2
 
 
 def test_an_interrupted_run_leaves_a_usable_table_and_goes_on(make_archive, tmp_path):
@@ -206,14 +185,6 @@ def test_an_empty_archive_and_a_strange_table_are_refused(make_archive, tmp_path
         find_captures(str(tmp_path))
     with pytest.raises(UsageError, match=r"must end in \.parquet or \.csv"):
         batch(make_archive(1), tmp_path / "results.xlsx")
-
-
-def test_unfinished_captures_are_listed(make_archive):
-    """A folder with frames but no header is no capture set, and is not passed over in silence."""
-    root = make_archive(2)
-    (root / "day-0001" / "capture.yaml").unlink()
-    finished, unfinished = find_captures(str(root))
-    assert ([p.name for p in finished], [p.name for p in unfinished]) == (["day-0000"], ["day-0001"])
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """Passports: one dark law over sessions, gains held against what headers state, the lamp kept apart from the camera."""
 
 import datetime as dt
-import json
 import math
 import re
 from dataclasses import replace
@@ -230,15 +229,6 @@ def test_two_nights_of_one_camera(archive):
             assert K.value == pytest.approx(0.5, abs=2.5 * K.u), (session.name, name)
     assert any("off by +10" in line and "wrong" in line for line in found.gain)
     assert [c.changed for c in found.changes if c.quantity in ("K", "dark current")] == [False, False]
-
-
-def test_the_command_prints_one_object(archive, capsys):
-    """--json gives cameras with law, gain and changes."""
-    assert run(["passport", str(archive), "--json"]) == 0
-    (camera,) = json.loads(capsys.readouterr().out)["cameras"]
-    assert camera["camera"] == "CCD"
-    assert camera["dark_law"]["one_law"] is True
-    assert camera["dark_law"]["doubling_K"]["unit"] == "K"
 
 
 def test_the_command_reports_people_the_same(archive, capsys):

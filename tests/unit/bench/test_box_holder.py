@@ -20,6 +20,7 @@ from radiometer.bench.box_holder import ask_for_darkness, darken_held, held_boxe
 from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box, simulated_port_folder
 from radiometer.bench.served_box import served_box
 from radiometer.cli.main import run
+from radiometer.daemon.bench_instrument import bench_light
 from radiometer.devices.light_box import DriveLevel
 from radiometer.errors import DeviceError, DeviceInUse, DeviceNotFound, OutputError
 from simulators.light_box.virtual_line import LineFaults
@@ -44,6 +45,23 @@ def test_light_off_works_while_another_program_holds_the_box(capsys):
         assert opened.box.read_channel("spot").drive.level == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == {"box": "HELD0001", "darkened_by": os.getpid()}
+
+
+def test_another_box_on_the_port_of_the_one_that_was_lost_is_refused_by_the_daemon(tmp_path):
+    """The light asked of the first is not given by the second, of which neither levels nor account are the same."""
+    port = tmp_path / "port"
+    light = bench_light(str(port))
+    for serial in ("ONES0001", "TWOS0001", "ONES0001"):
+        with served_box(serial, port).server:
+            if serial == "ONES0001":
+                light.open()
+                assert light.set_level("spot", 0.01) > 0
+            else:
+                with pytest.raises(DeviceError, match="light box TWOS0001, in place of light box ONES0001"):
+                    light.open()
+                with pytest.raises(DeviceError, match="not open"):
+                    light.set_level("spot", 0.01)
+            light.close()
 
 
 @pytest.mark.parametrize("named", [False, True])

@@ -135,7 +135,7 @@ def test_each_reason_is_reported_once_and_a_camera_that_does_not_open_is_let_go(
     held: list[bool] = []
     reopen(camera, CameraSettings(exposure_s=0.003), reported.append, lambda _s: held.append(camera.is_open))
     another = reported.pop()
-    assert "another camera answers, Fake F-1 4712, in place of Fake F-1 4711" in another
+    assert "another device answers, camera Fake F-1 4712, in place of camera Fake F-1 4711" in another
     assert (reported, held, camera.is_open) == (["unplugged", "in use"], [False] * 5, True)
 
 

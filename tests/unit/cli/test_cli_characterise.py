@@ -9,7 +9,6 @@ import pytest
 import yaml
 
 import radiometer as rm
-from radiometer.adaptation.protocol import SHIPPED
 from radiometer.cli.main import run
 from radiometer.cli.main import run as main
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
@@ -82,22 +81,6 @@ def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path):
     CameraModel.ideal(preset.camera, LensDescription(f_number=4.0))
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "message"),
-    [
-        ([], 2, "name a capture set (or descriptor file), or a camera with --camera"),
-        (["nowhere"], 1, "nowhere does not exist"),
-        (["nowhere", "--camera", "sim"], 2, "one of both"),
-    ],
-)
-def test_misuse_is_one_line_with_its_exit_code(words, code, message, capsys):
-    """Neither or both of capture and camera is misuse; a missing folder is a failure."""
-    assert run(["characterise", *words]) == code
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-
-
 @pytest.fixture
 def flux_capture(tmp_path: Path) -> Path:
     """Return a bracket of a 5 mW diode of half angle 60° and 3 mm at 80 mm from a 20 mm lens."""
@@ -123,17 +106,6 @@ def flux_capture(tmp_path: Path) -> Path:
     return tmp_path / "set"
 
 
-def test_json_gives_thesis_and_emitted_flux(flux_capture, capsys):
-    """The emitted flux is 5 mW within its k = 2 uncertainty; the thesis's figure is next to it."""
-    words = ["--half-angle", "60", "--distance", "80", "--diameter", "3", "--datasheet-mw", "5", "--json"]
-    assert run(["flux", str(flux_capture), *words]) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert printed["result"]["value"] == pytest.approx(5e-3, abs=2 * printed["result"]["u"])
-    assert printed["thesis_2_13"]["value"] < 0.1e-3
-    assert printed["thesis_2_13"]["unit"] == "W"
-    assert set(printed["emitted"]) == {"fraction_through_pupil", "radiance_times_area"}
-
-
 def test_table_shows_how_the_gap_closes(flux_capture, capsys):
     """Each step has its flux and the share that it closes."""
     assert run(["flux", str(flux_capture), "--half-angle", "60", "--distance", "80", "--datasheet-mw", "5"]) == 0
@@ -142,25 +114,15 @@ def test_table_shows_how_the_gap_closes(flux_capture, capsys):
     assert "open: " in out
 
 
-def test_without_a_half_angle_the_way_to_the_emitted_flux_is_named(flux_capture, capsys):
-    """Only the flux through the sensor is given."""
-    assert run(["flux", str(flux_capture)]) == 0
-    assert "for the emitted flux give --half-angle" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
         (["--distance", "80"], 2, "needs --half-angle"),
-        (["--half-angle", "95"], 2, "half angle 95° is out of range"),
         (["--half-angle", "60", "--datasheet-mw", "0"], 2, "datasheet_mw is 0.0 (float); give finite number above 0"),
-        (["--patch", "90,0,40,40"], 1, "is not on the frame of 96 × 96"),
     ],
 )
 def test_misuse_is_one_line(flux_capture, words, code, message, capsys):
     """What is missing or impossible is stated with the way out."""
-    if words[:2] == ["--half-angle", "95"]:
-        words = [*words, "--distance", "80"]
     assert run(["flux", str(flux_capture), *words]) == code
     error = capsys.readouterr().err
     assert message in error
@@ -199,16 +161,6 @@ def bench(tmp_path):
     file = tmp_path / "bench.yaml"
     file.write_text(yaml.safe_dump(BENCH))
     return file
-
-
-def test_plan_lists_every_index(capsys):
-    """Symbols, definitions and steps of all twelve."""
-    assert main(["quality", "plan", "--json"]) == 0
-    listed = json.loads(capsys.readouterr().out)
-    assert {"f1′", "f3", "f6", "f7", "f8", "f11", "f12", "f21", "edge", "smear", "VGI"} < {
-        one["symbol"] for one in listed
-    }
-    assert next(one for one in listed if one["name"] == "glare")["steps"][1]["name"] == "black"
 
 
 def test_steps_are_captured_one_by_one_and_reported(bench, tmp_path, capsys):
@@ -260,22 +212,6 @@ def test_several_steps_need_a_hand(bench, tmp_path, capsys):
     assert not (tmp_path / "s").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["nonsense", "far"], "is no procedure"),
-        (["focus", "middle"], "is no step of focus"),
-        (["size", "../x"], "no step"),
-        *((["range", name], "no step") for name in ("12,5dB", "+12dB", "1e1dB", "nandB", "12dBm", "gain12dB")),
-        *((["polarisation", name], "no step") for name in ("nan", "1e999", "45\n")),
-    ],
-)
-def test_unknown_names_are_misuse(words, message, tmp_path, capsys):
-    """Procedures and steps that there are not; a step's name never leaves the session's folder."""
-    assert main(["quality", "take", str(tmp_path / "s"), *words]) == 2
-    assert message in capsys.readouterr().err
-
-
 def test_a_step_is_not_taken_twice(bench, tmp_path, capsys):
     """A capture that is there is left alone, and stated."""
     words = ["quality", "take", str(tmp_path / "s"), "focus", "far", "--bench", str(bench)]
@@ -303,12 +239,6 @@ def test_datasheet_opens_with_the_outcome_and_hides_no_gap(tmp_path, capsys):
     assert page.index("focus distance") < page.index("Not measured") < page.index("What was assumed")
 
 
-def test_nothing_to_report_says_the_way(tmp_path, capsys):
-    """An empty session fails with what to do."""
-    assert main(["quality", "report", str(tmp_path)]) == 1
-    assert "radiometer quality take" in capsys.readouterr().err
-
-
 # `radiometer screen`: files, JSON, exit codes.
 
 
@@ -326,44 +256,6 @@ def test_calibrate_writes_calibration_and_exports(calibration):
     assert ScreenCalibration.read(calibration).channel().levels == (0, 32, 64, 96, 128, 192, 255)
     assert calibration.with_suffix(".csv").exists()
     assert calibration.with_suffix(".ti3").exists()
-
-
-def test_level_answers_in_json(calibration, capsys):
-    """Level and what it shows with uncertainty, near the target."""
-    assert run(["screen", "level", str(calibration), "50", "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["shown"]["value"] == pytest.approx(50, abs=0.5)
-    assert answer["shown"]["u"] > 0
-
-
-@pytest.mark.slow
-def test_level_out_of_reach_fails_in_one_line(calibration, capsys):
-    """Exit code 1, the limits in the message."""
-    assert run(["screen", "level", str(calibration), "5000"]) == 1
-    assert "allowed is" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_export_names_what_it_wrote(calibration, tmp_path, capsys):
-    """Every kind asked for is written into the folder."""
-    assert run(["screen", "export", str(calibration), "psychopy,vcgt", "-o", str(tmp_path)]) == 0
-    assert {p.name for p in tmp_path.iterdir()} == {"oled.json", "oled.vcgt"}
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["screen", "calibrate", "--display", "plasma"],
-        ["screen", "calibrate", "--display", "oled", "--levels", "few"],
-        ["screen", "calibrate", "--display", "oled", "--export", "xlsx"],
-        ["screen", "calibrate", "--display", "oled", "--channels", "gray"],
-    ],
-)
-def test_misuse_is_exit_code_two(words, tmp_path, capsys):
-    """A wrong word is named and nothing is written."""
-    assert run([*words, "-o", str(tmp_path / "x.yaml")]) == 2
-    assert capsys.readouterr().err.startswith("error:")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
@@ -390,14 +282,6 @@ def test_own_export_is_imported_and_a_kept_calibration_is_verified(calibration, 
     assert run(["screen", "verify", str(calibration), "--display", "lcd", "--levels", "0,128,255"]) == 1
 
 
-@pytest.mark.parametrize("words", [["calibrate", "-o", "x.yaml"], ["verify", "CALIBRATION"]])
-def test_real_screen_needs_a_real_camera(words, calibration, tmp_path, monkeypatch):
-    """Without --camera or --bench a browser's page is not measured by the simulated camera; nothing is written."""
-    monkeypatch.chdir(tmp_path)
-    assert run(["screen", *(str(calibration) if word == "CALIBRATION" else word for word in words)]) == 2
-    assert list(tmp_path.iterdir()) == []
-
-
 # `radiometer adapt bleach`, `protocols`, `retest` and what `fit` reports of the subject.
 
 
@@ -408,27 +292,6 @@ def test_bleach_calculator_gives_trolands_and_fractions(capsys: pytest.CaptureFi
     assert found["retinal_td"] == pytest.approx(3769.9, rel=1e-4)
     assert found["rods_bleached"] == pytest.approx(0.0749, abs=0.0005)
     assert 0 < found["cones_bleached"] < 0.2
-
-
-def test_protocols_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    """All of them, each with what it is for."""
-    assert run(["adapt", "protocols"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == list(SHIPPED)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["nothing", "--subject", "A", "--simulate", "steady"],
-        ["classic", "--subject", "A", "--simulate", "asleep"],
-        ["classic", "--subject", "A", "--simulate", "steady", "--box", "LB000001"],
-    ],
-)
-def test_misuse_of_adapt_is_exit_code_two(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """Unknown protocol, unknown subject, and a simulated subject before a real box."""
-    assert run(["adapt", "run", *words]) == 2
-    assert capsys.readouterr().err.startswith("error:")
 
 
 def _table(path: Path, break_min: float, seed: int, head: str = "") -> str:

@@ -70,22 +70,103 @@ def test_the_overview_imports_nothing_heavy():
     assert "measure" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "message"),
-    [
-        (["mesure"], 2, "did you mean 'measure'"),
-        (["measure", "--patch", "1,2,3"], 2, "expected X,Y,W,H"),
-        (["measure", "--nonsense"], 2, "No such option"),
-        (["measure", "--bench", "absent.yaml"], 2, "cannot read absent.yaml"),
-        ([], 2, "Commands:"),
-    ],
-)
-def test_misuse_gets_one_clear_line_and_code_two(words, code, message, capsys):
-    """No traceback reaches a user."""
-    assert run(words) == code
+MISUSE = [
+    ("", 2, "Commands:"),
+    ("mesure", 2, "did you mean 'measure'"),
+    ("completion tcsh", 2, "choose one of bash, zsh, fish"),
+    ("measure --patch 1,2,3", 2, "expected X,Y,W,H"),
+    ("measure --patch 1600,0,40,40", 2, "1616 × 1240"),
+    ("measure --nonsense", 2, "No such option"),
+    ("measure --bench absent.yaml", 2, "cannot read absent.yaml"),
+    ("measure --u-rel 5", 2, "--u-rel 5: is 500 %; write 5%, or a fraction below 1"),
+    ("measure --u-rel 120%", 2, "--u-rel 120%: must be below 100 %"),
+    ("measure --u-rel -0.01", 2, "--u-rel '-0.01': must be 0 or more"),
+    ("measure --f-number 0.008", 2, "f-numbers go from 0.5 to 1000; is it the exposure time?"),
+    ("merge p -o a.exr --align maybe", 2, "auto, on, off"),
+    ("measure --measured-iso 200=136", 2, "--photographs"),
+    ("measure --photographs . --camera sim", 2, "--photographs"),
+    ("measure --photographs .", 2, "--photographs"),
+    ("bracket out --from 1us --to 1ms", 1, "allowed is 1.1e-05 to 30 s"),
+    ("bracket out --from 1/1000 --to 125", 2, "is 125 s meant, or 1/125 s? Write 125s or 1/125"),
+    ("calibrate -o c --iso 100 --exposure 125", 2, "is 125 s meant, or 1/125 s? Write 125s or 1/125"),
+    ("calibrate -o c --exposure 16 --f-number 125", 2, "is f/125 meant, or the exposure time? Write f/125"),
+    ("calibrate -o c --exposure 16 --f-number 1/125", 2, "is it the exposure time?"),
+    ("characterise", 2, "name a capture set (or descriptor file), or a camera with --camera"),
+    ("characterise nowhere", 1, "nowhere does not exist"),
+    ("characterise nowhere --camera sim", 2, "one of both"),
+    ("flicker", 2, "--camera"),
+    ("flicker lamp.csv --camera sim", 2, "no file"),
+    ("flicker --camera sim --duration 0", 2, "above 0"),
+    ("flicker --camera sim --dark 0.1", 2, "no file"),
+    ("new-bench b.yaml", 2, "needs a camera"),
+    ("new-bench b.yaml --camera 1 --focal-length 16", 2, "needs its f-number"),
+    ("new-bench b.yaml --camera 1 --focal-length -3", 2, "give finite number above 0"),
+    ("new-bench b.yaml --camera 1 --patch 1,2,3", 2, "expected X,Y,W,H"),
+    ("new-bench b.yaml --camera sim --focal-length 16 --f-number 1/125", 2, "expected an f-number such as 4 or f/4"),
+    ("quality take s nonsense far", 2, "is no procedure"),
+    ("quality take s focus middle", 2, "is no step of focus"),
+    ("quality take s size ../x", 2, "no step"),
+    *(
+        (f"quality take s range {name}", 2, "no step")
+        for name in ("12,5dB", "+12dB", "1e1dB", "nandB", "12dBm", "x1dB")
+    ),
+    *((f"quality take s polarisation {name}", 2, "no step") for name in ("nan", "1e999")),
+    ("screen calibrate -o x.yaml --display plasma", 2, "plasma"),
+    ("screen calibrate -o x.yaml --display oled --levels few", 2, "few"),
+    ("screen calibrate -o x.yaml --display oled --export xlsx", 2, "xlsx"),
+    ("screen calibrate -o x.yaml --display oled --channels gray", 2, "gray"),
+    ("screen calibrate -o x.yaml", 2, "--camera"),
+    ("adapt run nothing --subject A --simulate steady", 2, "nothing"),
+    ("adapt run classic --subject A --simulate asleep", 2, "asleep"),
+    ("adapt run classic --subject A --simulate steady --box LB000001", 2, "--box"),
+    ("light set spot --box sim", 2, "either --radiance or --level"),
+    ("light set spot --level 5 --radiance 1 --box sim", 2, "either --radiance or --level"),
+    ("light set green --level 5 --box sim", 2, "it has bleach, spot"),
+    ("light pulse spot --level 5 --duration soon --box sim", 2, "--duration 'soon'"),
+    ("light calibrate --channel green --box sim", 2, "it has bleach, spot"),
+    ("light status --box NONE0001", 1, "--box sim"),
+    ("log none.sqlite", 1, "radiometer serve"),
+    *(
+        (f"adapt run quick --subject S --simulate steady {own}", 2, f"{own.split()[0]} has no effect without {other}")
+        for own, other in (
+            ("--display lcd", "--screen"), ("--port 8000", "--screen"), ("--room 1", "--box sim"),
+            ("--preset box.yaml", "--box"), ("--calibration light.yaml", "--box"), ("--fixation 0.1", "--box"),
+        )
+    ),
+    ("adapt run quick --subject S7 --box sim", 2, "the simulated box needs a simulated subject: --simulate steady"),
+    ("response p -o curve.txt", 2, "ending must be one of"),
+    ("response p --plot curve.gif", 2, "ending must be one of"),
+    ("response p --method guess", 2, "there is no response method 'guess'"),
+    *((f"serve --mqtt {text}", 2, "HOST") for text in (":1883", "host:0", "host:99999", "host:abc")),
+    ("serve --mqtt localhost --mqtt-prefix lab/#", 2, "prefix"),
+    ("serve --scpi-address 0.0.0.0", 2, "--scpi-allow"),
+    ("serve --http-address 0.0.0.0 --no-scpi", 2, "--token-file"),
+    ("serve --scpi-allow nonsense", 2, "no network"),
+    ("serve --bench absent.yaml", 2, "absent.yaml"),
+    ("serve --patch 1,2,3", 2, "--patch"),
+    ("serve --every -1", 2, "--every"),
+    ("serve --scpi-port 99999", 2, "--scpi-port"),
+]  # fmt: skip
+
+
+@pytest.fixture
+def state(tmp_path_factory):
+    """Return a folder for what programs keep of themselves."""
+    return tmp_path_factory.mktemp("state")
+
+
+@pytest.mark.parametrize(("words", "code", "message"), MISUSE)
+def test_misuse_gets_one_clear_line_and_its_exit_code(words, code, message, capsys, tmp_path, monkeypatch, state):
+    """No traceback reaches a user; the line names what is wrong and the way out, and nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("XDG_DATA_HOME", "XDG_STATE_HOME"):
+        monkeypatch.setenv(name, str(state))
+    assert run(words.split()) == code
     printed = capsys.readouterr().err
-    assert message in printed
+    assert message in " ".join(printed.split())
     assert "Traceback" not in printed
+    assert not words or "rror: " in printed.splitlines()[-1]
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("words", ["--help", "measure"])
@@ -237,30 +318,6 @@ def test_each_bound_is_taken_and_one_step_beyond_is_misuse(parse, taken, refused
             parse(text, *option)
 
 
-@pytest.mark.parametrize(
-    ("words", "way_out"),
-    [
-        ("measure --u-rel 5", "is 500 %; write 5%, or a fraction below 1"),
-        ("measure --u-rel 120%", "must be below 100 %"),
-        ("measure --u-rel -0.01", "must be 0 or more"),
-        ("bracket out --from 1/1000 --to 125", "is 125 s meant, or 1/125 s? Write 125s or 1/125"),
-        ("calibrate -o c --iso 100 --exposure 125", "is 125 s meant, or 1/125 s? Write 125s or 1/125"),
-        ("calibrate -o c --exposure 16 --f-number 125", "is f/125 meant, or the exposure time? Write f/125"),
-        ("calibrate -o c --exposure 16 --f-number 1/125", "is it the exposure time?"),
-        ("measure --f-number 0.008", "f-numbers go from 0.5 to 1000; is it the exposure time?"),
-        ("new-bench b.yaml --camera sim --focal-length 16 --f-number 1/125", "expected an f-number such as 4 or f/4"),
-    ],
-)
-def test_what_is_implausible_is_misuse(words, way_out, capsys, tmp_path, monkeypatch):
-    """Nothing is measured; the message names the option and says what to write."""
-    monkeypatch.chdir(tmp_path)
-    assert run(words.split()) == 2
-    printed = " ".join(capsys.readouterr().err.split())
-    assert words.split()[-2] in printed
-    assert way_out in printed
-    assert not list(tmp_path.iterdir())
-
-
 def _options(command, *path):
     """Yield each option of a command and of those below it, after the words of its command."""
     yield from ((*path, option.opts[0]) for option in command.params)
@@ -368,12 +425,6 @@ def test_zsh_and_fish_get_options_with_what_they_do(shell, scripts, capsys):
     )
     assert "--photographs" in done.stdout
     assert "Folder of photographs" in done.stdout
-
-
-def test_another_shell_is_misuse(capsys):
-    """The message names those that there are."""
-    assert run(["completion", "tcsh"]) == 2
-    assert "choose one of bash, zsh, fish" in capsys.readouterr().err
 
 
 def _failed(message):

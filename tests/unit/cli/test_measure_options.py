@@ -181,15 +181,6 @@ def test_speeds_that_mean_nothing_are_a_misuse(tmp_path, capsys, word):
     assert "ISO 250" in (printed := capsys.readouterr().err) or "STATED=REAL" in printed
 
 
-@pytest.mark.parametrize(
-    "words", [["--measured-iso", "200=136"], ["--photographs", ".", "--camera", "sim"], ["--photographs", "."]]
-)
-def test_photographs_stand_in_for_a_camera(capsys, words):
-    """Speeds without photographs, photographs next to a camera, and photographs without a patch are misuses."""
-    assert run(["measure", *words]) == 2
-    assert "--photographs" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_known_ratio_fixes_the_exponent(tmp_path, capsys):
     """Times stated 2.2-fold for 2-fold: with one ratio known as 2 the others come out as 2, and the gauge says why."""

@@ -89,12 +89,6 @@ def test_the_line_for_people_says_it(folder, tmp_path, capsys):
     assert "moved" in out
 
 
-def test_an_unknown_choice_is_misuse(folder, tmp_path, capsys):
-    """--align takes one of three words."""
-    assert run(["merge", "--force", str(folder), "--align", "maybe", "-o", str(tmp_path / "a.exr")]) == 2
-    assert "auto, on, off" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_a_patch_of_photographs_from_the_hand_is_read_where_it_is(folder, tmp_path, capsys):
     """A patch on a steep flank reads the same as the scene there, relative to another patch; unaligned it does not."""

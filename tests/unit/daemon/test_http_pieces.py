@@ -145,42 +145,11 @@ def test_the_frame_shown_is_the_longest_in_which_less_than_a_thousandth_clips(cl
     assert Measurement(reading).frame is None
 
 
-@pytest.mark.parametrize("height", [60, 200])
-def test_the_bar_runs_from_its_brightest_at_the_top_to_its_end(height):
-    """34 pixels, or a quarter, from the top, and 14, or half, from the bottom; beyond it there is background."""
-    picture = ServedPicture(np.linspace(1.0, 2.0, height * 100, dtype=np.float32).reshape(height, 100),
-                      np.zeros((height, 100), bool), "W sr-1 m-2", 3)  # fmt: skip
-    page, _ = render(picture, width=100, scale="linear", colours="grey", bar=True)
-    pixels = np.asarray(Image.open(io.BytesIO(page)).convert("L")).astype(int)
-    assert pixels.shape[0] == height
-    bar = pixels[:, 100 + 20]
-    top, bottom = min(34, height // 4), max(height - 14, height // 2)
-    assert bar[top] == bar.max() > 200
-    assert np.all(np.diff(bar[top:bottom]) <= 0)
-    assert bar[bottom - 1] < 20
-    assert len(set(bar[bottom:].tolist())) == 1
-
-
 def test_the_numbers_next_to_the_bar_are_those_of_its_scale():
     """Half way up stands the geometric mean of a logarithmic bar's ends, of a linear one's the arithmetic mean."""
     places = np.array([0.0, 0.5, 1.0])
     assert next_to_bar(1.0, 100.0, places, logarithmic=True) == pytest.approx([1.0, 10.0, 100.0])
     assert next_to_bar(1.0, 100.0, places, logarithmic=False) == pytest.approx([1.0, 50.5, 100.0])
-
-
-@pytest.mark.parametrize(
-    ("values", "digits", "texts"),
-    [
-        ([0.1, 0.325, 0.55, 0.775, 1.0], 2, ["0.10", "0.33", "0.55", "0.78", "1.0"]),
-        ([0.99, 0.9925, 0.995, 0.9975, 1.0], 2, ["0.990", "0.993", "0.995", "0.998", "1.00"]),
-        ([150.0, 250.0], 3, ["150", "250"]),
-        ([1e-4, 1e-2, 1.0], 2, ["0.00010", "0.010", "1.0"]),
-        ([1.5e5, 1.5002e5], 2, ["1.5000e+05", "1.5002e+05"]),
-    ],
-)
-def test_neighbouring_numbers_next_to_the_bar_differ(values, digits, texts):
-    """As few digits as tell them apart, rounded by hand."""
-    assert bar_labels(np.array(values), digits) == texts
 
 
 @given(st.floats(1e-6, 1e6), st.floats(1.001, 1e4), st.booleans())
@@ -268,16 +237,6 @@ def test_an_even_picture_and_a_black_one_have_a_scale():
         assert [float(end) for end in headers["Radiometer-Scale"].split(",")[1:]] == pytest.approx(list(ends))
 
 
-def test_the_hatching_of_a_dark_room_has_stripes_of_four_pixels():
-    """Diagonals, black first in the upper left corner: along a row and along a column four by four."""
-    white = ServedPicture(np.full((64, 64), 5.0, np.float32), np.ones((64, 64), bool), "W", 5)
-    page, _ = render(white, width=64, scale="linear", colours="red", bar=False)
-    red = np.asarray(Image.open(io.BytesIO(page)))[..., 0]
-    stripes = np.tile(np.repeat([0, 255], 4), 8)
-    assert red[0].tolist() == stripes.tolist() == red[:, 0].tolist()
-    assert red[1, :63].tolist() == stripes[1:].tolist()
-
-
 @pytest.mark.parametrize(("part", "marked"), [(2, False), (3, True)])
 def test_a_shown_pixel_is_clipped_where_more_than_half_of_its_own_are(part, marked):
     """Of blocks of 2 × 2 pixels two do not count, three do; the colour is one that no map has."""
@@ -309,18 +268,3 @@ async def test_connections_are_counted_while_there_is_a_server(station):
     for _, writer in lines:
         writer.close()
     assert shown() == 'radiometer_connections{interface="http"} 0.0'
-
-
-@pytest.mark.parametrize("height", [64, 200])
-def test_the_bar_leaves_the_picture_as_it_is(height):
-    """With the bar the picture stands left of it, pixel by pixel as without."""
-    rng = np.random.default_rng(2)
-    shown = ServedPicture(
-        rng.uniform(1.0, 9.0, (height, 100)).astype(np.float32), np.zeros((height, 100), bool), "W", 5
-    )
-    alone, neighbour = (
-        np.asarray(Image.open(io.BytesIO(render(shown, width=100, scale="linear", colours="inferno", bar=bar)[0])))
-        for bar in (False, True)
-    )
-    assert neighbour.shape[1] > alone.shape[1] == 100
-    assert (neighbour[:, :100, :3] == alone[..., :3]).all()

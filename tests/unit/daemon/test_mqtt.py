@@ -35,10 +35,10 @@ class Broker:
         self._unanswered.clear()
 
     def announce(self, topic, payload):
-        """Publish a last will to everybody."""
+        """Publish a last will, or what comes late, to everybody: not as retained, for they listen already."""
         self.retained[topic] = payload
         for writer in self._writers:
-            _send(writer, topic, payload)
+            _send(writer, topic, payload, retained=False)
 
     async def serve(self, reader, writer):
         self._writers.append(writer)
@@ -76,10 +76,10 @@ class Broker:
             writer.write(b"\xd0\x00")
 
 
-def _send(writer, topic, payload):
+def _send(writer, topic, payload, *, retained=True):
     name = topic.encode()
     content = len(name).to_bytes(2, "big") + name + payload
-    writer.write(b"\x31" + _varint(len(content)) + content)
+    writer.write((b"\x31" if retained else b"\x30") + _varint(len(content)) + content)
 
 
 def _varint(number):
@@ -118,7 +118,10 @@ async def test_each_patch_is_retained_as_long_as_it_is_measured(station, publish
     await station.acquisition.measure(replace(station.settings, patch=Patch(40, 1, 2, 3)), session="b")
     assert json.loads(broker.retained[base + "patch/a%20b/reading"])["patch"]["x"] == LAMP.x
     station.patches.delete("a b")
-    await eventually(lambda: set(broker.retained) == topics - {base + "patch/a%20b/reading"})
+    cleared = topics - {base + "patch/a%20b/reading"}
+    await eventually(lambda: set(broker.retained) == cleared)
+    broker.announce(base + "patch/a%20b/reading", b"{}")  # a broker that hung gives on what waited
+    await eventually(lambda: set(broker.retained) == cleared)
     station.set_every(None)
     await eventually(lambda: not station.acquisition.busy)
     station.configure(patch=LAMP)

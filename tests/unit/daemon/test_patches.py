@@ -19,6 +19,7 @@ from radiometer.cli.main import run
 from radiometer.daemon.http.patches import trend_columns
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
+from radiometer.daemon.log import log
 from radiometer.daemon.mqtt import topic_level
 from radiometer.daemon.patches import NamedPatch, PatchLimits, PatchWatch, check_name
 from radiometer.daemon.serving import LogThrottle
@@ -29,6 +30,7 @@ from radiometer.errors import UsageError
 
 Eventually = Callable[..., Awaitable[None]]
 LAMP = Patch(5, 6, 7, 8)  # the fake instrument's radiance is 1 + x
+WATT = "W sr-1 m-2"
 START_US = microseconds("2026-06-01T00:00:00Z")
 
 
@@ -360,11 +362,18 @@ def test_an_hour_is_drawn_from_the_readings(tmp_path, make_reading):
 
 
 @pytest.mark.parametrize(
-    "other", [{"patch": Patch(0, 0, 11, 10)}, {"instrument": "4712"}, {"patch": Patch(1, 0, 10, 10)}]
+    ("other", "bound"),
+    [
+        ({"patch": Patch(0, 0, 11, 10)}, ""),
+        ({"instrument": "4712"}, ""),
+        ({"patch": Patch(1, 0, 10, 10)}, ""),
+        ({"flags": (Flag.NONUNIFORM, Flag.SATURATED)}, "at least"),
+        ({"flags": (Flag.BELOW_NOISE,)}, "at most"),
+    ],
 )
 @pytest.mark.parametrize("minutes", [90, 24 * 60])
-def test_a_trend_does_not_mix_places(tmp_path, make_reading, other, minutes):
-    """A patch that was moved, or read by another camera: no mean holds both, and no line joins them."""
+def test_a_trend_mixes_neither_places_nor_values_with_bounds(tmp_path, make_reading, other, bound, minutes):
+    """A patch that was moved, read by another camera, or saturated: no mean holds both, and no line joins them."""
     readings = []
     for k in range(60):
         changes = {} if k < 31 else other
@@ -376,8 +385,15 @@ def test_a_trend_does_not_mix_places(tmp_path, make_reading, other, minutes):
     found = JournalReader(tmp_path / "j.sqlite").trend("", START_US, START_US + minutes * 60_000_000, 10)
     assert {point.value for point in found} == {1.0, 2.0}
     assert sum(point.count for point in found) == 60
-    values = trend_columns(found, 20.0)["value"]
+    columns = trend_columns(found, 20.0)
+    values = columns["value"]
     assert values[values.index(2.0) - 1] is None
+    assert dict(zip(values, columns["bound"], strict=True)) == {1.0: "", None: None, 2.0: bound}
+    logged = log(tmp_path / "j.sqlite")
+    logged.write_plot(tmp_path / "log.svg")
+    if bound:
+        assert f"29 {other['flags'][-1]} ({bound} their value): mean 1," in logged.places[0].summary()
+        assert f"{other['flags'][-1]}: {bound} this" in (tmp_path / "log.svg").read_text(encoding="utf-8")
     assert values.count(None) == 1
 
 
@@ -490,9 +506,8 @@ def test_each_place_is_a_line_of_its_own_in_the_picture(journal, tmp_path):
         rm.log(journal).write_plot(tmp_path / "log.txt")
 
 
-def hours(make_reading, *minutes, **how):
+def hours(make_reading, *minutes, start=dt.datetime(2026, 11, 20, 8, tzinfo=dt.UTC), **how):
     """Return readings of 0.3 W·sr⁻¹·m⁻² at minutes of one day."""
-    start = dt.datetime(2026, 11, 20, 8, tzinfo=dt.UTC)
     times = [(start + dt.timedelta(minutes=m)).isoformat(timespec="milliseconds") for m in minutes]
     return [make_reading(radiance=Quantity(0.3, 0.004, "W sr-1 m-2"), time=at, **how) for at in times]
 
@@ -509,23 +524,35 @@ def test_a_line_and_its_band_end_where_the_readings_pause(tmp_path, make_reading
     assert len(band.get_paths()) >= 2
 
 
+def from_now(make_reading, *minutes, **how):
+    """Return readings at minutes from now: limits that a journal notes are in force from now on."""
+    return hours(make_reading, *minutes, start=dt.datetime.now(dt.UTC), **how)
+
+
+def limits_in(unit, low=None, high=None, name="lamp"):
+    """Return the event that limits were set."""
+    return "patch", PatchLimits(low, high, unit=unit).note(name)
+
+
 @pytest.mark.parametrize(
-    ("limits", "drawn", "legend"),
+    ("low", "high", "unit", "drawn", "legend"),
     [
-        (PatchLimits(0.29, 0.31), [0.29, 0.31], "lamp (limits 0.29 to 0.31)"),
-        (PatchLimits(high=0.305), [0.305], "lamp (limits none to 0.305)"),
-        (PatchLimits(low=0.0), [], "lamp (limits 0 to none)"),
-        (PatchLimits(low=9.0), [9.0], "lamp (limits 9 to none)"),
-        (PatchLimits(high=0.01), [0.01], "lamp (limits none to 0.01)"),
-        (PatchLimits(high=0.305, unit="relative"), [], "lamp"),
-        (PatchLimits(), [], "lamp"),
+        (0.29, 0.31, WATT, [0.29, 0.31], "lamp (limits 0.29 to 0.31)"),
+        (None, 0.305, WATT, [0.305], "lamp (limits none to 0.305)"),
+        (0.0, None, WATT, [], "lamp (limits 0 to none)"),
+        (9.0, None, WATT, [9.0], "lamp (limits 9 to none)"),
+        (None, 0.01, WATT, [0.01], "lamp (limits none to 0.01)"),
+        (None, 0.305, "relative", [], "lamp"),
+        (None, None, WATT, [], "lamp"),
     ],
 )
-def test_limits_are_in_the_picture_where_they_are_near_and_named_always(tmp_path, make_reading, limits, drawn, legend):
+def test_limits_are_in_the_picture_where_they_are_near_and_named_always(
+    tmp_path, make_reading, low, high, unit, drawn, legend
+):
     """Those of a patch with a name and of its unit; one far from its readings only where the newest is beyond it."""
     with Journal(tmp_path / "j.sqlite") as written:
-        written.append(hours(make_reading, 0, 1, 2, name="lamp"))
-        written.keep_patch("lamp", NamedPatch("lamp", Patch(1, 2, 3, 4), limits).to_json())
+        written.note(*limits_in(unit, low, high))
+        written.append(from_now(make_reading, 1, 2, 3, name="lamp"))
     axes = rm.log(tmp_path / "j.sqlite").plot()
     line, *dashed = axes.get_lines()
     bottom, top = axes.get_ylim()
@@ -533,13 +560,45 @@ def test_limits_are_in_the_picture_where_they_are_near_and_named_always(tmp_path
     assert [bound for one in dashed if bottom < (bound := one.get_ydata()[0]) < top] == drawn
 
 
+def test_limits_are_drawn_over_the_time_in_which_they_were_in_force(tmp_path, make_reading):
+    """Those of before the change end there, those of after it begin there; the legend names the newest."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        written.append(from_now(make_reading, -3, -2, name="lamp"))
+        written.note(*limits_in(WATT, high=0.31))
+        written.note(*limits_in(WATT, high=0.305))
+        written.append(from_now(make_reading, 1, 2, name="lamp"))
+    line, old, new = rm.log(tmp_path / "j.sqlite").plot().get_lines()
+    assert (line.get_label(), *old.get_ydata(), *new.get_ydata()) == (
+        "lamp (limits none to 0.305)", 0.31, 0.31, 0.305, 0.305
+    )  # fmt: skip
+    times = line.get_xdata()
+    assert times[0] < old.get_xdata()[0] <= old.get_xdata()[1] == new.get_xdata()[0] < new.get_xdata()[1] == times[-1]
+
+
+def test_each_unit_has_a_panel_in_the_picture(tmp_path, make_reading):
+    """A calibration that came later moves the readings to an axis of their own; a patch keeps its colour."""
+    with Journal(tmp_path / "j.sqlite") as written:
+        raw = [replace(one, radiance=Quantity(9e4, 50.0, "relative")) for one in from_now(make_reading, 0, 1)]
+        written.append([*raw, *from_now(make_reading, 2, 3, flags=(Flag.NONUNIFORM,))])
+    upper, lower = rm.log(tmp_path / "j.sqlite").plot().figure.axes
+    assert upper.get_ylim()[0] > 8e4 > 1 > lower.get_ylim()[1]
+    assert [axes.get_ylabel().split("\n")[0] for axes in (upper, lower)] == [
+        "radiance (relative)", "radiance (W·sr⁻¹·m⁻²)"
+    ]  # fmt: skip
+    assert len({line.get_color() for axes in (upper, lower) for line in axes.get_lines()[:1]}) == 1
+    assert [text.get_text() for text in lower.get_legend().get_texts()] == ["patch 0,0 10 × 10", "flagged"]
+    figure = type(upper.figure)()
+    with pytest.raises(rm.UsageError, match="no subplot"):
+        rm.log(tmp_path / "j.sqlite").plot(figure.add_axes((0, 0, 1, 1)))
+
+
 def test_limits_far_from_their_readings_are_drawn_where_another_patch_is_there(tmp_path, make_reading):
     """A patch that reads nothing widens the picture to 0: the low limit of the bright one lies in it."""
     with Journal(tmp_path / "j.sqlite") as written:
-        written.append(hours(make_reading, 0, 1, 2, name="lamp"))
-        dark = hours(make_reading, 3, 4, name="dark")
-        written.append([replace(one, radiance=Quantity(0.0, 0.004, "W sr-1 m-2")) for one in dark])
-        written.keep_patch("lamp", NamedPatch("lamp", Patch(1, 2, 3, 4), PatchLimits(low=0.1)).to_json())
+        written.note(*limits_in(WATT, low=0.1))
+        written.append(from_now(make_reading, 1, 2, 3, name="lamp"))
+        dark = from_now(make_reading, 4, 5, name="dark")
+        written.append([replace(one, radiance=Quantity(0.0, 0.004, WATT)) for one in dark])
     axes = rm.log(tmp_path / "j.sqlite").plot()
     bottom, top = axes.get_ylim()
     assert bottom < 0.1 < top
@@ -547,13 +606,13 @@ def test_limits_far_from_their_readings_are_drawn_where_another_patch_is_there(t
 
 
 def test_limits_of_the_patch_for_all_are_of_where_it_is_now(tmp_path, make_reading):
-    """It was moved, and a client measured for itself since; neither has limits."""
+    """It was moved before they were set, and a client measured for itself since; neither has limits."""
     with Journal(tmp_path / "j.sqlite") as written:
-        written.append(hours(make_reading, 0, 1, patch=Patch(1, 2, 3, 4)))
-        written.append(hours(make_reading, 2, 3, patch=Patch(50, 60, 7, 8)))
-        written.append(hours(make_reading, 4, 5, patch=Patch(9, 9, 9, 9), session="web"))
-        written.keep_patch("main", NamedPatch("main", Patch(0, 0, 0, 0), PatchLimits(high=0.31)).to_json())
-        written.keep_patch("damaged", "{")
+        written.append(from_now(make_reading, -3, -2, patch=Patch(1, 2, 3, 4)))
+        written.note(*limits_in(WATT, high=0.31, name="main"))
+        written.note("patch", "limits of lamp: 9 to 3")
+        written.append(from_now(make_reading, 2, 3, patch=Patch(50, 60, 7, 8)))
+        written.append(from_now(make_reading, 4, 5, patch=Patch(9, 9, 9, 9), session="web"))
     labels = [line.get_label() for line in rm.log(tmp_path / "j.sqlite").plot().get_lines()]
     assert [label for label in labels if "limits" in label] == ["patch 50,60 7 × 8 (limits none to 0.31)"]
 

@@ -154,7 +154,7 @@ def test_another_camera_in_the_place_of_the_one_that_was_lost_is_refused(tmp_pat
     instrument = BenchInstrument(write_small_bench(tmp_path))
     instrument.open()
     serial[0] = "OTHER002"
-    with pytest.raises(DeviceError, match=r"another camera answers, .*OTHER002, in place of .*22500001; connect that"):
+    with pytest.raises(DeviceError, match=r"another device answers, .*OTHER002, in place of .*22500001; connect that"):
         instrument.open()
     serial[0] = "22500001"
     instrument.open()

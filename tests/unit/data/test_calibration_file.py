@@ -69,20 +69,9 @@ def test_a_serial_number_fits_in_either_notation(calibration):
     """A file that was written with the label's number fits the camera that USB reports; another camera's does not."""
     known = replace(calibration, camera=CAMERA.model_copy(update={"serial": "20497219"}))
     require_camera(known, CameraDescription(bit_depth=12, serial="0138C343"))
+    require_camera(known, CameraDescription(bit_depth=12))  # what is unknown is not compared
     with pytest.raises(CalibrationError, match="its serial is 20497219"):
         require_camera(known, CameraDescription(bit_depth=12, serial="0138C344"))
-
-
-def test_what_is_unknown_is_not_compared(calibration):
-    """A camera without a serial number is not refused for it."""
-    require_camera(calibration, CameraDescription(bit_depth=12))
-
-
-def test_another_lens_is_refused(calibration):
-    """A lens of another focal length has another transmittance and field."""
-    require_lens(calibration, LensDescription(f_number=8.0))
-    with pytest.raises(CalibrationError, match="25 mm"):
-        require_lens(calibration, LensDescription(focal_length_mm=25.0))
 
 
 @pytest.mark.parametrize(("focal_mm", "taken"), [(16.16, True), (16.17, False), (15.85, True), (15.84, False)])
@@ -143,13 +132,6 @@ def test_a_damaged_table_is_refused(calibration):
     mapping["response"]["log_exposure"] = "0 1 two"
     with pytest.raises(CalibrationError, match=r"response\.log_exposure"):
         Calibration.from_mapping(mapping, "cal.yaml")
-
-
-def test_a_file_that_is_not_yaml_is_refused(tmp_path):
-    """The error is one of ours, with the line."""
-    (tmp_path / "cal.yaml").write_text("a: [1, 2")
-    with pytest.raises(InputError, match=r"cal\.yaml"):
-        Calibration.read(tmp_path / "cal.yaml")
 
 
 # Response curves: files round trip to the last bit; what is no curve is refused.
@@ -332,13 +314,10 @@ def test_common_uncertainty_is_in_every_level():
     assert choice.u_w_sr_m2 / choice.radiance_w_sr_m2 == pytest.approx(0.01, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("top", "channel", "message"), [(15.0, "spot", "must rise"), (32.0, "bleach", "light calibrate --channel bleach")]
-)
-def test_falling_radiance_and_an_uncalibrated_channel_are_refused(top, channel, message):
-    """More duty with less light is a measurement that went wrong; a channel that was not measured says how to."""
-    with pytest.raises(CalibrationError, match=message):
-        light_calibration(point(16, 16.0), point(32, top)).choose(channel, 15.5)
+def test_an_uncalibrated_channel_is_refused():
+    """A channel that was not measured says how to."""
+    with pytest.raises(CalibrationError, match="light calibrate --channel bleach"):
+        light_calibration(point(16, 16.0), point(32, 32.0)).choose("bleach", 15.5)
 
 
 def test_both_ranges_serve_and_the_nearer_step_wins():

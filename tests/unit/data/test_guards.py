@@ -136,19 +136,23 @@ def test_a_scene_that_is_no_picture_is_refused_in_one_line(tmp_path):
     assert ImageScene(file=tmp_path / "good.npy").render(2, 2).radiance.tolist() == [[0.5, 0.5], [0.5, 0.5]]
 
 
-def test_a_tiff_bomb_is_refused_by_its_header(tmp_path):
-    """Little and big endian, width and height as 16 and 32 bits, several samples."""
-    for order in "<>":
-        tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint16), byteorder=order)
-        content = bytearray((tmp_path / "a.tif").read_bytes())
+@pytest.mark.parametrize(
+    ("changed", "shown"),
+    [({256: 60_000, 257: 60_000}, "60000 × 60000 × 1 .* 7200 MB"), ({256: 60_000, 257: 60_000, 258: 0}, "3600 MB")],
+)
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_tiff_bomb_is_refused_by_its_header(tmp_path, order, changed, shown):
+    """Little and big endian, width and height as 16 and 32 bits; without a depth (0 bits) a byte for each value."""
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint16), byteorder=order)
+    content = bytearray((tmp_path / "a.tif").read_bytes())
+    refuse_large_picture(tmp_path / "a.tif", bytes(content))
+    at = int(struct.unpack_from(f"{order}I", content, 4)[0])
+    for number in range(struct.unpack_from(f"{order}H", content, at)[0]):
+        tag, kind = struct.unpack_from(f"{order}HH", content, at + 2 + 12 * number)
+        if tag in changed:
+            struct.pack_into(f"{order}{'H' if kind == 3 else 'I'}", content, at + 10 + 12 * number, changed[tag])
+    with pytest.raises(CaptureError, match=shown):
         refuse_large_picture(tmp_path / "a.tif", bytes(content))
-        at = int(struct.unpack_from(f"{order}I", content, 4)[0])
-        for number in range(struct.unpack_from(f"{order}H", content, at)[0]):
-            tag, kind = struct.unpack_from(f"{order}HH", content, at + 2 + 12 * number)
-            if tag in (256, 257):
-                struct.pack_into(f"{order}{'H' if kind == 3 else 'I'}", content, at + 10 + 12 * number, 60_000)
-        with pytest.raises(CaptureError, match=r"60000 × 60000 × 1 .* 7200 MB"):
-            refuse_large_picture(tmp_path / "a.tif", bytes(content))
 
 
 def test_pictures_of_real_sensors_are_read(tmp_path):
@@ -196,20 +200,6 @@ def test_nesting_of_real_files_is_fine():
     refuse_deep_yaml("[" * 64 + "]" * 64, "here")
     with pytest.raises(InputError):
         refuse_deep_yaml("[" * 65 + "]" * 65, "here")
-
-
-@pytest.mark.parametrize("command", ["merge", "response", "measure"])
-def test_commands_live_through_deep_yaml(tmp_path, command, capsys):
-    """One line and an exit code, where the process ended before."""
-    (tmp_path / "set").mkdir()
-    deep = tmp_path / "set" / "capture.yaml"
-    deep.write_text("frames: " + "[" * 100_000, encoding="utf-8")
-    words = {"measure": ["measure", "--bench", str(deep)]}.get(command, [command, str(tmp_path / "set")])
-    words += (
-        ["-o", str(tmp_path / "o.exr" if command == "merge" else tmp_path / "o.yaml")] if command != "measure" else []
-    )
-    assert run(words) in (1, 2)
-    assert "nested more than" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("subject", ["../../x", "/etc/x", "..", ".hidden", "-o", "a/b", "a\\b", "a\0b", "", "x" * 65])
@@ -266,13 +256,8 @@ def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text):
 
 def test_numbers_and_plain_texts_stay_as_they_are():
     """Also negative ones, in a cell as anywhere; what is no text is no formula."""
-    assert [spreadsheet_cell(value) for value in ("-1.5e-3", "+2", "a=b", -1.5, None)] == [
-        "-1.5e-3",
-        "+2",
-        "a=b",
-        -1.5,
-        None,
-    ]
+    plain = ("-1.5e-3", "+2", "a=b", -1.5, None)
+    assert tuple(map(spreadsheet_cell, plain)) == plain
     assert spreadsheet_cell("=1+1\x1b") == "'=1+1\\x1b"
     assert printable("\x1b]0;x\x07 µ\n") == "\\x1b]0;x\\x07 µ\n"
 
@@ -313,20 +298,6 @@ def test_a_png_is_as_large_as_its_pixels_are(tmp_path, bits, colour, bytes_each)
     refuse_large_picture(tmp_path / "a", _png(1000, rows, bits, colour))
     with pytest.raises(CaptureError, match=f"{rows + 1} × 1000"):
         refuse_large_picture(tmp_path / "a", _png(1000, rows + 1, bits, colour))
-
-
-def test_a_tiff_that_states_no_bits_counts_a_byte_for_each_value(tmp_path):
-    """What says nothing of its depth is not of no size."""
-    tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint8), byteorder="<")
-    content = bytearray((tmp_path / "a.tif").read_bytes())
-    at = int(struct.unpack_from("<I", content, 4)[0])
-    for number in range(struct.unpack_from("<H", content, at)[0]):
-        tag, kind = struct.unpack_from("<HH", content, at + 2 + 12 * number)
-        if tag in (256, 257, 258):
-            value = 0 if tag == 258 else 60_000
-            struct.pack_into(f"<{'H' if kind == 3 else 'I'}", content, at + 10 + 12 * number, value)
-    with pytest.raises(CaptureError, match="3600 MB"):
-        refuse_large_picture(tmp_path / "a.tif", bytes(content))
 
 
 _BYTES_ONLY = {"packet.xmp"}  # its reader takes bytes, which another reader has bounded
@@ -594,11 +565,9 @@ def test_a_reduced_picture_is_not_the_picture(samples, tmp_path):
         with tifffile.TiffWriter(tmp_path / "a.tif") as tiff:
             for kind in kinds:
                 tiff.write(smaller if kind else values, subfiletype=kind, metadata=None)
-        if refused:
-            with pytest.raises(CaptureError, match="a TIFF of 2 pages"):
-                read_photograph(tmp_path / "a.tif")
-        else:
-            assert np.array_equal(read_photograph(tmp_path / "a.tif").values, values)
+        for read in (lambda path: read_photograph(path).values, *[read_digital_numbers] * (samples == 1)):
+            with pytest.raises(CaptureError, match="a TIFF of 2 pages") if refused else contextlib.nullcontext():
+                assert np.array_equal(read(tmp_path / "a.tif"), values)
 
 
 def test_a_stack_in_one_directory_is_refused(tmp_path):
@@ -713,6 +682,7 @@ def test_a_length_or_capacity_is_above_nothing(takes):
             CameraDescription,
             {"bit_depth": 16, "read_noise_e": 0.0, "quantum_efficiency": 1.0, "dark_current_e_per_s": 0},
         ),
+        (Lens, {"transmittance": 0.01}),  # behind a grey filter of density 2, for the sun
         (SourceDescription, {"wavelength_nm": 254.0, "reproducibility_u_rel": 0.0, "flicker_hz": 0.1}),
         (FrameEntry, {"file": "a.png", "exposure_s": 7200.0, "gain_db": -6.0, "source_level": 0.0}),
         (FrameEntry, {"file": "a.png", "exposure_s": 1e-6, "temperature_C": -100.0}),
@@ -723,7 +693,7 @@ def test_a_length_or_capacity_is_above_nothing(takes):
 )
 def test_what_exists_is_taken(model, fields):
     """Fast and slow lenses, one and sixteen bits, germicidal lamps, hours of exposure, cooled sensors: as stated."""
-    made = model.model_validate(fields)
+    made = model(**fields)
     assert {name: getattr(made, name) for name in fields} == fields
 
 
@@ -848,12 +818,6 @@ def test_no_whole_number_of_a_file_takes_memory_or_time(project_root, tmp_path):
                 assert time.monotonic() - began < 5.0, place
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - at_first < 1_000_000  # kB
     assert {"radiometer-bench/1", "radiometer-screen/1", "radiometer-protocol/1"} <= seen
-
-
-def test_a_simulated_lens_may_be_nearly_opaque():
-    """1 % is a lens behind a grey filter of density 2, for the sun."""
-    assert Lens(transmittance=0.01).transmittance == 0.01
-    assert not math.isclose(Lens().transmittance, 0.01)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from radiometer.cli.main import run
 from radiometer.data import CaptureSet
 from radiometer.errors import RadiometerError
-from radiometer.importing import copy_into, import_sources, imported_of, open_capture
+from radiometer.importing import import_sources, imported_of, open_capture
 from radiometer.importing.sources import as_capture
 
 PICTURE = (np.random.default_rng(1).integers(300, 3000, (40, 60)) * 16).astype(np.uint16)
@@ -232,11 +232,3 @@ def test_real_multispectral_frames(shared_data):
     doubts = [line for header in red_edge for line in header.model_extra["imported"]["doubts"]]
     assert sum("row_dependent_exposure" in line for line in doubts) == len(red_edge)
     assert sum("corners" in line and "natural_vignetting" in line for line in doubts) == len(red_edge)
-
-
-def test_a_copy_has_the_pixels_of_the_crop(write_fits, tmp_path):
-    """What is copied is what was taken, not the whole file."""
-    capture = open_capture(write_fits("a.fits", PICTURE, EXPTIME=1.0))
-    written = copy_into(capture, tmp_path / "copy")
-    assert written.content_hash() != capture.content_hash()
-    assert np.array_equal(written.read_frame(0).dn, PICTURE)

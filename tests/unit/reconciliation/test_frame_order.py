@@ -20,15 +20,24 @@ EXPOSURES = [{"t": float(t)} for t in np.geomspace(2e-4, 5e-3, 7)]
 DARKS = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2)]
 
 
-def _seen(make_capture: Callable[..., Any], light: Callable[[int], float], frames: int = 4) -> Periodic | None:
-    """Return what is found in frames of a hundred electrons of noise, the light of each as stated."""
+def _seen(
+    make_capture: Callable[..., Any], light: Callable[[int], float], frames: int = 4, darks: int = 0
+) -> Periodic | None:
+    """Return what is found in frames of a hundred electrons of noise, the light of each as stated.
+
+    Where the last captures are darks, the settings before are twice as long as these.
+    """
     base = make_capture(seed=51, frames=1, plan=[{"t": 3e-3}])
     header, picture = base.header, base.frames[0].dn.astype(np.float64)
     rng = np.random.default_rng(52)
     taken, entries = [], []
     for number in range(14 * frames):
         value = 64.0 + (picture - 64.0) * light(number) + rng.normal(0.0, 3.0, picture.shape)
-        settings = FrameSettings(1e-3 * (1 + number // frames), 0.0, 4.0, 64.0, 35.0, float(number), 0.9, "chart")
+        is_dark = number >= (14 - darks) * frames
+        step = number // (frames if is_dark or not darks else 2 * frames)
+        settings = FrameSettings(
+            1e-3 * (1 + step), 0.0, 4.0, 64.0, 35.0, float(number), 0.9, "chart", "closed" if is_dark else "open"
+        )
         entries.append(FrameEntry.of(f"{number}.png", settings))
         taken.append(Frame(np.clip(np.rint(value), 0, 4095).astype(np.uint16), 12, settings, number))
     design = Design.of(header.model_copy(update={"frames": tuple(entries)}), picture.shape)
@@ -64,6 +73,7 @@ def test_first_frames_and_drifts_within_a_setting_have_no_period(make_capture: C
     """What goes with the place in the series is another matter, also at twice the length of a series."""
     assert _seen(make_capture, lambda n: 0.95 if n % 4 == 0 else 1.0) is None
     assert _seen(make_capture, lambda n: 1.0 - 0.01 * (n % 4)) is None
+    assert _seen(make_capture, lambda n: 0.95 if n % 8 == 0 else 1.0, darks=6) is None
 
 
 @pytest.mark.slow
@@ -79,7 +89,8 @@ def test_every_fifth_frame_dim_does_not_agree(make_capture: Callable[..., Any]) 
     result = reconcile(header, captured.frames, with_limits=False)
     assert str(result.verdict) == "unnamed_effect"
     (rest,) = result.effects
-    assert (rest.where, rest.block) == ("frame", "common")
+    assert (rest.where, rest.block, rest.probability) == ("frame", "common", None)
+    assert rest.gain_nats > 7.0
     assert rest.parameters["period_frames"].value == 5.0
     assert rest.parameters["depth_rel"].value == pytest.approx(0.06, abs=0.005)
 

@@ -21,7 +21,7 @@ def _written(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _sums() -> dict[str, NDArray[Any]]:
-    tiles = {name: np.zeros((2, HEIGHT, WIDTH)) for name in ("total", "square", "pair_x", "pair_y")}
+    tiles = {name: np.zeros((2, HEIGHT, WIDTH)) for name in ("total", "square", "highest", "pair_x", "pair_y")}
     return {**tiles, "histogram": np.zeros(64), "occurring": np.zeros(64, np.bool_)}
 
 
@@ -52,6 +52,7 @@ def test_sums_of_tiles_are_those_of_their_pixels(frame: NDArray[np.uint16], form
         deviation = tile - tile[counts].mean()
         assert sums["total"][k] == pytest.approx(deviation)
         assert sums["square"][k] == pytest.approx(deviation**2)
+        assert sums["highest"][k] == pytest.approx(np.maximum(deviation, 0.0))
         assert sums["pair_x"][k][:, 1:] == pytest.approx(deviation[:, 1:] * deviation[:, :-1])
         assert sums["pair_x"][k][:, 0].tolist() == [0.0] * HEIGHT
         assert sums["pair_y"][k][1:] == pytest.approx(deviation[1:] * deviation[:-1])

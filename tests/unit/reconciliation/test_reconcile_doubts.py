@@ -9,7 +9,6 @@ from radiometer.reconciliation.fit.state import ModelFit
 from radiometer.reconciliation.posterior import Posterior, posterior
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.search.localise import Disagreement, departing
-from radiometer.reconciliation.search.outcome import Step
 from radiometer.reconciliation.verdict import uncertain, without_essential
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.catalogue import CatalogueEffect
@@ -24,10 +23,6 @@ from simulators.effects.stray_light_kernel import StrayLightKernel
 
 BLUR_AND_GAIN = (PsfBlur(0.3), ConversionGainError(0.01))
 CROSSTALK = Crosstalk(0.01)
-
-
-def _step(name: str, *rivals: Crosstalk, nats: float = 50.0) -> Step:
-    return Step(name, "signal", nats, 1.01, 1.0, rivals)
 
 
 def _weighed(*models: tuple[tuple[CatalogueEffect, ...], float]) -> Posterior:

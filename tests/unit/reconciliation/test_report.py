@@ -98,7 +98,7 @@ def test_the_outcome_of_each_other_verdict(glaring):
         "Simulation and measurement disagree, and no known effect explains it. It shows with the sensor's temperature."
     )
     assert outcome(replace(result, verdict=Verdict.INCOMPLETE)).startswith(
-        "Structure remains, so every name is provisional: veiling_glare ("
+        "The answer is not complete, so every name is provisional: veiling_glare ("
     )
     page = report_html(replace(glaring, result=disagrees), "session", Origin())
     part = page[page.index("<h2>Not explained by any known effect") :]

@@ -11,7 +11,9 @@ from scipy.ndimage import gaussian_filter
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
 from radiometer.errors import CaptureError
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.frame_order import FineStructure, scenes_of
+from radiometer.reconciliation.measure.reduce import with_even_tiles
 from testing.reconciled import reconcile
 
 BLACK, E_PER_DN, READ_E, FULL = 100.0, 2.0, 4.0, 4095
@@ -115,6 +117,20 @@ def test_a_scene_of_one_frame_is_refused_by_name() -> None:
     header = CaptureHeader(camera=CameraDescription(bit_depth=12, black_level_dn=BLACK), frames=tuple(entries))
     with pytest.raises(CaptureError, match=r"show 2 scenes, and no other frame shows that of 2\.png: .* two frames"):
         reconcile(header, frames)
+
+
+def test_tile_is_the_even_part_of_its_cell_and_all_of_an_even_cell() -> None:
+    """Patches with black borders: no tile holds any of these. Where no border runs, the tile is the whole cell."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    chart = np.where((x >= 63) | ((y % 24 > 5) & (x % 21 > 6)), 1.0, 0.0)
+    entries = tuple(FrameEntry(file=f"{n}.png", exposure_s=0.002 * (1 + n), gain_db=0.0) for n in range(4))
+    frames = [Frame(taken(chart, 1e3 * (1 + n), n), 12, entry.settings) for n, entry in enumerate(entries)]
+    camera = CameraDescription(bit_depth=12, black_level_dn=BLACK)
+    cells = Design.of(CaptureHeader(camera=camera, frames=entries), chart.shape)
+    even = with_even_tiles(cells, frames.__getitem__)
+    assert all(chart[tile.slices].all() for tile in even.tiles)
+    pairs = list(zip(cells.tiles, even.tiles, strict=True))
+    assert all((cell == tile) == (cell.x >= 63) for cell, tile in pairs)
 
 
 def test_a_black_border_between_bright_patches_is_no_gap_in_the_codes() -> None:

@@ -87,16 +87,6 @@ def screen(path: Path, heading: str, row: Callable[[int, int, float], str], *, c
     return path
 
 
-def white_led(path: Path, heading: str, separator: str, *, comma: bool) -> Path:
-    """Write the relative spectrum of a white LED."""
-    lines = [heading]
-    for nm in range(380, 781, 5):
-        power = 0.9 * math.exp(-0.5 * ((nm - 450) / 10) ** 2) + 0.75 * math.exp(-0.5 * ((nm - 560) / 55) ** 2)
-        lines.append(f"{nm}{separator}" + f"{power:.4f}".replace(".", "," if comma else "."))
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
 def photographs(folder: Path) -> Path:
     """Write JPEGs of gamma 2.2 at ISO 25600 to 102400; the last stands as 65535 in the 16-bit tag."""
     folder.mkdir(exist_ok=True)

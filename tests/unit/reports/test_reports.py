@@ -121,16 +121,6 @@ def test_tables_of_a_screen_are_read_by_their_headings(form, tmp_path):
     assert [curve.at(n, LUMINANCE).value for n in (0, 120, 255)] == pytest.approx(expected, rel=1e-2)
 
 
-@pytest.mark.parametrize(
-    ("heading", "separator", "comma"), [("wavelength_nm,relative", ",", False), ("nm;relativ", ";", True)]
-)
-def test_a_spectrum_is_the_same_in_either_decimal_mark(heading, separator, comma, tmp_path, capsys):
-    """114.6 cd/m² of the simulated bench, printed in whole numbers (Open-Systems-Pharmacology/MoBi/issues/210)."""
-    file = inputs.white_led(tmp_path / "s.csv", heading, separator, comma=comma)
-    assert run(["measure", "--camera", "sim", "--spectrum", str(file)]) == 0
-    assert float(re.search(r"luminance +([\d.]+)", capsys.readouterr().out)[1]) == pytest.approx(114.6, abs=0.5)
-
-
 def test_the_iso_speed_65535_means_more(tmp_path):
     """ln H of gamma 2.2 to 0.02 (darktable-org/rawspeed/issues/276); read as the speed, 65535 puts it off by 0.6."""
     folder = inputs.photographs(tmp_path / "p")
@@ -157,24 +147,6 @@ def test_lzw_compression_is_read(tmp_path):
     found = imported(path, tmp_path / "out")
     assert np.array_equal(found.read_frame(0).dn, picture)
     assert found.header.frames[0].exposure_s == pytest.approx(0.01)
-
-
-def test_a_damaged_file_of_a_folder_is_named_and_the_others_are_imported(tmp_path, capsys):
-    """Whether its directory or its packed data are damaged."""
-    for n in range(4):
-        cv2.imwrite(str(tmp_path / f"exp{n + 1}ms.tif"), inputs.flat(900.0, n).astype(np.uint16))
-    folder = tmp_path / "in"
-    folder.mkdir()
-    for file in tmp_path.glob("*.tif"):
-        file.rename(folder / file.name)
-    packed = bytearray((folder / "exp2ms.tif").read_bytes())
-    packed[100:3000] = b"\xff" * 2900
-    (folder / "exp2ms.tif").write_bytes(packed)
-    (folder / "exp3ms.tif").write_bytes(packed[:60])
-    assert len(imported(folder, tmp_path / "out").header.frames) == 2
-    shown = capsys.readouterr().err
-    assert "left out" in shown
-    assert all(name in shown for name in ("exp2ms.tif", "exp3ms.tif"))
 
 
 def test_a_stack_among_photographs_is_not_read_by_its_first_page(tmp_path, capsys):
@@ -320,19 +292,6 @@ def test_a_sensor_is_characterised_up_to_where_its_pixels_pile_up(top, tmp_path)
     assert found.characterisation.limited_by == "full well"
     assert max(step.bright.clipped_share for step in found.characterisation.steps) > 0.5
     assert any(f"white level {top} DN" in note for note in found.characterisation.notes)
-
-
-def test_linear_files_of_12_bits_are_shown_the_way_out(tmp_path, capsys):
-    """Numbers of a sensor in files of 16 bits, as photographs: no curve follows from them, --linear reads them."""
-    rng = np.random.default_rng(2)
-    ramp = np.linspace(0.05, 0.9, 96)[None, :] * np.ones((64, 1))
-    for n, seconds in enumerate((0.01, 0.02)):
-        dn = np.rint(np.minimum(64 + 4e4 * ramp * seconds + rng.normal(0, 2, ramp.shape), 4095))
-        inputs.tiff(tmp_path / "p" / f"{n}.tif", [dn], [[inputs.exposure_tag(seconds)]])
-    code = run(["merge", str(tmp_path / "p"), "-o", str(tmp_path / "o.tiff")])
-    shown = capsys.readouterr().err.replace("\n", " ")
-    assert code == 0 or "--linear" in shown
-    assert run(["merge", str(tmp_path / "p"), "--linear", "-o", str(tmp_path / "l.tiff")]) == 0
 
 
 def test_readings_of_a_level_that_differ_are_known_no_better_than_they_agree(tmp_path):

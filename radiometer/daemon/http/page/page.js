@@ -148,8 +148,8 @@ function hovered(panel, index) {
   if (index === null) {
     const count = rows.reduce((n, i) => n + c.count[i], 0), mean = (column) => rows.reduce((n, i) => n + column[i] * c.count[i], 0) / count;
     const low = Math.min(...rows.map((i) => c.low[i])), high = Math.max(...rows.map((i) => c.high[i]));
-    const [from, to] = [low, high].map((v) => { const w = written(v, high - low); return w.value + w.power; });
-    return `mean ${quantity(mean(c.value), mean(c.U), "").trim()} (k = ${c.coverage_factor}) · ${count} readings from ${from} to ${to}`;
+    const [from, to] = [low, high].map((v) => written(v, high - low));
+    return `mean ${quantity(mean(c.value), mean(c.U), "").trim()} (k = ${c.coverage_factor}) · ${count} readings from ${from.value}${from.power === to.power ? "" : from.power} to ${to.value}${to.power}`;
   }
   return `${timeText(c.time[index], state.span)}   ${quantity(c.value[index], c.U[index], c.unit)}${c.count[index] > 1 ? `   mean of ${c.count[index]}` : ""}${c.flagged[index] ? `   ${c.flagged[index]} flagged` : ""}`;
 }
@@ -225,7 +225,8 @@ function showPatches() {
   const units = new Set(shown.map((reading) => reading.radiance.unit)), factors = shown.map((reading) => reading.coverage_factor);
   const k = [...new Set([Math.min(...factors), Math.max(...factors)].map((factor) => +factor.toPrecision(2)))].join(" to ");
   $("patch-unit").textContent = [units.size === 1 ? unitText([...units][0]) : "", factors.length ? `k = ${k}` : ""].filter(Boolean).join(", ");
-  const rows = Object.entries(patches).map(([name, entry]) => {
+  const byAlarm = Object.entries(patches).sort(([, a], [, b]) => !!b.breached - !!a.breached);  // what is folded is well
+  const rows = byAlarm.map(([name, entry]) => {
     const row = patchRow(name), [title, value, button] = row.children, reading = state.latest.get(name), { low, high } = entry.limits;
     row.className = `patch-row${entry.breached ? " bad" : ""}`;
     title.textContent = `${entry.breached ? "▲ " : ""}${name === "main" ? "patch" : name}`;
@@ -235,7 +236,7 @@ function showPatches() {
     button.textContent = low === null && high === null ? "limits" : [low === null ? "" : `≥ ${+low.toPrecision(4)}`, high === null ? "" : `≤ ${+high.toPrecision(4)}`].filter(Boolean).join(" · ");
     return row;
   });
-  if (rows.length !== $("patch-list").children.length || rows.some((row) => !row.isConnected)) $("patch-list").replaceChildren(...rows);
+  if (rows.length !== $("patch-list").children.length || rows.some((row, place) => row !== $("patch-list").children[place])) $("patch-list").replaceChildren(...rows);
   foldPatches(rows);
   if (state.frame) $("outlines").replaceChildren(...Object.entries(patches).filter(([name, e]) => name !== "main" && e.patch).map(([name, { patch, breached }]) => {
     const box = document.createElement("div"), { w, h } = state.frame;
@@ -455,8 +456,8 @@ function showLegend(headers, map) {
   }));
 }
 const current = () => {
-  const { w, h } = state.frame, patch = state.drag?.patch || state.status?.settings.patch;
-  return patch || { x: Math.round(w * 0.45), y: Math.round(h * 0.45), width: Math.max(1, Math.round(w / 10)), height: Math.max(1, Math.round(h / 10)) };
+  const { w, h } = state.frame, patch = state.drag?.patch || state.status?.settings.patch || state.latest.get("main")?.patch;
+  return patch || { x: Math.round(w * 0.45), y: Math.round(h * 0.45), width: Math.max(1, Math.floor(w / 10)), height: Math.max(1, Math.floor(h / 10)) };
 };
 function placePatch() {
   if (!state.frame || !state.status) return;

@@ -1,6 +1,6 @@
 // The response curve and the ramp of the false colours, on a canvas.
 
-import { css } from "/text.js";
+import { css, tickLabel } from "/text.js";
 
 export function prepared(canvas) {
   const ratio = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect();
@@ -24,11 +24,6 @@ function niceTicks(low, high, count) {
   return { ticks, step };
 }
 
-const label = (value, step) => {
-  if (value !== 0 && (Math.abs(value) < 1e-3 || Math.abs(value) >= 1e5)) return value.toExponential(1);
-  return value.toFixed(Math.min(8, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))));
-};
-
 function axes(pen, box, yLow, yHigh, xTicks) {
   const { ticks, step } = niceTicks(yLow, yHigh, Math.max(3, Math.round(box.h / 42)));
   pen.strokeStyle = css("--line");
@@ -39,7 +34,7 @@ function axes(pen, box, yLow, yHigh, xTicks) {
   for (const t of ticks) {
     const y = Math.round(box.y + box.h * (1 - (t - yLow) / (yHigh - yLow))) + 0.5;
     pen.beginPath(); pen.moveTo(box.x, y); pen.lineTo(box.x + box.w, y); pen.stroke();
-    pen.fillText(label(t, step), box.x - 7, y);
+    pen.fillText(tickLabel(t, step), box.x - 7, y);
   }
   pen.textBaseline = "top";
   for (const [x, text, align] of xTicks) {
@@ -59,7 +54,7 @@ export function drawResponse(canvas, curve) {
   const g = curve.log_exposure, low = g[0], high = g[g.length - 1], top = curve.dn[curve.dn.length - 1];
   const x = (v) => box.x + (box.w * (v - low)) / (high - low || 1), y = (dn) => box.y + box.h * (1 - dn / top);
   const { ticks, step } = niceTicks(low, high, Math.max(2, Math.round(box.w / 70)));
-  axes(pen, box, 0, top, ticks.map((t) => [x(t), label(t, step)]));
+  axes(pen, box, 0, top, ticks.map((t) => [x(t), tickLabel(t, step)]));
   pen.fillStyle = css("--band");
   pen.beginPath();
   g.forEach((v, i) => pen[i ? "lineTo" : "moveTo"](x(Math.max(low, v - 2 * curve.u_log_exposure[i])), y(curve.dn[i])));
@@ -70,7 +65,7 @@ export function drawResponse(canvas, curve) {
   g.forEach((v, i) => pen[i ? "lineTo" : "moveTo"](x(v), y(curve.dn[i])));
   pen.stroke();
   pen.fillStyle = css("--quiet"); pen.textAlign = "left"; pen.textBaseline = "top";
-  pen.fillText(curve.linear ? "DN over ln(exposure), taken as linear" : curve.absolute ? "DN over ln(H / J m⁻²)" : "DN over ln(relative exposure)", box.x - 38, 2);
+  pen.fillText(curve.linear ? "DN over ln(relative exposure), taken as linear" : curve.absolute ? "DN over ln(H / J m⁻²)" : "DN over ln(relative exposure)", box.x - 38, 2);
 }
 
 const STOPS = { inferno: ["#000004", "#1b0c41", "#4a0c6b", "#781c6d", "#a52c60", "#cf4446", "#ed6925", "#fb9b06", "#f7d13d", "#fcffa4"], red: ["#000000", "#ff0000"] };

@@ -1,6 +1,6 @@
 // The course of each patch over time: one panel of uPlot per patch, one time axis for all of them.
 import uPlot from "/uplot.js";
-import { css, timeText, unitText } from "/text.js";
+import { css, tickLabel, timeText, unitText } from "/text.js";
 
 const DAY = 86400;
 const sync = uPlot.sync("time");
@@ -14,10 +14,6 @@ function axisTimes(u, splits) {
     return d.getHours() === 0 && d.getMinutes() === 0 && span > DAY / 2 ? day : clock;
   });
 }
-const label = (value, step) => {
-  if (value !== 0 && (Math.abs(value) < 1e-3 || Math.abs(value) >= 1e5)) return value.toExponential(Math.abs(step / value) < 0.1 ? 2 : 1);
-  return value.toFixed(Math.min(8, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))));
-};
 
 // Between ticks: a step of 2.5, which is uPlot's own as well, has a digit more than its label.
 const STEPS = Array.from({ length: 40 }, (_, i) => i - 24).flatMap((power) => [1, 2, 5].map((m) => +`${m}e${power}`));
@@ -53,7 +49,7 @@ export class TrendPanel {
     this.plot = new uPlot({
       width: Math.max(80, this.frame.clientWidth), height: Math.max(60, this.frame.clientHeight), legend: { show: false }, padding: [6, 20, 0, 0],
       scales: { x: { time: true, range: () => this.window }, y: { range: (u, low, high) => this.range(low, high) } },
-      axes: [{ ...axis, values: axisTimes, space: 74, size: 26 }, { ...axis, size: 66, space: 30, incrs: STEPS, values: (u, splits) => splits.map((v) => label(v, Math.abs((splits[1] ?? 1) - splits[0]) || 1)) }],
+      axes: [{ ...axis, values: axisTimes, space: 74, size: 26 }, { ...axis, size: 66, space: 30, incrs: STEPS, values: (u, splits) => splits.map((v) => tickLabel(v, Math.abs((splits[1] ?? 1) - splits[0]) || 1)) }],
       series: [{}, { ...hidden, label: "value + U" }, { ...hidden, label: "value − U" },
         { label: "highest", stroke: () => css("--faint"), width: 1, points: { show: false } }, { label: "lowest", stroke: () => css("--faint"), width: 1, points: { show: false } },
         { label: "value", stroke: () => css("--accent"), width: 1.8, points: { show: (u, s, from, to) => to - from < 60, size: 4, fill: () => css("--accent") } }],
@@ -97,13 +93,13 @@ export class TrendPanel {
       pen.beginPath(); pen.moveTo(left, y); pen.lineTo(left + width, y); pen.stroke();
     }
     pen.setLineDash([2 * ratio, 3 * ratio]); pen.lineWidth = ratio;
-    const drawn = new Set();
+    const drawn = new Set(), crowded = this.events.length > width / (24 * ratio);  // lines would hide the curve
     for (const event of this.events) {  // where many fall together, one line of each kind is enough
       const x = u.valToPos(event.at, "x", true), bad = event.kind === "alarm" || event.kind === "changed", place = `${event.kind} ${Math.round(x / (4 * ratio))}`;
       if (drawn.has(place)) continue;
       drawn.add(place);
       pen.strokeStyle = pen.fillStyle = css(bad ? "--bad" : event.kind === "remark" ? "--ink" : "--quiet");
-      pen.beginPath(); pen.moveTo(x, top); pen.lineTo(x, top + height); pen.stroke();
+      if (!crowded || event.kind === "remark") { pen.beginPath(); pen.moveTo(x, top); pen.lineTo(x, top + height); pen.stroke(); }
       pen.beginPath(); pen.moveTo(x - 4 * ratio, top); pen.lineTo(x + 4 * ratio, top); pen.lineTo(x, top + 7 * ratio); pen.fill();
     }
     pen.restore();

@@ -85,13 +85,6 @@ def test_the_source_s_unevenness_is_added(rig):
     assert two.u_rel == pytest.approx(np.hypot(one.u_rel, 0.02))
 
 
-def test_an_even_lens_needs_no_polynomial(rig):
-    """Where cos⁴ is all there is, no coefficient is made up beyond the noise."""
-    camera, lens = wide(rig)
-    flat = fit_flat_field(even_map(falloff(0.0, 0.0)), camera, lens)
-    assert np.abs(flat.coefficients).max() < 0.01
-
-
 def test_without_a_focal_length_the_polynomial_carries_all(rig):
     """Over a moderate field cos⁴ is smooth: three even powers follow it to 0.2 %."""
     camera, moderate = rig.description, falloff(focal_px=300.0)

@@ -160,41 +160,26 @@ def test_dark_frames_alone_tell_what_darks_can(tmp_path):
     assert result.to_mapping()["emva1288"]["K_by_gain"] == []
 
 
-def test_without_darks_the_gain_is_the_slope_of_a_free_line(tmp_path):
-    """K within 4 standard deviations whatever the black level; nothing that needs darkness is claimed."""
-    result = characterise(subject_of_capture(_capture(tmp_path / "set", _plan(darks=False))))
-    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
-    assert {"sigma_d", "mu_y_dark", "mu_e_sat"} & set(result.figures) == set()
-    assert any("slope of a free line" in note for note in result.notes)
+BRIGHT = _plan(darks=False)
+LEVELS = [FrameSettings(0.05, source_level=float(level)) for level in np.linspace(0.04, 1.0, 16)]
 
 
-def test_of_two_f_numbers_the_more_frequent_is_used(tmp_path):
-    """Light proportional to exposure needs one aperture: the rest is left out, and a note says so."""
-    plan = [*_plan(), FrameSettings(0.01, f_number=8.0)]
+@pytest.mark.parametrize(
+    ("plan", "note", "unknown"),
+    [
+        (BRIGHT, "slope of a free line", {"sigma_d", "mu_y_dark", "mu_e_sat"}),
+        ([*_plan(), FrameSettings(0.01, f_number=8.0)], "f-number 4 and pattern 'default' were used; 2 others", set()),
+        ([*BRIGHT, *(replace(one, source_level=0.0) for one in BRIGHT)], "source off are treated as dark ones", set()),
+        ([*LEVELS, FrameSettings(0.05, shutter="closed")], "dark current needs dark frames at three", {"mu_I_mean"}),
+    ],
+    ids=["no darks", "two f-numbers", "source off", "levels at one exposure"],
+)
+def test_other_plans_give_the_gain_too_and_a_note(plan, note, unknown, tmp_path):
+    """K within 4 standard deviations; what is left out, taken for something else or not determined is noted."""
     result = characterise(subject_of_capture(_capture(tmp_path / "set", plan)))
-    assert any("f-number 4 and pattern 'default' were used; 2 others" in note for note in result.notes)
+    assert any(note in one for one in result.notes)
     assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
-
-
-def test_frames_with_the_source_off_stand_in_for_dark_ones(tmp_path):
-    """Without a shutter, source-off frames serve, and a note says what that means."""
-    plan = _plan(darks=False)
-    plan += [replace(one, source_level=0.0) for one in plan]
-    result = characterise(subject_of_capture(_capture(tmp_path / "set", plan)))
-    assert any("source off are treated as dark ones" in note for note in result.notes)
-    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
-
-
-def test_level_ladder_at_one_exposure_serves_as_well(tmp_path):
-    """Light may be varied instead of exposure; then there is no dark current, and a note says so."""
-    levels = np.linspace(0.04, 1.0, 16)
-    plan = [FrameSettings(0.05, source_level=float(level)) for level in levels] + [
-        FrameSettings(0.05, shutter="closed")
-    ]
-    result = characterise(subject_of_capture(_capture(tmp_path / "set", plan)))
-    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
-    assert "mu_I_mean" not in result.figures
-    assert "dark current needs dark frames at three exposures or more" in result.notes
+    assert unknown & set(result.figures) == set()
 
 
 def test_curve_of_the_signal_to_noise_ratio_stands_in_the_file(capture):

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
-from radiometer.analysis.characterise import characterise, report
+from radiometer.analysis.characterise import characterise
 from radiometer.analysis.characterise.dark_signal import (
     dark_signal,
     dark_transfer,
@@ -37,7 +36,6 @@ from radiometer.analysis.characterise.sensitivity import (
     propagated,
     responsivity,
     sensitivity_figures,
-    sigma_d,
 )
 from radiometer.analysis.characterise.steps import contradicting_darks, contradicting_steps, make_steps
 from radiometer.analysis.characterise.subject import PhotonFlux, Subject, photon_flux
@@ -425,25 +423,6 @@ def test_the_outcome_names_the_capacity_where_it_is_known(full, ends):
     assert ends in outcome(replace(result, figures=figures)).replace("\u202f", "").replace("\u00a0", " ")
 
 
-def test_on_a_phone_the_panels_stand_one_below_the_other(monkeypatch):
-    """Three of one width, the photon transfer half as high again as the others; on a desk they stand side by side."""
-    drawn = {}
-
-    def kept(draw, *_):
-        for narrow in (True, False):
-            figure = drawn[narrow] = Figure()
-            draw(figure, narrow)
-        return ""
-
-    monkeypatch.setattr(report, "picture", kept)
-    report.story(whole(group(BLACK_DN, 40.0, dark=True)))
-    places = [axes.get_position() for axes in drawn[True].axes]
-    assert len(places) == 3
-    assert len({(round(p.x0, 6), round(p.x1, 6)) for p in places}) == 1
-    assert places[0].height == pytest.approx(1.5 * places[1].height)
-    assert len({round(axes.get_position().x0, 6) for axes in drawn[False].axes}) == 2
-
-
 def test_variances_of_few_lines_scatter_by_their_stated_uncertainty():
     """Of 4 rows, or 4 columns, of their own offsets: over 1500 pictures the scatter of s² is the mean of its u, to 8 %.
 
@@ -524,12 +503,6 @@ def test_a_line_through_one_light_shows_no_linearity():
     assert found(2000.0, 2000.0, 2000.0, 2000.0) is None
     assert found(2000.0, 4000.0, 6000.0) is None
     assert found(2000.0, 2000.0, 4000.0, 4000.0) is not None
-
-
-def test_codes_that_follow_one_another_round_by_a_twelfth():
-    """4 DN² and the rounding to whole codes are 2 DN, 4 e⁻ at 0.5 DN/e⁻; steps of four codes round by 16/12."""
-    assert sigma_d(4.0 + 1.0 / 12.0, 0.5) == pytest.approx(4.0)
-    assert sigma_d(4.0 + 16.0 / 12.0, 0.5, 4) == pytest.approx(4.0)
 
 
 @pytest.mark.parametrize(("eta", "believed"), [(0.0, 0.5), (0.1, 0.001), (99.5, 0.995), (100.0, 1.0), (100.4, 0.5)])
@@ -873,22 +846,6 @@ def test_a_stated_gain_is_doubted_from_three_times_what_is_known_on(stated, gain
     """K of 0.5 ± 0.005 DN/e⁻ is 2 ± 0.02 e⁻/DN; at 20 dB ten times as many at 0 dB."""
     notes = stated_gain_doubt(stated, Quantity(0.5, 0.005, "DN/e-"), gain_db)
     assert len(notes) == reported
-
-
-@pytest.mark.parametrize("straight", [True, False])
-def test_a_desk_s_picture_has_a_panel_next_to_the_first_for_each_other(straight, monkeypatch):
-    """Photon transfer over the whole height on the left; linearity, where reported, above the SNR on the right."""
-    figure = Figure()
-    monkeypatch.setattr(report, "picture", lambda draw, *_: draw(figure, False) or "")
-    bright = lit_groups(40.0 + 0.5 * SIGNALS)
-    result = characterise(subject(), [*bright, group(BLACK_DN, 40.0, dark=True)])
-    result = replace(result, linearity=result.linearity if straight else None)
-    report.story(result)
-    left, *right = (axes.get_position() for axes in figure.axes)
-    assert len(right) == (2 if straight else 1)
-    assert all(one.x0 > left.x1 for one in right)
-    assert (left.y0, left.y1) == pytest.approx((right[-1].y0, right[0].y1))
-    assert left.width / right[0].width == pytest.approx(1.25)
 
 
 def test_a_dark_group_that_contradicts_those_of_its_gain_is_left_out_and_named():

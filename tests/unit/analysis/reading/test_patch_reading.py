@@ -740,6 +740,14 @@ def test_the_surround_is_the_mean_of_the_picture(rig):
     assert found.conditions.inverse_exposure_per_s == pytest.approx(1000.0)
 
 
+@pytest.mark.parametrize("mode", [None, "GAIN 120"])
+def test_frames_that_do_not_state_the_gain_of_the_calibration_are_flagged(rig, mode):
+    """The value is off by any factor where the gain is another one; nothing is flagged where neither states one."""
+    known = exact(rig)
+    known = replace(known, camera=known.camera.model_copy(update={"mode": mode}))
+    assert (Flag.GAIN in read_exactly(rig, [flat(1000)] * 5, known).flags) is (mode is not None)
+
+
 @pytest.mark.parametrize(("days", "stale"), [(364.0, False), (366.0, True)])
 def test_a_calibration_is_stale_after_its_days(rig, days, stale):
     """365 days from its making."""

@@ -235,24 +235,35 @@ def test_a_date_stamped_into_every_frame_is_no_exposure(make_stack):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "scene",
+    ("changed", "ladder"),
     [
-        {"kind": "uniform", "radiance_W_per_sr_m2": 1.0},
-        {"kind": "step_chart", "steps": {"count": 6, "lowest": 0.01, "highest": 10.0}, "margin": 0.0},
+        ({"scene": {"kind": "uniform", "radiance_W_per_sr_m2": 1.0}}, (5e-4, 0.256, 0.5, 2)),
+        (
+            {"scene": {"kind": "step_chart", "steps": {"count": 6, "lowest": 0.01, "highest": 10.0}, "margin": 0.0}},
+            (5e-4, 0.256, 0.5, 2),
+        ),
+        (
+            {
+                "scene": {"kind": "step_chart", "steps": {"count": 24, "lowest": 0.02, "highest": 1.2}},
+                "source": {"kind": "screen", "wavelength_nm": 550},
+            },
+            (2e-4, 0.0512, 1.0, 1),
+        ),
     ],
-    ids=["sphere", "chart"],
+    ids=["sphere", "chart", "dark chart"],
 )
-def test_an_even_source_is_one_light_and_no_disagreement(tmp_path: Path, scene: dict[str, Any]) -> None:
+def test_an_even_source_is_one_light_and_no_disagreement(
+    tmp_path: Path, changed: dict[str, Any], ladder: tuple[float, ...]
+) -> None:
     """A sphere, a chart: noise decides which pixel of a light is brighter; no note blames movement or processing."""
     bench = {
         "format": "radiometer-bench/1",
-        "camera": {"kind": "simulated", "preset": "BFS-U3-19S4M", "width": 160, "height": 120, "black_level_dn": 64},
+        "camera": {"kind": "simulated", "preset": "BFS-U3-19S4M", "width": 144, "height": 96, "black_level_dn": 64},
         "lens": {"focal_length_mm": 16, "f_number": 4},
-        "scene": scene,
     }
-    write_yaml_atomic(tmp_path / "bench.yaml", bench)
-    ladder = {"shortest_s": 5e-4, "longest_s": 0.256, "stops": 0.5, "repeat": 2}
-    rm.bracket(tmp_path / "sphere", bench=tmp_path / "bench.yaml", **ladder)  # type: ignore[arg-type]
+    write_yaml_atomic(tmp_path / "bench.yaml", bench | changed)
+    asked = dict(zip(("shortest_s", "longest_s", "stops", "repeat"), ladder, strict=True))
+    rm.bracket(tmp_path / "sphere", bench=tmp_path / "bench.yaml", **asked)  # type: ignore[arg-type]
     (found,) = rm.recover_response(tmp_path / "sphere").estimates
     assert any("one light" in note for note in found.notes)
     assert not any("differ by more than their noise" in note for note in found.notes)

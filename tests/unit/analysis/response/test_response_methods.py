@@ -9,7 +9,6 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.auto import solve_colours_auto
 from radiometer.analysis.response.basis import ValueBasis, hat_weight
@@ -71,16 +70,11 @@ def test_the_residual_is_that_of_the_frames(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_method_refuses_one_exposure(make_stack, method):
-    """No method makes a curve of one exposure."""
+def test_method_refuses_one_exposure_and_saturated_frames(make_stack, method):
+    """No method makes a curve of one exposure, or of white frames."""
     frame = make_stack("linear").light[4]
     with pytest.raises(InputError, match="one exposure only"):
         METHODS[method]([Bracket.from_frames([frame, frame])])
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_method_refuses_saturated_frames(method):
-    """No method makes a curve of white frames."""
     white = np.full((32, 32), 255, np.uint8)
     frames = [Frame(white, 8, FrameSettings(t)) for t in (0.1, 0.2, 0.4)]
     with pytest.raises(MeasurementError):
@@ -89,26 +83,16 @@ def test_method_refuses_saturated_frames(method):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bit_depth", [8, 12])
-def test_mitsunaga_recovers_ratios_from_one(make_stack, bit_depth):
-    """With one of eight ratios known the others come out within 0.5 %, times unknown."""
-    true = np.array([2.0, 2.0, 2.1, 2.0, 1.9, 2.0, 2.0, 2.0])
-    factors = {i + 1: float(f) for i, f in enumerate(np.cumprod(true / 2.0))}
-    bracket = make_stack("gamma", bit_depth=bit_depth, time_errors=factors)
-    estimate = recover_response_mitsunaga1999(bracket, known_ratios={0: 2.0})
-    assert estimate.exposure_ratios == pytest.approx(true, rel=0.005)
-    assert "known ratio of pair 0" in estimate.gauge
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("bit_depth", [8, 12])
-def test_mitsunaga_recovers_ratios_where_no_polynomial_of_the_values_fits(make_stack, bit_depth):
-    """Kinks and near-plateaus, stated times wrong by up to 15 %: within 0.5 %, and within 4 of the stated sigmas."""
+@pytest.mark.parametrize("kind", ["gamma", "kinked"])
+def test_mitsunaga_recovers_ratios_from_one(make_stack, kind, bit_depth):
+    """Stated times wrong by up to 15 %: within 0.5 % and 4 of the stated sigmas, where no polynomial fits too."""
     true = np.array([2.0, 1.8, 2.1, 2.0, 2.3, 2.0, 1.9, 2.0])
     factors = {i + 1: float(f) for i, f in enumerate(np.cumprod(true / 2.0))}
-    bracket = make_stack("kinked", bit_depth=bit_depth, time_errors=factors)
+    bracket = make_stack(kind, bit_depth=bit_depth, time_errors=factors)
     estimate = recover_response_mitsunaga1999(bracket, known_ratios={3: 2.0})
     assert estimate.exposure_ratios == pytest.approx(true, rel=0.005)
     unknown = np.arange(8) != 3
+    assert "known ratio of pair 3" in estimate.gauge
     error = (estimate.exposure_ratios - true)[unknown]
     assert np.all(np.abs(error) < 4.0 * estimate.u_exposure_ratios[unknown])
 
@@ -132,6 +116,18 @@ def test_mitsunaga_says_how_the_exponent_is_fixed(make_stack):
     estimate = recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))
     assert "product of the stated exposure times" in estimate.gauge
     assert np.prod(estimate.exposure_ratios) == pytest.approx(2.0**8, rel=1e-6)
+
+
+@pytest.mark.parametrize("method", ["auto", "debevec1997"])
+def test_a_camera_that_is_full_below_the_middle_number_gives_its_response(make_stack, method):
+    """No frame shows M_mid of a sensor that stops at 1500 of 4095 DN; its numbers are proportional to light to 3 %."""
+    frames = [Frame(np.minimum(f.dn, 1500), 12, f.settings) for f in make_stack("linear", shape=(96, 128)).light]
+    curve = METHODS[method]([Bracket.from_frames(frames)]).curve
+    assert curve.valid_dn is not None
+    assert curve.valid_dn[1] > 1200
+    dn = np.arange(100, 1200)
+    assert np.ptp(curve.log_exposure[dn] - np.log(dn)) < 0.06
+    assert np.median(curve.u_log_exposure[dn]) < 0.1
 
 
 def test_linear_spline_finds_the_black_level(make_stack):
@@ -193,19 +189,17 @@ def test_a_polynomial_off_the_first_estimate_owns_up_to_it(make_stack, monkeypat
     assert curve.u_log_exposure[192] > 0.15
 
 
-@pytest.mark.parametrize("response", ["gamma", "linear", "sigmoid"])
-def test_twelve_bit_stack_gives_its_response_back(make_stack, inner_error, response):
-    """The rms error of ln H over 5–95 % of the range stays under 0.003, shot noise of a 10 500 e⁻ well included."""
-    estimate = recover_response_debevec1997(make_stack(response, shape=(384, 512)))
+@pytest.mark.parametrize(
+    ("response", "bits"),
+    [("gamma", 12), ("linear", 12), ("sigmoid", 12), ("gamma", 8), ("gamma", 10),
+     pytest.param("gamma", 16, marks=pytest.mark.slow)],
+)  # fmt: skip
+def test_a_stack_gives_its_response_back(make_stack, inner_error, response, bits):
+    """The rms error of ln H over 5–95 % stays under 0.003, shot noise of 10 500 e⁻ and rounding of 8 bits included."""
+    shape = {"shape": (384, 512)} if bits == 12 else {}
+    estimate = recover_response_debevec1997(make_stack(response, bit_depth=bits, **shape))
+    assert estimate.curve.log_exposure.size == 2**bits
     assert np.sqrt(np.mean(inner_error(estimate.curve, response) ** 2)) < 0.003
-
-
-@pytest.mark.parametrize("bit_depth", [8, 10, pytest.param(16, marks=pytest.mark.slow)])
-def test_other_bit_depths_give_the_response_back(make_stack, inner_error, bit_depth):
-    """8, 10 and 16 bits are served too; at 8 bits the rounding of 1/√12 DN near black adds to the error."""
-    estimate = recover_response_debevec1997(make_stack("gamma", bit_depth=bit_depth))
-    assert estimate.curve.log_exposure.size == 2**bit_depth
-    assert np.sqrt(np.mean(inner_error(estimate.curve, "gamma") ** 2)) < 0.003
 
 
 def test_curve_is_zero_in_the_middle_and_never_falls(make_stack):
@@ -235,13 +229,6 @@ def test_values_beyond_the_data_are_flagged_and_uncertain(make_stack):
     assert curve.valid_dn is not None
     assert curve.valid_dn[1] <= 3000
     assert curve.u_log_exposure[4000] >= curve.log_exposure[4000] - curve.log_exposure[3000] - 1e-9
-
-
-def test_disjoint_pixels_give_curves_that_agree(make_stack):
-    """The reported stability of disjoint thirds is under 1 % of exposure."""
-    stability = recover_response_debevec1997(make_stack("gamma")).stability
-    assert stability is not None
-    assert stability.rms_log < 0.01
 
 
 @pytest.mark.slow
@@ -352,9 +339,6 @@ def test_where_a_region_landed_counts(stretched):
     [
         ([], InputError, "at least one region"),
         ([RangePoint(254, 1 / 30)], MeasurementError, "shorter time"),
-        ([RangePoint(130, 1 / 130)], MeasurementError, "too near"),
-        ([RangePoint(300, 1 / 500)], InputError, "below 255"),
-        ([RangePoint(254, -1.0)], InputError, "above 0"),
     ],
 )
 def test_what_contradicts_the_procedure_is_refused(stretched, points, error, message):
@@ -384,20 +368,9 @@ def test_calibrate_takes_regions_and_gives_absolute_exposures(stretched, tmp_pat
         assert abs(found - expected) < 2 * math.hypot(calibration.response.u_log_exposure[dn], 0.005)
 
 
-@pytest.mark.parametrize("word", ["254", "254,x", "a,1/500", "254,1/500,1,2"])
-def test_a_region_of_another_form_is_a_misuse(stretched, tmp_path, capsys, word):
-    """Exit code 2, and the message shows the form."""
-    stretched.write(tmp_path / "curve.yaml")
-    command = ["calibrate", "--response", str(tmp_path / "curve.yaml"), "--luminance-meter-k", "16.5", "--f-number"]
-    command += ["16", "--exposure", "1/125", "--iso", "136", "--dynamic-range", word, "-o", str(tmp_path / "c.yaml")]
-    assert run(command) == 2
-    assert "expected" in capsys.readouterr().err
-
-
 # Frames that are off in their own way, and colours of one set of photographs that share their exposures.
 
 
-Array = NDArray[np.float64]
 SIGMA = 0.01
 TIMES = tuple(0.25 * 1.7**k for k in range(6))
 

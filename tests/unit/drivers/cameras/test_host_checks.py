@@ -27,7 +27,7 @@ def write(tmp_path):
 
 
 def test_a_missing_library_is_a_fault_with_its_packages():
-    """Without the library nothing can be measured; the cure names the packages."""
+    """Without the library nothing can be measured; the cure names the packages. One that loads has its version."""
 
     def absent():
         raise MissingLibrary("apt install gir1.2-aravis-0.8")
@@ -35,10 +35,6 @@ def test_a_missing_library_is_a_fault_with_its_packages():
     finding = host_checks.check_library(absent)
     assert finding.health is Health.FAULT
     assert "gir1.2-aravis-0.8" in finding.cure
-
-
-def test_the_version_of_the_library_is_reported():
-    """A library that loads is named with its version."""
     assert host_checks.check_library(lambda: SimpleNamespace(version="0.8")).message == "Aravis 0.8"
 
 
@@ -118,12 +114,9 @@ def test_cameras_of_other_makers_are_known_by_their_interface(usb_camera, kind, 
 @pytest.mark.parametrize(("serial", "there"), [("20497219", True), ("0138C343", True), ("0138C344", False)])
 def test_the_kernel_is_asked_whether_a_camera_is_plugged_in(usb_camera, serial, there):
     """A camera is looked up by its serial number in either notation."""
-    assert (host_checks.usb_link(serial, usb_camera("5000")) is not None) is there
-
-
-def test_without_usb_there_is_no_link_to_judge(tmp_path):
-    """A computer without a USB subsystem has no finding."""
-    assert host_checks.check_usb_links(tmp_path) == []
+    root = usb_camera("5000")
+    assert (host_checks.usb_link(serial, root) is not None) is there
+    assert host_checks.check_usb_links(root / "elsewhere") == []  # a computer without USB
 
 
 REGISTERS = bytearray(248)
@@ -164,14 +157,6 @@ def test_a_camera_reports_its_name_without_being_opened(responder):
     assert name_at("127.0.0.1", attempts=3, timeout_s=0.3, port=port) == ("FLIR", "BFS", "0138C343")
 
 
-def test_where_nothing_listens_nothing_is_there():
-    """A closed port is no camera."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.bind(("127.0.0.1", 0))
-        port = line.getsockname()[1]
-    assert not answers("127.0.0.1", attempts=2, timeout_s=0.1, port=port)
-
-
 @pytest.mark.parametrize(
     ("privilege", "address", "controlled"),
     [(0x0, 0x0A00, False), (0x2, 0x0A00, True), (0x1, 0x0A00, True), (0x4, 0x0A00, False), (0x2, 0x0A04, False)],
@@ -196,9 +181,10 @@ def test_a_camera_is_asked_who_controls_it(privilege, address, controlled):
     assert received == [bytes.fromhex("420100840008000200000a0000000004")]
 
 
-def test_where_nothing_answers_nothing_is_controlled():
-    """A silent address is not taken for a camera that another program holds."""
+def test_where_nothing_listens_nothing_is_there_or_controlled():
+    """A closed port is no camera, nor one that another program holds."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.bind(("127.0.0.1", 0))
         port = line.getsockname()[1]
+    assert not answers("127.0.0.1", attempts=2, timeout_s=0.1, port=port)
     assert not is_controlled("127.0.0.1", attempts=1, timeout_s=0.1, port=port)

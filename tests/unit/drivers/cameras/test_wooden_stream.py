@@ -29,30 +29,20 @@ WHOLE, BROKEN = "success", "missing-packets"
 
 class WoodenBuffer:
     def __init__(self, frame_id: int, status: str = WHOLE, exposure_us: float | None = None) -> None:
-        self.frame_id, self.status, self.exposure_us = frame_id, status, exposure_us
+        self.exposure_us = exposure_us
+        self.answers = {
+            "get_frame_id": frame_id,
+            "get_timestamp": frame_id * 10**9,
+            "get_status": WOODEN_STATUS[status],
+            "get_image_data": bytes(4),
+            "get_image_pixel_format": 0x01080001,
+            "get_image_width": 2,
+            "get_image_height": 2,
+            "has_chunks": exposure_us is not None,
+        }
 
-    def get_frame_id(self) -> int:
-        return self.frame_id
-
-    def get_status(self) -> SimpleNamespace:
-        return WOODEN_STATUS[self.status]
-
-    def get_image_data(self) -> bytes:
-        return bytes(4)
-
-    def get_image_pixel_format(self) -> int:
-        return 0x01080001
-
-    def get_image_width(self) -> int:
-        return 2
-
-    get_image_height = get_image_width
-
-    def get_timestamp(self) -> int:
-        return self.frame_id * 10**9
-
-    def has_chunks(self) -> bool:
-        return self.exposure_us is not None
+    def __getattr__(self, name: str):
+        return lambda: self.answers[name]
 
 
 WOODEN_STATUS = {name: SimpleNamespace(value_nick=name) for name in (WHOLE, BROKEN)}

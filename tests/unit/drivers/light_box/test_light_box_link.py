@@ -6,6 +6,8 @@ from collections import deque
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.light_box.box import SerialLightBox, read_capabilities, read_flash, read_identity, read_state, read_status
 from drivers.light_box.frames import Event, parse_times
@@ -212,34 +214,17 @@ def event(number):
     return Event(number, "BT", "D", float(number))
 
 
-def test_gap_holds_later_events_back_until_it_is_filled():
-    """Event 6 waits for event 5."""
-    inbox = EventInbox()
-    inbox.start_after(4)
-    inbox.put(event(6))
-    assert inbox.release() == []
-    assert inbox.missing(6) == [5]
-    inbox.put(event(5))
-    assert [e.number for e in inbox.release()] == [5, 6]
-
-
-def test_numbers_wrap_at_256():
-    """After 255 comes 0."""
-    inbox = EventInbox()
-    inbox.start_after(254)
-    for number in (0, 255):
-        inbox.put(event(number))
-    assert [e.number for e in inbox.release()] == [255, 0]
-
-
-def test_event_that_came_twice_is_released_once():
-    """A repetition is left out."""
-    inbox = EventInbox()
-    inbox.start_after(0)
-    inbox.put(event(1))
-    assert len(inbox.release()) == 1
-    inbox.put(event(1))
-    assert inbox.release() == []
+@given(st.integers(0, 255), st.permutations(range(1, 6)))
+def test_events_are_released_once_and_in_their_order(start, order):
+    """In whatever order they come, and each twice: one waits for those before it; after 255 comes 0."""
+    inbox, released = EventInbox(), list[int]()
+    inbox.start_after(start)
+    expected = [(start + step) % 256 for step in range(1, 6)]
+    for count, step in enumerate([*order, *order], start=1):
+        inbox.put(event(expected[step - 1]))
+        assert inbox.missing(expected[-1]) == [expected[one - 1] for one in sorted(order[count:])]
+        released += [one.number for one in inbox.release()]
+        assert released == expected[: min(order[count:], default=6) - 1]
 
 
 def test_event_that_the_box_dropped_does_not_block():

@@ -65,6 +65,22 @@ def test_constant_meter_agrees(tmp_path: Path) -> None:
     assert done.result.verdict is Verdict.AGREES
 
 
+@pytest.mark.parametrize("stop", [2.8, 8])
+def test_stop_that_differs_from_its_dial_is_named_with_its_size(tmp_path: Path, stop: float) -> None:
+    """Three screens at three stops: the one that lets through an eighth less is told, the others are not."""
+    rows = "".join(
+        f"{name},{100 * 4**i / (1 - 0.125 * (n == stop))},{n},{t / 4**i},100\n"
+        for i, name in enumerate("abc")
+        for n, t in ((2.8, 2**-5), (4, 2**-4), (8, 2**-2))
+    )
+    result = reconcile_meter_table(_table(tmp_path, "source,luminance,f_number,time,iso\n" + rows)).result
+    (effect,) = result.effects
+    assert (effect.name, effect.alternatives) == ("fnumber_tstop_error", ("meter_resolution",))
+    assert {name: error.value for name, error in effect.parameters.items()} == {
+        f"errors_rel at f/{stop}": pytest.approx(-0.125, abs=1e-6)
+    }
+
+
 def test_meter_drift_that_is_no_rounding_gets_no_name(tmp_path: Path) -> None:
     """K that changes by a fifth from row to row is `unnamed`."""
     rows = "".join(f"A,{100 * 1.2**i},{n},{t},100\n" for i, (n, t) in enumerate(((4, 0.0625), (8, 0.25), (16, 1))))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CaptureSet, FrameSettings, LensDescription
-from radiometer.devices import Camera, CameraCapabilities, CameraPreset, CameraSettings, Roi
+from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings, Roi
 from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, SettingOutOfRange
 from simulators.cameras.blackfly_awkward import CHUNK_IDS, awkward_features
 from simulators.cameras.blackfly_features import blackfly_features
@@ -44,12 +44,6 @@ def model() -> CameraModel:
 @pytest.fixture
 def camera(model: CameraModel, limits: CameraCapabilities) -> SimulatedCamera:
     return SimulatedCamera(model, UniformScene(radiance_W_per_sr_m2=0.1), limits=limits, seed=1)
-
-
-def test_it_is_a_camera(camera):
-    """It offers everything that the protocol asks for."""
-    with camera:
-        assert isinstance(camera, Camera)
 
 
 def test_same_seed_gives_the_same_frames(model, limits):

@@ -82,13 +82,6 @@ def test_shot_noise_is_poisson_in_its_third_moment(model):
     assert skewness == pytest.approx(1 / np.sqrt(25.02), abs=4 * np.sqrt(6 / N))
 
 
-def test_switching_dark_current_off_takes_just_its_electrons_away(model):
-    """The mean without dark current differs from the mean with it by just its electrons."""
-    context = model.context(FrameSettings(30.0, 0.0, 4.0, 64.0, shutter="closed"), FrameGeometry.of_image(1, 1))
-    without = model.without_effect("dark_current").mean(np.zeros((1, 1)), context)
-    assert model.mean(np.zeros((1, 1)), context) - without == pytest.approx(np.full((1, 1), 60.0 / 2.6))
-
-
 def moments(middle, sigma, power, toe=0.0, lift=1.0, black=0.0):
     """Return mean, variance and slope over a range of 1000."""
     columns = (np.array([value]) for value in (middle, sigma, black, 1000.0))
@@ -240,15 +233,6 @@ def test_samples_have_the_predicted_moments(staged, level_e, full_well_e):
     assert pixels.var() == pytest.approx(variance, abs=4 * u_variance + (0.01 * variance if censored else 0.0))
 
 
-def test_same_seed_gives_the_same_frame_and_another_seed_another(staged):
-    """Randomness follows from the seed alone."""
-    context = staged.context(SETTINGS, FrameGeometry.of_image(32, 32))
-    radiance = np.full((32, 32), 0.3)
-    first, again, other = (staged.sample(radiance, context, seed=(s,)).dn for s in (5, 5, 6))
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-
-
 def test_noise_of_one_effect_does_not_depend_on_another(staged):
     """With read noise switched off, the shot noise of the frame stays the same."""
     context = staged.context(SETTINGS, FrameGeometry.of_image(32, 32))
@@ -298,12 +282,6 @@ def test_model_file_gives_the_same_model_back(staged, tmp_path):
     again = CameraModel.read(tmp_path / "model.yaml")
     assert again.to_mapping() == changed.to_mapping()
     assert [e.enabled for e in again.entries if e.effect.name == "read_noise"] == [False]
-
-
-def test_added_dark_current_comes_before_its_shot_noise(staged):
-    """An effect with `before` is put in front of the effect that it names."""
-    names = [e.effect.name for e in staged.with_effect(make_effect("dark_current")).entries]
-    assert names.index("shot_noise") == len(names) - 1 - names[::-1].index("dark_current") + 1
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))

@@ -545,28 +545,6 @@ def test_borders_move_by_the_field_over_them():
     assert push.below[0] == pytest.approx(2.0 * push.kernel[4, 3], rel=1e-4)
 
 
-def test_four_neighbours_share_where_only_the_nearest_borders_move():
-    """By the plain form each neighbour of a lone full pixel gets b·z/2·S, no other gets anything, and none is lost."""
-    well = well_e(effect_context())
-    spot = np.zeros((9, 9))
-    spot[4, 4] = well
-    moved = BrighterFatter(share=1e-6).sample(spot, effect_context(), np.random.default_rng(0)) - spot
-    expected = np.zeros((9, 9))
-    expected[[3, 5, 4, 4], [4, 4, 3, 5]] = 0.5 * 1e-6 * well
-    expected[4, 4] = -4 * 0.5 * 1e-6 * well
-    np.testing.assert_allclose(moved, expected, atol=1e-11 * well)  # what is pushed again goes with the square
-
-
-def test_no_charge_is_lost_however_far_it_pushes():
-    """The sum over a picture stays to rounding, and so does an even field."""
-    picture = np.random.default_rng(3).uniform(0.0, 9000.0, (40, 50))
-    after = FAR.sample(picture, effect_context(), np.random.default_rng(0))
-    assert after.sum() == pytest.approx(picture.sum(), rel=1e-12)
-    assert np.abs(after - picture).max() > 1.0
-    even = np.full((40, 50), 5000.0)
-    np.testing.assert_allclose(FAR.sample(even, effect_context(), np.random.default_rng(0)), even, rtol=1e-12)
-
-
 def test_noise_of_flats_has_the_moments_that_are_predicted():
     """Variance and covariances of neighbours of 40 flats, within 5 standard errors; beyond, what the kernel says."""
     context, size, level, frames, strong = effect_context(), 200, 6000.0, 40, replace(FAR, share=0.1)
