@@ -458,14 +458,27 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
-    frequency = None
-    if period is not None:
-        u_hz = math.hypot(max(period.u_hz, shape.u_hz), period.frequency_hz * (u_clock_rel or 0.0))
-        frequency = Quantity(period.frequency_hz, u_hz, "Hz")
-        if u_clock_rel is None:
-            assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
+    if period is not None and u_clock_rel is None:
+        assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
     k = coverage_factor(blocks - 1) if blocks else 2.0
-    return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+    return Flicker(
+        _frequency(period, shape, u_clock_rel or 0.0),
+        depth,
+        index,
+        svm,
+        pst,
+        k,
+        periods,
+        tuple(assumptions),
+        tuple(warnings),
+    )
+
+
+def _frequency(period: Period | None, shape: ShapeMeasures, u_clock_rel: float) -> Quantity | None:
+    if period is None:
+        return None
+    u_hz = math.hypot(max(period.u_hz, shape.u_hz), period.frequency_hz * u_clock_rel)
+    return Quantity(period.frequency_hz, u_hz, "Hz")
 
 
 def _mean_light(waveform: Waveform) -> float:
@@ -672,8 +685,8 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     The uncertainty of a series is that of its least squares, or the scatter between blocks of periods where that is
     larger. Between neighbouring phases it also covers what noise adds to extremes, and an extreme between two samples.
 
-    A step is anywhere between two samples at the first and at the last of its periods, so the frequency of steps is
-    known to 1/√6 of a sample in the record; samples that come back at nearly the same phases show no more.
+    A step is anywhere between two samples, at the first and at the last of its periods. So the frequency of steps is
+    known to 1/√6 of a sample in the record.
     """
     whole, parts = _folds(waveform, period)
     orders = _supported_orders(whole)
