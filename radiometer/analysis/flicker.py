@@ -461,17 +461,8 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
     if period is not None and u_clock_rel is None:
         assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
     k = coverage_factor(blocks - 1) if blocks else 2.0
-    return Flicker(
-        _frequency(period, shape, u_clock_rel or 0.0),
-        depth,
-        index,
-        svm,
-        pst,
-        k,
-        periods,
-        tuple(assumptions),
-        tuple(warnings),
-    )
+    frequency = _frequency(period, shape, u_clock_rel or 0.0)
+    return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
 
 
 def _frequency(period: Period | None, shape: ShapeMeasures, u_clock_rel: float) -> Quantity | None:
