@@ -56,8 +56,9 @@ class DarkLaw:
     # D_0·2^(T / T_d) describes the points better
     generation_share: Quantity | None
     birge_ratio: float  # scatter over what the points' uncertainties allow
-    # Largest relative offset of one session from the law of the others, its u widened by the scatter; None where one
-    # session is all there is, or temperatures and sessions cannot be separated
+    offset_session: str  # the session that is farthest from the law of the others; empty where none can be
+    # Its offset in ln D, the u widened by the scatter; None where one session is all there is, or temperatures and
+    # sessions cannot be separated
     offset: Quantity | None
     # (session, temperature in °C, dark current in DN/s, its distance from the law in u)
     points: tuple[tuple[str, float, float, float], ...]
@@ -71,6 +72,14 @@ class DarkLaw:
             return None
         apart, u = np.array([(d.measured_k.value - d.expected_k, d.measured_k.u) for d in self.doublings]).T
         return math.sqrt(float(np.sum(np.square((apart - np.average(apart, weights=u**-2)) / u)) / (apart.size - 1)))
+
+    @property
+    def relative_offset(self) -> Quantity | None:
+        """Return by what part of the others' dark current that of `offset_session` is higher."""
+        if self.offset is None:
+            return None
+        ratio = math.exp(self.offset.value)
+        return Quantity(ratio - 1.0, ratio * self.offset.u, "1")
 
     @property
     def is_one(self) -> bool:
@@ -121,7 +130,9 @@ class Passport:
                 "generation_share": None if law.generation_share is None else law.generation_share.to_mapping(),
                 "birge_ratio": law.birge_ratio,
                 "one_law": law.is_one,
-                "session_offset": None if law.offset is None else law.offset.to_mapping(),
+                "session_offset": None
+                if law.relative_offset is None
+                else {"session": law.offset_session, **law.relative_offset.to_mapping()},
                 "points": [
                     {"session": name, "temperature_C": t, "rate_dn_per_s": rate, "distance_u": z}
                     for name, t, rate, z in law.points
@@ -151,11 +162,8 @@ def _passport(camera: tuple[str, ...], sessions: Sequence[Session]) -> Passport:
     changes = [change for name in _COMPARED if (change := _compared(name, sessions)) is not None]
     if law is not None and len({point[0] for point in law.points}) > 1:
         verdict = "one law" if law.is_one else "no one law"
-        apart = (
-            ""
-            if law.offset is None
-            else f", a session off by {100 * law.offset.value:+.1f} ± {100 * law.offset.u:.1f} %"
-        )
+        off = law.relative_offset
+        apart = "" if off is None else f", {law.offset_session} {100 * off.value:+.1f} ± {100 * off.u:.1f} % from it"
         what = f"{verdict} over {len(law.points)} temperatures of {len({p[0] for p in law.points})} sessions{apart}"
         changes.append(Change("dark current", not law.is_one, what))
     unchanged = not any(change.changed for change in changes if change.quantity in ("K", "dark current"))
@@ -201,7 +209,7 @@ def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
         Quantity(at_0, at_0 * factor * found.u_of_log_rate(0.0), "DN/s"),
         found.generation(float(ends.mean()), factor),
         birge,
-        _largest_offset([name for name, _, _, _ in points], (found, other), temperatures, logs, u),
+        *_largest_offset([name for name, _, _, _ in points], (found, other), temperatures, logs, u),
         tuple(
             (name, float(t), rate.value, float(z))
             for (name, t, _, rate), z in zip(points, (logs - found.log_rate(temperatures)) / u, strict=True)
@@ -299,8 +307,8 @@ def _better(first: _Fitted, second: _Fitted) -> tuple[_Fitted, _Fitted]:
 
 def _largest_offset(
     names: Sequence[str], laws: tuple[_Fitted, _Fitted], temperatures: Array, logs: Array, u: Array
-) -> Quantity | None:
-    """Return the offset of ln D of the session that is farthest, in u, from the law that all share.
+) -> tuple[str, Quantity | None]:
+    """Return the session whose ln D is farthest, in u, from the law of the others, and how far it is.
 
     Args:
         names: Session of each point.
@@ -314,8 +322,8 @@ def _largest_offset(
         offset, other = (_offset(law, own, temperatures, logs, u) for law in laws)
         if offset is not None and other is not None:
             form = abs(other.value - offset.value) / math.sqrt(3.0)
-            found.append(replace(offset, u=math.hypot(offset.u, form)))
-    return max(found, key=lambda offset: abs(offset.value) / offset.u, default=None)
+            found.append((name, replace(offset, u=math.hypot(offset.u, form))))
+    return max(found, key=lambda one: abs(one[1].value) / one[1].u, default=("", None))
 
 
 def _offset(law: _Fitted, own: Array, temperatures: Array, logs: Array, u: Array) -> Quantity | None:

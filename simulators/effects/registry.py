@@ -10,6 +10,7 @@ import functools
 import importlib.util
 import inspect
 import pkgutil
+import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -106,7 +107,7 @@ def _module_of(path: Path) -> ModuleType:
     sys.modules[name] = module  # dataclasses look their module up
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever the user's file does
+    except (Exception, SystemExit) as error:  # whatever the user's file does
         del sys.modules[name]
         raise ConfigurationError(f"{path}: cannot be run: {type(error).__name__}: {error}") from error
     return module
@@ -124,11 +125,33 @@ def _register(kind: Any, where: str) -> None:
         raise ConfigurationError(
             f"{where}: the effect does not say its {', '.join(lacking)}; see docs/how-to/add-an-effect.md"
         )
+    if fault := _fault(kind):
+        raise ConfigurationError(f"{where}: effect {kind.name!r}: {fault}; see docs/how-to/add-an-effect.md")
     known = EFFECTS.get(kind.name)
     if known is not None and (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
         raise ConfigurationError(f"{where}: there is an effect {kind.name!r} already; give yours another name")
     _name_faults(kind, where)
     EFFECTS[kind.name] = kind
+
+
+def _fault(kind: type[Effect]) -> str:
+    """Return what would keep an effect from outside from ever being found; empty where nothing does."""
+    if not _NAME.fullmatch(kind.name):
+        return "its name may hold a to z, digits and _ only"
+    if not issubclass(kind, CatalogueEffect):
+        return ""
+    for key in ("where", "block"):
+        known = {str(getattr(one, key)) for one in EFFECTS.values() if hasattr(one, key)}
+        if getattr(kind, key) not in known:
+            return f"its {key} is {getattr(kind, key)!r}; possible are {', '.join(sorted(known))}"
+    parameters = [one.name for one in kind.parameters()]
+    unknown = [
+        name for name in (*kind.fitted, *(name for trial in kind.trials for name in trial)) if name not in parameters
+    ]
+    if unknown:
+        return f"its fitted or trials name {unknown[0]!r}, which is none of its parameters ({', '.join(parameters)})"
+    has_starts = any("starts" in vars(one) for one in kind.__mro__ if one is not CatalogueEffect)
+    return "" if kind.trials or has_starts else "its trials are empty"
 
 
 def _name_faults(kind: type[Effect], where: str) -> None:
@@ -177,6 +200,7 @@ def _fits(shape: tuple[int, ...], context: ExposureContext) -> bool:
     return whole[len(whole) - len(frames) :] == frames
 
 
+_NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
 _CALLED: Final = ("mean", "sample", "slope", "moments")
 _NEEDED: Final = ("name", "stage", "unit_in", "unit_out")
 _SEARCHED: Final = ("where", "trials", "fitted")

@@ -86,11 +86,16 @@ def test_what_either_law_makes_of_a_session_is_within_the_u_of_its_offset():
 
 
 def test_a_sensor_that_ages_follows_no_one_law():
-    """A session whose dark current rose by 40 % at the same temperatures is named."""
+    """A session whose dark current rose by 40 % at the same temperatures is named, with the ratio and its direction."""
     sessions = [session("a", temperatures=(-10, 0, 10)), session("b", temperatures=(-10, 0, 10), rate_at_0=0.98)]
     (found,) = passports(sessions)
     assert not found.dark_law.is_one
-    assert abs(found.dark_law.offset.value) == pytest.approx(math.log(1.4), rel=0.01)
+    law, shown = found.dark_law, found.to_mapping()["dark_law"]["session_offset"]
+    ratio = {"a": 0.7 / 0.98, "b": 0.98 / 0.7}[law.offset_session]
+    assert (shown["session"], shown["value"]) == (law.offset_session, pytest.approx(ratio - 1.0, rel=0.01))
+    assert f"{law.offset_session} {100 * (ratio - 1.0):+.1f} ±" in next(
+        change.what for change in found.changes if change.quantity == "dark current"
+    )
     assert [change.changed for change in found.changes if change.quantity == "dark current"] == [True]
 
 

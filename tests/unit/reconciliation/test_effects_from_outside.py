@@ -196,6 +196,17 @@ def test_file_is_taken_and_is_next_to_the_others(tmp_path: Path) -> None:
         ("import nothing_of_the_kind\n", "cannot be run: ModuleNotFoundError"),
         ("x = 1\n", "defines no effect"),
         (EFFECTS_OF_A_LABORATORY.replace('    where = "patch_level"\n', ""), "does not say its where"),
+        (
+            EFFECTS_OF_A_LABORATORY.replace('where = "patch_level"', 'where = "nowhere"'),
+            "its where is 'nowhere'; possible",
+        ),
+        (EFFECTS_OF_A_LABORATORY.replace('"driver_steps"', '"../x y"'), "its name may hold"),
+        (EFFECTS_OF_A_LABORATORY.replace('trials = ({"amplitude_dn": 1.0},)', "trials = ()"), "its trials are empty"),
+        (
+            EFFECTS_OF_A_LABORATORY.replace('fitted = ("amplitude_dn",)', 'fitted = ("amp",)'),
+            "name 'amp', which is none",
+        ),
+        ("raise SystemExit(0)", "cannot be run: SystemExit"),
     ],
 )
 @pytest.mark.usefixtures("untouched")
