@@ -31,7 +31,7 @@ class Batch(Result):
     Attributes:
         summary: Numbers of capture sets, and the rows of those that failed.
         table: The table of results.
-        unfinished: Folders with frames and no header, which were left out.
+        unfinished: Folders of frames or photographs and no header, which were left out.
     """
 
     summary: BatchSummary

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import glob
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,17 +16,23 @@ from radiometer.analysis.characterise.dark_signal import typical_rates
 from radiometer.analysis.characterise.subject import groups_of_capture
 from radiometer.data import CaptureSet, Quantity
 from radiometer.data.capture_set import HEADER_NAME
+from radiometer.data.raw_files import RAW_SUFFIXES
 from radiometer.errors import InputError, MeasurementError, RadiometerError, UnsettledError
 from radiometer.importing import import_sources
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME
+from radiometer.importing.photograph_pixels import IMAGE_SUFFIXES
 from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
 from radiometer.moments import moment_of
 
 _FEWEST_OF_A_SERIES: Final = 3  # two frames are a pair; a course needs a third
+_FRAME_SUFFIXES: Final = (*FITS_SUFFIXES, *TIFF_SUFFIXES)
+_PICTURE_SUFFIXES: Final = (*_FRAME_SUFFIXES, *IMAGE_SUFFIXES, *RAW_SUFFIXES)
 
 
 def find_captures(archive: str) -> tuple[list[Path], list[Path]]:
-    """Return the finished capture sets of an archive and the folders that look unfinished, both sorted.
+    """Return the finished capture sets of an archive and the folders of other frames or photographs, both sorted.
+
+    The unfinished capture set is named, where its folder `frames` is all that there is of it.
 
     Args:
         archive: A folder, searched at any depth, or a glob such as "2026-*/bench-1".
@@ -35,22 +41,14 @@ def find_captures(archive: str) -> tuple[list[Path], list[Path]]:
         InputError: If there is no capture set.
     """
     matches = [archive] if Path(archive).is_dir() else glob.glob(archive, recursive=True)  # noqa: PTH207 (any root)
-    roots = [Path(found) for found in matches]
-    finished = sorted({header.parent for root in roots if root.is_dir() for header in root.rglob(HEADER_NAME)})
-    unfinished = sorted(
-        {
-            frames.parent
-            for root in roots
-            if root.is_dir()
-            for frames in root.rglob("frames")
-            if frames.is_dir() and not (frames.parent / HEADER_NAME).exists()
-        }
-    )
+    roots = [Path(found) for found in matches if Path(found).is_dir()]
+    finished = sorted({header.parent for root in roots for header in root.rglob(HEADER_NAME)})
+    foreign = {folder for root in roots for folder in _foreign_folders(root, finished, _PICTURE_SUFFIXES)}
     if not finished:
         raise InputError(
             f"{archive}: holds no capture set (no folder with {HEADER_NAME}); name their folder, or a glob"
         )
-    return finished, unfinished
+    return finished, sorted({folder.parent if folder.name == "frames" else folder for folder in foreign})
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,17 +160,17 @@ def read_sessions(archive: Path, report: Callable[[str], None] = lambda line: No
     return sorted(sessions, key=lambda s: (s.taken or early, s.name))
 
 
-def _foreign_folders(archive: Path, own: Sequence[Path]) -> list[Path]:
+def _foreign_folders(archive: Path, own: Sequence[Path], suffixes: Collection[str] = _FRAME_SUFFIXES) -> list[Path]:
     folders = {
         file.parent
         for file in archive.rglob("*")
-        if file.is_file() and (_is_frame(file) or file.name == DESCRIPTOR_NAME)
+        if file.is_file() and (_is_frame(file, suffixes) or file.name == DESCRIPTOR_NAME)
     }
     return sorted(f for f in folders if not any(f.is_relative_to(one) for one in own))
 
 
-def _is_frame(file: Path) -> bool:
-    return Path(file.name.lower().removesuffix(".gz")).suffix in (*FITS_SUFFIXES, *TIFF_SUFFIXES)
+def _is_frame(file: Path, suffixes: Collection[str] = _FRAME_SUFFIXES) -> bool:
+    return Path(file.name.lower().removesuffix(".gz")).suffix in suffixes
 
 
 def _direct_files(folder: Path) -> list[Path]:

@@ -36,18 +36,24 @@ class SpatialSplit:
     u_row_dn2: float
     u_column_dn2: float
     u_pixel_dn2: float
+    u_dn2: float = 0.0  # of their sum
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseLeft:
     """Temporal variances that are left in a frame average, in DN²: of row means, of column means, of the residual.
 
-    A converter whose rows share noise leaves more in row means than its pixels' noise alone would.
+    A converter whose rows share noise leaves more in row means than its pixels' noise alone would. Its pixels are then
+    not as many independent values, and a variance is known no better than by its rows.
     """
 
     row_means_dn2: float
     column_means_dn2: float
     rest_dn2: float
+    u_row_means_dn2: float = 0.0  # standard uncertainties
+    u_column_means_dn2: float = 0.0
+    u_rest_dn2: float = 0.0
+    u_dn2: float = 0.0  # of their sum
 
     @classmethod
     def of(
@@ -56,7 +62,21 @@ class NoiseLeft:
         """Return it for L frames, from the temporal variances of a pixel, a row's mean and a column's mean."""
         rows, columns = shape[0], shape[1]
         rest = (pixel_dn2 - row_means_dn2 - column_means_dn2) / (1 - 1 / rows - 1 / columns + 1 / (rows * columns))
-        return cls(row_means_dn2 / frames, column_means_dn2 / frames, max(rest, 0.0) / frames)
+        left = row_means_dn2 / frames, column_means_dn2 / frames, max(rest, 0.0) / frames
+        return cls(*left, *_u_of_parts(*left, shape, max(frames - 1, 1)))
+
+
+def _u_of_parts(
+    of_rows: float, of_columns: float, rest: float, shape: tuple[int, ...], repeats: int = 1
+) -> tuple[float, float, float, float]:
+    """Return standard uncertainties of variances of row means, column means, the residual of (M, N) pixels, and all."""
+    rows, columns = shape[0] - 1, shape[1] - 1
+    freedom = (rows * repeats, columns * repeats, rows * columns * repeats)
+    parts = zip((of_rows, of_columns, rest), freedom, strict=True)
+    u_rows, u_columns, u_rest = (variance * math.sqrt(2.0 / each) for variance, each in parts)
+    # Of the residual, normalised by its degrees of freedom, a variance over all pixels holds this share.
+    share = rows * columns / (shape[0] * shape[1])
+    return u_rows, u_columns, u_rest, math.hypot(u_rows, u_columns, share * u_rest)
 
 
 def split_spatial_variance(average: NDArray[np.float64], noise: NoiseLeft) -> SpatialSplit:
@@ -81,13 +101,15 @@ def split_spatial_variance(average: NDArray[np.float64], noise: NoiseLeft) -> Sp
     measured = float(np.sum(rest * rest)) / freedom
     pixel = measured - noise.rest_dn2
     of_rows, of_columns = float(np.var(row_means, ddof=1)), float(np.var(column_means, ddof=1))
+    u_rows, u_columns, u_pixel, u_whole = _u_of_parts(of_rows, of_columns, measured, average.shape)
     return SpatialSplit(
         row_dn2=of_rows - pixel / columns - noise.row_means_dn2,
         column_dn2=of_columns - pixel / rows - noise.column_means_dn2,
         pixel_dn2=pixel,
-        u_row_dn2=of_rows * math.sqrt(2.0 / (rows - 1)),
-        u_column_dn2=of_columns * math.sqrt(2.0 / (columns - 1)),
-        u_pixel_dn2=measured * math.sqrt(2.0 / freedom),
+        u_row_dn2=math.hypot(u_rows, noise.u_row_means_dn2),
+        u_column_dn2=math.hypot(u_columns, noise.u_column_means_dn2),
+        u_pixel_dn2=math.hypot(u_pixel, noise.u_rest_dn2),
+        u_dn2=math.hypot(u_whole, noise.u_dn2),
     )
 
 
@@ -124,9 +146,9 @@ class GroupStatistics:
     typical_variance_dn2: float | None = None
     frame_variance_dn2: float = 0.0  # variance of the frames' means in DN²; 0 where there is one frame
     floor_share: float = 0.0  # share of pixels at 0
-    # Of dark frames: standard error of the temporal variance by the scatter of that of blocks of pixels in DN². A track
-    # of a cosmic ray, or pixels that blink, scatter by more than normal noise.
-    u_of_blocks_dn2: float = 0.0
+    # Standard error of the temporal variance in DN² by what rows and columns share, and of dark frames by its scatter
+    # between blocks of pixels: a track of a cosmic ray, or pixels that blink, scatter by more than normal noise.
+    u_of_shared_dn2: float = 0.0
 
     @property
     def has_noise(self) -> bool:
@@ -154,15 +176,15 @@ class GroupStatistics:
 
     @property
     def u_variance_dn2(self) -> float:
-        """Return the standard uncertainty of the temporal variance in DN²: of normal noise, or of blocks."""
-        return max(self.variance_dn2 * math.sqrt(2.0 / self.degrees_of_freedom), self.u_of_blocks_dn2)
+        """Return the standard uncertainty of the temporal variance in DN²: of independent pixels, or of others."""
+        return max(self.variance_dn2 * math.sqrt(2.0 / self.degrees_of_freedom), self.u_of_shared_dn2)
 
     @property
     def u_spatial_variance_dn2(self) -> float:
-        """Return the standard uncertainty of the spatial variance in DN²."""
+        """Return the standard uncertainty of the spatial variance in DN²: of independent pixels, or of others."""
         measured = max(self.spatial_variance_dn2, 0.0) + self.variance_dn2 / self.frames
         u_measured = measured * math.sqrt(2.0 / max(self.pixels - 1, 1))
-        return math.hypot(u_measured, self.u_variance_dn2 / self.frames)
+        return max(math.hypot(u_measured, self.u_variance_dn2 / self.frames), self.split.u_dn2 if self.split else 0.0)
 
 
 def statistics_of_group(
@@ -229,6 +251,7 @@ class _Sums:
             common = float(np.var(self._means, ddof=1))
             temporal = max((within - common) * pixels / max(pixels - 1, 1), 0.0)
         spatial = float(np.var(average, ddof=1)) - temporal / count if pixels > 1 else 0.0
+        left = self._noise_left(temporal) if min(average.shape) > 1 else None
         typical = average[typical_pixels(average)]
         return GroupStatistics(
             settings=settings,
@@ -240,12 +263,12 @@ class _Sums:
             clipped_share=self._clipped / (count * pixels),
             photons=photons,
             region=region,
-            split=split_spatial_variance(average, self._noise_left(temporal)) if min(average.shape) > 1 else None,
+            split=split_spatial_variance(average, left) if left else None,
             typical_dn=float(np.mean(typical)),
             typical_variance_dn2=float(np.var(typical)) - temporal / count,
             frame_variance_dn2=common,
             floor_share=self._at_zero / (count * pixels),
-            u_of_blocks_dn2=u_of_blocks,
+            u_of_shared_dn2=max(u_of_blocks, count * left.u_dn2 if left else 0.0),
         )
 
     def _noise_left(self, temporal: float) -> NoiseLeft:

@@ -42,7 +42,7 @@ def command(
     if json:
         print(found.to_json())
     for path in found.unfinished:
-        note(f"left out: {path} holds frames but no capture.yaml (an unfinished capture)")
+        note(f"left out: {path} holds frames but no capture.yaml (unfinished, or `radiometer import` it first)")
     for row in found.summary.failures:
         note(f"failed: {row['capture']}: {row['error']}")
     note(str(found))

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -72,15 +73,20 @@ def test_trend_of_a_quantity_that_is_not_there(table, capsys):
 
 
 def test_batch_names_what_failed_and_what_was_left_out(make_archive, tmp_path, capsys):
-    """A damaged capture set is a row and a line; one without a header is left out by name; the rest is done."""
+    """A damaged capture set is a row and a line; frames without a header are left out by name; the rest is done."""
     root = make_archive(3)
     os.truncate(root / "day-0001" / "frames" / "0001.png", 40)
     shutil.copytree(root / "day-0000" / "frames", root / "broken-off" / "frames")
+    left_out = {"broken-off": "frames/0000.png", "raw": "d0.DNG", "sky": "night/f0.fits.gz", "shots": "a.jpg"}
+    for folder, file in left_out.items():
+        (root / folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (root / folder / file).touch()
     assert run(["batch", str(root), "-o", str(tmp_path / "results.csv"), "--json"]) == 1
     printed = capsys.readouterr()
     summary = json.loads(printed.out)
     assert (summary["done"], summary["rows_in_table"], len(summary["failures"])) == (3, 3, 1)
-    assert [path.rsplit("/", 1)[-1] for path in summary["unfinished"]] == ["broken-off"]
+    named = [str(Path(path).relative_to(root)) for path in summary["unfinished"]]
+    assert named == ["broken-off", "raw", "shots", "sky/night"]
     text = printed.err.replace("\n", "")
     assert re.search(r"left out: \S*broken-off holds frames but no capture.yaml", text)
     assert re.search(r"failed: \S*day-0001: .*truncated", text)

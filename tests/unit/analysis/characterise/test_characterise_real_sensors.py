@@ -200,6 +200,26 @@ def test_noise_that_rows_share_is_no_row_pattern():
     assert one.split.pixel_dn2 == pytest.approx(0.0, abs=4 * one.split.u_pixel_dn2)
 
 
+@pytest.mark.parametrize("is_of_rows", [True, False])
+def test_variances_are_known_no_better_than_by_the_rows_that_share_noise(is_of_rows):
+    """Over 200 pairs with row (column) noise of 3, pixel noise of 2.4, pattern of 3: the scatter is the stated u."""
+    rng = np.random.default_rng(7)
+    shared = (40, 1) if is_of_rows else (1, 50)
+    groups = []
+    for _ in range(200):
+        black = 500.0 + 3.0 * rng.standard_normal((40, 50))
+        pair = [np.rint(black + rng.normal(0, 3.0, shared) + rng.normal(0, 2.4, (40, 50))) for _ in range(2)]
+        groups += statistics_of_group(pair, FrameSettings(1.0), (None,), 4095)
+    part = "row_dn2" if is_of_rows else "column_dn2"
+    for values, u, truth in [
+        ([g.variance_dn2 for g in groups], [g.u_variance_dn2 for g in groups], 9.0 + 5.76 + 1 / 12),
+        ([g.spatial_variance_dn2 for g in groups], [g.u_spatial_variance_dn2 for g in groups], 9.0),
+        ([getattr(g.split, part) for g in groups], [getattr(g.split, f"u_{part}") for g in groups], 0.0),
+    ]:
+        assert np.mean(values) == pytest.approx(truth, abs=0.4)
+        assert np.mean(u) == pytest.approx(np.std(values), rel=0.15)
+
+
 def test_a_group_that_contradicts_all_others_is_named():
     """A stack of 50 frames that shows a fifth of what its photons say is left out by name; the sound ones are kept."""
     steps = ladder()
