@@ -32,6 +32,7 @@ from radiometer.analysis.merge.sums import (
 )
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
+from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, fluctuation
 from radiometer.analysis.signal.lens import (
     falloff_known,
     flat_doubt,
@@ -63,6 +64,7 @@ from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 from radiometer.numbers import unit_text
 from radiometer.reporting.origin import moment, span_of
+from radiometer.statistics.model_choice import FIVE_SIGMA, is_supported
 from radiometer.typing import Array
 
 BLOCK_PIXELS: Final = 1 << 15  # a block's sums stay in a core's second-level cache
@@ -73,6 +75,9 @@ MOST_FRAMES = 64  # the bits of the largest integer that marks the frames of a p
 _ROUNDED_DN = 1.0  # the standard uncertainty of a black level counts as one of ±1 DN where nothing states it
 _NOISE: Final = frozenset({"conversion_gain_e_per_dn", "read_noise_e"})
 _PIXELS_OF_NOISE: Final = 4096  # evenly over the picture: noise is then known to some per cent
+_PIXELS_OF_LIGHT: Final = 4096  # evenly over the picture: the median is then known to a sixtieth of a pixel's noise
+_LEAST_LIT: Final = 64  # pixels that say anything of a whole frame
+_CLEAR_OF_NOISE: Final = 0.3  # noise over signal, up to which the median of rounded numbers follows the light
 _REPORTED_EXCESS: Final = 1.2  # of a variance
 _REPORTED_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
 
@@ -211,6 +216,8 @@ class StreamingMerge:
         self._calibration, self._camera = setup.calibration, setup.camera
         self._through_lens = setup.calibration is None or setup.calibration.scale.f_number is not None
         self._of_noise: tuple[str, ...] = ()
+        self._lit: list[Array] = []  # x of some pixels of every frame, NaN where it clips
+        self._wander_rel = 0.0  # by what frames differ as a whole
         self._terms: list[FrameTerms] = []
         self._dark: list[Frame] = []
         self._shape: tuple[int, int] | None = None
@@ -496,6 +503,9 @@ class StreamingMerge:
         table = None if model.linear and terms.dark.size == 1 else model.table(frame.settings).astype(np.float32)
         sample = MergeSample.of(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
         self._show(sample)
+        some = np.arange(0, sample.dn.size, max(1, sample.dn.size // _PIXELS_OF_LIGHT))
+        low, top = sample.limits
+        self._lit.append(np.where((sample.dn[some] >= low) & (sample.dn[some] < top), sample.signal_at(some), np.nan))
         return sample
 
     def _refuse_foreign_darks(self, frame: Frame, terms: FrameTerms) -> None:
@@ -590,7 +600,13 @@ class StreamingMerge:
         bends, darkens = bool(levels.curve_u_rel.any()), bool(levels.dark_u.any())
         if bends:
             self._by_level(levels, radiance, shared, curve=True)
-        doubts = self._doubt_falloff, self._doubt_exposures, self._doubt_dark_current, self._doubt_taps
+        doubts = (
+            self._doubt_falloff,
+            self._doubt_exposures,
+            self._doubt_dark_current,
+            self._doubt_taps,
+            self._doubt_light,
+        )
         added = [doubt(radiance, shared) for doubt in doubts]
         if bends or any(added):
             np.hypot(u_radiance, shared, out=u_radiance)
@@ -654,6 +670,54 @@ class StreamingMerge:
         u_rel = taps.u_rel(scaled_in).astype(np.float32)[taps.number]
         np.hypot(shared, u_rel * radiance, out=shared)
         return True
+
+    def _doubt_light(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
+        """Add to what pixels share what frames differ by as a whole, as a reading does; return whether they do.
+
+        A pixel is the mean of the frames in which it does not clip, weighted by their exposures.
+        """
+        if self._wander_rel == 0.0:
+            return False
+        rate = radiance / np.float32(self._on_axis() * self._terms[0].exposure)
+        total, squares = np.zeros_like(radiance), np.zeros_like(radiance)
+        for one in self._terms:
+            exposure = np.where(rate * one.exposure < one.clips_at, np.float32(one.exposure), np.float32(0.0))
+            total += exposure
+            squares += exposure**2
+        share = np.sqrt(squares) / np.maximum(total, np.float32(1e-30))
+        np.hypot(shared, np.float32(self._wander_rel) * np.where(total > 0, share, 1.0) * radiance, out=shared)
+        return True
+
+    def _wander(self) -> tuple[str, ...]:
+        """Find by what frames differ as a whole beyond their noise, and return what to say of it.
+
+        Of pixels that no frame clips the middle one counts in every frame: what moves through the picture is no change
+        of the light.
+        """
+        calibration, model = self._calibration, self._model
+        if calibration is None or not calibration.absolute or len(self._terms) < 2:
+            return ()
+        exposures, x = np.array([one.exposure for one in self._terms]), np.array(self._lit)
+        with np.errstate(invalid="ignore"):
+            rate = x.sum(axis=0) / exposures.sum()  # NaN where a frame clips
+            noise = np.array(
+                [model.variance(rate * t, one.settings) for t, one in zip(exposures, self._terms, strict=True)]
+            )
+            expected = exposures[:, None] * rate
+            used = (np.sqrt(noise) < _CLEAR_OF_NOISE * expected).all(axis=0)
+        count = int(used.sum())
+        if count < _LEAST_LIT:
+            return ()
+        amplitude = np.median(x[:, used] / expected[:, used], axis=1)
+        middle = np.median(expected[:, used], axis=1)
+        own = (math.pi / 2.0) * np.mean(noise[:, used] / expected[:, used] ** 2, axis=1) / count
+        curve = [model.curve_u_rel(value, one.settings) for value, one in zip(middle, self._terms, strict=True)]
+        dark = np.array([math.hypot(one.u_dark, one.u_unstated) for one in self._terms]) / middle
+        known = own + np.square(curve) + np.square(dark)
+        self._wander_rel, evidence = fluctuation(amplitude, np.ones_like(amplitude), known, 1.0)
+        if self._wander_rel < FLICKER_FLOOR_REL or not is_supported(evidence, FIVE_SIGMA):
+            return ()
+        return (f"the frames differ as a whole by {100 * self._wander_rel:.2g} % (standard deviation), which u holds",)
 
     def _doubt_pattern(
         self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]
@@ -800,6 +864,7 @@ class StreamingMerge:
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
         used, doubtful = self._of_taps(images[0], images[2])
         u_rel_pattern, of_pattern = self._doubt_pattern(*images[:2])
+        of_wander = self._wander()
         shared = self._share(*images[:2])
         of_time = self._exposure_offset()
         in_u = of_time if self._exposures_in_u else ()
@@ -820,6 +885,7 @@ class StreamingMerge:
                     *self._of_noise,
                     *self._copies.notes,
                     *used,
+                    *of_wander,
                     *in_u,
                     *not_in_u,
                 ),

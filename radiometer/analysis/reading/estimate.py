@@ -13,7 +13,7 @@ from radiometer.statistics.model_choice import AKAIKE, FIVE_SIGMA, is_supported
 from radiometer.statistics.scale import common_deviance
 
 # Frames of a steady source through a good calibration agree to this; only more is called flicker.
-_FLICKER_FLOOR_REL = 1e-3
+FLICKER_FLOOR_REL = 1e-3
 _FLUCTUATION_GRID = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 101)])
 
 
@@ -39,7 +39,7 @@ class PatchEstimate:
     @property
     def flickers(self) -> bool:
         """Return whether frames differ more than their noise and the calibration explain."""
-        return self.fluctuation_rel >= _FLICKER_FLOOR_REL and is_supported(self.evidence, FIVE_SIGMA)
+        return self.fluctuation_rel >= FLICKER_FLOOR_REL and is_supported(self.evidence, FIVE_SIGMA)
 
 
 def estimate_patch(
@@ -70,7 +70,7 @@ def estimate_patch(
     for _ in range(4):
         expected, single, curve, dark_variance = _variances(rate, frames, dark, exposures, model)
         noise = single / count
-        tau, evidence = _fluctuation(means, exposures, noise + curve + dark_variance, rate)
+        tau, evidence = fluctuation(means, exposures, noise + curve + dark_variance, rate)
         weights = exposures / (noise + curve + (tau * expected) ** 2)
         coefficients = weights / float(weights @ exposures)
         rate = float(coefficients @ means)
@@ -104,7 +104,7 @@ def _variances(
     return expected, single, (curve * expected) ** 2, dark_u**2
 
 
-def _fluctuation(
+def fluctuation(
     means: NDArray[np.float64], exposures: NDArray[np.float64], variance: NDArray[np.float64], rate: float
 ) -> tuple[float, float]:
     """Return the relative standard deviation between frames beyond their variance, and twice its log-likelihood gain.
