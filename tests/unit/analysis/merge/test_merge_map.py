@@ -126,7 +126,7 @@ def merged(rig, frames, **changes):
 
 
 def test_light_that_wanders_from_frame_to_frame_is_in_the_uncertainty_of_every_pixel(rig):
-    """Two per cent of scatter between frames: the means of 20 maps are off as their u says; steady light adds nothing."""
+    """Two per cent between frames: the means of 20 maps are off as their u says; steady light adds nothing."""
     truth, z = scene(rig), []
     for seed in range(20):
         rng, frames = np.random.default_rng(seed), []
