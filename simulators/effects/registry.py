@@ -11,7 +11,7 @@ import importlib.util
 import inspect
 import pkgutil
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -26,7 +26,7 @@ import simulators.effects
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, RadiometerError
 from simulators.effects.base import Effect
-from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.catalogue import COVARIATES, STATISTICS, CatalogueEffect
 from simulators.effects.context import ExposureContext
 from simulators.effects.free_law import kind_for
 
@@ -52,7 +52,7 @@ def _load_installed() -> None:
 def _loaded(found: EntryPoint) -> Any:
     try:
         return found.load()
-    except Exception as error:  # whatever a foreign package does when it is imported
+    except (Exception, SystemExit) as error:  # whatever a foreign package does when it is imported
         raise ConfigurationError(
             f"effect {found.name!r} ({found.value}) cannot be loaded: {type(error).__name__}: {error}; "
             "repair or uninstall its package"
@@ -106,7 +106,7 @@ def _module_of(path: Path) -> ModuleType:
     sys.modules[name] = module  # dataclasses look their module up
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever the user's file does
+    except (Exception, SystemExit) as error:  # whatever the user's file does
         del sys.modules[name]
         raise ConfigurationError(f"{path}: cannot be run: {type(error).__name__}: {error}") from error
     return module
@@ -127,8 +127,34 @@ def _register(kind: Any, where: str) -> None:
     known = EFFECTS.get(kind.name)
     if known is not None and (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
         raise ConfigurationError(f"{where}: there is an effect {kind.name!r} already; give yours another name")
+    try:
+        wrong = next(_wrong_statements(kind), None)
+    except (AttributeError, TypeError) as error:  # statements of another form than documented
+        wrong = f"{type(error).__name__}: {error}"
+    if wrong is not None:
+        raise ConfigurationError(f"{where}: the effect {kind.name!r} cannot be taken: {wrong}; correct it there")
     _name_faults(kind, where)
     EFFECTS[kind.name] = kind
+
+
+def _wrong_statements(kind: type[Effect]) -> Iterator[str]:
+    """Yield what an effect says of itself that nothing in this package answers to."""
+    known = tuple(entry.name for entry in kind.parameters())
+    said: list[tuple[str, tuple[str, ...], tuple[str, ...]]] = []
+    if not kind.name.isidentifier():
+        yield f"the name {kind.name!r} is not of letters, digits and _"
+    if issubclass(kind, CatalogueEffect):
+        said += [
+            ("where", (kind.where,), COVARIATES),
+            ("block", (kind.block,), STATISTICS),
+            ("also", tuple(kind.also), STATISTICS),
+            ("fitted", tuple(name.partition("[")[0] for name in kind.fitted), known),
+            ("trials", tuple(name for trial in kind.trials for name in trial), known),
+        ]
+        if not kind.trials and getattr(kind.starts, "__func__", None) is vars(CatalogueEffect)["starts"].__func__:
+            yield "without trials it is never tried"
+    for key, values, allowed in said:
+        yield from (f"{key} {value!r} is none of {', '.join(allowed)}" for value in values if value not in allowed)
 
 
 def _name_faults(kind: type[Effect], where: str) -> None:
