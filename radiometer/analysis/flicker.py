@@ -458,12 +458,18 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
-    u_clock_hz = 0.0 if period is None else period.frequency_hz * (u_clock_rel or 0.0)
-    frequency = None if period is None else Quantity(period.frequency_hz, math.hypot(period.u_hz, u_clock_hz), "Hz")
     if period is not None and u_clock_rel is None:
         assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
     k = coverage_factor(blocks - 1) if blocks else 2.0
+    frequency = _frequency(period, shape, u_clock_rel or 0.0)
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+
+
+def _frequency(period: Period | None, shape: ShapeMeasures, u_clock_rel: float) -> Quantity | None:
+    if period is None:
+        return None
+    u_hz = math.hypot(max(period.u_hz, shape.u_hz), period.frequency_hz * u_clock_rel)
+    return Quantity(period.frequency_hz, u_hz, "Hz")
 
 
 def _mean_light(waveform: Waveform) -> float:
@@ -661,6 +667,7 @@ class ShapeMeasures:
     phase: Array  # phases of the shape in periods, rising, shape (n,)
     light: Array  # light there, as it was sampled, shape (n,)
     hidden: bool = False  # whether the exposure hides one of the harmonics
+    u_hz: float = 0.0  # standard uncertainty of the frequency where its shape leaves more open than its period says
 
 
 def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
@@ -668,6 +675,9 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
 
     The uncertainty of a series is that of its least squares, or the scatter between blocks of periods where that is
     larger. Between neighbouring phases it also covers what noise adds to extremes, and an extreme between two samples.
+
+    A step is anywhere between two samples, at the first and at the last of its periods. So the frequency of steps is
+    known to 1/√6 of a sample in the record.
     """
     whole, parts = _folds(waveform, period)
     orders = _supported_orders(whole)
@@ -683,11 +693,16 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
 
     values, u = of(whole)
     u = np.maximum(u, jackknife_u([of(part)[0] for part in parts]))
-    phase, light = whole.phase, whole.light
     if orders:
-        phase = np.arange(_GRID) / _GRID
+        phase, u_hz = np.arange(_GRID) / _GRID, 0.0
         light = harmonics(phase, orders[1]) @ _Series.of(whole, orders[1]).factors
-    return ShapeMeasures(values, u, len(parts), bool(orders) and not hidden, phase, light, hidden)
+    else:
+        phase, light = whole.phase, whole.light
+        u_hz = math.hypot(period.u_hz, period.frequency_hz / (math.sqrt(6.0) * waveform.light.size))
+        off_hz = (period.frequency_hz - u_hz, period.frequency_hz + u_hz)
+        off = [of(_folds(waveform, replace(period, frequency_hz=one))[0])[0] - values for one in off_hz]
+        u = np.hypot(u, np.abs(off).max(axis=0))
+    return ShapeMeasures(values, u, len(parts), bool(orders) and not hidden, phase, light, hidden, u_hz)
 
 
 def measure_record(waveform: Waveform) -> ShapeMeasures:

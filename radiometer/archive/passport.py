@@ -45,25 +45,6 @@ class SessionDoubling:
 
 
 @dataclass(frozen=True, slots=True)
-class SessionOffset:
-    """How far the dark current of one session is from the law of the others."""
-
-    session: str
-    log_ratio: Quantity  # ln of its dark current over theirs
-
-    @property
-    def relative(self) -> Quantity:
-        """Return it as a share of the others' dark current, of unit 1."""
-        ratio = math.exp(self.log_ratio.value)
-        return Quantity(ratio - 1.0, ratio * self.log_ratio.u, "1")
-
-    @property
-    def sigmas(self) -> float:
-        """Return its distance from 0 in u, a logarithm's: half as much is as far off as twice."""
-        return abs(self.log_ratio.value) / max(self.log_ratio.u, _TINY_U)
-
-
-@dataclass(frozen=True, slots=True)
 class DarkLaw:
     """One law of the dark current over all sessions, of T in °C."""
 
@@ -75,9 +56,10 @@ class DarkLaw:
     # D_0·2^(T / T_d) describes the points better
     generation_share: Quantity | None
     birge_ratio: float  # scatter over what the points' uncertainties allow
-    # The session that is farthest from the law of the others (of two, the later), its u widened by the scatter; None
-    # where one session is all there is, or temperatures and sessions cannot be separated
-    offset: SessionOffset | None
+    offset_session: str  # the session that is farthest from the law of the others; empty where none can be
+    # Its offset in ln D, the u widened by the scatter; None where one session is all there is, or temperatures and
+    # sessions cannot be separated
+    offset: Quantity | None
     # (session, temperature in °C, dark current in DN/s, its distance from the law in u)
     points: tuple[tuple[str, float, float, float], ...]
     # Doublings of the single sessions: with two mechanisms they differ with the temperature
@@ -92,9 +74,17 @@ class DarkLaw:
         return math.sqrt(float(np.sum(np.square((apart - np.average(apart, weights=u**-2)) / u)) / (apart.size - 1)))
 
     @property
+    def relative_offset(self) -> Quantity | None:
+        """Return by what part of the others' dark current that of `offset_session` is higher."""
+        if self.offset is None:
+            return None
+        ratio = math.exp(self.offset.value)
+        return Quantity(ratio - 1.0, ratio * self.offset.u, "1")
+
+    @property
     def is_one(self) -> bool:
         """Return whether every session is within two u of the law of the others."""
-        return self.offset is None or self.offset.sigmas <= _AGREE_SIGMAS
+        return self.offset is None or abs(self.offset.value) <= _AGREE_SIGMAS * self.offset.u
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +131,8 @@ class Passport:
                 "birge_ratio": law.birge_ratio,
                 "one_law": law.is_one,
                 "session_offset": None
-                if law.offset is None
-                else {"session": law.offset.session, **law.offset.relative.to_mapping()},
+                if law.relative_offset is None
+                else {"session": law.offset_session, **law.relative_offset.to_mapping()},
                 "points": [
                     {"session": name, "temperature_C": t, "rate_dn_per_s": rate, "distance_u": z}
                     for name, t, rate, z in law.points
@@ -172,10 +162,8 @@ def _passport(camera: tuple[str, ...], sessions: Sequence[Session]) -> Passport:
     changes = [change for name in _COMPARED if (change := _compared(name, sessions)) is not None]
     if law is not None and len({point[0] for point in law.points}) > 1:
         verdict = "one law" if law.is_one else "no one law"
-        apart = ""
-        if law.offset is not None:
-            percent = Quantity(100.0 * law.offset.relative.value, 100.0 * law.offset.relative.u, "%")
-            apart = f", {_against(law.offset.session, 'the law of the rest', percent)}"
+        off = law.relative_offset
+        apart = "" if off is None else f", {law.offset_session} {100 * off.value:+.1f} ± {100 * off.u:.1f} % from it"
         what = f"{verdict} over {len(law.points)} temperatures of {len({p[0] for p in law.points})} sessions{apart}"
         changes.append(Change("dark current", not law.is_one, what))
     unchanged = not any(change.changed for change in changes if change.quantity in ("K", "dark current"))
@@ -221,7 +209,7 @@ def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
         Quantity(at_0, at_0 * factor * found.u_of_log_rate(0.0), "DN/s"),
         found.generation(float(ends.mean()), factor),
         birge,
-        _largest_offset([name for name, _, _, _ in points], (found, other), temperatures, logs, u),
+        *_largest_offset([name for name, _, _, _ in points], (found, other), temperatures, logs, u),
         tuple(
             (name, float(t), rate.value, float(z))
             for (name, t, _, rate), z in zip(points, (logs - found.log_rate(temperatures)) / u, strict=True)
@@ -319,25 +307,23 @@ def _better(first: _Fitted, second: _Fitted) -> tuple[_Fitted, _Fitted]:
 
 def _largest_offset(
     names: Sequence[str], laws: tuple[_Fitted, _Fitted], temperatures: Array, logs: Array, u: Array
-) -> SessionOffset | None:
-    """Return the offset of ln D of the session that is farthest, in u, from the law that all share.
+) -> tuple[str, Quantity | None]:
+    """Return the session whose ln D is farthest, in u, from the law of the others, and how far it is.
 
     Args:
-        names: Session of each point, by time.
+        names: Session of each point.
         laws: The chosen law and the other. Which one is true is unknown, so a curvature between sessions is an offset
             under one of them. The u includes the difference.
         u: Its standard uncertainty.
     """
     found = []
-    sessions = list(dict.fromkeys(names))
-    # Two are as far from each other either way: the later one is the one that changed.
-    for name in sessions[1:] if len(sessions) == 2 else sessions:
+    for name in dict.fromkeys(names):
         own = np.array([other == name for other in names], dtype=np.float64)
         offset, other = (_offset(law, own, temperatures, logs, u) for law in laws)
         if offset is not None and other is not None:
             form = abs(other.value - offset.value) / math.sqrt(3.0)
-            found.append(SessionOffset(name, replace(offset, u=math.hypot(offset.u, form))))
-    return max(found, key=lambda offset: offset.sigmas, default=None)
+            found.append((name, replace(offset, u=math.hypot(offset.u, form))))
+    return max(found, key=lambda one: abs(one[1].value) / one[1].u, default=("", None))
 
 
 def _offset(law: _Fitted, own: Array, temperatures: Array, logs: Array, u: Array) -> Quantity | None:
@@ -368,7 +354,7 @@ def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
     pairs = list(itertools.combinations(known, 2))
     limit_sigmas = -float(ndtri(ndtr(-_CHANGED_SIGMAS) / len(pairs)))
     changed = [
-        (abs(difference.value) / max(difference.u, _TINY_U), _against(after.name, before.name, difference))
+        (abs(difference.value) / max(difference.u, _TINY_U), _against(before, after, difference))
         for (before, one), (after, other) in pairs
         for difference in [Quantity(other.value - one.value, math.hypot(one.u, other.u), one.unit)]
         if abs(difference.value) > max(limit_sigmas * difference.u, _repeatability(name, one.value))
@@ -380,11 +366,10 @@ def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
     return Change(name, True, f"{text}{degrees}: {max(changed)[1]}")
 
 
-def _against(one: str, other: str, difference: Quantity) -> str:
+def _against(before: Session, after: Session, difference: Quantity) -> str:
     sign = "+" if difference.value >= 0 else ""
     size = with_u(difference.value, 2.0 * difference.u, difference.unit, k=2)
-    signed = f"({sign}{size[1:]}" if size.startswith("(") else f"{sign}{size}"
-    return f"{one} against {other} {signed}"
+    return f"{after.name} against {before.name} {sign}{size}"
 
 
 def _repeatability(name: str, value: float) -> float:

@@ -20,14 +20,6 @@ from simulators.effects.base import ELECTRONS, KINDS_KEPT, Effect, KeepsMean, St
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
-COVARIATES: Final = (
-    "exposure_s", "gain_db", "f_number", "temperature_C", "source_level", "timestamp_s", "signal", "pattern",
-    "patch_level", "field_radius", "image_x", "image_y", "screen_x", "previous_frame",
-)  # fmt: skip
-STATISTICS: Final = (
-    "mean", "slope", "variance", "spatial", "neighbour", "first", "common", "bands", "row_temporal", "columns", "rows",
-    "edge", "outliers", "unsteady", "comb",
-)  # fmt: skip
 # Where the description of the dark current says neither, as in the ideal chain.
 _DARK_REFERENCE_C: Final = 25.0
 _DARK_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
@@ -43,8 +35,11 @@ class CatalogueEffect(Effect):
     """An effect that reconcile tries.
 
     Attributes:
-        where: Covariate along which it shows, by its name in result files: one of `COVARIATES`.
-        block: Statistic that must improve when the effect is there: one of `STATISTICS`.
+        where: Covariate along which it shows, by its name in result files: exposure_s, gain_db, f_number,
+            temperature_C, source_level, timestamp_s, signal, patch_level, field_radius, image_x, image_y, screen_x or
+            previous_frame.
+        block: Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour,
+            first, common, bands, row_temporal, columns, rows, edge, outliers, unsteady or comb.
         also: Further statistics that count as its evidence.
         trials: Sets of parameters from which the search starts, the likeliest first.
         fitted: Parameters that are fitted; the others keep their trial's value.

@@ -10,8 +10,9 @@ import functools
 import importlib.util
 import inspect
 import pkgutil
+import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -26,7 +27,7 @@ import simulators.effects
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, RadiometerError
 from simulators.effects.base import Effect
-from simulators.effects.catalogue import COVARIATES, STATISTICS, CatalogueEffect
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
 from simulators.effects.free_law import kind_for
 
@@ -52,7 +53,7 @@ def _load_installed() -> None:
 def _loaded(found: EntryPoint) -> Any:
     try:
         return found.load()
-    except (Exception, SystemExit) as error:  # whatever a foreign package does when it is imported
+    except Exception as error:  # whatever a foreign package does when it is imported
         raise ConfigurationError(
             f"effect {found.name!r} ({found.value}) cannot be loaded: {type(error).__name__}: {error}; "
             "repair or uninstall its package"
@@ -124,37 +125,33 @@ def _register(kind: Any, where: str) -> None:
         raise ConfigurationError(
             f"{where}: the effect does not say its {', '.join(lacking)}; see docs/how-to/add-an-effect.md"
         )
+    if fault := _fault(kind):
+        raise ConfigurationError(f"{where}: effect {kind.name!r}: {fault}; see docs/how-to/add-an-effect.md")
     known = EFFECTS.get(kind.name)
     if known is not None and (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
         raise ConfigurationError(f"{where}: there is an effect {kind.name!r} already; give yours another name")
-    try:
-        wrong = next(_wrong_statements(kind), None)
-    except (AttributeError, TypeError) as error:  # statements of another form than documented
-        wrong = f"{type(error).__name__}: {error}"
-    if wrong is not None:
-        raise ConfigurationError(f"{where}: the effect {kind.name!r} cannot be taken: {wrong}; correct it there")
     _name_faults(kind, where)
     EFFECTS[kind.name] = kind
 
 
-def _wrong_statements(kind: type[Effect]) -> Iterator[str]:
-    """Yield what an effect says of itself that nothing in this package answers to."""
-    known = tuple(entry.name for entry in kind.parameters())
-    said: list[tuple[str, tuple[str, ...], tuple[str, ...]]] = []
-    if not kind.name.isidentifier():
-        yield f"the name {kind.name!r} is not of letters, digits and _"
-    if issubclass(kind, CatalogueEffect):
-        said += [
-            ("where", (kind.where,), COVARIATES),
-            ("block", (kind.block,), STATISTICS),
-            ("also", tuple(kind.also), STATISTICS),
-            ("fitted", tuple(name.partition("[")[0] for name in kind.fitted), known),
-            ("trials", tuple(name for trial in kind.trials for name in trial), known),
-        ]
-        if not kind.trials and getattr(kind.starts, "__func__", None) is vars(CatalogueEffect)["starts"].__func__:
-            yield "without trials it is never tried"
-    for key, values, allowed in said:
-        yield from (f"{key} {value!r} is none of {', '.join(allowed)}" for value in values if value not in allowed)
+def _fault(kind: type[Effect]) -> str:
+    """Return what would keep an effect from outside from ever being found; empty where nothing does."""
+    if not _NAME.fullmatch(kind.name):
+        return "its name may hold a to z, digits and _ only"
+    if not issubclass(kind, CatalogueEffect):
+        return ""
+    for key in ("where", "block"):
+        known = {str(getattr(one, key)) for one in EFFECTS.values() if hasattr(one, key)}
+        if getattr(kind, key) not in known:
+            return f"its {key} is {getattr(kind, key)!r}; possible are {', '.join(sorted(known))}"
+    parameters = [one.name for one in kind.parameters()]
+    unknown = [
+        name for name in (*kind.fitted, *(name for trial in kind.trials for name in trial)) if name not in parameters
+    ]
+    if unknown:
+        return f"its fitted or trials name {unknown[0]!r}, which is none of its parameters ({', '.join(parameters)})"
+    has_starts = any("starts" in vars(one) for one in kind.__mro__ if one is not CatalogueEffect)
+    return "" if kind.trials or has_starts else "its trials are empty"
 
 
 def _name_faults(kind: type[Effect], where: str) -> None:
@@ -203,6 +200,7 @@ def _fits(shape: tuple[int, ...], context: ExposureContext) -> bool:
     return whole[len(whole) - len(frames) :] == frames
 
 
+_NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
 _CALLED: Final = ("mean", "sample", "slope", "moments")
 _NEEDED: Final = ("name", "stage", "unit_in", "unit_out")
 _SEARCHED: Final = ("where", "trials", "fitted")

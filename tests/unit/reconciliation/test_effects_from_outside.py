@@ -190,25 +190,23 @@ def test_file_is_taken_and_is_next_to_the_others(tmp_path: Path) -> None:
         register_file(taken)
 
 
-def said(key: str, value: str) -> str:
-    """Return the file with another statement of what the ceiling is."""
-    line = '    settles = "the brightest patch at half the drive"\n'
-    return EFFECTS_OF_A_LABORATORY.replace(line, f"{line}    {key} = {value}\n")
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("import nothing_of_the_kind\n", "cannot be run: ModuleNotFoundError"),
         ("x = 1\n", "defines no effect"),
         (EFFECTS_OF_A_LABORATORY.replace('    where = "patch_level"\n', ""), "does not say its where"),
-        ("import sys\nsys.exit(0)\n", "cannot be run: SystemExit"),
-        (said("where", '"nowhere"'), "where 'nowhere' is none of exposure_s, "),
-        (said("block", '"nothing"'), "block 'nothing' is none of mean, "),
-        (said("fitted", '("celing",)'), "fitted 'celing' is none of ceiling;"),
-        (said("trials", '({"celing": 0.1},)'), "trials 'celing' is none of ceiling;"),
-        (said("trials", "()"), "without trials it is never tried"),
-        (EFFECTS_OF_A_LABORATORY.replace('"driver_steps"', '"../x y"'), "the name '../x y' is not of letters"),
+        (
+            EFFECTS_OF_A_LABORATORY.replace('where = "patch_level"', 'where = "nowhere"'),
+            "its where is 'nowhere'; possible",
+        ),
+        (EFFECTS_OF_A_LABORATORY.replace('"driver_steps"', '"../x y"'), "its name may hold"),
+        (EFFECTS_OF_A_LABORATORY.replace('trials = ({"amplitude_dn": 1.0},)', "trials = ()"), "its trials are empty"),
+        (
+            EFFECTS_OF_A_LABORATORY.replace('fitted = ("amplitude_dn",)', 'fitted = ("amp",)'),
+            "name 'amp', which is none",
+        ),
+        ("raise SystemExit(0)", "cannot be run: SystemExit"),
     ],
 )
 @pytest.mark.usefixtures("untouched")
