@@ -45,6 +45,13 @@ def test_hidden_effect_is_named_alone(name):
     assert [e.name for e in answer.effects] == [name]
 
 
+def test_what_the_first_of_two_frames_shows_is_no_flicker():
+    """Two frames per capture: image lag makes the first one darker, and no second name comes of it."""
+    answer = _ask(make_session("image_lag", camera_seed=2438361, plan="bracket", frames=2))
+    assert str(answer.verdict) == "effects_found"
+    assert [e.name for e in answer.effects] == ["image_lag"]
+
+
 @pytest.mark.usefixtures("laws_left_out")
 @pytest.mark.parametrize(
     ("form", "parameter", "allowed"),

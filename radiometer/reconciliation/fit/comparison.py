@@ -241,7 +241,21 @@ class Comparison:
 
     def flicker_of(self, prediction: Prediction) -> Array:
         """Return the relative variance that all light of a frame has in common, bands included, (captures,)."""
-        return relative_flicker(prediction) + _common_bands(self.design, self.seen, prediction)
+        steady = relative_flicker(prediction) + _common_bands(self.design, self.seen, prediction)
+        return steady + self._first_of_two(prediction)
+
+    def _first_of_two(self, prediction: Prediction) -> Array:
+        """Return what a first frame that differs adds to it where there are but two frames, (captures,)."""
+        two = self.design.frame_count == 2
+        if not (two.any() and prediction.first.any()):
+            return np.zeros(prediction.signal.shape[:-1])
+        light, variance = prediction.signal * prediction.gain[..., None], self.seen.variance
+        known = self.usable["first"] & (variance > 0)
+        weight = np.where(known, light * self.seen.pixels / np.where(known, variance, 1.0), 0.0)
+        whole = np.maximum(np.sum(weight * light, axis=-1), 1e-300)
+        return np.where(
+            two, np.square(np.sum(weight * np.where(known, prediction.first, 0.0), axis=-1) / whole) / 2.0, 0.0
+        )
 
     def common_deviance(self, prediction: Prediction) -> float:
         """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
