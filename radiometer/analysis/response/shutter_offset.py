@@ -31,11 +31,10 @@ from radiometer.typing import Array
 
 # The travel of curtains (5 to 7 ms over 20 to 24 mm) is adjusted to ± 0.3 ms. That of the first is adjusted against
 # that of the second to 0.05 to 0.1 ms. Their delays cannot differ by more while they are. A worn shutter is out of
-# adjustment, so that this is the prior's standard deviation, and three of it the bound. Source: service manuals as collected in
-# github.com/srozum/film_camera_tester/wiki/Curtains-Travel-Times;
-# effective exposure time as in ISO 516.
+# adjustment, so that this is the prior's standard deviation, and three of it the bound. Source: service manuals as
+# collected in github.com/srozum/film_camera_tester/wiki/Curtains-Travel-Times; effective exposure time as in ISO 516.
 ADJUSTED_S: Final = 3e-4
-# Longer exposures than this are changed by less than 3 % even by the largest.
+# Longer exposures than this are changed by less than 3 % where the shutter is adjusted.
 _LONGEST_S: Final = 0.01
 # An exposure counts as moved from this part on; below, shutters scatter from one release to the next.
 _MOVED: Final = 0.01
