@@ -30,13 +30,11 @@ from radiometer.errors import MeasurementError
 from radiometer.typing import Array
 
 # The travel of curtains (5 to 7 ms over 20 to 24 mm) is adjusted to ± 0.3 ms. That of the first is adjusted against
-# that of the second to 0.05 to 0.1 ms. Their delays cannot differ by more. It is the prior of the constant, and its
-# bound. Source: service manuals as collected in github.com/srozum/film_camera_tester/wiki/Curtains-Travel-Times;
-# effective exposure time as in ISO 516.
-LARGEST_S: Final = 3e-4
-# Nor by more than this part of the shortest exposure: 1/8000 s that was 1/5300 s or 1/16000 s would be another stop.
-_LARGEST_PART: Final = 0.5
-# Longer exposures than this are changed by less than 3 % even by the largest.
+# that of the second to 0.05 to 0.1 ms. Their delays cannot differ by more while they are. A worn shutter is out of
+# adjustment, so that this is the prior's standard deviation, and three of it the bound. Source: service manuals as
+# collected in github.com/srozum/film_camera_tester/wiki/Curtains-Travel-Times; effective exposure time as in ISO 516.
+ADJUSTED_S: Final = 3e-4
+# Longer exposures than this are changed by less than 3 % where the shutter is adjusted.
 _LONGEST_S: Final = 0.01
 # An exposure counts as moved from this part on; below, shutters scatter from one release to the next.
 _MOVED: Final = 0.01
@@ -124,7 +122,8 @@ def _judged(planes: Sequence[Plane], offset: ShutterOffset | None) -> Exposures:
 
 def is_possible(seconds: float, shortest_s: float) -> bool:
     """Return whether a shutter can expose longer by a time in s whose shortest label is `shortest_s`."""
-    return abs(seconds) < min(LARGEST_S, _LARGEST_PART * shortest_s)
+    is_within_a_stop = -0.5 * shortest_s < seconds < shortest_s
+    return is_within_a_stop and abs(seconds) < _SIGMA * ADJUSTED_S
 
 
 def with_offset(samples: ResponseSamples, seconds: float) -> ResponseSamples:
@@ -189,7 +188,7 @@ class _Evidence:
         for _ in range(_STEPS):
             timed = [with_offset(plane.samples, seconds) for plane in planes]
             starts = [one.log_exposure for one in plain]
-            fits = [settle(one, start, u_offset_s=LARGEST_S) for one, start in zip(timed, starts, strict=True)]
+            fits = [settle(one, start, u_offset_s=ADJUSTED_S) for one, start in zip(timed, starts, strict=True)]
             step, u = _together(fits)
             seconds += step
             if not is_possible(seconds, shortest):

@@ -152,19 +152,21 @@ def test_every_exposure_is_longer_by_it():
     assert (text, taken) == (SAID, True)
 
 
-def test_it_is_not_taken_where_it_is_half_of_the_shortest_exposure():
+def test_it_is_not_taken_where_it_is_the_whole_of_the_shortest_exposure():
     """Then the response is of another kind of shutter: labels stay, which is stated."""
-    short = bracket(6e-5, 1e-3)
+    short = bracket(3e-5, 1e-3)
     timed, text, taken = with_offset_of_response(short, of_offset(), None)
     assert timed is short
-    assert (text, taken) == (f"{NOT_TAKEN}: it is too large for an exposure of 60 µs", False)
-    assert with_offset_of_response(bracket(6.1e-5, 1e-3), of_offset(), None)[2]
+    assert (text, taken) == (f"{NOT_TAKEN}: it is too large for an exposure of 30 µs", False)
+    assert with_offset_of_response(bracket(3.1e-5, 1e-3), of_offset(), None)[2]
 
 
 def test_no_shutter_is_off_by_more_than_its_curtains():
-    """By 0.3 ms or by half of the shortest exposure, either way."""
-    assert is_possible(2.99e-4, 1.0)
-    assert not is_possible(3e-4, 1.0)
+    """By 0.9 ms or by a stop of the shortest exposure, either way."""
+    assert is_possible(8.99e-4, 1.0)
+    assert not is_possible(9.01e-4, 1.0)
+    assert is_possible(9.9e-5, 1e-4)
+    assert not is_possible(1e-4, 1e-4)
     assert is_possible(-4.9e-5, 1e-4)
     assert not is_possible(-5e-5, 1e-4)
 

@@ -67,13 +67,14 @@ def test_colours_tell_it_together():
     ("slower", "offset_s", "found"),
     [
         (8, 2.5e-4, True),  # of 1/1024 s
-        (8, 3.5e-4, False),  # more than curtains are adjusted to
-        (1, 70e-6, False),  # more than half of 1/8192 s
+        (8, 5e-4, True),  # of a worn shutter
+        (16, 9.5e-4, False),  # three times what curtains are adjusted to
+        (1, 130e-6, False),  # more than 1/8192 s: another stop
         (512, 1e-3, False),  # of 1/16 s and longer: nothing that a shutter does counts
     ],
 )
 def test_only_what_a_shutter_can_do_is_taken(slower, offset_s, found):
-    """Up to 0.3 ms, half of the shortest label, and of labels up to 10 ms."""
+    """Up to 0.9 ms, a stop of the shortest label, and of labels up to 10 ms."""
     reported = find_offset([plane(photographed(offset_s, labels_s=slower * LABELS_S))])
     assert (reported is not None) is found
     assert reported is None or reported.seconds == pytest.approx(offset_s, rel=0.05)
