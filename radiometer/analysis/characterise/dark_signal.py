@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, typical_pixels
 from radiometer.analysis.characterise.line_fit import Line, fit_line
-from radiometer.analysis.characterise.rounding import PLAIN_FROM
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.analysis.signal.model import FLOOR_SHARE
+from radiometer.analysis.signal.rounding import PLAIN_FROM
 from radiometer.data import Quantity
 from radiometer.statistics.scale import robust_sigma
 

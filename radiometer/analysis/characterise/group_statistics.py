@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.characterise.rounding import rounding_u_of_mean
+from radiometer.analysis.signal.rounding import rounding_u_of_mean
 from radiometer.data import FrameSettings, Patch
 from radiometer.data.frame import DigitalNumbers
 from radiometer.errors import MeasurementError

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.characterise.line_fit import Line, fit_line, is_bent
-from radiometer.analysis.characterise.rounding import PLAIN_FROM, SHEPPARD
 from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.analysis.signal.model import FLOOR_SHARE
+from radiometer.analysis.signal.rounding import PLAIN_FROM, SHEPPARD
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 

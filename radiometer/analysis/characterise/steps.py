@@ -11,7 +11,7 @@ import numpy as np
 
 from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics
 from radiometer.analysis.characterise.line_fit import fit_line
-from radiometer.analysis.characterise.rounding import unrounded_variance
+from radiometer.analysis.signal.rounding import unrounded_variance
 from radiometer.errors import MeasurementError
 from radiometer.statistics.scale import robust_sigma
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiometer.analysis.signal.rounding import rounding_u_of_mean
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -336,7 +337,19 @@ def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalMode
         means.append(float(signal_of(frame, model, settings).mean()))
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
-    return DarkLevel(float(np.mean(means)), sigma, 0.0, "dark frames")
+    return DarkLevel(float(np.mean(means)), sigma, _u_of_rounding(settings, frames, model), "dark frames")
+
+
+def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel) -> float:
+    """Return what rounding to whole codes leaves in light less dark, in x: an error that all pixels and frames share.
+
+    Dim light is rounded as the dark frames are; the noise of bright light averages its part out.
+    """
+    some = np.concatenate([frame.dn.ravel()[:: max(1, frame.dn.size // _PIXELS_OF_THE_WHOLE)] for frame in frames])
+    low, high = np.percentile(some, (1.0, 99.0))  # defects are no noise
+    variance_dn2 = float(np.var(some[(some >= low) & (some <= high)]))
+    slope = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(settings.gain_db)
+    return math.sqrt(2.0) * slope * rounding_u_of_mean(variance_dn2, model.camera.code_step_dn or 1)
 
 
 def _from_masked(settings: FrameSettings, masked_dn: float, model: SignalModel) -> DarkLevel:
@@ -360,6 +373,7 @@ def _from_other_exposures(
     signals = np.array([level.signal for level in measured])
     here = _seconds_at_reference(settings, model)
     noise = float(np.sqrt(np.sum([level.u_independent**2 for level in measured]))) / len(frames)
+    rounding = max(level.u_common for level in measured)
     if np.ptp(times) > _OTHER_EXPOSURE_REL * times.max():
         middle, spread = float(times.mean()), float(np.sum((times - times.mean()) ** 2))
         rate = float(np.sum((times - middle) * signals)) / spread
@@ -367,7 +381,7 @@ def _from_other_exposures(
         lacking = signals - signals.mean() - rate * (times - middle)
         scatter = max(noise * math.sqrt(len(frames)), float(np.sqrt(np.sum(lacking**2) / max(len(frames) - 2, 1))))
         u = scatter * math.sqrt(1.0 / len(frames) + (here - middle) ** 2 / spread)
-        return DarkLevel(level, 0.0, math.hypot(u, rate * _u_seconds(settings, frames, model)), _OTHER)
+        return DarkLevel(level, 0.0, math.hypot(u, rate * _u_seconds(settings, frames, model), rounding), _OTHER)
     modelled = [model.modelled_dark(frame.settings) for frame in frames]
     offset = float(np.mean(signals - np.array(modelled)))
     dark = model.modelled_dark(settings)
@@ -378,7 +392,7 @@ def _from_other_exposures(
         # all of theirs. Where they are brighter than the darkest pixels they do not belong to the frame.
         most = (darkest - offset) * apart_s / here if apart_s > 0 else offset if darkest > offset else 0.0
         u_rate = u_unstated = _unknown_dark_u(replace(settings, exposure_s=abs(apart_s)), model, most)
-    return DarkLevel(dark + offset, 0.0, float(np.hypot(noise, u_rate)), _OTHER, u_unstated)
+    return DarkLevel(dark + offset, 0.0, math.hypot(noise, u_rate, rounding), _OTHER, u_unstated)
 
 
 def _seconds_at_reference(settings: FrameSettings, model: SignalModel) -> float:

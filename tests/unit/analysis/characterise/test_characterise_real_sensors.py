@@ -16,8 +16,8 @@ from radiometer.analysis.characterise.group_statistics import (
 )
 from radiometer.analysis.characterise.photon_transfer import photon_transfer
 from radiometer.analysis.characterise.result import as_printed
-from radiometer.analysis.characterise.rounding import unrounded_variance
 from radiometer.analysis.characterise.steps import contradicting_steps, make_steps
+from radiometer.analysis.signal.rounding import unrounded_variance
 from radiometer.data import FrameSettings, Quantity
 
 K_DN_PER_E = 0.5

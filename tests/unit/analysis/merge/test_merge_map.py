@@ -499,7 +499,9 @@ def test_the_noise_of_dark_frames_is_in_every_pixel(rig, count):
     """Taken off pixel by pixel, the mean of n dark frames adds (σ_r² + K²/12)/n to the variance of each pixel."""
     light_dn, taken = 20, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0)
     light = Frame(np.full((4, 4), 64 + light_dn, np.uint16), 12, taken)
-    darks = [Frame(np.full((4, 4), 64, np.uint16), 12, replace(taken, shutter="closed"))] * count
+    dn = np.full((4, 4), 64, np.uint16)
+    dn[1:] += np.array([0, 2, 0, 2], np.uint16)  # the noise that rounding needs
+    darks = [Frame(dn, 12, replace(taken, shutter="closed"))] * count
     found = merge(Bracket.from_frames([light, *darks]), Setup(rig.description, rig.lens, rig.calibration(**EXACT)))
     light_e, readout = light_dn * rig.gain_e_per_dn, rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
     expected = math.sqrt(light_e + readout + readout / count) / light_e

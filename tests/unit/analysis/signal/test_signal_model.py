@@ -110,7 +110,8 @@ def test_where_a_frame_clips(gain_db):
 
 
 def dark_frame(number, exposure_s, gain_db=0.0, size=10):
-    return Frame(np.full((size, size), number, np.uint16), 12, FrameSettings(exposure_s, gain_db, shutter="closed"))
+    dn = number + np.tile([-1, 1], size * size // 2).reshape(size, size)  # the noise that rounding needs
+    return Frame(dn.astype(np.uint16), 12, FrameSettings(exposure_s, gain_db, shutter="closed"))
 
 
 LIGHT = FrameSettings(0.1, 0.0, temperature_c=25.0)
@@ -133,11 +134,21 @@ def test_dark_frames_of_the_exposure_are_taken_as_they_are():
     """Mean of the frames; noise of one sample over the root of all samples; nothing shared."""
     frames = [dark_frame(110, 0.1), dark_frame(112, 0.1005)]
     (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
-    assert (level.signal, level.u_common, level.source) == (pytest.approx(11.0), 0.0, "dark frames")
+    assert (level.signal, level.source) == (pytest.approx(11.0), "dark frames")
+    assert level.u_common == pytest.approx(0.0, abs=1e-6)
     assert level.u_independent == pytest.approx(math.sqrt(float(LINEAR.variance(0.0, LIGHT)) / 200))
     for other in (dark_frame(110, 0.098), dark_frame(110, 0.102)):
         assert dark_levels([LIGHT], [other], LINEAR, DOUBT)[0].source == "dark frames of other exposures"
     assert dark_levels([LIGHT], [dark_frame(110, 0.1, 6.0)], LINEAR, DOUBT)[0].source == "black level"
+
+
+@pytest.mark.parametrize("step", [1, 16])
+def test_what_rounding_hides_in_dark_frames_is_shared(step):
+    """All pixels at one code: light and dark are each anywhere within a step, 1/√12 of it."""
+    model = replace(LINEAR, camera=LINEAR.camera.model_copy(update={"code_step_dn": step}))
+    still = Frame(np.full((10, 10), 112, np.uint16), 12, FrameSettings(0.1, shutter="closed"))
+    (level,) = dark_levels([LIGHT], [still], model, DOUBT)
+    assert level.u_common == pytest.approx(step * math.sqrt(2.0 / 12.0), rel=0.01)
 
 
 def test_a_dark_frame_of_another_exposure_corrects_the_black_level():
