@@ -49,6 +49,7 @@ _STRUCK_SHARE = 0.01
 _HOT_SIGMAS = 10.0  # of the noise of dark frames: pixels that far above their middle are hot
 # Dark frames with more of their pixels at 0 have their noise cut off there: its mean is above the black level.
 FLOOR_SHARE = 0.01
+_LEAST_ROUNDING_DN = 1e-3  # noise of half a number leaves less, which is none next to any black level's u
 _HEADROOM_SIGMAS = 4.0  # of its noise above 0: there a black level keeps it whole
 # So many pixels of the whole picture give its mean.
 _PIXELS_OF_THE_WHOLE = 4096
@@ -349,7 +350,8 @@ def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: Sign
     low, high = np.percentile(some, (1.0, 99.0))  # defects are no noise
     variance_dn2 = float(np.var(some[(some >= low) & (some <= high)]))
     slope = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(settings.gain_db)
-    return math.sqrt(2.0) * slope * rounding_u_of_mean(variance_dn2, model.camera.code_step_dn or 1)
+    u_dn = math.sqrt(2.0) * rounding_u_of_mean(variance_dn2, model.camera.code_step_dn or 1)
+    return slope * u_dn if u_dn > _LEAST_ROUNDING_DN else 0.0
 
 
 def _from_masked(settings: FrameSettings, masked_dn: float, model: SignalModel) -> DarkLevel:
