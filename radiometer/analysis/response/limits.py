@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.signal.model import mean_darks, unexposed_dn, whole_darks
 from radiometer.data.bracket import Bracket
 from radiometer.data.frame import Frame
 from radiometer.data.pile_up import with_white_levels
@@ -67,12 +68,15 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
 
 
 def black_of_darks(bracket: Bracket) -> float | None:
-    """Return the mean of the shortest dark frames in DN, which black is where no frame states it; None without any."""
-    if any(frame.settings.black_level_dn for frame in bracket.light) or not bracket.dark:
+    """Return the black level in DN that dark frames show, where no light frame states it; None without any.
+
+    It is the one that `black_from_darks` takes. Of one exposure time, the dark current is not taken off.
+    """
+    used = whole_darks(bracket.dark)
+    if not used or any(frame.settings.black_level_dn for frame in bracket.light):
         return None
-    shortest = min(frame.settings.exposure_s for frame in bracket.dark)
-    used = [frame.dn for frame in bracket.dark if frame.settings.exposure_s == shortest]
-    return float(np.mean([dn.mean(dtype=np.float64) for dn in used]))
+    times, means = mean_darks(used)
+    return unexposed_dn(times, means) if np.unique(times).size > 1 else float(means.mean())
 
 
 def white_level_dn(bracket: Bracket) -> int:

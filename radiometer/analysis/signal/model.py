@@ -344,7 +344,7 @@ def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalMode
 def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel) -> float:
     """Return what rounding to whole codes leaves in light less dark, in x: an error that all pixels and frames share.
 
-    Dim light is rounded as the dark frames are; the noise of bright light averages its part out.
+    Light is taken as rounded like the dark frames. That is the most: more light has more noise, which averages it out.
     """
     some = np.concatenate([frame.dn.ravel()[:: max(1, frame.dn.size // _PIXELS_OF_THE_WHOLE)] for frame in frames])
     low, high = np.percentile(some, (1.0, 99.0))  # defects are no noise
@@ -421,6 +421,24 @@ def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel, 
     return DarkLevel(dark, 0.0, u_common, "black level", u_dark if unstated else 0.0)
 
 
+def whole_darks(dark_frames: Sequence[Frame]) -> list[Frame]:
+    """Return the dark frames of the lowest gain whose noise is not cut off at 0."""
+    whole = [frame for frame in dark_frames if not is_cut_off(frame)]
+    lowest_db = min((frame.settings.gain_db for frame in whole), default=0.0)
+    return [frame for frame in whole if frame.settings.gain_db == lowest_db]
+
+
+def mean_darks(dark_frames: Sequence[Frame]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return exposure times in s and mean digital numbers of dark frames, shape (frames,) each."""
+    times = np.array([frame.settings.exposure_s for frame in dark_frames])
+    return times, np.array([float(frame.dn.mean()) for frame in dark_frames])
+
+
+def unexposed_dn(times: NDArray[np.float64], means: NDArray[np.float64]) -> float:
+    """Return the start, in DN, of the straight line over time of dark signals of two exposure times or more."""
+    return float(np.polynomial.polynomial.polyfit(times, means, 1)[0])
+
+
 def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> BlackLevel | None:
     """Return the black level that dark frames show; None without any whose noise is whole.
 
@@ -431,18 +449,13 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
         dark_frames: Frames with the shutter closed; those of the lowest gain are used.
         calibration: Its noise model and the uncertainty of its black level.
     """
-    whole = [frame for frame in dark_frames if not is_cut_off(frame)]
-    if not whole:
+    own, noise, used = calibration.black_level, calibration.noise, whole_darks(dark_frames)
+    if not used:
         return None
-    lowest_db = min(frame.settings.gain_db for frame in whole)
-    used = [frame for frame in whole if frame.settings.gain_db == lowest_db]
-    times = np.array([frame.settings.exposure_s for frame in used])
-    means = np.array([float(frame.dn.mean()) for frame in used])
-    own, noise = calibration.black_level, calibration.noise
-    gain = noise.gain_dn_per_e(lowest_db)
+    times, means = mean_darks(used)
+    gain = noise.gain_dn_per_e(used[0].settings.gain_db)
     if np.unique(times).size > 1:
-        start = float(np.polynomial.polynomial.polyfit(times, means, 1)[0])
-        return own.model_copy(update={"dn": max(start, 0.0)})
+        return own.model_copy(update={"dn": max(unexposed_dn(times, means), 0.0)})
     modelled = gain * np.array([noise.dark_e(f.settings.exposure_s, f.settings.temperature_c) for f in used])
     start = float(np.mean(means - modelled))
     unknown_dn = 0.0

@@ -68,7 +68,9 @@ def situation_of(setup: Setup) -> Situation:
     if calibration.flat_field is not None:
         require_place(calibration, lens)
     black, stated = calibration.black_level, calibration.uncertainties
-    model = signal_model(calibration.camera, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
+    step_dn = camera.code_step_dn or calibration.camera.code_step_dn
+    in_use = calibration.camera.model_copy(update={"code_step_dn": step_dn})
+    model = signal_model(in_use, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
     of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()
     factor, correction = spectral_correction(calibration)
     of_light = setup.source.spectrum if setup.source else None

@@ -35,7 +35,7 @@ from radiometer.units import exact_f_number
 
 _GAP_UNIT: Final = "standard deviation of ln K within a source"
 _COINCIDENCE: Final = 2e-3  # rows that agree to this, though printed values scatter by more, are no chance
-_FEWEST_FREE: Final = 2  # readings beyond one for each source and stop, to tell that a stop is off
+_FEWEST_FREE: Final = 2  # readings beyond one for each source and stop, to show that a stop is off
 _STEP_OF_A_METER: Final = math.log(2.0) / 3.0  # meters and cameras run in thirds of a stop
 
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import radiometer as rm
+from radiometer.analysis.response.limits import black_of_darks
 from radiometer.data import (
+    Bracket,
     Calibration,
     CameraDescription,
     CaptureSetWriter,
@@ -117,6 +119,18 @@ def test_dark_frames_of_one_exposure_leave_the_dark_current_of_the_others_open(t
     assert abs(value - 0.2) <= 2.0 * u
 
 
+def test_codes_that_a_capture_set_states_as_padded_are_in_the_uncertainty(tmp_path):
+    """Light and dark are each anywhere within steps of 16 DN, although the calibration states none."""
+    padded = CAMERA.model_copy(update={"code_step_dn": 16})
+    with CaptureSetWriter(tmp_path / "set", padded, LENS, source=SourceDescription(wavelength_nm=WAVELENGTH_NM)) as one:
+        for number, shutter in ((496, "closed"), (1232, "open")):
+            for _ in range(2):
+                dn = np.full((40, 56), number, np.uint16)
+                one.add(Frame(dn, 12, FrameSettings(TIMES_S[1], black_level_dn=BLACK_DN, shutter=shutter)))
+    of_1_dn = GAIN_E_PER_DN / (LIGHT_E_PER_S * TIMES_S[1])
+    assert measured(tmp_path / "set")[1] > 16.0 * np.sqrt(2.0 / 12.0) * of_1_dn
+
+
 def test_a_response_says_that_it_uses_none(capture):
     """Its lowest value is black; dark frames that lie with the bracket are named as not used."""
     darks, folder = capture
@@ -161,6 +175,19 @@ def test_the_response_of_frames_that_state_no_black_level_starts_at_that_of_thei
     assert any("black level is that of 7 dark frames" in text for text in found.notes)
     column = rm.merge(tmp_path / "set", found).value.mean(axis=0)
     assert column[0] / column[-1] == pytest.approx(0.05, rel=0.03)
+
+
+def test_dark_frames_whose_noise_is_cut_off_show_no_black_level():
+    """Black at 0: half of the noise is gone, so that their mean is above black and is not taken for it."""
+    rng = np.random.default_rng(3)
+    frames = {}
+    for level in (0.0, 20.0):
+        dn = np.clip(np.rint(level + rng.normal(0.0, 2.0, (24, 32))), 0, 4095).astype(np.uint16)
+        settings = FrameSettings(0.01, shutter="closed")
+        light = Frame(np.full((24, 32), 500, np.uint16), 12, FrameSettings(0.01))
+        frames[level] = black_of_darks(Bracket.from_frames([Frame(dn, 12, settings), light]))
+    assert frames[0.0] is None
+    assert frames[20.0] == pytest.approx(20.0, abs=0.3)
 
 
 def test_light_that_may_all_be_dark_current_carries_no_scale(tmp_path):
