@@ -508,7 +508,8 @@ class StreamingMerge:
         if self._dark:
             model = self._situation.model
             middle = float(model.table(frame.settings)[int(np.median(frame.dn))])
-            refuse_brighter_darks(frame.settings, middle, float(np.mean(terms.dark)), terms.u_dark, model)
+            u_dark = math.hypot(terms.u_dark, terms.u_unstated)
+            refuse_brighter_darks(frame.settings, middle, float(np.mean(terms.dark)), u_dark, model)
 
     def _refuse_misfit(self, frame: Frame) -> None:
         if self._shape is None:

@@ -335,7 +335,7 @@ def test_a_map_says_what_stray_light_it_may_hold(rig):
 def test_an_offset_of_all_exposures_is_in_the_uncertainty_as_in_that_of_a_reading(rig):
     """3 µs, scaled at 1 ms: 5.7 % where 50 µs alone show light, 0.27 % (2/1.05 ms) with 1 ms as well, 0 at 1 ms."""
     conditions = rig.calibration().scale.conditions.model_copy(update={"inverse_exposure_per_s": 1000.0})
-    known = rig.calibration(uncertainties=StatedUncertainties(exposure_u_s=3e-6, linearity_u_rel=0.0))
+    known = rig.calibration(**EXACT | {"uncertainties": StatedUncertainties(exposure_u_s=3e-6, linearity_u_rel=0.0)})
     known = replace(known, scale=known.scale.model_copy(update={"conditions": conditions}))
     exact = replace(known, uncertainties=known.uncertainties.model_copy(update={"exposure_u_s": 0.0}))
     added = []
