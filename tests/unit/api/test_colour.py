@@ -105,6 +105,12 @@ def test_filters_before_a_monochrome_camera_are_channels(bench: Path, tmp_path: 
     found = rm.colour_calibrate(chart=bench / "chart.csv", filters=filters).calibration
     expected = rm.colour_calibrate(bench / "set", bench / "chart.csv").calibration
     assert found.matrices["all"].matrix == pytest.approx(expected.matrices["all"].matrix, rel=1e-6)
+    words = [word for name, folder in filters.items() for word in ("--filter", f"{name}={folder}")]
+    asked = ["--chart", str(bench / "chart.csv"), "--out", str(tmp_path / "colour.yaml")]
+    assert run(["colour", "calibrate", *words, *asked]) == 0
+    assert (
+        yaml.safe_load((tmp_path / "colour.yaml").read_text())["matrices"] == found.model_dump(mode="json")["matrices"]
+    )
 
 
 def test_photographs_need_to_be_proportional_to_light(bench: Path, tmp_path: Path) -> None:
