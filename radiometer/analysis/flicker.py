@@ -295,10 +295,13 @@ def find_period(waveform: Waveform, fewest: float = FEWEST_PERIODS) -> Period | 
     best_hz, share = 0.0, 0.0
     for near_hz in (lines_hz[0], lines_hz[0] / 2.0, lines_hz[0] / 3.0, *lines_hz[1:]):
         if near_hz * duration_s >= fewest - _LINE_WIDTHS:
-            found_hz, held = _refined(light, rate_hz, near_hz)
+            order = max(1, min(_MOST_HARMONICS, int(0.45 * rate_hz / near_hz)))
+            found_hz, held = _refined(light, rate_hz, near_hz, order)
             if found_hz * duration_s < fewest:
                 continue
-            if best_hz == 0.0 or 1.0 - held < 0.5 * (1.0 - share) - _LEAST_SHARE:
+            # As many harmonics for both: those of steps that samples are too few for show at other frequencies.
+            least = max(share, _refined(light, rate_hz, best_hz, order)[1]) if best_hz else -1.0
+            if 1.0 - held < 0.5 * (1.0 - least) - _LEAST_SHARE:
                 best_hz, share = found_hz, held
     if share < _PERIODIC_SHARE:
         return None
@@ -348,10 +351,9 @@ def harmonics(phase: Array, order: int) -> Array:
     return np.hstack([np.ones((phase.size, 1)), np.cos(angles), np.sin(angles)])
 
 
-def _refined(light: Array, rate_hz: float, near_hz: float) -> tuple[float, float]:
-    """Return the fundamental frequency in Hz near another, and the share of the variance that it explains."""
+def _refined(light: Array, rate_hz: float, near_hz: float, order: int) -> tuple[float, float]:
+    """Return the fundamental frequency in Hz near another, and the share of the variance that an order explains."""
     time_s = np.arange(light.size) / rate_hz
-    order = max(1, min(_MOST_HARMONICS, int(0.45 * rate_hz / near_hz)))
 
     def unexplained(frequency_hz: float) -> float:
         columns = harmonics(frequency_hz * time_s, order)
@@ -691,17 +693,19 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     def of(fold: _Fold) -> tuple[Array, Array]:
         return _of_series(fold, *orders, kept) if orders else _of_phases(fold)
 
-    values, u = of(whole)
-    u = np.maximum(u, jackknife_u([of(part)[0] for part in parts]))
+    values, own_u = of(whole)
     if orders:
         phase, u_hz = np.arange(_GRID) / _GRID, 0.0
         light = harmonics(phase, orders[1]) @ _Series.of(whole, orders[1]).factors
     else:
         phase, light = whole.phase, whole.light
         u_hz = math.hypot(period.u_hz, period.frequency_hz / (math.sqrt(6.0) * waveform.light.size))
+        # Which phases are next to a step depends on the frequency: what they leave open counts on average.
         off_hz = (period.frequency_hz - u_hz, period.frequency_hz + u_hz)
-        off = [of(_folds(waveform, replace(period, frequency_hz=one))[0])[0] - values for one in off_hz]
-        u = np.hypot(u, np.abs(off).max(axis=0))
+        folds = [_folds(waveform, replace(period, frequency_hz=one))[0] for one in off_hz]
+        off, off_u = np.array([of(one) for one in folds]).swapaxes(0, 1)
+        own_u = np.hypot(np.abs(off - values).max(axis=0), np.sqrt(np.mean(off_u**2, axis=0)))
+    u = np.maximum(own_u, jackknife_u([of(part)[0] for part in parts]))
     return ShapeMeasures(values, u, len(parts), bool(orders) and not hidden, phase, light, hidden, u_hz)
 
 
