@@ -700,11 +700,10 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     else:
         phase, light = whole.phase, whole.light
         u_hz = math.hypot(period.u_hz, period.frequency_hz / (math.sqrt(6.0) * waveform.light.size))
-        # Which phases are next to a step depends on the frequency: what they leave open counts on average.
-        off_hz = (period.frequency_hz - u_hz, period.frequency_hz + u_hz)
-        folds = [_folds(waveform, replace(period, frequency_hz=one))[0] for one in off_hz]
-        off, off_u = np.array([of(one) for one in folds]).swapaxes(0, 1)
-        own_u = np.hypot(np.abs(off - values).max(axis=0), np.sqrt(np.mean(off_u**2, axis=0)))
+        # Which phases are next to a step, and how far apart, depends on the frequency: what leaves most open counts.
+        near = (replace(period, frequency_hz=period.frequency_hz + one * u_hz) for one in (-1.0, 0.0, 1.0))
+        found, found_u = np.array([of(_folds(waveform, one)[0]) for one in near]).swapaxes(0, 1)
+        own_u = np.hypot(np.abs(found - values).max(axis=0), found_u.max(axis=0))
     u = np.maximum(own_u, jackknife_u([of(part)[0] for part in parts]))
     return ShapeMeasures(values, u, len(parts), bool(orders) and not hidden, phase, light, hidden, u_hz)
 
