@@ -53,7 +53,7 @@ def _filters(words: Sequence[str]) -> dict[str, Path] | None:
 _FRAMES: Final[dict[str, Any]] = {
     "converters": {"filters": _filters},
     "source": typer.Argument(),
-    "filters": Annotated[list[str] | None, typer.Option("--filter", metavar="NAME=FOLDER")],
+    "filters": typer.Option("--filter", metavar="NAME=FOLDER"),
     "f_number": FNumberOption,
     "response": Annotated[
         list[Path] | None, typer.Option(help="Response of photographs; one file, or one per colour.")
