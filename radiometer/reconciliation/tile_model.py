@@ -622,6 +622,7 @@ class TileModel:
             neighbour_y=(tiles(final.neighbour_y) - lines / shared + band * left.lag) / safe,
             first=tiles(final.first_excess),
             common_variance=tiles(final.common_variance),
+            ordered_variance=everywhere(final.ordered_variance),
             row_variance=lines.mean(axis=-1),
             fixed_column_variance=columns.mean(axis=-1),
             fixed_row_variance=rows.mean(axis=-1),
