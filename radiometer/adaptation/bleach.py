@@ -18,11 +18,6 @@ class PigmentKinetics:
     td_s: float  # retinal exposure Q_e in troland·s that leaves 1/e of the pigment
     regeneration_s: float  # time constant of regeneration in s
 
-    @property
-    def half_bleach_td(self) -> float:
-        """Return the retinal illuminance in trolands that keeps half of the pigment bleached."""
-        return self.td_s / self.regeneration_s
-
 
 # Rods count scotopic trolands, cones photopic ones.
 KINETICS: Final[dict[Receptor, PigmentKinetics]] = {

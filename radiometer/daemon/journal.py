@@ -854,17 +854,6 @@ def _insert_event(connection: sqlite3.Connection, kind: str, message: str) -> No
     connection.execute("INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", (now_us(), kind, message))
 
 
-def stream_of(reading: Reading) -> str:
-    """Return the stream that a reading belongs to."""
-    return _stream(reading.name, reading.session)
-
-
-def _stream(name: str, session: str) -> str:
-    if session:
-        return OWN_STREAM
-    return f"patch {name}" if name else ""
-
-
 @dataclass(frozen=True, slots=True)
 class _Row:
     """A reading as the journal's tables keep it."""
@@ -894,7 +883,9 @@ class _Row:
 
     @property
     def stream(self) -> str:
-        return _stream(self.mapping.get("name", ""), self.mapping.get("session", ""))
+        if self.mapping.get("session"):
+            return OWN_STREAM
+        return f"patch {name}" if (name := self.mapping.get("name")) else ""
 
     @property
     def time_us(self) -> int:

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Final, Literal, Protocol
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, label
 from scipy.optimize import curve_fit
 from scipy.special import ndtri
 
@@ -509,8 +509,10 @@ def mura_of(found: RadianceMap) -> Mura:
     # The largest of many spots of nearly one size is large by chance as well.
     tied = max(1.0, cells * float(np.mean(np.abs(band) > abs(spot) - 2.0 * math.sqrt(2.0) * u)))
     u_spot = u * math.hypot(1.0, math.sqrt(2.0 * math.log(tied)) / math.sqrt(3.0))
-    # A maximum of width σ is found to about σ·noise/height; a pixel is a rectangle.
-    u_place = math.hypot(math.sqrt(2.0) * fine * u / max(abs(spot), u), 1.0 / math.sqrt(12.0))
+    # A maximum of curvature c is found to the noise's slope over c: a blurred spot s²·2π·ln 2 large has c = value/s².
+    parts, _ = label(np.sign(spot) * band > abs(spot) / 2.0)
+    s_2 = float(np.sum(parts == parts[y, x])) / (2.0 * math.pi * math.log(2.0))
+    u_place = math.hypot(s_2 * u / (math.sqrt(2.0) * fine * max(abs(spot), u)), 1.0 / math.sqrt(12.0))
     known = float(np.mean(noise**2))
     pattern = known * float(np.mean((found.u_rel_pattern * flat) ** 2)) / max(float(np.mean(own**2)), 1e-300)
     return Mura(

@@ -58,18 +58,6 @@ class MeterSettings:
         return MeterSettings(exact_exposure_s(self.exposure_s), exact_f_number(self.f_number), self.iso)
 
 
-def meter_constant(luminance_cd_m2: float, settings: MeterSettings) -> float:
-    """Return the calibration constant K of a reflected-light meter in cd·m⁻²·s: K = L_v·t·S/N².
-
-    Args:
-        luminance_cd_m2: Luminance of the metered surface in cd·m⁻², above 0.
-        settings: What the meter asked for.
-
-    Source: ISO 2720:1974; thesis equation (2.6).
-    """
-    return luminance_cd_m2 * settings.exposure_s * settings.iso / settings.f_number**2
-
-
 def metered_luminance_cd_m2(meter_k: float, settings: MeterSettings) -> float:
     """Return the luminance in cd·m⁻² that a meter saw: L_v = N²·K/(t·S).
 
@@ -95,22 +83,6 @@ def metered_radiance_u_rel(k_u_rel: float | None, efficacy_u_rel: float) -> floa
         efficacy_u_rel: Of the luminous efficacy of the light, between luminance and radiance.
     """
     return math.hypot(metered_u_rel(k_u_rel), efficacy_u_rel)
-
-
-def sensor_irradiance_w_m2(
-    radiance_w_sr_m2: float, diameter_m: float, focal_length_m: float, angle_rad: float = 0.0
-) -> float:
-    """Return the irradiance on the sensor in W·m⁻²: E = L·(π/4)·(d/f)²·cos⁴α.
-
-    Args:
-        radiance_w_sr_m2: Radiance in W·sr⁻¹·m⁻².
-        diameter_m: Diameter of the entrance pupil in m.
-        focal_length_m: Focal length in m.
-        angle_rad: Field angle α in rad.
-
-    Source: thesis equation (2.11).
-    """
-    return radiance_w_sr_m2 * math.pi / 4.0 * (diameter_m / focal_length_m) ** 2 * math.cos(angle_rad) ** 4
 
 
 def reference_exposure_j_m2(

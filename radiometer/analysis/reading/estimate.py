@@ -71,7 +71,7 @@ def estimate_patch(
         expected, single, curve, dark_variance = _variances(rate, frames, dark, exposures, model)
         noise = single / count
         tau, evidence = fluctuation(means, exposures, noise + curve + dark_variance, rate)
-        weights = exposures / (noise + curve + (tau * expected) ** 2)
+        weights = exposures / (noise + curve + dark_variance + (tau * expected) ** 2)
         coefficients = weights / float(weights @ exposures)
         rate = float(coefficients @ means)
     expected, single, _, _ = _variances(rate, frames, dark, exposures, model)

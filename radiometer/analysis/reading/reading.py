@@ -207,7 +207,6 @@ def _conditions(
     place: NDArray[np.float64],
     field: float,
 ) -> ScaleConditions:
-    source = settled.setup.source
     shares = estimate.coefficients * estimate.expected / (estimate.rate or 1.0)
     model, settings = settled.model, [one.settings for one in chosen]
     heights = [
@@ -216,10 +215,7 @@ def _conditions(
     ]
     level = float(np.abs(shares) @ heights) / max(float(np.abs(shares).sum()), 1e-300)
     ratio = surround.rate / estimate.rate if estimate.rate > 0.0 else 0.0
-    polarised = None if source is None else source.polarised
-    if source is not None and polarised is None and source.kind == "screen":
-        polarised = True
-    return conditions_of(shares, settings, level, float(place.mean()), field, ratio, polarised)
+    return conditions_of(shares, settings, level, float(place.mean()), field, ratio, settled.setup.polarised)
 
 
 def _field(camera: CameraDescription, lens: LensDescription, shape: tuple[int, int], patch: Patch) -> float:

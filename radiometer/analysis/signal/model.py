@@ -391,8 +391,8 @@ def _from_other_exposures(
     if "dark_current_e_per_s" in model.noise.assumed:
         apart_s = here - float(times.mean())
         # Shorter dark frames lack dark signal, up to all that the darkest pixels show; longer ones have too much, up to
-        # all of theirs. Where they are brighter than the darkest pixels they do not belong to the frame.
-        most = (darkest - offset) * apart_s / here if apart_s > 0 else offset if darkest > offset else 0.0
+        # all of theirs.
+        most = (darkest - offset) * apart_s / here if apart_s > 0 else offset
         u_rate = u_unstated = _unknown_dark_u(replace(settings, exposure_s=abs(apart_s)), model, most)
     return DarkLevel(dark + offset, 0.0, math.hypot(noise, u_rate, rounding), _OTHER, u_unstated)
 

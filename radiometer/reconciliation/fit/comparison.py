@@ -28,6 +28,7 @@ from radiometer.reconciliation.shared_errors import (
     line_excess,
     mixing_of_bands,
     mixing_of_lines,
+    of_fair_tiles,
     phases_of_wave,
     relative_bands,
     relative_flicker,
@@ -240,9 +241,12 @@ class Comparison:
         return np.asarray(bands2[..., None] * wave_power(self._bins, self.seen.bands_basis, frequency)[0])
 
     def flicker_of(self, prediction: Prediction) -> Array:
-        """Return the relative variance that all light of a frame has in common, bands included, (captures,)."""
-        steady = relative_flicker(prediction) + _common_bands(self.design, self.seen, prediction)
-        return steady + self._first_of_two(prediction)
+        """Return the relative variance that all light of a frame has in common, bands included, (captures,).
+
+        Chance is in the weights too, once it is accepted; what follows the order of the frames is not.
+        """
+        chance = relative_flicker(prediction) + _common_bands(self.design, self.seen, prediction)
+        return chance + of_fair_tiles(prediction, prediction.ordered_variance) + self._first_of_two(prediction)
 
     def _first_of_two(self, prediction: Prediction) -> Array:
         """Return what a first frame that differs adds to it where there are but two frames, (captures,)."""
