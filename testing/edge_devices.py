@@ -17,49 +17,14 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from drivers.cameras.pi_link import RawRequest, SensorMode
+from drivers.cameras.v4l2_link import Control, VideoFrame
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
 from simulators.cameras.blackfly_pictures import PictureRequest, PictureSource
 
 _CONTROL_UNIT_S: Final = 1e-4
 Mosaic = tuple[tuple[int, ...], ...]  # colours of its cell by row: 0 red, 1 green, 2 blue
 RGGB: Final[Mosaic] = ((0, 1), (1, 2))
-
-
-@dataclass(frozen=True, slots=True)
-class ControlRange:
-    """A control: its limits, step, default and value."""
-
-    minimum: int
-    maximum: int
-    step: int
-    default: int
-    value: int
-
-
-@dataclass(frozen=True, slots=True)
-class VideoPicture:
-    """A frame as the video subsystem hands it over."""
-
-    payload: bytes
-    timestamp_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class RawMode:
-    """A raw mode of a Raspberry Pi camera."""
-
-    bit_depth: int
-    width: int
-    height: int
-    mosaic: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RawPicture:
-    """A raw frame of a Raspberry Pi camera with its metadata."""
-
-    numbers: NDArray[np.uint16]
-    metadata: dict[str, Any]
 
 
 @dataclass(slots=True)
@@ -92,20 +57,20 @@ class _Edge:
         return np.asarray(self.source(request))
 
 
-def webcam_controls() -> dict[str, ControlRange]:
+def webcam_controls() -> dict[str, Control]:
     """Return the controls of a usual webcam, as it arrives: everything automatic."""
     return {
-        "brightness": ControlRange(-64, 64, 1, 0, 20),
-        "contrast": ControlRange(0, 64, 1, 32, 32),
-        "white_balance_automatic": ControlRange(0, 1, 1, 1, 1),
-        "gamma": ControlRange(72, 500, 1, 100, 150),
-        "gain": ControlRange(0, 100, 1, 0, 30),
-        "power_line_frequency": ControlRange(0, 2, 1, 1, 1),
-        "sharpness": ControlRange(0, 6, 1, 3, 3),
-        "backlight_compensation": ControlRange(0, 2, 1, 1, 1),
-        "auto_exposure": ControlRange(0, 3, 1, 3, 3),
-        "exposure_time_absolute": ControlRange(1, 20_000, 1, 157, 157),
-        "exposure_dynamic_framerate": ControlRange(0, 1, 1, 0, 1),
+        "brightness": Control(-64, 64, 1, 0, 20),
+        "contrast": Control(0, 64, 1, 32, 32),
+        "white_balance_automatic": Control(0, 1, 1, 1, 1),
+        "gamma": Control(72, 500, 1, 100, 150),
+        "gain": Control(0, 100, 1, 0, 30),
+        "power_line_frequency": Control(0, 2, 1, 1, 1),
+        "sharpness": Control(0, 6, 1, 3, 3),
+        "backlight_compensation": Control(0, 2, 1, 1, 1),
+        "auto_exposure": Control(0, 3, 1, 3, 3),
+        "exposure_time_absolute": Control(1, 20_000, 1, 157, 157),
+        "exposure_dynamic_framerate": Control(0, 1, 1, 0, 1),
     }
 
 
@@ -113,7 +78,7 @@ def webcam_controls() -> dict[str, ControlRange]:
 class SimulatedWebcam(_Edge):
     """A webcam behind V4L2: one grey and one YUYV format, three frames in flight when a control changes."""
 
-    values: dict[str, ControlRange] = field(default_factory=webcam_controls)
+    values: dict[str, Control] = field(default_factory=webcam_controls)
     codes: tuple[str, ...] = ("GREY", "YUYV", "MJPG")
     locked: frozenset[str] = frozenset()
     in_flight: int = 3
@@ -129,7 +94,7 @@ class SimulatedWebcam(_Edge):
         """Return code, width and height of its formats; each at half size too."""
         return [(code, self.width // by, self.height // by) for code in self.codes for by in (2, 1)]
 
-    def controls(self) -> dict[str, ControlRange]:
+    def controls(self) -> dict[str, Control]:
         """Return its controls."""
         self.require("webcam")
         return dict(self.values)
@@ -141,7 +106,7 @@ class SimulatedWebcam(_Edge):
         if name in self.locked:
             raise DeviceError(f"{name} is inactive")
         value = min(max(value, known.minimum), known.maximum)
-        self.values[name] = ControlRange(known.minimum, known.maximum, known.step, known.default, value)
+        self.values[name] = Control(known.minimum, known.maximum, known.step, known.default, value)
         return value
 
     def start(self, fourcc: str, _width: int, _height: int) -> None:
@@ -149,7 +114,7 @@ class SimulatedWebcam(_Edge):
         self.require("webcam")
         self._code = fourcc
 
-    def frame(self, _deadline_s: float) -> VideoPicture:
+    def frame(self, _deadline_s: float) -> VideoFrame:
         """Return the next frame, exposed under the control of some frames ago."""
         self.require("webcam")
         self._exposures.append(self.values["exposure_time_absolute"].value)
@@ -158,7 +123,7 @@ class SimulatedWebcam(_Edge):
         exposure_s = self._exposures.popleft() * _CONTROL_UNIT_S
         grey = self.picture(exposure_s, 0.0, 0.0, 8).astype(np.uint8)
         payload = grey.tobytes() if self._code == "GREY" else np.dstack([grey, np.full_like(grey, 128)]).tobytes()
-        return VideoPicture(payload, time.monotonic())
+        return VideoFrame(payload, time.monotonic())
 
     def stop(self) -> None:
         """End streaming."""
@@ -178,28 +143,28 @@ class SimulatedPiCamera(_Edge):
     _controls: dict[str, Any] = field(default_factory=dict)
     _in_flight: deque[tuple[float, float]] = field(default_factory=deque)
 
-    def open(self, _number: int) -> SimulatedPiCamera:
+    def open(self, _place: str) -> SimulatedPiCamera:
         """Open it."""
         self.take("Raspberry Pi camera 0")
         return self
 
-    def modes(self) -> list[RawMode]:
+    def modes(self) -> list[SensorMode]:
         """Return a binned 10-bit mode and the full 12-bit one."""
         whole = (2 * self.width, 2 * self.height)
-        return [RawMode(10, self.width, self.height, "RGGB"), RawMode(12, *whole, "RGGB")]
+        return [SensorMode(10, self.width, self.height, "RGGB"), SensorMode(12, *whole, "RGGB")]
 
     def limits(self) -> dict[str, tuple[float, float]]:
         """Return exposure limits in µs and gain limits as factors."""
         return {"ExposureTime": (31.0, 200e6), "AnalogueGain": (1.0, 16.0)}
 
-    def start(self, _mode: RawMode, controls: dict[str, Any]) -> None:
+    def start(self, _mode: SensorMode, controls: dict[str, Any]) -> None:
         """Begin to capture; frames of the settings before are still in flight."""
         self.require("Raspberry Pi camera 0")
         before = (self._controls.get("ExposureTime", 10_000), self._controls.get("AnalogueGain", 1.0))
         self._controls = dict(controls)
         self._in_flight = deque([before] * self.stale)
 
-    def request(self, _deadline_s: float) -> RawPicture:
+    def request(self, _deadline_s: float) -> RawRequest:
         """Return the next frame: the scene on the green pixels, half of it on the others."""
         self.require("Raspberry Pi camera 0")
         now = (self._controls["ExposureTime"], self._controls["AnalogueGain"])
@@ -213,7 +178,7 @@ class SimulatedPiCamera(_Edge):
             "SensorTemperature": 40.0,
             "SensorTimestamp": time.monotonic_ns(),
         }
-        return RawPicture(mosaic_of(green, black_dn), metadata)
+        return RawRequest(mosaic_of(green, black_dn), metadata)
 
     def stop(self) -> None:
         """End the capture."""

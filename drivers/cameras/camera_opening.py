@@ -16,7 +16,7 @@ from drivers.cameras.background_release import give_up_in_background
 from drivers.cameras.call_thread import CallThread
 from drivers.cameras.camera_quirks import CameraQuirks, quirks_for
 from drivers.cameras.chunk_data import switch_on_chunks
-from drivers.cameras.feature_access import FeatureAccess, translated
+from drivers.cameras.feature_access import FeatureAccess, Refusal, translated
 from drivers.cameras.feature_hygiene import HygieneFinding, switch_off_falsifiers
 from drivers.cameras.gige_ping import answers, is_controlled, name_at
 from drivers.cameras.host_checks import usb_link
@@ -358,9 +358,7 @@ def _load_default_user_set(features: FeatureAccess, notes: list[str]) -> None:
     try:
         features.write("UserSetSelector", "Default")
         features.execute("UserSetLoad")
-    except (DeviceLost, DeviceInUse):
-        raise
-    except DeviceError as error:
+    except Refusal as error:
         notes.append(f"the factory's user set was not loaded ({error})")
 
 
@@ -372,9 +370,7 @@ def _set_if_offered(features: FeatureAccess, feature: str, value: str | bool, no
     try:
         if features.write(feature, value) == value:
             return
-    except (DeviceLost, DeviceInUse):
-        raise
-    except DeviceError as error:
+    except Refusal as error:
         reason = str(error)
     notes.append(f"{feature} stays at {features.read(feature, type(value))}, not {value} ({reason})")
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from drivers.cameras.feature_access import FeatureAccess
+from drivers.cameras.feature_access import FeatureAccess, Refusal
 from drivers.cameras.frame_stream import RawFrame
 from radiometer.devices import CameraSettings
-from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
 
 CHUNKS: Final = ("ExposureTime", "Gain", "BlackLevel")
 _SAME_EXPOSURE_REL: Final = 1e-3  # the chunk is rounded as the register is; neighbouring settings differ by more
@@ -35,9 +34,7 @@ def switch_on_chunks(camera: Any, features: FeatureAccess, notes: list[str]) -> 
     try:
         features.write("ChunkModeActive", True)
         offered = features.call(camera.dup_available_enumerations_as_strings, "ChunkSelector")
-    except (DeviceLost, DeviceInUse):
-        raise
-    except DeviceError as error:
+    except Refusal as error:
         notes.append(f"no chunks ({error}): frames after a change of settings are thrown away by number")
         return ()
     return tuple(name for name in CHUNKS if name in offered and _switched_on(features, name, notes))
@@ -49,9 +46,7 @@ def _switched_on(features: FeatureAccess, name: str, notes: list[str]) -> bool:
         if features.read("ChunkEnable", bool) or features.write("ChunkEnable", True):
             return True
         reason = "it took the write and stayed off"
-    except (DeviceLost, DeviceInUse):
-        raise
-    except DeviceError as error:
+    except Refusal as error:
         reason = str(error)
     notes.append(f"no chunk {name} ({reason}): a change of it is waited for by number of frames")
     return False

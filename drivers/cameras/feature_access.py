@@ -17,6 +17,10 @@ _NO_ANSWER: Final = frozenset({2, 4, 5})  # NOT_CONNECTED, TRANSFER_ERROR, TIMEO
 _NOT_CONTROLLER: Final = frozenset({10, 17, 18})  # NOT_CONTROLLER, PROTOCOL_ERROR_ACCESS_DENIED, _BUSY
 
 
+class Refusal(DeviceError):
+    """The camera answers, but does not do what it was asked for."""
+
+
 class FeatureAccess:
     """Features of one open camera.
 
@@ -127,4 +131,4 @@ def translated(error: Exception, name: str) -> DeviceError:
         return DeviceLost(f"{name} stopped answering ({text}); check its cable and power, then open it again")
     if "busy" in text.lower() or (domain == "arv-device-error-quark" and code in _NOT_CONTROLLER):
         return DeviceInUse(f"{name} is in use by another program ({text}); close that program and try again")
-    return DeviceError(f"{name}: the camera refused ({text}); `radiometer doctor` shows what it offers")
+    return Refusal(f"{name}: the camera refused ({text}); `radiometer doctor` shows what it offers")

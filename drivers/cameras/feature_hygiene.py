@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from drivers.cameras.feature_access import FeatureAccess, FeatureValue
-from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
+from drivers.cameras.feature_access import FeatureAccess, FeatureValue, Refusal
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +90,7 @@ def _is_selected(features: FeatureAccess, known: FalsifyingFeature, entry: str) 
         return entry == known.selected[0]  # a camera without the selector has one such feature
     try:
         return features.write(known.selector, entry) == entry
-    except (DeviceLost, DeviceInUse):
-        raise
-    except DeviceError:  # this model has no such entry
+    except Refusal:  # this model has no such entry
         return False
 
 
@@ -104,9 +101,7 @@ def _switch_off(features: FeatureAccess, known: FalsifyingFeature) -> HygieneFin
         return HygieneFinding(known, found, found, "off")
     try:
         now = features.write(known.name, known.harmless)
-    except (DeviceLost, DeviceInUse):
-        raise
-    except DeviceError as error:
+    except Refusal as error:
         return HygieneFinding(known, found, features.read(known.name, kind), "still_on", str(error))
     if _is_harmless(now, known):
         return HygieneFinding(known, found, now, "switched_off")

@@ -7,8 +7,7 @@ from typing import Any, Final
 
 import structlog
 
-from drivers.cameras.feature_access import FeatureAccess
-from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
+from drivers.cameras.feature_access import FeatureAccess, Refusal
 
 _LOG = structlog.get_logger(__name__)
 
@@ -40,9 +39,7 @@ class LinkThroughput:
             return False
         try:
             now = int(self.features.write(LIMIT, limit))
-        except (DeviceLost, DeviceInUse):
-            raise
-        except DeviceError as error:
+        except Refusal as error:
             _LOG.info("link speed kept", camera=self.name, reason=str(error))
             return False
         was, self.limit_bytes_s = self.limit_bytes_s, now
@@ -66,9 +63,7 @@ def choose_throughput(camera: Any, features: FeatureAccess, name: str, notes: li
         if speed is not None and 0 < int(speed) * _SHARE[bool(camera.is_gv_device())] < found:
             limit = min(max(int(int(speed) * _SHARE[bool(camera.is_gv_device())]), int(low)), int(high))
             now = int(features.write(LIMIT, limit))
-    except (DeviceLost, DeviceInUse):
-        raise
-    except DeviceError as error:
+    except Refusal as error:
         notes.append(f"{LIMIT} kept ({error}): frames may be lost where the link is slower than the camera")
         return None
     if now < found:

@@ -7,10 +7,10 @@ each); what the `Camera` protocol asks beyond that stands here once.
 from __future__ import annotations
 
 import threading
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
 from radiometer.data.frame import CameraFile, DigitalNumbers
@@ -82,39 +82,6 @@ class Grab:
     white_level_dn: float | None = None
 
 
-class FrameLink(Protocol):
-    """How one library's camera is opened, set and read."""
-
-    @property
-    def identity(self) -> CameraIdentity:
-        """Return who the camera is."""
-
-    @property
-    def capabilities(self) -> CameraCapabilities:
-        """Return its limits; known once it is open."""
-
-    def open(self) -> CameraSettings:
-        """Take the device and return the settings in force. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-
-    def close(self) -> None:
-        """Give the device back, whatever its state."""
-
-    def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set exposure, gain and format, and return them as read back. Raises DeviceError."""
-
-    def start(self) -> None:
-        """Begin an acquisition: frames grabbed from now on are exposed from now on. Raises DeviceError."""
-
-    def grab(self) -> Grab:
-        """Return the next frame exposed under the settings in force. Raises DeviceTimeout, DeviceLost."""
-
-    def stop(self) -> None:
-        """End the acquisition."""
-
-    def findings(self) -> list[Finding]:
-        """Return what was found of the camera that a user must know."""
-
-
 class LinkedDevice(Protocol):
     """An open device of any library."""
 
@@ -125,11 +92,16 @@ class LinkedDevice(Protocol):
 _Device = TypeVar("_Device", bound=LinkedDevice)
 
 
-class LibraryLink(Generic[_Device]):
-    """What every `FrameLink` to a library's device has in common: who it is, its limits, and its end."""
+class FrameLink(ABC, Generic[_Device]):
+    """How one library's camera is opened, set and read.
 
-    def __init__(self, identity: CameraIdentity) -> None:
-        self._identity = identity
+    Args:
+        identity: Who it is; its `device_id` is the name of the library, a colon, and its place.
+        open_device: Opens the device at a place. Raises DeviceNotFound, DeviceInUse, MissingLibrary.
+    """
+
+    def __init__(self, identity: CameraIdentity, open_device: Callable[[str], _Device]) -> None:
+        self._identity, self._open_device = identity, open_device
         self._device: _Device | None = None
         self._limits: CameraCapabilities | None = None
 
@@ -145,11 +117,44 @@ class LibraryLink(Generic[_Device]):
             raise DeviceError(f"{self._identity.device_id} is not open; call open() first")
         return self._limits
 
+    def open(self) -> CameraSettings:
+        """Take the device and return the settings in force. Raises DeviceError."""
+        self._device = self._open_device(self._identity.device_id.partition(":")[2])
+        try:
+            return self._begin(self._device)
+        except BaseException:
+            self.close()
+            raise
+
     def close(self) -> None:
-        """Give the device back."""
+        """Give the device back, whatever its state."""
         device, self._device = self._device, None
         if device is not None:
             device.close()
+
+    @abstractmethod
+    def _begin(self, device: _Device) -> CameraSettings:
+        """Prepare a device that was just opened, learn its limits, and return the settings in force."""
+
+    @abstractmethod
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Set exposure, gain and format, and return them as read back. Raises DeviceError."""
+
+    @abstractmethod
+    def start(self) -> None:
+        """Begin an acquisition: frames grabbed from now on are exposed from now on. Raises DeviceError."""
+
+    @abstractmethod
+    def grab(self) -> Grab:
+        """Return the next frame exposed under the settings in force. Raises DeviceTimeout, DeviceLost."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """End the acquisition."""
+
+    @abstractmethod
+    def findings(self) -> list[Finding]:
+        """Return what was found of the camera that a user must know."""
 
     @property
     def _open(self) -> _Device:
@@ -167,7 +172,7 @@ class PlainCamera(NamedCamera):
     """
 
     def __init__(
-        self, link: FrameLink, lens: LensDescription | None = None, preset: CameraDescription | None = None
+        self, link: FrameLink[Any], lens: LensDescription | None = None, preset: CameraDescription | None = None
     ) -> None:
         self._link, self._lens, self._preset = link, lens or LensDescription(), preset
         self._settings: CameraSettings | None = None

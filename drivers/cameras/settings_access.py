@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from drivers.cameras.camera_quirks import CameraQuirks
-from drivers.cameras.feature_access import FeatureAccess
+from drivers.cameras.feature_access import FeatureAccess, Refusal
 from drivers.cameras.pixel_unpacking import RAW_FORMATS
 from radiometer.devices import CameraCapabilities, CameraSettings, Roi, refuse_out_of_range, refuse_roi_outside
-from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, SettingOutOfRange
+from radiometer.errors import DeviceError, SettingOutOfRange
 
 _TRIGGER_STEPS: Final = (("TriggerSelector", "FrameStart"), ("TriggerSource", "Software"), ("TriggerMode", "On"))
 
@@ -132,9 +132,7 @@ class SettingsAccess:
             return 0.0
         try:
             step_us = float(self.features.call(self.camera.get_float_increment, "ExposureTime"))
-        except (DeviceLost, DeviceInUse):
-            raise
-        except DeviceError:  # its description states no step
+        except Refusal:  # its description states no step
             return 0.0
         return step_us * 1e-6 if 1e-6 < step_us < 1e6 else 0.0  # the library reports extremes where there is none
 

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from drivers.cameras.call_thread import CallThread
-from drivers.cameras.plain_camera import Grab, LibraryLink
+from drivers.cameras.plain_camera import FrameLink, Grab
 from radiometer.data.frame import CameraFile
 from radiometer.data.raw_files import RAW_SUFFIXES
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
@@ -45,35 +45,132 @@ _FALSIFIERS: Final = (
     ("longexpnr", ("off",), "a dark frame of the camera's own is taken off"),
     ("flashmode", ("off", "flash off"), "the flash lights the scene"),
 )
+_LOOK_S: Final = 0.5  # how often a call that takes long is looked at
+_SETTING_DEADLINE_S: Final = 15.0  # a camera that writes a raw file to its card answers late by seconds
+# gphoto2-result.h and gphoto2-port-result.h.
+_NOT_FOUND: Final = frozenset({-105, -52, -5, -4})  # MODEL_NOT_FOUND, IO_USB_FIND, UNKNOWN_PORT, LIBRARY
+_IN_USE: Final = frozenset({-53, -60, -110})  # IO_USB_CLAIM, IO_LOCK, CAMERA_BUSY
+_GONE: Final = frozenset({-7, -10, -34, -35})  # IO, TIMEOUT, IO_READ, IO_WRITE
 
 
-class TetheredDevice(Protocol):
-    """An open photographic camera, as far as it is used here: settings by name, and files."""
+def load_library() -> ModuleType:
+    """Return the binding. Raises MissingLibrary where it is not installed."""
+    try:
+        import gphoto2
+    except ImportError as error:
+        raise MissingLibrary("photographic cameras need gphoto2: pip install 'radiometer[gphoto2]'") from error
+    module: ModuleType = gphoto2
+    return module
+
+
+def listed_cameras() -> list[CameraIdentity]:
+    """Return the photographic cameras on this computer's ports. Raises MissingLibrary."""
+    found = load_library().Camera.autodetect()
+    pairs = [(found.get_name(index), found.get_value(index)) for index in range(len(found))]
+    return [CameraIdentity("", model, "", f"gphoto2:{port}", f"libgphoto2 {port}") for model, port in pairs]
+
+
+def open_device(port: str) -> GphotoDevice:
+    """Open the camera at a port; the only one where none is named.
+
+    Raises:
+        DeviceNotFound: If no camera answers there.
+        DeviceInUse: If another program holds it.
+        MissingLibrary: If libgphoto2's binding is not installed.
+    """
+    library = load_library()
+    name = f"camera gphoto2:{port}"
+    camera = library.Camera()
+    try:
+        if port:
+            ports = library.PortInfoList()
+            ports.load()
+            camera.set_port_info(ports[ports.lookup_path(port)])
+        camera.init()
+    except library.GPhoto2Error as error:
+        raise _translated(error, name) from error
+    return GphotoDevice(library, camera, name)
+
+
+class GphotoDevice:
+    """An open photographic camera."""
+
+    def __init__(self, library: Any, camera: Any, name: str) -> None:
+        self._library, self._camera, self._name = library, camera, name
+        self._due = 0.0
+        self._names: frozenset[str] | None = None
+        self._thread = CallThread(name, lambda: time.monotonic() > self._due, _LOOK_S)
 
     def names(self) -> frozenset[str]:
         """Return the names of its settings."""
+        # The whole tree: the library's flat list names what a maker's cameras may have, not what this one has.
+        if self._names is None:
+            self._names = frozenset(_leaves(self._call(self._camera.get_config)))
+        return self._names
 
     def read(self, name: str) -> str:
         """Return a setting. Raises DeviceLost."""
+        return str(self._call(self._camera.get_single_config, name).get_value())
 
     def choices(self, name: str) -> list[str]:
         """Return what a setting can be set to; empty where it is not chosen from a list."""
+        widget = self._call(self._camera.get_single_config, name)
+        if widget.get_type() not in (self._library.GP_WIDGET_RADIO, self._library.GP_WIDGET_MENU):
+            return []
+        return [str(entry) for entry in widget.get_choices()]
 
     def write(self, name: str, value: str) -> str:
         """Set it and return it as read back. Raises DeviceError, DeviceLost."""
+        widget = self._call(self._camera.get_single_config, name)
+        widget.set_value(value)
+        self._call(self._camera.set_single_config, name, widget)
+        return self.read(name)
 
     def capture(self, deadline_s: float) -> tuple[str, bytes]:
         """Release the shutter and return name and bytes of the file. Raises DeviceTimeout, DeviceLost."""
+        kind, part = self._library.GP_CAPTURE_IMAGE, self._library.GP_FILE_TYPE_NORMAL
+        path = self._call(self._camera.capture, kind, deadline_s=deadline_s)
+        file = self._call(self._camera.file_get, path.folder, path.name, part, deadline_s=deadline_s)
+        return str(path.name), bytes(memoryview(file.get_data_and_size()))
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Give the camera back; one that is gone needs no goodbye."""
+        try:
+            self._call(self._camera.exit)
+        except DeviceError:
+            return
+        finally:
+            self._thread.close()
+
+    def _call(self, method: Any, *arguments: Any, deadline_s: float = _SETTING_DEADLINE_S) -> Any:
+        self._due = time.monotonic() + deadline_s
+        try:
+            return self._thread.run(method, *arguments)
+        except self._library.GPhoto2Error as error:
+            raise _translated(error, self._name) from error
+        except DeviceLost as error:
+            raise DeviceTimeout(f"{self._name}: no answer within {deadline_s:g} s; switch it off and on") from error
 
 
-class TetheredLibrary(Protocol):
-    """What opens photographic cameras."""
+def _leaves(widget: Any) -> Iterator[str]:
+    """Yield the names of the settings below a part of the tree."""
+    parts = list(widget.get_children())
+    if not parts:
+        yield str(widget.get_name())
+    for part in parts:
+        yield from _leaves(part)
 
-    def open(self, port: str) -> TetheredDevice:
-        """Open the camera at a port. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
+
+def _translated(error: Any, name: str) -> DeviceError:
+    """Return the project's error for one of the library's."""
+    code, text = int(error.code), str(error.string)
+    if code in _NOT_FOUND:
+        return DeviceNotFound(f"{name} does not answer ({text}); is it on, and its cable in? See `radiometer devices`")
+    if code in _IN_USE:
+        return DeviceInUse(f"{name} is in use by another program ({text}); file managers take cameras: eject it there")
+    if code in _GONE:
+        return DeviceLost(f"{name} stopped answering ({text}); check its cable and battery, then open it again")
+    return DeviceError(f"{name}: the camera refused ({text})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,36 +185,25 @@ class _Dial:
         return min(self.entries, key=lambda entry: abs(math.log(self.entries[entry] / value)))
 
 
-class TetheredLink(LibraryLink[TetheredDevice]):
-    """One tethered photographic camera.
+class TetheredLink(FrameLink[GphotoDevice]):
+    """One tethered photographic camera, which writes raw files."""
 
-    Args:
-        identity: Who it is; `device_id` is "gphoto2:" and its port.
-    """
-
-    def __init__(self, library: TetheredLibrary, identity: CameraIdentity) -> None:
-        super().__init__(identity)
-        self._library = library
+    def __init__(self, identity: CameraIdentity, open_device: Callable[[str], GphotoDevice] = open_device) -> None:
+        super().__init__(identity, open_device)
         self._shutter, self._iso = _Dial("", {}), _Dial("", {})
         self._findings: list[Finding] = []
         self._settings = CameraSettings(0.01)
 
-    def open(self) -> CameraSettings:
-        """Take the camera, have it write raw files, and learn size, bits and black level. Raises DeviceError."""
-        device = self._device = self._library.open(self._identity.device_id.removeprefix("gphoto2:"))
-        try:
-            names = device.names()
-            self._identity = _completed(self._identity, device, names)
-            self._shutter = _dial(device, names, _SHUTTERS, seconds_of)
-            if not self._shutter.entries:
-                raise DeviceError(f"{self._identity.device_id}: its exposure time cannot be set; turn its dial to M")
-            self._iso = _dial(device, names, ("iso",), _number_of)
-            self._findings = [*_raw_files(device, names), *_falsifiers(device, names)]
-            self._set(0.01, 0.0)
-            self._limits = self._limits_of(self._photograph(0.01)[0])
-        except BaseException:
-            self.close()
-            raise
+    def _begin(self, device: GphotoDevice) -> CameraSettings:
+        names = device.names()
+        self._identity = _completed(self._identity, device, names)
+        self._shutter = _dial(device, names, _SHUTTERS, seconds_of)
+        if not self._shutter.entries:
+            raise DeviceError(f"{self._identity.device_id}: its exposure time cannot be set; turn its dial to M")
+        self._iso = _dial(device, names, ("iso",), _number_of)
+        self._findings = [*_raw_files(device, names), *_falsifiers(device, names)]
+        self._set(0.01, 0.0)
+        self._limits = self._limits_of(self._photograph(0.01)[0])
         return self.apply(CameraSettings(0.01, pixel_format=self._limits.pixel_formats[0]))
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
@@ -217,7 +303,7 @@ def seconds_of(text: str) -> float | None:
     return exact_exposure_s(seconds) if is_dial_time(seconds) else seconds
 
 
-def _completed(identity: CameraIdentity, device: TetheredDevice, names: frozenset[str]) -> CameraIdentity:
+def _completed(identity: CameraIdentity, device: GphotoDevice, names: frozenset[str]) -> CameraIdentity:
     controls = {
         key: device.read(name)
         for key, name in (("vendor", "manufacturer"), ("serial", "serialnumber"), ("firmware", "deviceversion"))
@@ -235,7 +321,7 @@ def _number_of(text: str) -> float | None:
 
 
 def _dial(
-    device: TetheredDevice, names: frozenset[str], candidates: Iterable[str], meaning: Callable[[str], float | None]
+    device: GphotoDevice, names: frozenset[str], candidates: Iterable[str], meaning: Callable[[str], float | None]
 ) -> _Dial:
     for name in candidates:
         if name in names:
@@ -244,7 +330,7 @@ def _dial(
     return _Dial("", {})
 
 
-def _raw_files(device: TetheredDevice, names: frozenset[str]) -> list[Finding]:
+def _raw_files(device: GphotoDevice, names: frozenset[str]) -> list[Finding]:
     """Have the camera write raw files only, where it lets that be chosen."""
     for name in _QUALITIES:
         entries = device.choices(name) if name in names else []
@@ -256,7 +342,7 @@ def _raw_files(device: TetheredDevice, names: frozenset[str]) -> list[Finding]:
     return [Finding("raw files", Health.NOTE, "the camera does not let raw files be chosen; choose them at the camera")]
 
 
-def _falsifiers(device: TetheredDevice, names: frozenset[str]) -> list[Finding]:
+def _falsifiers(device: GphotoDevice, names: frozenset[str]) -> list[Finding]:
     found = []
     for name, harmless, effect in _FALSIFIERS:
         if name not in names or device.read(name).lower() in harmless:
@@ -271,134 +357,3 @@ def _falsifiers(device: TetheredDevice, names: frozenset[str]) -> list[Finding]:
         if now.lower() not in harmless:
             found.append(Finding(f"setting {name}", Health.FAULT, f"is {now}: {effect}", "switch it off at the camera"))
     return found
-
-
-_LOOK_S: Final = 0.5  # how often a call that takes long is looked at
-_SETTING_DEADLINE_S: Final = 15.0  # a camera that writes a raw file to its card answers late by seconds
-# gphoto2-result.h and gphoto2-port-result.h.
-_NOT_FOUND: Final = frozenset({-105, -52, -5, -4})  # MODEL_NOT_FOUND, IO_USB_FIND, UNKNOWN_PORT, LIBRARY
-_IN_USE: Final = frozenset({-53, -60, -110})  # IO_USB_CLAIM, IO_LOCK, CAMERA_BUSY
-_GONE: Final = frozenset({-7, -10, -34, -35})  # IO, TIMEOUT, IO_READ, IO_WRITE
-
-
-def load_library() -> ModuleType:
-    """Return the binding. Raises MissingLibrary where it is not installed."""
-    try:
-        import gphoto2
-    except ImportError as error:
-        raise MissingLibrary("photographic cameras need gphoto2: pip install 'radiometer[gphoto2]'") from error
-    module: ModuleType = gphoto2
-    return module
-
-
-def listed_cameras() -> list[CameraIdentity]:
-    """Return the photographic cameras on this computer's ports. Raises MissingLibrary."""
-    found = load_library().Camera.autodetect()
-    pairs = [(found.get_name(index), found.get_value(index)) for index in range(len(found))]
-    return [CameraIdentity("", model, "", f"gphoto2:{port}", f"libgphoto2 {port}") for model, port in pairs]
-
-
-class GphotoLibrary:
-    """Opens photographic cameras."""
-
-    def open(self, port: str) -> GphotoDevice:
-        """Open the camera at a port; the only one where none is named.
-
-        Raises:
-            DeviceNotFound: If no camera answers there.
-            DeviceInUse: If another program holds it.
-            MissingLibrary: If libgphoto2's binding is not installed.
-        """
-        library = load_library()
-        name = f"camera gphoto2:{port}"
-        camera = library.Camera()
-        try:
-            if port:
-                ports = library.PortInfoList()
-                ports.load()
-                camera.set_port_info(ports[ports.lookup_path(port)])
-            camera.init()
-        except library.GPhoto2Error as error:
-            raise _translated(error, name) from error
-        return GphotoDevice(library, camera, name)
-
-
-class GphotoDevice:
-    """An open photographic camera."""
-
-    def __init__(self, library: Any, camera: Any, name: str) -> None:
-        self._library, self._camera, self._name = library, camera, name
-        self._due = 0.0
-        self._names: frozenset[str] | None = None
-        self._thread = CallThread(name, lambda: time.monotonic() > self._due, _LOOK_S)
-
-    def names(self) -> frozenset[str]:
-        """Return the names of its settings."""
-        # The whole tree: the library's flat list names what a maker's cameras may have, not what this one has.
-        if self._names is None:
-            self._names = frozenset(_leaves(self._call(self._camera.get_config)))
-        return self._names
-
-    def read(self, name: str) -> str:
-        """Return a setting. Raises DeviceLost."""
-        return str(self._call(self._camera.get_single_config, name).get_value())
-
-    def choices(self, name: str) -> list[str]:
-        """Return what a setting can be set to; empty where it is not chosen from a list."""
-        widget = self._call(self._camera.get_single_config, name)
-        if widget.get_type() not in (self._library.GP_WIDGET_RADIO, self._library.GP_WIDGET_MENU):
-            return []
-        return [str(entry) for entry in widget.get_choices()]
-
-    def write(self, name: str, value: str) -> str:
-        """Set it and return it as read back. Raises DeviceError, DeviceLost."""
-        widget = self._call(self._camera.get_single_config, name)
-        widget.set_value(value)
-        self._call(self._camera.set_single_config, name, widget)
-        return self.read(name)
-
-    def capture(self, deadline_s: float) -> tuple[str, bytes]:
-        """Release the shutter and return name and bytes of the file. Raises DeviceTimeout, DeviceLost."""
-        kind, part = self._library.GP_CAPTURE_IMAGE, self._library.GP_FILE_TYPE_NORMAL
-        path = self._call(self._camera.capture, kind, deadline_s=deadline_s)
-        file = self._call(self._camera.file_get, path.folder, path.name, part, deadline_s=deadline_s)
-        return str(path.name), bytes(memoryview(file.get_data_and_size()))
-
-    def close(self) -> None:
-        """Give the camera back; one that is gone needs no goodbye."""
-        try:
-            self._call(self._camera.exit)
-        except DeviceError:
-            return
-        finally:
-            self._thread.close()
-
-    def _call(self, method: Any, *arguments: Any, deadline_s: float = _SETTING_DEADLINE_S) -> Any:
-        self._due = time.monotonic() + deadline_s
-        try:
-            return self._thread.run(method, *arguments)
-        except self._library.GPhoto2Error as error:
-            raise _translated(error, self._name) from error
-        except DeviceLost as error:
-            raise DeviceTimeout(f"{self._name}: no answer within {deadline_s:g} s; switch it off and on") from error
-
-
-def _leaves(widget: Any) -> Iterator[str]:
-    """Yield the names of the settings below a part of the tree."""
-    parts = list(widget.get_children())
-    if not parts:
-        yield str(widget.get_name())
-    for part in parts:
-        yield from _leaves(part)
-
-
-def _translated(error: Any, name: str) -> DeviceError:
-    """Return the project's error for one of the library's."""
-    code, text = int(error.code), str(error.string)
-    if code in _NOT_FOUND:
-        return DeviceNotFound(f"{name} does not answer ({text}); is it on, and its cable in? See `radiometer devices`")
-    if code in _IN_USE:
-        return DeviceInUse(f"{name} is in use by another program ({text}); file managers take cameras: eject it there")
-    if code in _GONE:
-        return DeviceLost(f"{name} stopped answering ({text}); check its cable and battery, then open it again")
-    return DeviceError(f"{name}: the camera refused ({text})")

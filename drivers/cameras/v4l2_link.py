@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import errno
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
 from drivers.cameras.call_thread import CallThread
 from drivers.cameras.feature_hygiene import FalsifyingFeature, HygieneFinding
-from drivers.cameras.plain_camera import Grab, LibraryLink, bits_of
+from drivers.cameras.plain_camera import FrameLink, Grab, bits_of
 from radiometer.data.frame import DigitalNumbers
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, MissingLibrary
@@ -43,6 +44,8 @@ CONTROLS: Final[tuple[tuple[str, int | None, str], ...]] = (
     ("saturation", None, "colours are mixed"),
     ("power_line_frequency", 0, "the exposure time is bound to the mains"),
 )
+_LOOK_S: Final = 0.1  # whether the device file is there is asked this often: it goes at once when it is unplugged
+_GONE: Final = {errno.ENODEV, errno.ENXIO, errno.EIO, errno.EPIPE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,209 +65,6 @@ class VideoFrame:
 
     payload: bytes
     timestamp_s: float
-
-
-class VideoDevice(Protocol):
-    """An open V4L2 device, as far as it is used here."""
-
-    def formats(self) -> list[tuple[str, int, int]]:
-        """Return four-letter code, width and height of every format."""
-
-    def controls(self) -> dict[str, Control]:
-        """Return its controls by name."""
-
-    def set_control(self, name: str, value: int) -> int:
-        """Set a control and return it as read back. Raises DeviceError."""
-
-    def start(self, fourcc: str, width: int, height: int) -> None:
-        """Begin to stream. Raises DeviceInUse, DeviceError."""
-
-    def frame(self, deadline_s: float) -> VideoFrame:
-        """Return the next frame. Raises DeviceTimeout, DeviceLost."""
-
-    def stop(self) -> None:
-        """End streaming."""
-
-    def close(self) -> None:
-        """Give the device back."""
-
-
-class VideoLibrary(Protocol):
-    """What opens V4L2 devices."""
-
-    def open(self, path: str) -> VideoDevice:
-        """Open a device. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-
-
-class V4l2Link(LibraryLink[VideoDevice]):
-    """One V4L2 camera.
-
-    Args:
-        identity: Who it is; `device_id` is "v4l2:" and its path.
-    """
-
-    def __init__(self, library: VideoLibrary, identity: CameraIdentity) -> None:
-        super().__init__(identity)
-        self._library = library
-        self._codes: dict[str, str] = {}
-        self._exposure_control, self._settings = "", CameraSettings(0.01, pixel_format="Mono8")
-        self._hygiene: list[HygieneFinding] = []
-        self._stale = 0
-
-    def open(self) -> CameraSettings:
-        """Open the device with manual exposure, its least gain, and no automatic function that can be switched off."""
-        self._device = self._library.open(self._identity.device_id.removeprefix("v4l2:"))
-        try:
-            self._hygiene = [*_switched_off(self._device)]
-            self._limits = self._read_limits(self._device)
-        except BaseException:
-            self.close()
-            raise
-        return self.apply(CameraSettings(0.01, pixel_format=self._limits.pixel_formats[0]))
-
-    def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set exposure time and format, and return them as read back."""
-        control_value = round(settings.exposure_s / EXPOSURE_UNIT_S)
-        units = self._open.set_control(self._exposure_control, control_value)
-        self._stale = _STALE_AFTER_CHANGE
-        self._settings = CameraSettings(round(units * EXPOSURE_UNIT_S, 10), pixel_format=settings.pixel_format)
-        return self._settings
-
-    def start(self) -> None:
-        """Begin to stream."""
-        limits = self.capabilities
-        self._open.start(self._codes[self._settings.pixel_format], limits.width, limits.height)
-
-    def grab(self) -> Grab:
-        """Return the next frame; after a change of settings the first few are thrown away, for nothing marks them."""
-        deadline_s = 2 * self._settings.exposure_s + 2.0
-        while self._stale:
-            self._open.frame(deadline_s)
-            self._stale -= 1
-        frame, limits = self._open.frame(deadline_s), self.capabilities
-        code = self._codes[self._settings.pixel_format]
-        dn = plain_numbers(frame.payload, code, limits.width, limits.height)
-        bits = bits_of(self._settings.pixel_format)
-        return Grab(dn, bits, self._settings.exposure_s, 0.0, 0.0, frame.timestamp_s or time.monotonic())
-
-    def stop(self) -> None:
-        """End streaming; a device that is gone needs no goodbye."""
-        if self._device is not None:
-            self._device.stop()
-
-    def findings(self) -> list[Finding]:
-        """Return what still falsifies, what was switched off, and that a webcam's numbers follow a tone curve."""
-        found = []
-        for one in self._hygiene:
-            check = f"control {one.feature.name}"
-            if one.state == "still_on":
-                found.append(
-                    Finding(check, Health.WARNING, str(one), "recover the response with `radiometer response`")
-                )
-            elif one.state == "switched_off":
-                found.append(Finding(check, Health.NOTE, str(one)))
-        if bits_of(self._settings.pixel_format) == 8:
-            message = "8-bit numbers of a webcam follow a tone curve (gamma) of its maker's, whatever its controls say"
-            found.append(Finding("tone curve", Health.WARNING, message, "recover it with `radiometer response`"))
-        return found
-
-    def _read_limits(self, device: VideoDevice) -> CameraCapabilities:
-        offered = device.formats()
-        sizes: dict[str, set[tuple[int, int]]] = {}
-        for code, width, height in offered:
-            if code in FORMATS and FORMATS[code] not in {FORMATS[c] for c in sizes if c != code}:
-                sizes.setdefault(code, set()).add((width, height))
-        if not sizes:
-            codes = ", ".join(sorted({code for code, _, _ in offered})) or "none"
-            raise DeviceError(f"{self._identity.device_id}: offers no plain numbers (only {codes}); use another camera")
-        best = next(code for code in FORMATS if code in sizes)
-        width, height = max(sizes[best], key=lambda size: size[0] * size[1])
-        usable = [code for code in FORMATS if (width, height) in sizes.get(code, set())]
-        self._codes = {FORMATS[code]: code for code in usable}
-        controls = device.controls()
-        self._exposure_control = next((name for name in _EXPOSURES if name in controls), "")
-        if not self._exposure_control:
-            raise DeviceError(
-                f"{self._identity.device_id}: has no exposure control, so nothing can be measured with it"
-            )
-        exposure = controls[self._exposure_control]
-        return CameraCapabilities(
-            exposure_s=(max(exposure.minimum, 1) * EXPOSURE_UNIT_S, exposure.maximum * EXPOSURE_UNIT_S),
-            gain_db=(0.0, 0.0),  # the control has no unit: it is left at its least
-            black_level_dn=(0.0, 0.0),
-            pixel_formats=tuple(self._codes),
-            width=width,
-            height=height,
-            exposure_step_s=exposure.step * EXPOSURE_UNIT_S,
-        )
-
-
-def plain_numbers(payload: bytes, fourcc: str, width: int, height: int) -> DigitalNumbers:
-    """Return the digital numbers of a frame, shape (height, width).
-
-    Args:
-        fourcc: Format, one of FORMATS: words are little-endian, of YUYV every other byte is a luma.
-        width: Width in pixels.
-        height: Height in pixels.
-
-    Raises:
-        DeviceError: If bytes are missing.
-
-    Source: Linux media documentation, V4L2 image formats.
-    """
-    count = width * height
-    size = 1 if fourcc == "GREY" else 2
-    if len(payload) < count * size:
-        raise DeviceError(
-            f"a {width} × {height} {fourcc} frame takes {count * size} bytes, but only {len(payload)} came"
-        )
-    if fourcc in ("GREY", "YUYV"):
-        return np.frombuffer(payload, np.uint8, count * size)[::size].reshape(height, width).copy()
-    return np.frombuffer(payload, "<u2", count).astype(np.uint16).reshape(height, width)
-
-
-def _switched_off(device: VideoDevice) -> list[HygieneFinding]:
-    found = []
-    controls = device.controls()
-    control_value = (
-        (*CONTROLS, ("gain", controls["gain"].minimum, "gain: its control has no unit"))
-        if "gain" in controls
-        else CONTROLS
-    )
-    for name, harmless, effect in control_value:
-        if name in controls:
-            control = controls[name]
-            value = (
-                control.default
-                if harmless is None
-                else max(harmless, control.minimum)
-                if name == "sharpness"
-                else harmless
-            )
-            found.append(_set(device, FalsifyingFeature(name, value, effect), control))
-    return found
-
-
-def _set(device: VideoDevice, feature: FalsifyingFeature, control: Control) -> HygieneFinding:
-    harmless_value = int(feature.harmless)
-    if control.value == harmless_value:
-        return HygieneFinding(feature, control.value, control.value, "off")
-    if not control.minimum <= harmless_value <= control.maximum:
-        reason = f"it goes from {control.minimum} to {control.maximum}"
-        return HygieneFinding(feature, control.value, control.value, "still_on", reason)
-    try:
-        now = device.set_control(feature.name, harmless_value)
-    except DeviceLost:
-        raise
-    except DeviceError as error:
-        return HygieneFinding(feature, control.value, control.value, "still_on", str(error))
-    if now == harmless_value:
-        return HygieneFinding(feature, control.value, now, "switched_off")
-    return HygieneFinding(feature, control.value, now, "still_on", "it took the write and kept its value")
-
-
-_LOOK_S: Final = 0.1  # whether the device file is there is asked this often: it goes at once when it is unplugged
-_GONE: Final = {errno.ENODEV, errno.ENXIO, errno.EIO, errno.EPIPE}
 
 
 def load_library() -> ModuleType:
@@ -291,20 +91,17 @@ def listed_cameras() -> list[CameraIdentity]:
     return found
 
 
-class LinuxpyVideo:
-    """Opens V4L2 devices."""
-
-    def open(self, path: str) -> LinuxpyDevice:
-        """Open a device. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-        library = load_library()
-        if not Path(path).exists():
-            raise DeviceNotFound(f"there is no {path}; `radiometer devices` lists the cameras that there are")
-        device = library.Device(path)
-        try:
-            device.open()
-        except OSError as error:
-            raise _translated(error, path) from error
-        return LinuxpyDevice(library, device, path)
+def open_device(path: str) -> LinuxpyDevice:
+    """Open a device. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
+    library = load_library()
+    if not Path(path).exists():
+        raise DeviceNotFound(f"there is no {path}; `radiometer devices` lists the cameras that there are")
+    device = library.Device(path)
+    try:
+        device.open()
+    except OSError as error:
+        raise _translated(error, path) from error
+    return LinuxpyDevice(library, device, path)
 
 
 class LinuxpyDevice:
@@ -417,3 +214,159 @@ def _translated(error: OSError, path: str) -> DeviceError:
     if error.errno in (errno.EACCES, errno.EPERM):
         return DeviceError(f"{path} may not be opened ({reason}); join the group: sudo usermod -aG video $USER")
     return DeviceError(f"{path}: the camera refused ({reason})")
+
+
+class V4l2Link(FrameLink[LinuxpyDevice]):
+    """One V4L2 camera: manual exposure, its least gain, and no automatic function that can be switched off."""
+
+    def __init__(self, identity: CameraIdentity, open_device: Callable[[str], LinuxpyDevice] = open_device) -> None:
+        super().__init__(identity, open_device)
+        self._codes: dict[str, str] = {}
+        self._exposure_control, self._settings = "", CameraSettings(0.01, pixel_format="Mono8")
+        self._hygiene: list[HygieneFinding] = []
+        self._stale = 0
+
+    def _begin(self, device: LinuxpyDevice) -> CameraSettings:
+        self._hygiene = [*_switched_off(device)]
+        self._limits = self._read_limits(device)
+        return self.apply(CameraSettings(0.01, pixel_format=self._limits.pixel_formats[0]))
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Set exposure time and format, and return them as read back."""
+        control_value = round(settings.exposure_s / EXPOSURE_UNIT_S)
+        units = self._open.set_control(self._exposure_control, control_value)
+        self._stale = _STALE_AFTER_CHANGE
+        self._settings = CameraSettings(round(units * EXPOSURE_UNIT_S, 10), pixel_format=settings.pixel_format)
+        return self._settings
+
+    def start(self) -> None:
+        """Begin to stream."""
+        limits = self.capabilities
+        self._open.start(self._codes[self._settings.pixel_format], limits.width, limits.height)
+
+    def grab(self) -> Grab:
+        """Return the next frame; after a change of settings the first few are thrown away, for nothing marks them."""
+        deadline_s = 2 * self._settings.exposure_s + 2.0
+        while self._stale:
+            self._open.frame(deadline_s)
+            self._stale -= 1
+        frame, limits = self._open.frame(deadline_s), self.capabilities
+        code = self._codes[self._settings.pixel_format]
+        dn = plain_numbers(frame.payload, code, limits.width, limits.height)
+        bits = bits_of(self._settings.pixel_format)
+        return Grab(dn, bits, self._settings.exposure_s, 0.0, 0.0, frame.timestamp_s or time.monotonic())
+
+    def stop(self) -> None:
+        """End streaming; a device that is gone needs no goodbye."""
+        if self._device is not None:
+            self._device.stop()
+
+    def findings(self) -> list[Finding]:
+        """Return what still falsifies, what was switched off, and that a webcam's numbers follow a tone curve."""
+        found = []
+        for one in self._hygiene:
+            check = f"control {one.feature.name}"
+            if one.state == "still_on":
+                found.append(
+                    Finding(check, Health.WARNING, str(one), "recover the response with `radiometer response`")
+                )
+            elif one.state == "switched_off":
+                found.append(Finding(check, Health.NOTE, str(one)))
+        if bits_of(self._settings.pixel_format) == 8:
+            message = "8-bit numbers of a webcam follow a tone curve (gamma) of its maker's, whatever its controls say"
+            found.append(Finding("tone curve", Health.WARNING, message, "recover it with `radiometer response`"))
+        return found
+
+    def _read_limits(self, device: LinuxpyDevice) -> CameraCapabilities:
+        offered = device.formats()
+        sizes: dict[str, set[tuple[int, int]]] = {}
+        for code, width, height in offered:
+            if code in FORMATS and FORMATS[code] not in {FORMATS[c] for c in sizes if c != code}:
+                sizes.setdefault(code, set()).add((width, height))
+        if not sizes:
+            codes = ", ".join(sorted({code for code, _, _ in offered})) or "none"
+            raise DeviceError(f"{self._identity.device_id}: offers no plain numbers (only {codes}); use another camera")
+        best = next(code for code in FORMATS if code in sizes)
+        width, height = max(sizes[best], key=lambda size: size[0] * size[1])
+        usable = [code for code in FORMATS if (width, height) in sizes.get(code, set())]
+        self._codes = {FORMATS[code]: code for code in usable}
+        controls = device.controls()
+        self._exposure_control = next((name for name in _EXPOSURES if name in controls), "")
+        if not self._exposure_control:
+            raise DeviceError(
+                f"{self._identity.device_id}: has no exposure control, so nothing can be measured with it"
+            )
+        exposure = controls[self._exposure_control]
+        return CameraCapabilities(
+            exposure_s=(max(exposure.minimum, 1) * EXPOSURE_UNIT_S, exposure.maximum * EXPOSURE_UNIT_S),
+            gain_db=(0.0, 0.0),  # the control has no unit: it is left at its least
+            black_level_dn=(0.0, 0.0),
+            pixel_formats=tuple(self._codes),
+            width=width,
+            height=height,
+            exposure_step_s=exposure.step * EXPOSURE_UNIT_S,
+        )
+
+
+def plain_numbers(payload: bytes, fourcc: str, width: int, height: int) -> DigitalNumbers:
+    """Return the digital numbers of a frame, shape (height, width).
+
+    Args:
+        fourcc: Format, one of FORMATS: words are little-endian, of YUYV every other byte is a luma.
+        width: Width in pixels.
+        height: Height in pixels.
+
+    Raises:
+        DeviceError: If bytes are missing.
+
+    Source: Linux media documentation, V4L2 image formats.
+    """
+    count = width * height
+    size = 1 if fourcc == "GREY" else 2
+    if len(payload) < count * size:
+        raise DeviceError(
+            f"a {width} × {height} {fourcc} frame takes {count * size} bytes, but only {len(payload)} came"
+        )
+    if fourcc in ("GREY", "YUYV"):
+        return np.frombuffer(payload, np.uint8, count * size)[::size].reshape(height, width).copy()
+    return np.frombuffer(payload, "<u2", count).astype(np.uint16).reshape(height, width)
+
+
+def _switched_off(device: LinuxpyDevice) -> list[HygieneFinding]:
+    found = []
+    controls = device.controls()
+    control_value = (
+        (*CONTROLS, ("gain", controls["gain"].minimum, "gain: its control has no unit"))
+        if "gain" in controls
+        else CONTROLS
+    )
+    for name, harmless, effect in control_value:
+        if name in controls:
+            control = controls[name]
+            value = (
+                control.default
+                if harmless is None
+                else max(harmless, control.minimum)
+                if name == "sharpness"
+                else harmless
+            )
+            found.append(_set(device, FalsifyingFeature(name, value, effect), control))
+    return found
+
+
+def _set(device: LinuxpyDevice, feature: FalsifyingFeature, control: Control) -> HygieneFinding:
+    harmless_value = int(feature.harmless)
+    if control.value == harmless_value:
+        return HygieneFinding(feature, control.value, control.value, "off")
+    if not control.minimum <= harmless_value <= control.maximum:
+        reason = f"it goes from {control.minimum} to {control.maximum}"
+        return HygieneFinding(feature, control.value, control.value, "still_on", reason)
+    try:
+        now = device.set_control(feature.name, harmless_value)
+    except DeviceLost:
+        raise
+    except DeviceError as error:
+        return HygieneFinding(feature, control.value, control.value, "still_on", str(error))
+    if now == harmless_value:
+        return HygieneFinding(feature, control.value, now, "switched_off")
+    return HygieneFinding(feature, control.value, now, "still_on", "it took the write and kept its value")

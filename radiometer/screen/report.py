@@ -134,7 +134,7 @@ class Figure:
 
 
 def relative(name: str, share: Quantity) -> Figure:
-    """Return a figure that is 0 for an ideal display, such as an excess, in %."""
+    """Return a figure in %: one that is 0 for an ideal display, or a place."""
     return Figure(name, share.scaled(100.0, "%"))
 
 
@@ -349,7 +349,7 @@ def _gamma(examined: Examined) -> Section:
     return Section(
         "gamma", "Gamma of the greys",
         (f"{len(drives)} greys, full screen, centre; slope of ln(L − L_black) over ln(level)",),
-        (Figure("gamma", replace(slope, u=math.hypot(slope.u, of_line))), Figure("misfit_rms", misfit)),
+        (Figure("gamma", replace(slope, u=math.hypot(slope.u, of_line))), relative("misfit_rms", misfit)),
         ("level", "luminance (cd·m⁻²)", "local gamma"), tuple(rows), notes,
     )  # fmt: skip
 
@@ -452,8 +452,8 @@ def _mura(examined: Examined) -> Section:
     examined.bench.display.show(WHITE)
     found = mura_of(examined.bench.map_of(examined.area))
     figures = (
-        relative("largest_spot", found.spot), Figure("largest_spot_x", found.x), Figure("largest_spot_y", found.y),
-        relative("rms", found.rms),
+        relative("largest_spot", found.spot), relative("largest_spot_x", found.x),
+        relative("largest_spot_y", found.y), relative("rms", found.rms),
     )  # fmt: skip
     notes = ["the pattern of the camera's own pixels is in the map unless its calibration holds a flat field"]
     if abs(found.spot.value) < found.detection_limit:
@@ -463,7 +463,7 @@ def _mura(examined: Examined) -> Section:
         (
             "full-screen white, every pixel of the camera's picture",
             f"band-pass: Gaussians of {100 * _FINE_SHARE:g} % and {100 * _COARSE_SHARE:g} % of the height, no shading",
-            "x and y count from the top left corner, as shares of width and height",
+            "x and y count from the top left corner, in % of width and height",
         ),
         figures, notes=tuple(notes), picture=100.0 * found.relative,
     )  # fmt: skip

@@ -162,16 +162,17 @@ def _at_the_edge(kind: str) -> Subject:
     if kind == "v4l2":
         webcam = SimulatedWebcam(_picture_source(), 160, 120)
         who = CameraIdentity("Logitech", "HD Pro Webcam C920", "A1B2C3", "v4l2:/dev/video0", "V4L2 /dev/video0")
-        return Subject(kind, lambda: PlainCamera(V4l2Link(webcam, who)), lambda _: PlainCamera(V4l2Link(webcam, who)))
+        webcam_camera = lambda: PlainCamera(V4l2Link(who, webcam.open))  # noqa: E731
+        return Subject(kind, webcam_camera, lambda _: webcam_camera())
     if kind == "picamera":
         sensor = SimulatedPiCamera(_picture_source(), 160, 120)
         who = CameraIdentity("Raspberry Pi", "imx477", "10000000abcd", "picamera:0", "libcamera")
-        made = lambda: PlainCamera(PiLink(sensor, who))  # noqa: E731
+        made = lambda: PlainCamera(PiLink(who, sensor.open))  # noqa: E731
         return Subject(kind, made, lambda _: made(), native="Mono12")
     pytest.importorskip("rawpy")
     body = SimulatedTether(_picture_source(), 160, 120)
     who = CameraIdentity("", "Canon EOS 5D Mark II", "", "gphoto2:usb:001,004", "libgphoto2 usb:001,004")
-    tethered = lambda: PlainCamera(TetheredLink(body, who))  # noqa: E731
+    tethered = lambda: PlainCamera(TetheredLink(who, body.open))  # noqa: E731
     return Subject(kind, tethered, lambda _: tethered(), native="Mono14", exposure_s=2.0**-8)
 
 

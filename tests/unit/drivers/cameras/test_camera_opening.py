@@ -12,7 +12,7 @@ from drivers.cameras.camera_checks import USB3_BYTES_S, check_features
 from drivers.cameras.camera_opening import open_session
 from drivers.cameras.camera_quirks import CameraMatch, load_preset, quirks_for
 from drivers.cameras.chunk_data import changed_chunks, switch_on_chunks
-from drivers.cameras.feature_access import FeatureAccess, translated
+from drivers.cameras.feature_access import FeatureAccess, Refusal, translated
 from drivers.cameras.feature_hygiene import (
     FALSIFYING_FEATURES,
     FalsifyingFeature,
@@ -493,7 +493,7 @@ def test_a_lost_camera_is_not_taken_for_a_stubborn_one(wooden_camera, library_er
 
 
 @pytest.mark.parametrize(
-    ("code", "kind"), [(5, DeviceLost), (4, DeviceLost), (2, DeviceLost), (10, DeviceInUse), (1, DeviceError)]
+    ("code", "kind"), [(5, DeviceLost), (4, DeviceLost), (2, DeviceLost), (10, DeviceInUse), (1, Refusal)]
 )
 def test_errors_of_the_library_become_the_projects_own(library_error, code, kind):
     """Each code of the library becomes the error that says what to do, with the camera's name."""

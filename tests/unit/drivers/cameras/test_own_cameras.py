@@ -17,14 +17,14 @@ from drivers.cameras import own_cameras
 from drivers.cameras.pi_link import PiLink, green_of
 from drivers.cameras.plain_camera import PlainCamera
 from drivers.cameras.tethered_link import TetheredLink, seconds_of
-from drivers.cameras.v4l2_link import V4l2Link, plain_numbers
+from drivers.cameras.v4l2_link import Control, V4l2Link, plain_numbers
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import read_bench
 from radiometer.cli.main import run
 from radiometer.data import CaptureSet, CaptureSetWriter, LensDescription
 from radiometer.devices import CameraIdentity, CameraSettings, Health, Roi
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, MissingLibrary
-from testing.edge_devices import ControlRange, SimulatedPiCamera, SimulatedTether, SimulatedWebcam, dng_bytes, mosaic_of
+from testing.edge_devices import SimulatedPiCamera, SimulatedTether, SimulatedWebcam, dng_bytes, mosaic_of
 from testing.patience import within
 
 DN_PER_S = 20_000.0  # of the even field, above black, at gain 0 dB and in the numbers of each camera
@@ -41,14 +41,14 @@ def even(request) -> np.ndarray:
 def webcam():
     """Return a simulated webcam and the camera in front of it."""
     device = SimulatedWebcam(even, 32, 24)
-    return device, PlainCamera(V4l2Link(device, CameraIdentity("", "C920", "", "v4l2:/dev/video0")))
+    return device, PlainCamera(V4l2Link(CameraIdentity("", "C920", "", "v4l2:/dev/video0"), device.open))
 
 
 @pytest.fixture
 def pi():
     """Return a simulated Raspberry Pi camera and the camera in front of it."""
     device = SimulatedPiCamera(even, 32, 24)
-    return device, PlainCamera(PiLink(device, CameraIdentity("Raspberry Pi", "imx477", "", "picamera:0")))
+    return device, PlainCamera(PiLink(CameraIdentity("Raspberry Pi", "imx477", "", "picamera:0"), device.open))
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def body():
     """Return a simulated tethered camera and the camera in front of it."""
     pytest.importorskip("rawpy")
     device = SimulatedTether(even, 32, 24)
-    return device, PlainCamera(TetheredLink(device, CameraIdentity("", "EOS 5D", "", "gphoto2:usb:001,004")))
+    return device, PlainCamera(TetheredLink(CameraIdentity("", "EOS 5D", "", "gphoto2:usb:001,004"), device.open))
 
 
 def test_a_webcam_is_set_in_units_of_100_microseconds(webcam):
@@ -96,7 +96,7 @@ def test_what_a_webcam_does_by_itself_is_switched_off(webcam):
 
 @pytest.mark.parametrize(
     ("change", "reason"),
-    [({"locked": frozenset({"gamma"})}, "is inactive"), ({"gamma": ControlRange(160, 300, 1, 220, 220)}, "from 160")],
+    [({"locked": frozenset({"gamma"})}, "is inactive"), ({"gamma": Control(160, 300, 1, 220, 220)}, "from 160")],
     ids=["locked", "no 1.0"],
 )
 def test_a_gamma_that_stays_is_warned_of(webcam, change, reason):
@@ -181,7 +181,7 @@ def test_an_opening_that_fails_leaves_the_camera_to_be_tried_again(webcam):
 def test_a_program_opens_a_camera_once(which, link, request):
     """Also where the library would let it be opened twice: the second is refused until the first is closed."""
     device, camera = request.getfixturevalue(which)
-    again = PlainCamera(link(device, camera.identity))
+    again = PlainCamera(link(camera.identity, device.open))
     with camera, pytest.raises(DeviceInUse, match="by this program already"):
         again.open()
     with again:
@@ -313,7 +313,7 @@ def ramp(request) -> np.ndarray:
 def test_raw_files_of_a_capture_set_are_merged_measured_and_give_the_response(tmp_path, capsys):
     """Merge, measure and response read raw files as they read the same numbers in PNG."""
     pytest.importorskip("rawpy")
-    link = TetheredLink(SimulatedTether(ramp, 96, 32), CameraIdentity("", "EOS 5D", "", "gphoto2:usb:001,004"))
+    link = TetheredLink(CameraIdentity("", "EOS 5D", "", "gphoto2:usb:001,004"), SimulatedTether(ramp, 96, 32).open)
     with ExitStack() as held:
         camera = held.enter_context(PlainCamera(link))
         raw, plain = (

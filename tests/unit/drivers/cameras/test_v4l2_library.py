@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.cameras.v4l2_link import LinuxpyDevice, LinuxpyVideo
+from drivers.cameras.v4l2_link import LinuxpyDevice, open_device
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
 from testing.patience import within
 
@@ -160,4 +160,4 @@ def test_a_path_that_is_not_there_is_not_opened(tmp_path):
     """The message names it."""
     pytest.importorskip("linuxpy")
     with pytest.raises(DeviceNotFound, match="video9"):
-        LinuxpyVideo().open(str(tmp_path / "video9"))
+        open_device(str(tmp_path / "video9"))
