@@ -47,7 +47,7 @@ def calibration_of(root, folder):
     scale = Scale(value=1e-3, u_rel=0.005, method="known_radiance", f_number=4.0)
     noise = SensorNoise(conversion_gain_e_per_dn=2.6, read_noise_e=2.4)
     camera = CaptureSet.read(root / "day-0000").header.camera
-    exact = StatedUncertainties(exposure_u_s=0.0)
+    exact = StatedUncertainties(drift_u_rel_per_year=0.0)
     Calibration(camera, LensDescription(f_number=4.0), scale, None, noise, uncertainties=exact).write(
         folder / "cal.yaml"
     )
