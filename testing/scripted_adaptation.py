@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.run import Stage
 from radiometer.errors import DeviceLost
 
 Eye = Callable[[float | None, float], bool]
@@ -45,15 +46,18 @@ class SubjectCurve:
         return max(min(cones, self.cone_plateau - fallen), self.final)
 
 
-class ScriptedStage:
+class ScriptedStage(Stage):
     """A stage in simulated time whose subject follows a rule: (log10 level or None, seconds in the dark) -> presses."""
+
+    switched_off = False
+    checks_fixation = False
 
     def __init__(self, eye: Eye, protocol: AdaptationProtocol, *, latency_s: float = 0.4) -> None:
         self.eye, self.protocol, self.latency_s = eye, protocol, latency_s
         self.time, self.dark_since, self.dies_after = 0.0, 0.0, math.inf
         self.at: dict[float, Callable[[], None]] = {}
         self.held_since: float | None = None
-        self.switched_off, self.ended = False, lambda: False
+        self.ended = lambda: False
         self.presses_in_pause: list[float] = []
         self.unix: float | None = None
 
@@ -79,9 +83,6 @@ class ScriptedStage:
 
     def wall_s(self) -> float | None:
         return None if self.unix is None else self.unix + self.time
-
-    def wait(self, seconds: float) -> None:
-        self.pass_time(seconds)
 
     def rest(self, seconds: float) -> int:
         self.pass_time(seconds)

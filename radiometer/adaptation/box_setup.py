@@ -15,6 +15,7 @@ import numpy as np
 from radiometer.adaptation.checks import Check, Finding, judge_age, measured_room
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach
 from radiometer.adaptation.request import SIMULATED_BOX, RunRequest
+from radiometer.adaptation.run import Stage
 from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.bench.boxes import OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
@@ -81,7 +82,7 @@ class BoxLights:
 
 
 @dataclass(slots=True)
-class BoxStage:
+class BoxStage(Stage):
     """Runs a test on an open light box, in real time."""
 
     box: LightBox  # an open light box with calibrated channels
@@ -90,17 +91,13 @@ class BoxStage:
     sleep: Callable[[float], None]  # waits for a number of seconds
     wall_clock: Callable[[], float] | None = None  # time of day as Unix time in s; None where the box is simulated
     ended: Callable[[], bool] = lambda: False  # whether the end of the test is asked for
+    protocol: AdaptationProtocol = field(init=False)
     _zero_s: float = field(default=0.0, init=False)
     _pressed_s: float | None = field(default=None, init=False)
     _longest: tuple[float, float] = field(default=(0.0, 0.0), init=False)
 
     def __post_init__(self) -> None:
-        self._zero_s = self.clock()
-
-    @property
-    def protocol(self) -> AdaptationProtocol:
-        """Return what is done."""
-        return self.lights.protocol
+        self.protocol, self._zero_s = self.lights.protocol, self.clock()
 
     def now_s(self) -> float:
         """Return the time in s since the stage was set up, or as `resume_at` set it."""
@@ -204,7 +201,7 @@ class BoxStage:
         """
         check = self.protocol.fixation_check
         if check is None or not self.checks_fixation:
-            raise UsageError("this box has no light in the blind spot")
+            return super(BoxStage, self).blink_blind_spot(trial, number)
         return self._blink_once(check.channel, Radiance(self.lights.blind_spot_w_sr_m2))
 
     def _blink_once(self, channel: str, light: Radiance | None) -> list[float]:
@@ -214,10 +211,6 @@ class BoxStage:
             self.box.pulse(channel, light, spot.on_s)
         presses = self._presses(self.box.buttons(max(0.0, spot.cycle_s - (self.clock() - onset))))
         return [time_s - onset for time_s in presses if time_s >= onset]
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass; what is pressed meanwhile counts for nothing. Raises DeviceLost."""
-        self.rest(seconds)
 
     def rest(self, seconds: float) -> int:
         """Let time of a pause pass and return how often the button was pressed. Raises DeviceLost."""

@@ -8,9 +8,10 @@ each threshold or catch). Between them `pause`, `resume`, `taken_up` (after a cr
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 import numpy as np
 
@@ -46,78 +47,70 @@ LOST_OF: Final = (2, 3)  # of so many checks of fixation in a row so many seen: 
 LOOK_S: Final = 0.5  # how often a rest looks whether a pause is asked for, or a pause whether it is over
 
 
-class Stage(Protocol):
-    """The devices in front of the subject, on one clock."""
+class Stage(ABC):
+    """The devices in front of the subject, on one clock. What few of them have is answered here for the others."""
 
-    @property
-    def protocol(self) -> AdaptationProtocol:
-        """Return what is done, as far as the devices reach."""
+    protocol: AdaptationProtocol  # what is done, as far as the devices reach
+    ended: Callable[[], bool]  # whether the end of the test is asked for: a bleach that can be ended ends then
 
+    @abstractmethod
     def now_s(self) -> float:
         """Return the time in s since the stage was set up."""
 
     def wall_s(self) -> float | None:
         """Return the time of day as Unix time in s; None where time is simulated."""
+        return None
 
+    @abstractmethod
     def bleach(self, protocol: AdaptationProtocol) -> None:
         """Give the bleach and return when it is over. Raises DeviceError, UnsafeStimulus."""
 
+    @abstractmethod
     def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
         """Show one blink (None: none, a catch) and return the presses during it in s from its onset."""
 
-    def wait(self, seconds: float) -> None:
-        """Let time pass in the dark; presses then count for nothing."""
-
-    def rest(self, seconds: float) -> int:
-        """Let time of a pause pass and return how often the button was pressed."""
-
-    def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
-
-    def resume_at(self, time_s: float) -> None:
-        """Count on from a time, after a crash."""
-
-
-@runtime_checkable
-class SwitchedStage(Protocol):
-    """A stage whose lights another program may switch off, and whose bleach ends when the test does."""
-
-    ended: Callable[[], bool]  # whether the end of the test is asked for
-
-    @property
-    def switched_off(self) -> bool:
-        """Return whether one has: the test ends."""
-
-
-@runtime_checkable
-class DescribedStage(Protocol):
-    """A stage that can describe itself."""
-
-    def facts(self) -> Mapping[str, Any]:
-        """Return what the journal should hold of it."""
-
-    def health(self) -> Mapping[str, str]:
-        """Return how it is now, for whoever watches. Raises DeviceError."""
-
-
-@runtime_checkable
-class SteppedStage(Protocol):
-    """A stage whose levels are whole steps, coarser than a threshold is known."""
-
     def shown_log10(self, log10_level: float) -> float:
-        """Return the level that is shown where one is asked for."""
-
-
-@runtime_checkable
-class FixationStage(Protocol):
-    """A stage that has a place for a light in the blind spot."""
+        """Return the level that is shown where one is asked for: some have whole steps only."""
+        return log10_level
 
     @property
     def checks_fixation(self) -> bool:
-        """Return whether it can show one."""
+        """Return whether it can show a light in the blind spot."""
+        return False
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:
-        """Show the light in the blind spot once and return the presses in s from its onset. Raises DeviceError."""
+        """Show the light in the blind spot once and return the presses in s from its onset.
+
+        Raises:
+            UsageError: If it has none.
+            DeviceError: If the devices fail.
+        """
+        raise UsageError("this stage has no light in the blind spot")
+
+    @abstractmethod
+    def rest(self, seconds: float) -> int:
+        """Let time pass in the dark and return how often the button was pressed."""
+
+    def long_press(self, at_least_s: float) -> float | None:
+        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
+        return None
+
+    @abstractmethod
+    def resume_at(self, time_s: float) -> None:
+        """Count on from a time, after a crash."""
+
+    @property
+    def switched_off(self) -> bool:
+        """Return whether another program has switched the lights off: the test ends."""
+        return False
+
+    def facts(self) -> Mapping[str, Any]:
+        """Return what the journal should hold of it; empty for nothing."""
+        return {}
+
+    def health(self) -> Mapping[str, str]:
+        """Return how it is now, for whoever watches. Raises DeviceError."""
+        return {}
 
 
 def run_test(
@@ -218,16 +211,14 @@ class _Run:
 
     def _check_stage(self) -> None:
         """Refuse to go on with another box or screen: thresholds of two calibrations are no curve."""
-        noted = self.journal.of_kind("stage")
-        if not noted or not isinstance(self.stage, DescribedStage):
-            return
         now = self.stage.facts()
-        for name in _SAME_STAGE:
-            if name in noted[0] and name in now and noted[0][name] != now[name]:
-                raise UsageError(
-                    f"{self.journal.path}: begun with {name} {noted[0][name]!r}, not {now[name]!r}; go on with what "
-                    "it was begun with, or name another journal"
-                )
+        for noted in self.journal.of_kind("stage")[:1]:
+            for name in _SAME_STAGE:
+                if name in noted and name in now and noted[name] != now[name]:
+                    raise UsageError(
+                        f"{self.journal.path}: begun with {name} {noted[name]!r}, not {now[name]!r}; go on with what "
+                        "it was begun with, or name another journal"
+                    )
 
     def _take_up(self) -> None:
         """Set the clock: the eye went on adapting while the program was away, simulated time stood still."""
@@ -241,8 +232,8 @@ class _Run:
             self.note("resume", by="restart")
 
     def _prepare(self) -> None:
-        if isinstance(self.stage, DescribedStage):
-            self.note("stage", **self.stage.facts())
+        if facts := self.stage.facts():
+            self.note("stage", **facts)
         for check in self.checks:
             finding = check()
             self.note(finding.kind, **finding.facts)
@@ -252,8 +243,7 @@ class _Run:
         bleach = self.protocol.bleach
         if self.bleaches:
             self.note("bleach", light=bleach.model_dump())
-            if isinstance(self.stage, SwitchedStage):
-                self.stage.ended = lambda: self.controls.stopped_by is not None
+            self.stage.ended = lambda: self.controls.stopped_by is not None
             self.stage.bleach(self.protocol)
         else:  # a practice run: the mark alone is lit
             self.stage.resume_at(self.stage.now_s())
@@ -314,8 +304,7 @@ class _Run:
         if drawn < watch.lapse_share:
             return None if self._bright_level() is None else BRIGHT
         drawn -= watch.lapse_share
-        placed = check is not None and isinstance(self.stage, FixationStage) and self.stage.checks_fixation
-        if not placed or check is None or self._latest_s - self._dark_since_s < 60 * check.from_min:
+        if check is None or not self.stage.checks_fixation or self._latest_s - self._dark_since_s < 60 * check.from_min:
             return None
         return BLIND_SPOT if drawn < check.share else None
 
@@ -328,7 +317,7 @@ class _Run:
         """Let the time between two trials pass, and return whether a pause came."""
         left_s = self.protocol.watch.pause_between_s
         while left_s > 0:
-            self.stage.wait(min(left_s, LOOK_S))
+            self.stage.rest(min(left_s, LOOK_S))
             left_s -= LOOK_S
             if self._pause_asked():
                 return True
@@ -336,7 +325,7 @@ class _Run:
 
     def _blink(self, level: float | None, number: int, of: str | None = None) -> Event:
         blinks, onset_s = len(self._blinks), self.stage.now_s()
-        if of == BLIND_SPOT and isinstance(self.stage, FixationStage):
+        if of == BLIND_SPOT:
             presses = self.stage.blink_blind_spot(number, blinks)
         else:
             presses = self.stage.blink(level, number, blinks)
@@ -403,9 +392,7 @@ class _Run:
 
     def _shown(self, threshold: float) -> float:
         """Return the level that was seen; other methods' thresholds are between levels as it is."""
-        if isinstance(self.stage, SteppedStage) and isinstance(self.protocol.method, LimitsMethod):
-            return self.stage.shown_log10(threshold)
-        return threshold
+        return self.stage.shown_log10(threshold) if isinstance(self.protocol.method, LimitsMethod) else threshold
 
     def _over(self, search: Method) -> bool:
         """Return whether a search has found its threshold, has no way on, has taken too long, or met a hasty press."""
@@ -436,7 +423,7 @@ class _Run:
 
         The latter is of a run that is lived through again.
         """
-        if isinstance(self.stage, SwitchedStage) and self.stage.switched_off:
+        if self.stage.switched_off:
             self.controls.stop(SWITCHED_OFF)
         before = self.journal.upcoming
         if before is None or self.stage.now_s() < float(before["time_s"]) - SAME_TIME_S:

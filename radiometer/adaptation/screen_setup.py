@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from radiometer.adaptation.checks import Check, judge_age, room_by_camera
 from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
 from radiometer.adaptation.request import RunRequest
+from radiometer.adaptation.run import Stage
 from radiometer.bench.box_holder import darken_held
 from radiometer.bench.screen import BROWSER, SIMULATED_DISPLAYS, START_TIMEOUT_S
 from radiometer.devices import DisplayPatch
@@ -164,7 +165,7 @@ def mark_code(calibration: ScreenCalibration, luminance_cd_m2: float) -> tuple[C
 
 
 @dataclass(slots=True)
-class ScreenStage:
+class ScreenStage(Stage):
     """Runs a test on a screen."""
 
     screen: StimulusScreen  # an open screen before the subject
@@ -308,10 +309,6 @@ class ScreenStage:
         seen = self._last = self.screen.blink(lit, self._rest, spot.on_s, spot.cycle_s)
         self._note(seen.hold)
         return list(seen.presses_s)
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass in the dark; presses then count for nothing. Raises DeviceError."""
-        self.rest(seconds)
 
     def rest(self, seconds: float) -> int:
         """Let time of a pause pass and return how often the button was pressed. Raises DeviceError."""

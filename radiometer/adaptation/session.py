@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +15,7 @@ from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.live_text import LiveText, event_line
 from radiometer.adaptation.outcome import Outcome
 from radiometer.adaptation.request import SIMULATED_BOX, RunRequest
-from radiometer.adaptation.run import DescribedStage, Stage, run_test
+from radiometer.adaptation.run import Stage, run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.screen_setup import ScreenStage, open_screen_stage
 from radiometer.adaptation.simulated_stage import simulated_stage
@@ -118,12 +118,9 @@ class Session:
         Raises:
             DeviceInUse: If the port is taken.
         """
-        stage = self.stage
-
-        def health() -> Mapping[str, str]:
-            return stage.health() if isinstance(stage, DescribedStage) else {}
-
-        with LivePage(stage.protocol, self.controls, port, audio=audio, health=health, darken=darken_held) as page:
+        with LivePage(
+            self.stage.protocol, self.controls, port, audio=audio, health=self.stage.health, darken=darken_held
+        ) as page:
             announce(page.url)
             replayed(page, self.journal.events)
             yield page.publish

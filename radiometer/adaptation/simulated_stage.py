@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach
+from radiometer.adaptation.run import Stage
 from simulators.clock import SimulatedClock
 from simulators.observers.behaviours import behaviour_of
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, scotopic_per_photopic
@@ -19,7 +20,7 @@ _ANSWERS: Final = 1  # keeps the answers' chance apart from that of the run, who
 
 
 @dataclass
-class SubjectStage:
+class SubjectStage(Stage):
     """A simulated subject before a simulated spot; no time passes but on the clock."""
 
     protocol: AdaptationProtocol
@@ -31,10 +32,6 @@ class SubjectStage:
     def now_s(self) -> float:
         """Return the simulated time in s."""
         return self.clock.now_s()
-
-    def wall_s(self) -> float | None:
-        """Return None: time is simulated."""
-        return None
 
     def bleach(self, protocol: AdaptationProtocol) -> None:
         """Let the bleach's time pass, and bleach the subject's eye as much as its light does."""
@@ -71,18 +68,10 @@ class SubjectStage:
         reaction_s = self.observer.answer(level, onset_s, peak_nm, place_deg)
         return [] if reaction_s is None else [reaction_s]
 
-    def wait(self, seconds: float) -> None:
-        """Let time pass."""
-        self.clock.advance(seconds)
-
     def rest(self, seconds: float) -> int:
         """Let time of a pause pass; there are no presses."""
         self.clock.advance(seconds)
         return 0
-
-    def long_press(self, at_least_s: float) -> float | None:
-        """Return None: this subject presses and lets go."""
-        return None
 
     def resume_at(self, time_s: float) -> None:
         """Bleach the subject as it was, and move the clock to a time after a crash."""

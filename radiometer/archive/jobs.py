@@ -21,7 +21,7 @@ from radiometer.data import Bracket, Calibration, CaptureSet, Frame, Patch, Radi
 from radiometer.data.json_text import json_text
 from radiometer.data.provenance import source_hash
 from radiometer.data.setup import Setup
-from radiometer.errors import CaptureError, InputError, MeasurementError, MissingLibrary, OutputError, RadiometerError
+from radiometer.errors import CaptureError, InputError, MeasurementError, OutputError, RadiometerError, required_library
 
 Row = dict[str, Any]
 COLUMNS: Final = (
@@ -71,12 +71,7 @@ def write_map(merged: RadianceMap, path: Path) -> None:
         MissingLibrary: If Zarr is not installed.
         OutputError: If the disk refuses it.
     """
-    try:
-        import zarr
-    except ImportError as error:
-        raise MissingLibrary(
-            "Zarr is not installed; `pip install 'radiometer[cluster]'`, or leave out --maps"
-        ) from error
+    zarr = required_library("zarr", "Zarr is not installed; `pip install 'radiometer[cluster]'`, or leave out --maps")
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

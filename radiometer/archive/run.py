@@ -20,7 +20,7 @@ from radiometer.archive.jobs import COLUMNS, JobSettings, Row, run_job
 from radiometer.data.event_journal import journal_of
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.storage import write_bytes_atomic
-from radiometer.errors import DeviceNotFound, MissingLibrary, OutputError, OutputRefused, UsageError
+from radiometer.errors import DeviceNotFound, OutputError, OutputRefused, UsageError, required_library
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reporting.plain_text import spreadsheet_cell
 
@@ -257,15 +257,12 @@ def _on_cluster(client: Client, tasks: list[_Task]) -> Iterator[list[list[Row]]]
 
 @contextmanager
 def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise MissingLibrary(
-            "Dask is not installed; `pip install 'radiometer[cluster]'`, or use --workers 0"
-        ) from error
+    distributed = required_library(
+        "distributed", "Dask is not installed; `pip install 'radiometer[cluster]'`, or use --workers 0"
+    )
     if scheduler is not None:
         try:
-            client = Client(scheduler, timeout=SCHEDULER_PATIENCE_S)
+            client = distributed.Client(scheduler, timeout=SCHEDULER_PATIENCE_S)
         except (OSError, TimeoutError, ValueError) as error:
             raise DeviceNotFound(
                 f"no Dask scheduler answers at {scheduler}: start one, or leave out --scheduler"
@@ -274,7 +271,7 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
             yield client
         return
     with (
-        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
-        Client(cluster) as client,
+        distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
     ):
         yield client

@@ -24,7 +24,7 @@ from radiometer.importing.photograph_pixels import IMAGE_SUFFIXES
 from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
 from radiometer.moments import moment_of
 
-_FEWEST_OF_A_SERIES: Final = 3  # two frames are a pair; a course needs a third
+_CLIPS: Final = 0.002  # part of the pixels at full scale from which a mean says nothing of the light
 _FRAME_SUFFIXES: Final = (*FITS_SUFFIXES, *TIFF_SUFFIXES)
 _PICTURE_SUFFIXES: Final = (*_FRAME_SUFFIXES, *IMAGE_SUFFIXES, *RAW_SUFFIXES)
 
@@ -79,7 +79,7 @@ class Session:
     figures: dict[str, Quantity]  # EMVA 1288 figures that it gives
     # (temperature in °C, u in K, dark current in DN/s) of each plateau
     dark_rates: tuple[tuple[float, float, Quantity], ...]
-    series: tuple[LightSeries, ...]  # repeated bright frames
+    series: tuple[LightSeries, ...]  # bright frames
     notes: tuple[str, ...]  # what a user must know
 
 
@@ -199,9 +199,12 @@ def _series(capture: CaptureSet, black_dn: float) -> list[LightSeries]:
     found = []
     for group in groups_of_capture(capture):
         one = group.settings
-        if one.is_dark or one.source_level <= 0 or len(group.files) < _FEWEST_OF_A_SERIES:
+        if one.is_dark or one.source_level <= 0:
             continue
-        means = [float(np.mean(dn)) - black_dn for dn in group.read(capture.header.camera.full_scale_dn)]
+        frames = list(group.read(capture.header.camera.full_scale_dn))
+        if any(np.mean(dn >= capture.header.camera.saturated_dn) > _CLIPS for dn in frames):
+            continue
+        means = [float(np.mean(dn)) - black_dn for dn in frames]
         files = tuple(file.name for file in group.files)
         found.append(LightSeries(one.exposure_s, one.gain_db, one.source_level, one.pattern, files, tuple(means)))
     return found

@@ -32,7 +32,7 @@ from radiometer.analysis.merge.sums import (
 )
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
-from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, fluctuation
+from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, doubted_gains, fluctuation
 from radiometer.analysis.signal.lens import (
     falloff_known,
     flat_doubt,
@@ -681,9 +681,13 @@ class StreamingMerge:
         dark = np.array([math.hypot(one.u_dark, one.u_unstated) for one in self._terms]) / middle
         known = own + np.square(curve) + np.square(dark)
         self._wander_rel, evidence = fluctuation(amplitude, np.ones_like(amplitude), known, 1.0)
+        doubts = doubted_gains(amplitude, known, [one.settings.gain_db for one in self._terms])
         if self._wander_rel < FLICKER_FLOOR_REL or not is_supported(evidence, FIVE_SIGMA):
-            return ()
-        return (f"the frames differ as a whole by {100 * self._wander_rel:.2g} % (standard deviation), which u holds",)
+            return doubts
+        return (
+            *doubts,
+            f"the frames differ as a whole by {100 * self._wander_rel:.2g} % (standard deviation), which u holds",
+        )
 
     def _doubt_pattern(
         self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]

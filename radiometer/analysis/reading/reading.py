@@ -153,7 +153,13 @@ def patch_situation(
     conditions = _conditions(estimate, chosen, settled, surround, place, field).model_copy(update={"tap": tap})
     scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
     shown = Shown(
-        estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light), (*copies.notes, *_left_out(good))
+        estimate,
+        tuple(chosen),
+        tuple(dark),
+        good,
+        len(light),
+        _unsteady(light),
+        (*copies.notes, *_left_out(good), *estimate.doubts),
     )
     falloff = _falloff(calibration, camera, settled.lens, chosen, place)
     now = now or setup.taken or dt.datetime.now(dt.UTC)

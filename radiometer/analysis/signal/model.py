@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from radiometer.analysis.signal.rounding import rounding_u_of_mean
+from radiometer.analysis.signal.rounding import rounding_u_of_light, rounding_u_of_mean
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -270,7 +270,7 @@ def _level(
     darkest: float,
 ) -> DarkLevel:
     if matching := matching_darks(settings, dark_frames):
-        return _from_frames(settings, matching, model)
+        return _from_frames(settings, matching, model, darkest)
     if masked_dn is not None:
         return _from_masked(settings, masked_dn, model)
     same_gain = [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]
@@ -332,25 +332,34 @@ def _as_warm(one_c: float | None, other_c: float | None) -> bool:
     return one_c is None or other_c is None or abs(one_c - other_c) <= _AS_WARM_K
 
 
-def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel) -> DarkLevel:
+def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel, darkest: float) -> DarkLevel:
     means, count = [], 0
     for frame in frames:
         means.append(float(signal_of(frame, model, settings).mean()))
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
-    return DarkLevel(float(np.mean(means)), sigma, _u_of_rounding(settings, frames, model), "dark frames")
+    level = float(np.mean(means))
+    return DarkLevel(level, sigma, _u_of_rounding(settings, frames, model, darkest - level), "dark frames")
 
 
-def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel) -> float:
+def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel, least: float) -> float:
     """Return what rounding to whole codes leaves in light less dark, in x: an error that all pixels and frames share.
 
-    Light is taken as rounded like the dark frames. That is the most: more light has more noise, which averages it out.
+    Args:
+        settings: Of the light frame.
+        frames: Dark frames.
+        model: Signal model of the camera.
+        least: Signal x of the least light of the frame, whose shot noise spreads the pixels over the codes; inf where
+            it is not known.
     """
     some = np.concatenate([frame.dn.ravel()[:: max(1, frame.dn.size // _PIXELS_OF_THE_WHOLE)] for frame in frames])
     low, high = np.percentile(some, (1.0, 99.0))  # defects are no noise
     variance_dn2 = float(np.var(some[(some >= low) & (some <= high)]))
     slope = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(settings.gain_db)
-    u_dn = math.sqrt(2.0) * rounding_u_of_mean(variance_dn2, model.camera.code_step_dn or 1)
+    known = math.isfinite(least) and "conversion_gain_e_per_dn" not in model.noise.assumed
+    shot_dn2 = max(least, 0.0) / model.electrons_per_unit / slope**2 if known else 0.0
+    step_dn = model.camera.code_step_dn or 1
+    u_dn = math.hypot(rounding_u_of_mean(variance_dn2, step_dn), rounding_u_of_light(variance_dn2, shot_dn2, step_dn))
     return slope * u_dn if u_dn > _LEAST_ROUNDING_DN else 0.0
 
 
@@ -370,7 +379,7 @@ def _from_other_exposures(
     Two exposures or more determine black level and dark current. One corrects the black level, and the dark current
     is the modelled one.
     """
-    measured = [_from_frames(frame.settings, [frame], model) for frame in frames]
+    measured = [_from_frames(frame.settings, [frame], model, darkest) for frame in frames]
     times = np.array([_seconds_at_reference(frame.settings, model) for frame in frames])
     signals = np.array([level.signal for level in measured])
     here = _seconds_at_reference(settings, model)

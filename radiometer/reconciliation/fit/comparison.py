@@ -72,7 +72,7 @@ class Comparison:
     # covariance
     whiteners: Mapping[str, Array]
     cuts: Mapping[str, slice]  # rows of each block in the vector
-    flicker2: Array  # (captures,) relative variance from frame to frame of the accepted effects, of a whole frame
+    flicker2: Array  # (captures,) relative variance of a whole frame by the accepted effects, by chance and by order
     wander2: float  # the same of the source itself, whatever the exposure, up to what its stated reproducibility allows
     rows2: Array  # (captures,) row noise of the accepted effects in DN²
     common_of_rows: Array  # (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation
@@ -349,12 +349,15 @@ def compare(
     if repeatability.row_variance.any():
         seen = with_heavy_rows(design, seen, base)
     deviation = _deviations(Scatter(design, seen, base, mask["variance"]), repeatability, variance_response, floors)
-    of_rows = common_of_rows(design, seen, np.where(mask["mean"], sensitivity, 0.0))
-    common = repeatability.flicker2 + _common_bands(design, seen, base)
+    none, of_rows = (
+        np.zeros(len(design.captures)),
+        common_of_rows(design, seen, np.where(mask["mean"], sensitivity, 0.0)),
+    )
     bands = (repeatability.bands2, repeatability.band_frequency)
     plain = Comparison(
-        design, seen, mask, deviation, {}, _cuts(design), common, 0.0, repeatability.row_variance, of_rows, *bands
+        design, seen, mask, deviation, {}, _cuts(design), none, 0.0, repeatability.row_variance, of_rows, *bands
     )
+    plain = replace(plain, flicker2=plain.flicker_of(base))
     plain = replace(plain, wander2=_steady_wander2(plain, base))
     repeatability = replace(repeatability, flicker2=repeatability.flicker2 + plain.wander2)
     errors = shared_errors(design, base, mask, sensitivity, repeatability, _of_noise(variance_response))
