@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import radiometer as rm
+from radiometer.analysis.flux.drive_law import fit_drive_law
 from radiometer.cli.main import run
 
 DRIVES = np.arange(1, 33) / 32
@@ -79,6 +80,17 @@ def test_onset_of_a_driver_is_fitted_and_leaves_the_droop_its_name(seed: int, tm
         assert abs(half.value - (0.47 / 0.97 * 2.0 * np.exp(0.05) - 1.0)) <= 3.0 * half.u
         assert law.misfit_rel < 0.008
     assert [one.name for one in rm.reconcile(file).result.effects] == ["led_droop"]
+
+
+def test_the_law_s_uncertainty_holds_an_onset_that_noise_hides() -> None:
+    """Light from 1 % of full drive on with 1 % of noise: light at 0.3 over that at 0.9 is within k = 2 in 91 of 100."""
+    rng, drive, inside = np.random.default_rng(85), np.arange(1, 17) / 16, 0
+    for _ in range(100):
+        law = fit_drive_law(drive, (drive - 0.01) * (1.0 + 0.01 * rng.standard_normal(drive.size)))
+        assert law is not None
+        found = law.light_over(0.3, 0.9)
+        inside += abs(found.value - 0.29 / 0.89) <= 2.0 * found.u
+    assert inside >= 91
 
 
 def test_both_are_named(tmp_path: Path) -> None:
