@@ -127,9 +127,10 @@ def test_a_row_that_no_law_can_hold_is_refused_or_named(tmp_path: Path, light: f
 
 
 def test_commands_speak_json_and_write_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`light law --json` holds the law with u; `reconcile` writes its report."""
+    """`light law --json` holds the law with u, `--plot` draws it; `reconcile` writes its report."""
     file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(81), 0.1))
-    assert run(["light", "law", str(file), "--json"]) == 0
+    assert run(["light", "law", str(file), "--json", "--plot", str(tmp_path / "law.png")]) == 0
+    assert (tmp_path / "law.png").stat().st_size > 1000
     law = json.loads(capsys.readouterr().out)["channels"]["blue"]["drive_law"]
     assert law["droop"]["u"] > 0
     assert run(["reconcile", str(file), "--report", str(tmp_path / "r.html")]) == 0
