@@ -21,6 +21,9 @@ what to do.
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 from radiometer.numbers import unit_text
 
 
@@ -153,3 +156,19 @@ class LightEnded(DeviceError):
 
 class MissingLibrary(DeviceError):
     """A system library is not installed; the message names the packages."""
+
+
+def required_library(module: str, remedy: str) -> Any:
+    """Return a module of a library that not everybody needs.
+
+    Args:
+        module: Its full name.
+        remedy: What needs it, and how it is installed.
+
+    Raises:
+        MissingLibrary: If it is not installed; with the remedy.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingLibrary(remedy) from error

@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +18,7 @@ from drivers.cameras.call_thread import CallThread
 from drivers.cameras.plain_camera import FrameLink, Grab, bits_of
 from radiometer.data.mosaic import plane_of
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
-from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, MissingLibrary
+from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, required_library
 
 MAX_STALE: Final = 12  # frames of the settings before: the camera stack queues several requests
 _SAME_EXPOSURE_REL: Final = 0.02  # lines of the sensor: some tens of µs, coarse for the shortest exposures
@@ -47,16 +46,12 @@ class RawRequest:
     metadata: dict[str, Any]
 
 
-def load_library() -> ModuleType:
+def load_library() -> Any:
     """Return picamera2. Raises MissingLibrary where it, or the libcamera below it, is not installed."""
-    try:
-        import picamera2
-    except ImportError as error:
-        raise MissingLibrary(
-            "the Raspberry Pi's camera needs picamera2: on Raspberry Pi OS `sudo apt install python3-picamera2`"
-        ) from error
-    module: ModuleType = picamera2
-    return module
+    return required_library(
+        "picamera2",
+        "the Raspberry Pi's camera needs picamera2: on Raspberry Pi OS `sudo apt install python3-picamera2`",
+    )
 
 
 def listed_cameras() -> list[CameraIdentity]:

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
 from drivers.cameras.call_thread import CallThread
@@ -23,7 +22,7 @@ from radiometer.errors import (
     DeviceLost,
     DeviceNotFound,
     DeviceTimeout,
-    MissingLibrary,
+    required_library,
 )
 from radiometer.importing.photograph_pixels import Photograph, read_photograph
 from radiometer.importing.photograph_times import is_dial_time
@@ -53,14 +52,9 @@ _IN_USE: Final = frozenset({-53, -60, -110})  # IO_USB_CLAIM, IO_LOCK, CAMERA_BU
 _GONE: Final = frozenset({-7, -10, -34, -35})  # IO, TIMEOUT, IO_READ, IO_WRITE
 
 
-def load_library() -> ModuleType:
+def load_library() -> Any:
     """Return the binding. Raises MissingLibrary where it is not installed."""
-    try:
-        import gphoto2
-    except ImportError as error:
-        raise MissingLibrary("photographic cameras need gphoto2: pip install 'radiometer[gphoto2]'") from error
-    module: ModuleType = gphoto2
-    return module
+    return required_library("gphoto2", "photographic cameras need gphoto2: pip install 'radiometer[gphoto2]'")
 
 
 def listed_cameras() -> list[CameraIdentity]:

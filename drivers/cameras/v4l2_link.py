@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +16,7 @@ from drivers.cameras.feature_hygiene import FalsifyingFeature, HygieneFinding
 from drivers.cameras.plain_camera import FrameLink, Grab, bits_of
 from radiometer.data.frame import DigitalNumbers
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
-from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, MissingLibrary
+from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, required_library
 
 EXPOSURE_UNIT_S: Final = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 µs
 _EXPOSURES: Final = ("exposure_time_absolute", "exposure_absolute", "exposure_time,_absolute")
@@ -67,14 +66,9 @@ class VideoFrame:
     timestamp_s: float
 
 
-def load_library() -> ModuleType:
+def load_library() -> Any:
     """Return linuxpy's video module. Raises MissingLibrary where it is not installed."""
-    try:
-        from linuxpy.video import device
-    except ImportError as error:
-        raise MissingLibrary("webcams need linuxpy: pip install 'radiometer[v4l2]'") from error
-    module: ModuleType = device
-    return module
+    return required_library("linuxpy.video.device", "webcams need linuxpy: pip install 'radiometer[v4l2]'")
 
 
 def listed_cameras() -> list[CameraIdentity]:

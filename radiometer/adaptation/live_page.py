@@ -7,11 +7,9 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Mapping
 from importlib.resources import files
-from typing import Any, Final
-
-from aiohttp import web
+from typing import Final
 
 from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
@@ -19,9 +17,8 @@ from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.data.event_journal import Event
 from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
-from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
+from radiometer.screen.loopback import Darken, LoopbackServer, Message, nothing_to_darken
 
-_SLOW_BROWSER_S: Final = 2.0  # loopback takes ms; a browser that takes longer is asleep
 _REFRESH_S: Final = 0.05  # events that come closer together are reported together
 _BY: Final = "page"
 _LIGHTS_OFF: Final = "lights off"
@@ -59,8 +56,6 @@ class LivePage(Opened):
         self._state, self._fit = LiveState(protocol), RunningFit(0, "")
         self._sent_s, self._due = clock(), False
         self._devices = self._ask_devices()
-        self._sockets: set[web.WebSocketResponse] = set()
-        self._tasks: set[asyncio.Task[None]] = set()
         self._points: queue.SimpleQueue[list[tuple[float, float]] | None] = queue.SimpleQueue()
         self._fitter = threading.Thread(target=self._follow, name="running fit", daemon=True)
 
@@ -78,7 +73,7 @@ class LivePage(Opened):
         """Finish the last fit, report to the browsers that it is over, and stop serving."""
         self._points.put(_OVER)
         self._fitter.join()
-        self._server.stop(self._say_goodbye)
+        self._server.stop({**self._message(), "phase": "over"})
 
     def publish(self, event: Event) -> None:
         """Take an event of the run, at once and without waiting for any browser."""
@@ -86,10 +81,9 @@ class LivePage(Opened):
             self._devices = self._ask_devices()
         self._server.soon(lambda: self._take(event))
 
-    async def joined(self, socket: web.WebSocketResponse) -> None:
-        """Give a browser that has just connected the whole state."""
-        self._sockets.add(socket)
-        await self._send(socket, self._message())
+    def greeting(self) -> Message:
+        """Return the whole state."""
+        return self._message()
 
     def received(self, message: Message) -> None:
         """Do what a button asks for."""
@@ -102,14 +96,13 @@ class LivePage(Opened):
                 self._controls.stop(_BY)
             case "lights_off":  # the test ends, or its next blink would light the box again
                 self._controls.stop(_LIGHTS_OFF)
-                self._keep(self._publish_dark())
+                self._server.darken(self._darken)
             case _:
                 return
         self._broadcast()
 
-    def left(self, socket: web.WebSocketResponse) -> None:
-        """Forget a browser that has gone."""
-        self._sockets.discard(socket)
+    def left(self) -> None:
+        """Do nothing: the others go on looking."""
 
     def _ask_devices(self) -> dict[str, str]:
         """Return the devices' state; where they do not report it, the run goes on and finds out for itself."""
@@ -123,7 +116,7 @@ class LivePage(Opened):
         self._state.take(event)
         self._sent_s = self._clock()
         if event["kind"] == "prompt":
-            self._send_all({"kind": "prompt", "say": event["say"]})
+            self._server.keep(self._server.send_all({"kind": "prompt", "say": event["say"]}))
         if len(self._state.points) != known:
             self._points.put(self._state.points)
         self._broadcast()
@@ -148,27 +141,7 @@ class LivePage(Opened):
 
     def _refresh(self) -> None:
         self._due = False
-        self._send_all(self._message())
-
-    def _send_all(self, message: Message) -> None:
-        for socket in tuple(self._sockets):
-            self._keep(self._send(socket, message))
-
-    def _keep(self, work: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _publish_dark(self) -> None:
-        self._send_all(await darkened(self._darken))
-
-    async def _send(self, socket: web.WebSocketResponse, message: Message) -> None:
-        """Send to a browser, and drop one that does not take it."""
-        try:
-            async with asyncio.timeout(_SLOW_BROWSER_S):
-                await socket.send_json(message)
-        except (ConnectionError, RuntimeError, TimeoutError):
-            self._sockets.discard(socket)
+        self._server.keep(self._server.send_all(self._message()))
 
     def _follow(self) -> None:
         """Fit the newest thresholds, one fit at a time; those that came meanwhile are fitted together."""
@@ -186,12 +159,6 @@ class LivePage(Opened):
     def _fitted(self, found: RunningFit) -> None:
         self._fit = found
         self._broadcast()
-
-    async def _say_goodbye(self) -> None:
-        for socket in tuple(self._sockets):
-            await self._send(socket, {**self._message(), "phase": "over"})
-            with contextlib.suppress(ConnectionError, RuntimeError):
-                await socket.close()
 
 
 def replayed(page: LivePage, events: list[Event]) -> None:

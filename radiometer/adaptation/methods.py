@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.adaptation.protocol import DownUpMethod, LimitsMethod, QuestPlusMethod, Spot, StaircaseMethod
-from radiometer.errors import MissingLibrary
+from radiometer.errors import required_library
 
 _SEEN: Final = {True: {"response": "seen"}, False: {"response": "unseen"}}
 
@@ -58,12 +58,10 @@ class QuestPlusSearch:
             self.level = float(self._quest.next_stim["intensity"])
 
     def _begun(self) -> Any:
-        try:
-            import questplus
-        except ImportError as error:
-            raise MissingLibrary(
-                "method questplus needs the package of that name; install it with: pip install 'radiometer[eye]'"
-            ) from error
+        questplus = required_library(
+            "questplus",
+            "method questplus needs the package of that name; install it with: pip install 'radiometer[eye]'",
+        )
         prior = None
         if self.last is not None:
             away = (self._levels - self.last) / self.method.prior_sd_log10

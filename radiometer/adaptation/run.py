@@ -79,7 +79,12 @@ class Stage(ABC):
         return False
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:
-        """Show the light in the blind spot once and return the presses in s from its onset. Raises DeviceError."""
+        """Show the light in the blind spot once and return the presses in s from its onset.
+
+        Raises:
+            UsageError: If it has none.
+            DeviceError: If the devices fail.
+        """
         raise UsageError("this stage has no light in the blind spot")
 
     @abstractmethod

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 from radiometer.analysis.exports.maps import rgbe
 from radiometer.data import Patch, PixelMask, Quantity, RadianceMap
-from radiometer.errors import InputError, MeasurementError, MissingLibrary
+from radiometer.errors import InputError, MeasurementError, required_library
 from radiometer.statistics.scale import spread_beyond_noise
 from radiometer.typing import Array
 
@@ -326,10 +325,7 @@ def glare_of(
 
 def _evalglare() -> Callable[[bytes], Array]:
     """Return what gives (UGR, DGP) of a Radiance picture. Raises MissingLibrary."""
-    try:
-        library = importlib.import_module("pyradiance")
-    except ImportError as error:
-        raise MissingLibrary(INSTALL) from error
+    library = required_library("pyradiance", INSTALL)
 
     def evaluate(picture: bytes) -> Array:
         try:

@@ -39,7 +39,7 @@ from radiometer.data.mosaic import COLOURS
 from radiometer.data.pile_up import with_white_levels
 from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.data.storage import check_outputs
-from radiometer.errors import CaptureError, MissingLibrary, UsageError
+from radiometer.errors import CaptureError, UsageError, required_library
 from radiometer.importing import imported_of, is_foreign, open_capture
 from radiometer.numbers import unit_text
 from radiometer.photographs.scene import (
@@ -197,10 +197,7 @@ class Radiance(Drawn):
         Raises:
             MissingLibrary: If xarray is not installed.
         """
-        try:
-            import xarray
-        except ImportError as error:
-            raise MissingLibrary("xarray is not installed: pip install 'radiometer[xarray]'") from error
+        xarray = required_library("xarray", "xarray is not installed: pip install 'radiometer[xarray]'")
         return xarray.Dataset(
             _variables(self),
             coords={

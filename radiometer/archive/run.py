@@ -20,7 +20,7 @@ from radiometer.archive.jobs import COLUMNS, JobSettings, Row, run_job
 from radiometer.data.event_journal import journal_of
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.storage import write_bytes_atomic
-from radiometer.errors import DeviceNotFound, MissingLibrary, OutputError, OutputRefused, UsageError
+from radiometer.errors import DeviceNotFound, OutputError, OutputRefused, UsageError, required_library
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reporting.plain_text import spreadsheet_cell
 
@@ -42,6 +42,7 @@ _MMAP_THRESHOLD: Final = -3  # malloc.h of glibc
 _LARGEST_BLOCK: Final = 32 << 20  # glibc's own upper limit on 64 bits
 _KEPT_BYTES: Final = 256 << 20  # a capture's frames are read again and again: giving them back costs page faults
 _BEGINNING: Final = f'[{{"{COLUMNS[0]}":'  # of every journal, even where a kill cut its first line short
+_NUMBERS: Final = ("value", "u", "captured")
 TABLE_ENDINGS = (".parquet", ".csv")
 
 
@@ -117,7 +118,7 @@ class ResultJournal:
         ordered = sorted(
             newest.values(), key=lambda r: tuple(str(r[k]) for k in ("capture", "job", "patch", "quantity"))
         )
-        frame = pd.DataFrame(ordered, columns=list(COLUMNS)).astype({"value": float, "u": float, "captured": float})
+        frame = pd.DataFrame(ordered, columns=list(COLUMNS)).astype(dict.fromkeys(_NUMBERS, float))
         content = BytesIO()
         if self.table.suffix == ".parquet":
             frame.to_parquet(content, index=False)
@@ -144,7 +145,15 @@ class ResultJournal:
                 rows = parsed_json(line)
             except (ValueError, RecursionError):
                 continue
-            yield from rows
+            if isinstance(rows, list) and all(map(_is_row, rows)):
+                yield from rows
+
+
+def _is_row(row: Any) -> bool:
+    """Return whether a value is a row as `run_job` makes it."""
+    if not isinstance(row, dict) or not row.keys() >= set(COLUMNS):
+        return False
+    return all(isinstance(row[name], int | float | None) for name in _NUMBERS)
 
 
 @cache
@@ -257,15 +266,12 @@ def _on_cluster(client: Client, tasks: list[_Task]) -> Iterator[list[list[Row]]]
 
 @contextmanager
 def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise MissingLibrary(
-            "Dask is not installed; `pip install 'radiometer[cluster]'`, or use --workers 0"
-        ) from error
+    distributed = required_library(
+        "distributed", "Dask is not installed; `pip install 'radiometer[cluster]'`, or use --workers 0"
+    )
     if scheduler is not None:
         try:
-            client = Client(scheduler, timeout=SCHEDULER_PATIENCE_S)
+            client = distributed.Client(scheduler, timeout=SCHEDULER_PATIENCE_S)
         except (OSError, TimeoutError, ValueError) as error:
             raise DeviceNotFound(
                 f"no Dask scheduler answers at {scheduler}: start one, or leave out --scheduler"
@@ -274,7 +280,7 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
             yield client
         return
     with (
-        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
-        Client(cluster) as client,
+        distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
     ):
         yield client

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from aiohttp import web
 from PIL import Image
 
 from radiometer.acquire.metering import meter
@@ -47,7 +46,6 @@ class LiveView:
     ) -> None:
         self._camera, self._patch, self._bench, self._notice = camera, patch, bench, notice
         self._server = LoopbackServer(page_text("view.html"), self, port, what="live view")
-        self._sockets: set[web.WebSocketResponse] = set()
         self._asked: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._latest: Message | None = None
 
@@ -67,7 +65,7 @@ class LiveView:
 
     def close(self) -> None:
         """Tell the browsers that it is over, and stop serving."""
-        self._server.stop(self._say_goodbye)
+        self._server.stop({"kind": "end"})
 
     def step(self) -> None:
         """Do what the page asked for, take a frame and show it. Raises DeviceError if the camera fails."""
@@ -75,21 +73,18 @@ class LiveView:
             self._do(self._asked.get())
         message = self._seen(self._camera.capture(1)[0])
         self._latest = message
-        self._server.run(self._broadcast(message))
+        self._server.run(self._server.send_all(message))
 
-    async def joined(self, socket: web.WebSocketResponse) -> None:
-        """Give a browser that has just connected the latest picture."""
-        self._sockets.add(socket)
-        if self._latest is not None:
-            await socket.send_json(self._latest)
+    def greeting(self) -> Message | None:
+        """Return the latest picture."""
+        return self._latest
 
     def received(self, message: Message) -> None:
         """Keep what a browser asks for until the camera is free."""
         self._asked.put(message)
 
-    def left(self, socket: web.WebSocketResponse) -> None:
-        """Forget a browser that has gone."""
-        self._sockets.discard(socket)
+    def left(self) -> None:
+        """Do nothing: the others go on looking."""
 
     def _do(self, message: Message) -> None:
         match message.get("kind"):
@@ -139,7 +134,7 @@ class LiveView:
         self._notice(written)
 
     def _say(self, text: str, *, failed: bool = False) -> None:
-        self._server.run(self._broadcast({"kind": "notice", "text": text, "failed": failed}))
+        self._server.run(self._server.send_all({"kind": "notice", "text": text, "failed": failed}))
 
     def _seen(self, frame: Frame) -> Message:
         """Return what the page shows of a frame."""
@@ -169,18 +164,6 @@ class LiveView:
             "black": frame.settings.black_level_dn,
             "bench": None if self._bench is None else self._bench.name,
         }
-
-    async def _broadcast(self, message: Message) -> None:
-        for socket in list(self._sockets):
-            try:
-                await socket.send_json(message)
-            except (ConnectionError, RuntimeError):
-                self._sockets.discard(socket)
-
-    async def _say_goodbye(self) -> None:
-        await self._broadcast({"kind": "end"})
-        for socket in list(self._sockets):
-            await socket.close()
 
 
 def _picture(frame: Frame, clipped: Any) -> Image.Image:

@@ -17,7 +17,7 @@ from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.patches import MAIN
 from radiometer.daemon.station import Station
 from radiometer.data.json_text import json_text, parsed_json
-from radiometer.errors import MissingLibrary, UsageError
+from radiometer.errors import UsageError, required_library
 
 _log = structlog.get_logger(__name__)
 ALARM: Final = "mqtt"
@@ -75,7 +75,9 @@ class MqttPublisher:
     def __init__(self, station: Station, target: MqttTarget) -> None:
         self._station, self.target = station, target
         self.acknowledged_within_s = _ACKNOWLEDGED_WITHIN_S
-        self._mqtt = _library()
+        self._mqtt = required_library(
+            "paho.mqtt.client", "MQTT needs paho-mqtt; install it with: pip install 'radiometer[fleet]'"
+        )
         self._client: Any = None
         self._subscription: Subscription | None = None
         self._tasks: list[asyncio.Task[None]] = []
@@ -286,11 +288,3 @@ def topic_of(event: Event) -> str:
 
 def _patch_topic(name: str, *, quoted: bool = False) -> str:
     return f"patch/{name if quoted else topic_level(name)}/{_READING}"
-
-
-def _library() -> Any:
-    try:
-        import paho.mqtt.client as mqtt
-    except ImportError as error:
-        raise MissingLibrary("MQTT needs paho-mqtt; install it with: pip install 'radiometer[fleet]'") from error
-    return mqtt

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.reader_limits import RAW_READER_BYTES, bounded_reader
-from radiometer.errors import CaptureError, MissingLibrary
+from radiometer.errors import CaptureError, required_library
 
 RAW_SUFFIXES: Final = frozenset({".cr2", ".cr3", ".nef", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef"})
 _LETTERS: Final = "RGB"
@@ -53,12 +53,9 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
         CaptureError: If it is missing, damaged, developed, or its mosaic is neither Bayer's nor X-Trans.
         MissingLibrary: If rawpy is not installed.
     """
-    try:
-        import rawpy
-    except ImportError as error:
-        raise MissingLibrary(
-            f"{path}: camera raw files need rawpy; install it with `pip install 'radiometer[photo]'`"
-        ) from error
+    rawpy = required_library(
+        "rawpy", f"{path}: camera raw files need rawpy; install it with `pip install 'radiometer[photo]'`"
+    )
     try:
         with rawpy.imread(str(path)) as raw:
             grey = raw.raw_type == rawpy.RawType.Flat and raw.num_colors == 1

@@ -13,7 +13,7 @@ from PIL import Image, UnidentifiedImageError
 
 from radiometer.data import FlatField
 from radiometer.data.reader_limits import bounded_reader
-from radiometer.errors import CaptureError, InputError, MissingLibrary
+from radiometer.errors import CaptureError, InputError, required_library
 
 # Exif 2.32, sections 4.6.4 and 4.6.5.
 _EXIF_IFD, _MAKE, _MODEL = 0x8769, 271, 272
@@ -133,13 +133,11 @@ def lensfun_flat_field(record: LensRecord, shape: tuple[int, int]) -> tuple[Flat
 
 @cache
 def _database() -> Any:
-    try:
-        import lensfunpy
-    except ImportError as error:
-        raise MissingLibrary(
-            "the fall-off of lenses by lensfun needs lensfunpy; install it with `pip install 'radiometer[lens]'`, or "
-            "give a calibration with a flat field"
-        ) from error
+    lensfunpy = required_library(
+        "lensfunpy",
+        "the fall-off of lenses by lensfun needs lensfunpy; install it with `pip install 'radiometer[lens]'`, or "
+        "give a calibration with a flat field",
+    )
     return lensfunpy.Database()
 
 

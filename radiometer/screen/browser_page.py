@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from typing import Any, ClassVar, Final
 
 from radiometer.devices import DisplayPatch
 from radiometer.devices.opening import Opened
-from radiometer.errors import DeviceError, SettingOutOfRange
-from radiometer.screen.loopback import Darken, PageServer, nothing_to_darken
+from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout, SettingOutOfRange
+from radiometer.screen.loopback import Darken, LoopbackServer, Message, nothing_to_darken, page_text
 from radiometer.screen.stimulus import Blink, Hold, Rest, ScreenPicture, Shape
 
 
@@ -38,10 +40,14 @@ class BrowserPage(Opened):
         show_timeout_s: float = 5.0,
         darken: Darken = nothing_to_darken,
     ) -> None:
-        self._server, self._announce = PageServer(port, self._page, darken), announce
+        text, self._announce, self._darken = page_text(self._page), announce, darken
+        self._server = LoopbackServer(text, self, port, what=self._what, only_newest=True)
         self._page_timeout_s, self._start_timeout_s = page_timeout_s, start_timeout_s
         self._show_timeout_s = show_timeout_s
+        self._connected, self._begun = threading.Event(), threading.Event()
+        self._answers: dict[int, Future[Message]] = {}
         self._numbers = itertools.count(1)
+        self._conditions: Message = {}
         self._open = False
 
     @property
@@ -52,7 +58,7 @@ class BrowserPage(Opened):
     @property
     def acknowledged(self) -> dict[str, Any]:
         """Return what the page last reported of itself, such as its size, its zoom and what it read back."""
-        return dict(self._server.conditions)
+        return dict(self._conditions)
 
     def open(self) -> None:
         """Serve the page and wait until a browser has opened it. Raises DeviceInUse, DeviceTimeout, DeviceError."""
@@ -60,11 +66,17 @@ class BrowserPage(Opened):
             raise DeviceError(f"{self._what} is served already; close it first")
         self._server.start()
         self._open = True
-        self._announce(self._server.url)
+        self._announce(self.url)
         try:
-            self._server.wait_for_page(self._page_timeout_s)
-            if self._start_timeout_s is not None:
-                self._server.wait_for_start(self._start_timeout_s)
+            if not self._connected.wait(self._page_timeout_s):
+                raise DeviceTimeout(
+                    f"no browser opened {self.url} within {self._page_timeout_s:g} s; "
+                    "open it on the screen to be measured"
+                )
+            if self._start_timeout_s is not None and not self._begun.wait(self._start_timeout_s):
+                raise DeviceTimeout(
+                    f"Start was not pressed on {self.url} within {self._start_timeout_s:g} s; press it and repeat"
+                )
         except DeviceError:
             self.close()
             raise
@@ -73,15 +85,57 @@ class BrowserPage(Opened):
         """Stop serving; closing twice does nothing."""
         if self._open:
             self._open = False
-            self._server.stop()
+            self._server.stop({"kind": "end"})
 
     def warnings(self) -> list[str]:
         """Return what on the page's side may falsify what is shown."""
-        return page_warnings(self._server.conditions)
+        return page_warnings(self._conditions)
 
-    def _ask(self, order: Mapping[str, Any], lasting_s: float = 0.0) -> dict[str, Any]:
+    def greeting(self) -> None:
+        """Return None: the page itself begins."""
+
+    def received(self, message: Message) -> None:
+        """Note what the page says of itself, and hand an answer to who waits for it."""
+        kind, number = message.get("kind"), message.get("sequence")
+        if kind in ("hello", "ready", "shown"):
+            self._conditions = message
+            self._connected.set()
+            if kind == "ready" or message.get("fullscreen"):
+                self._begun.set()
+        if kind == "lights_off":
+            self._server.darken(self._darken)
+        answer = self._answers.get(number) if isinstance(number, int) else None
+        if kind == "shown" and answer is not None and not answer.done():
+            answer.set_result(message)
+
+    def left(self) -> None:
+        """Tell who waits for an answer that the page is gone."""
+        if self._server.is_shown:
+            return
+        self._connected.clear()
+        for answer in self._answers.values():
+            if not answer.done():
+                answer.set_exception(DeviceLost("the page was closed; open its address again and repeat"))
+
+    def _ask(self, order: Mapping[str, Any], lasting_s: float = 0.0) -> Message:
         """Return the page's answer to an order that lasts some time. Raises DeviceTimeout, DeviceLost, DeviceError."""
-        return self._server.ask({**order, "sequence": next(self._numbers)}, lasting_s + self._show_timeout_s)
+        number, timeout_s = next(self._numbers), lasting_s + self._show_timeout_s
+        answer: Future[Message] = Future()
+        self._answers[number] = answer
+        try:
+            self._server.run(self._send({**order, "sequence": number}), timeout_s)
+            return answer.result(timeout_s)
+        except TimeoutError as error:
+            raise DeviceTimeout(
+                f"the page did not show the patch within {timeout_s:g} s; is its window visible and not covered?"
+            ) from error
+        finally:
+            del self._answers[number]
+
+    async def _send(self, message: Message) -> None:
+        if not self._server.is_shown:
+            raise DeviceLost("the page is not connected; open its address again and repeat")
+        await self._server.send_all(message)
 
 
 def page_warnings(seen: Mapping[str, Any]) -> list[str]:
@@ -118,7 +172,7 @@ class BrowserStimulus(BrowserPage):
     @property
     def size(self) -> tuple[int, int]:
         """Return width and height of the page in pixels of the screen."""
-        seen = self._server.conditions
+        seen = self._conditions
         return int(seen.get("width", 0)), int(seen.get("height", 0))
 
     def show(self, picture: ScreenPicture) -> None:

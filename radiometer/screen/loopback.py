@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol, TypeVar
 from aiohttp import WSMsgType, web
 
 from radiometer.data.json_text import parsed_json
-from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, RadiometerError
+from radiometer.errors import DeviceError, DeviceInUse, RadiometerError
 from radiometer.reporting.server_log import logger_of_server
 
 _HEADERS: Final = {
@@ -24,6 +24,7 @@ _HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
 }
 _TIMEOUT_S: Final = 10.0  # loopback takes ms; a machine that swaps takes seconds
+_SLOW_BROWSER_S: Final = 2.0  # a browser that takes longer is asleep
 
 Message = dict[str, Any]
 Darken = Callable[[], str]
@@ -35,36 +36,32 @@ def nothing_to_darken() -> str:
     return "this page knows of no light box"
 
 
-async def darkened(darken: Darken) -> Message:
-    """Darken the light box, however long it takes, and return the message for the page."""
-    try:
-        return {"kind": "outcome", "text": await asyncio.to_thread(darken)}
-    except RadiometerError as error:
-        return {"kind": "outcome", "text": f"not dark: {error}"}
-
-
 class Host(Protocol):
-    """Who talks with the page; called on the server's own thread."""
+    """Who talks with the browsers; called on the server's own thread."""
 
-    async def joined(self, socket: web.WebSocketResponse) -> None:
-        """Take a browser that has just connected."""
+    def greeting(self) -> Message | None:
+        """Return what a browser that has just connected is told; None for nothing."""
 
     def received(self, message: Message) -> None:
         """Take a message of a browser."""
 
-    def left(self, socket: web.WebSocketResponse) -> None:
-        """Forget a browser that has gone."""
+    def left(self) -> None:
+        """Take note that a browser has gone."""
 
 
 class LoopbackServer:
-    """An HTTP server in a separate thread, on 127.0.0.1.
+    """An HTTP server in a separate thread, on 127.0.0.1; a browser that goes away, or is slow, does no harm.
 
     Args:
         port: Port; 0 for any free one.
+        what: What it serves, for messages.
+        only_newest: Let one browser at a time show the page, the newest.
     """
 
-    def __init__(self, page: str, host: Host, port: int = 0, *, what: str = "page") -> None:
-        self._text, self._host, self._port, self._what = page, host, port, what
+    def __init__(self, page: str, host: Host, port: int = 0, *, what: str = "page", only_newest: bool = False) -> None:
+        self._text, self._host, self._port, self._what, self._only_newest = page, host, port, what, only_newest
+        self._sockets: set[web.WebSocketResponse] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
         self._key = secrets.token_urlsafe(12)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, name=what, daemon=True)
@@ -96,13 +93,53 @@ class LoopbackServer:
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(act)
 
-    def stop(self, goodbye: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    @property
+    def is_shown(self) -> bool:
+        """Return whether a browser shows the page; to be asked on the server's thread."""
+        return any(not socket.closed for socket in self._sockets)
+
+    async def send_all(self, message: Message) -> None:
+        """Send a message to every browser, and drop those that do not take it."""
+        await asyncio.gather(*(self._send(socket, message) for socket in tuple(self._sockets)))
+
+    def keep(self, work: Coroutine[Any, Any, None]) -> None:
+        """Have work done on the server's thread, which calls this, without waiting for it."""
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def darken(self, darken: Darken) -> None:
+        """Darken the light box, however long it takes, and tell the browsers the outcome; called as `keep`."""
+
+        async def report() -> None:
+            try:
+                outcome = await asyncio.to_thread(darken)
+            except RadiometerError as error:
+                outcome = f"not dark: {error}"
+            await self.send_all({"kind": "outcome", "text": outcome})
+
+        self.keep(report())
+
+    def stop(self, goodbye: Message) -> None:
         """Say goodbye to the browsers and stop serving; nothing happens where it has stopped already."""
         if not self._thread.is_alive():
             return
-        self.run(goodbye())
+        self.run(self._part(goodbye))
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(_TIMEOUT_S)
+
+    async def _send(self, socket: web.WebSocketResponse, message: Message) -> None:
+        try:
+            async with asyncio.timeout(_SLOW_BROWSER_S):
+                await socket.send_json(message)
+        except (ConnectionError, RuntimeError, TimeoutError):
+            self._sockets.discard(socket)
+
+    async def _part(self, goodbye: Message) -> None:
+        await self.send_all(goodbye)
+        for socket in tuple(self._sockets):
+            with contextlib.suppress(ConnectionError, RuntimeError):
+                await socket.close()
 
     def _serve(self) -> None:
         asyncio.set_event_loop(self._loop)
@@ -141,11 +178,16 @@ class LoopbackServer:
         self._refuse_foreign_requests(request)
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=65536)
         await socket.prepare(request)
-        await self._host.joined(socket)
+        others, self._sockets = self._sockets, {socket} if self._only_newest else {*self._sockets, socket}
+        for other in others - self._sockets:
+            await other.close()
+        if (greeting := self._host.greeting()) is not None:
+            await self._send(socket, greeting)
         async for message in socket:
             if message.type is WSMsgType.TEXT and (known := _mapping(message.data)) is not None:
                 self._host.received(known)
-        self._host.left(socket)
+        self._sockets.discard(socket)
+        self._host.left()
         return socket
 
 
@@ -166,111 +208,3 @@ def page_text(name: str) -> str:
     folder = files("radiometer.screen.page")
     text = folder.joinpath(name).read_text(encoding="utf-8")
     return text.replace(_COMMON, folder.joinpath("common.js").read_text(encoding="utf-8"))
-
-
-class PageServer:
-    """A served page that one browser at a time shows: the newest.
-
-    Args:
-        port: Port on 127.0.0.1; 0 for any free one.
-        darken: Darkens the light box, whoever holds it, and returns what it did in words; called on its own thread.
-    """
-
-    def __init__(self, port: int, page: str, darken: Darken) -> None:
-        self._server = LoopbackServer(page_text(page), self, port, what="screen's page")
-        self._socket: web.WebSocketResponse | None = None
-        self._connected, self._begun = threading.Event(), threading.Event()
-        self._waiting: dict[int, Future[Message]] = {}
-        self._darken, self._darkening = darken, set[asyncio.Task[None]]()
-        self.conditions: Message = {}
-
-    @property
-    def url(self) -> str:
-        """Return the address to open in a browser. Raises DeviceError unless started."""
-        return self._server.url
-
-    def start(self) -> None:
-        """Start serving. Raises DeviceInUse where the port is taken."""
-        self._server.start()
-
-    def stop(self) -> None:
-        """Tell the page that it is over and stop serving."""
-        self._server.stop(self._say_goodbye)
-
-    def wait_for_page(self, timeout_s: float) -> None:
-        """Return once a page is connected. Raises DeviceTimeout."""
-        if not self._connected.wait(timeout_s):
-            raise DeviceTimeout(
-                f"no browser opened {self.url} within {timeout_s:g} s; open it on the screen to be measured"
-            )
-
-    def wait_for_start(self, timeout_s: float) -> None:
-        """Return once somebody has pressed Start, or the page fills the screen already. Raises DeviceTimeout."""
-        if not self._begun.wait(timeout_s):
-            raise DeviceTimeout(f"Start was not pressed on {self.url} within {timeout_s:g} s; press it and repeat")
-
-    def ask(self, message: Message, timeout_s: float) -> Message:
-        """Send a message that carries a "sequence" and return the page's answer to it.
-
-        Raises:
-            DeviceLost: If no page is connected or it goes away.
-            DeviceTimeout: If it does not answer in time.
-        """
-        answer: Future[Message] = Future()
-        self._waiting[message["sequence"]] = answer
-        try:
-            self._server.run(self._send(message), timeout_s)
-            return answer.result(timeout_s)
-        except TimeoutError as error:
-            raise DeviceTimeout(
-                f"the page did not show the patch within {timeout_s:g} s; is its window visible and not covered?"
-            ) from error
-        finally:
-            self._waiting.pop(message["sequence"], None)
-
-    async def joined(self, socket: web.WebSocketResponse) -> None:
-        """Take a browser in place of the one before."""
-        if self._socket is not None and not self._socket.closed:
-            await self._socket.close()
-        self._socket = socket
-
-    def received(self, message: Message) -> None:
-        """Note what the page says of itself, and hand an answer to who waits for it."""
-        if message.get("kind") in ("hello", "ready", "shown"):
-            self.conditions = message
-            self._connected.set()
-            if message.get("kind") == "ready" or message.get("fullscreen"):
-                self._begun.set()
-        if message.get("kind") == "lights_off":
-            task = asyncio.get_running_loop().create_task(self._lights_off())
-            self._darkening.add(task)
-            task.add_done_callback(self._darkening.discard)
-        number = message.get("sequence")
-        answer = self._waiting.get(number) if isinstance(number, int) else None
-        if message.get("kind") == "shown" and answer is not None and not answer.done():
-            answer.set_result(message)
-
-    def left(self, socket: web.WebSocketResponse) -> None:
-        """Tell who waits for an answer that the page is gone."""
-        if self._socket is not socket:
-            return
-        self._socket = None
-        self._connected.clear()
-        for answer in self._waiting.values():
-            if not answer.done():
-                answer.set_exception(DeviceLost("the page was closed; open its address again and repeat"))
-
-    async def _send(self, message: Message) -> None:
-        if self._socket is None or self._socket.closed:
-            raise DeviceLost("the page is not connected; open its address again and repeat")
-        await self._socket.send_json(message)
-
-    async def _lights_off(self) -> None:
-        outcome = await darkened(self._darken)
-        with contextlib.suppress(DeviceLost, ConnectionError):
-            await self._send(outcome)
-
-    async def _say_goodbye(self) -> None:
-        if self._socket is not None and not self._socket.closed:
-            await self._socket.send_json({"kind": "end"})
-            await self._socket.close()

@@ -15,7 +15,7 @@ from radiometer.data import PatchDescription
 from radiometer.data.decoding import decoded
 from radiometer.data.guards import refuse_large_picture, refuse_size
 from radiometer.data.reader_limits import bounded_reader
-from radiometer.errors import CaptureError, ConfigurationError, MissingLibrary
+from radiometer.errors import CaptureError, ConfigurationError, required_library
 from simulators.scenes.base import SceneImage
 from simulators.scenes.layout import LitScene, refuse_unknown_pattern
 
@@ -77,10 +77,7 @@ def _exr(path: Path) -> NDArray[np.generic]:
     """Return blue, green and red, or the one channel, of an OpenEXR picture."""
     with path.open("rb") as stream:
         refuse_large_picture(path, stream.read(2**16))
-    try:
-        import OpenEXR
-    except ImportError as error:
-        raise MissingLibrary("reading .exr needs the package OpenEXR (pip install OpenEXR); or give .hdr") from error
+    OpenEXR = required_library("OpenEXR", "reading .exr needs the package OpenEXR (pip install OpenEXR); or give .hdr")
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}

@@ -23,7 +23,7 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.data.validation import FileSection, validate
-from radiometer.errors import InputError, MeasurementError, MissingLibrary, OutputError, UsageError
+from radiometer.errors import InputError, MeasurementError, OutputError, UsageError, required_library
 from radiometer.reporting.origin import moment
 
 _LABELS: Final = {RADIANCE_UNIT: "radiance in W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance in cd·m⁻²"}
@@ -62,10 +62,7 @@ def write_exr(path: Path, picture: MapPicture) -> None:
         MissingLibrary: If the OpenEXR package is not installed.
         OutputError: If the file cannot be written.
     """
-    try:
-        import OpenEXR
-    except ImportError as error:
-        raise MissingLibrary("writing .exr needs the package OpenEXR (pip install OpenEXR); or use .tiff") from error
+    OpenEXR = required_library("OpenEXR", "writing .exr needs the package OpenEXR (pip install OpenEXR); or use .tiff")
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,

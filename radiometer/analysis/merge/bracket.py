@@ -32,7 +32,7 @@ from radiometer.analysis.merge.sums import (
 )
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
-from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, fluctuation
+from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, doubted_gains, fluctuation
 from radiometer.analysis.signal.lens import (
     falloff_known,
     flat_doubt,
@@ -46,6 +46,7 @@ from radiometer.analysis.signal.model import (
     refuse_brighter_darks,
     some_lit_pixels,
     temperature_factor,
+    with_found_code_step,
 )
 from radiometer.analysis.signal.situation import flat_field_for, situation_of
 from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
@@ -479,6 +480,9 @@ class StreamingMerge:
                 self._dark = [self._taps.levelled(dark) for dark in self._dark]
             frame = self._taps.levelled(frame)
         few = some_lit_pixels(frame, None if self._taps is None else self._taps.lit)
+        if not self._terms:
+            model = with_found_code_step(self._situation.model, (few.dn,))
+            self._situation = replace(self._situation, model=model)
         darkest = darkest_signal(few, self._situation.model)
         self._darkest = min(self._darkest, darkest if frame.masked_dn is None else 0.0)
         terms = frame_terms(
@@ -681,9 +685,13 @@ class StreamingMerge:
         dark = np.array([math.hypot(one.u_dark, one.u_unstated) for one in self._terms]) / middle
         known = own + np.square(curve) + np.square(dark)
         self._wander_rel, evidence = fluctuation(amplitude, np.ones_like(amplitude), known, 1.0)
+        doubts = doubted_gains(amplitude, known, [one.settings.gain_db for one in self._terms])
         if self._wander_rel < FLICKER_FLOOR_REL or not is_supported(evidence, FIVE_SIGMA):
-            return ()
-        return (f"the frames differ as a whole by {100 * self._wander_rel:.2g} % (standard deviation), which u holds",)
+            return doubts
+        return (
+            *doubts,
+            f"the frames differ as a whole by {100 * self._wander_rel:.2g} % (standard deviation), which u holds",
+        )
 
     def _doubt_pattern(
         self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]

@@ -72,9 +72,8 @@ def rounding_u_of_mean(variance_dn2: float, step_dn: int = 1) -> float:
         step_dn: Distance between codes in DN.
 
     Returns:
-        That of a place anywhere between two codes. Two codes of which a part p of the pixels has the upper one vary by
-        p·(1 − p), and their noise is unknown: without any the mean is off by p − ½, with enough to reach a third code
-        by nothing.
+        That of a place anywhere between two codes. Where a part p of the pixels has the upper of two codes, these vary
+        by p·(1 − p), and the noise is unknown. Without any the mean is off by p − ½, with much of it by nothing.
     """
     steps = variance_dn2 / step_dn**2
     of_two = max(_OF_TWO_CODES - steps, 0.0) / 3.0

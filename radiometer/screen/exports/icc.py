@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Mapping
 from typing import Any, Final
@@ -10,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.errors import CalibrationError, MissingLibrary
+from radiometer.errors import CalibrationError, required_library
 from radiometer.numbers import with_u
 from radiometer.screen.calibration import LUMINANCE, ChannelCurve, ScreenCalibration
 from radiometer.typing import Array
@@ -88,10 +87,7 @@ def _contradictions(calibration: ScreenCalibration) -> list[str]:
 
 
 def _library() -> Any:
-    try:
-        return importlib.import_module("imagecodecs")
-    except ImportError as error:
-        raise MissingLibrary("ICC profiles need imagecodecs: pip install 'radiometer[icc]'") from error
+    return required_library("imagecodecs", "ICC profiles need imagecodecs: pip install 'radiometer[icc]'")
 
 
 def _shares(chromaticities: Mapping[str, tuple[float, float]]) -> Array:

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import logging
+import queue
 import socket
 import threading
 import urllib.error
@@ -16,7 +17,7 @@ import pytest
 from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, SettingOutOfRange
 from radiometer.screen.browser_page import BrowserDisplay
-from radiometer.screen.loopback import PageServer, page_text
+from radiometer.screen.loopback import page_text
 from testing.patience import within
 
 Answer = Callable[[dict], dict | None]
@@ -196,19 +197,20 @@ async def test_lights_off_of_a_screen_page_darkens_the_box() -> None:
         asked.set()
         return "dark: light box AAAA0001"
 
-    server = PageServer(0, "display.html", darken)
-    server.start()
-    try:
-        address = server.url.replace("/?", "/socket?")
-        async with aiohttp.ClientSession() as session, session.ws_connect(address) as socket:
-            await socket.send_json({"kind": "lights_off"})
-            assert json.loads((await socket.receive(timeout=within(20))).data) == {
-                "kind": "outcome",
-                "text": "dark: light box AAAA0001",
-            }
-        assert asked.is_set()
-    finally:
-        await asyncio.to_thread(server.stop)
+    addresses = queue.SimpleQueue[str]()
+    display = BrowserDisplay(announce=addresses.put, darken=darken)
+    opening = asyncio.create_task(asyncio.to_thread(display.open))
+    address = (await asyncio.to_thread(addresses.get)).replace("/?", "/socket?")
+    async with aiohttp.ClientSession() as session, session.ws_connect(address) as socket:
+        await socket.send_json({"kind": "hello"})
+        await socket.send_json({"kind": "lights_off"})
+        assert json.loads((await socket.receive(timeout=within(20))).data) == {
+            "kind": "outcome",
+            "text": "dark: light box AAAA0001",
+        }
+    assert asked.is_set()
+    await opening
+    await asyncio.to_thread(display.close)
 
 
 @pytest.mark.parametrize("page", ["display.html", "stimulus.html"])

@@ -353,6 +353,21 @@ def test_an_offset_of_all_exposures_is_in_the_uncertainty_as_in_that_of_a_readin
     assert added == pytest.approx([3e-6 * 19_000, 3e-6 * 905, 0.0], rel=0.05, abs=1e-5)
 
 
+@pytest.mark.parametrize("real_db", [12.0, 11.5, 12.3])
+def test_frames_at_two_gains_show_a_wrong_step_between_them(rig, real_db):
+    """12 dB stated: in map and reading a doubt with the step that the frames show."""
+    rng, light = np.random.default_rng(5), np.full((16, 16), 0.2 * rig.radiance_of_full_scale(1e-3))
+    frames = rig.frames(light, rng, (1e-3,) * 3)
+    for one in rig.frames(light, rng, (1e-3,) * 3):
+        dn = np.rint((one.dn - rig.black_dn) * 10.0 ** (real_db / 20.0) + rig.black_dn).astype(np.uint16)
+        frames.append(replace(one, dn=dn, settings=replace(one.settings, gain_db=12.0)))
+    setup = Setup(rig.description, rig.lens, rig.calibration(**EXACT))
+    for found in (merge(frames, setup), read_patch(frames, Patch(0, 0, 16, 16), setup)):
+        doubts = [text for text in found.provenance.assumptions if "and not by 12" in text]
+        shown = [float(text.split("rises by ")[1].split()[0]) for text in doubts]
+        assert shown == ([] if real_db == 12.0 else [pytest.approx(real_db, abs=0.05)])
+
+
 def test_the_pattern_of_the_pixels_is_in_their_uncertainty(rig):
     """Pixels that differ by 1 %, in 24 frames: each u holds it as noise of the pixel; unknown, it is named."""
     rng, truth = np.random.default_rng(1), scene(rig, size=40)

@@ -373,7 +373,7 @@ def test_a_bench_file_names_such_a_camera(webcam, monkeypatch, tmp_path):
 def test_without_its_library_the_message_says_what_to_install(library, monkeypatch):
     """A library that is not there is reported by name, and the doctor notes it."""
     monkeypatch.setitem(sys.modules, library, None)
-    monkeypatch.setitem(sys.modules, f"{library}.video", None)
+    monkeypatch.setitem(sys.modules, f"{library}.video.device", None)
     kind = {"linuxpy": "v4l2", "picamera2": "picamera", "gphoto2": "gphoto2"}[library]
     with pytest.raises(MissingLibrary, match=r"(pip|apt) install"):
         own_cameras.open_own(f"{kind}:")
