@@ -10,6 +10,7 @@ more harmonics than samples support, so there the extremes are those of neighbou
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -77,7 +78,6 @@ _LEAST_MEAN: Final = 0.01  # of the mean of absolute values, which light is equa
 _OCCURRENCES: Final = 4
 _FEWEST_CODES: Final = 4  # light of two or three levels need not be rounded
 _DRAWS: Final = 6
-_NOISE_DRAWS: Final = 8
 _LATTICE: Final = 1e-4  # of a step, to which differences of rounded values are multiples of it
 _NO_STEP: Final = 1e-4  # of the range: what finer steps move is nothing
 _SAME_REL: Final = 1e-9  # of the range: values that are written alike
@@ -598,7 +598,7 @@ def noise_severity(waveform: Waveform, period: Period | None = None) -> float:
     if between.size < _FEWEST_LINES:
         return 0.0
     sigma, rng = light.mean() * _line_noise(between, light.size), np.random.default_rng(0)
-    noisier = [_severity(light + rng.normal(0.0, sigma, light.size), rate_hz, transient) for _ in range(_NOISE_DRAWS)]
+    noisier = [_severity(light + rng.normal(0.0, sigma, light.size), rate_hz, transient) for _ in range(_DRAWS)]
     return max(0.0, float(np.mean(noisier)) - _severity(light, rate_hz, transient)) / (math.sqrt(2.0) - 1.0)
 
 
@@ -617,12 +617,9 @@ def _jackknife(
     of: Callable[[Waveform, Period | None], float], part: Waveform, period: Period | None, blocks: int, periods: int
 ) -> Array:
     """Return the standard uncertainty of a measure by leaving out one block of whole periods at a time."""
-    edges = np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / max(periods, 1)
-    values = []
-    for first, last in zip(edges[:-1].round().astype(int), edges[1:].round().astype(int), strict=True):
-        left = np.concatenate([part.light[:first], part.light[last:]])
-        values.append(of(Waveform(left, part.rate_hz, part.origin, averaged_s=part.averaged_s), period))
-    return jackknife_u(values)
+    edges = np.round(np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / max(periods, 1)).astype(int)
+    left = (np.delete(part.light, np.s_[first:last]) for first, last in itertools.pairwise(edges))
+    return jackknife_u([of(replace(part, light=one), period) for one in left])
 
 
 def _rounded(waveform: Waveform) -> list[Waveform]:

@@ -374,11 +374,6 @@ class _Channels:
         iso = min((one.iso for one in settings if one.iso is not None), default=None)
         return ColourCamera(tuple(self.maps), setup.camera, setup.lens, frame_conditions(settings), iso)
 
-    @property
-    def reference(self) -> Calibration:
-        """Return how the frames were taken, for comparison with others."""
-        return reference(self.camera, (self.setup.taken or dt.datetime.now(dt.UTC)).isoformat())
-
     def carried(self, to: Calibration) -> tuple[_Channels, float]:
         """Return the channels as if taken as a calibration's frames were, and the relative u that all of them share.
 
@@ -507,7 +502,9 @@ def _lights(
     def channels(of: PathLike | None) -> tuple[_Channels, float]:
         if str(of) not in seen:
             found, first = frames.channels(of), next(iter(seen.values()), None)
-            alike, u_rel = found.carried(found.reference if first is None else first[0].reference)
+            like = found if first is None else first[0]
+            when = like.setup.taken or dt.datetime.now(dt.UTC)
+            alike, u_rel = found.carried(reference(like.camera, when.isoformat()))
             seen[str(of)] = alike, 0.0 if first is None else u_rel
         return seen[str(of)]
 

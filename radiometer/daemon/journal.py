@@ -13,11 +13,10 @@ import hashlib
 import math
 import os
 import sqlite3
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Final, Self
 
 from radiometer.daemon.timestamps import iso_time, microseconds, now_us
@@ -25,6 +24,7 @@ from radiometer.data import Reading
 from radiometer.data.guards import MOST_FILE_BYTES
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.storage import state_folder, write_bytes_atomic, write_text_atomic
+from radiometer.devices.opening import Opened
 from radiometer.errors import OutputError, RadiometerError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": identifies a radiometer journal to `file` and to us
@@ -166,7 +166,7 @@ class JournalSizeError(JournalError):
     """The journal has the size that it may have: until old readings are deleted, no other can be written."""
 
 
-class Journal:
+class Journal(Opened):
     """Writes readings and events. Use it from one thread at a time; readers have separate connections.
 
     Args:
@@ -229,15 +229,6 @@ class Journal:
             self._connection.close()
             self._connection = None
         self._release_locks()
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def append(self, readings: Sequence[Reading]) -> list[Reading]:
         """Commit readings in one transaction and return them with their sequence numbers.
@@ -519,8 +510,20 @@ class Journal:
                 " keep the file for inspection and name another with --journal"
             )
 
-    def _transaction(self) -> _Transaction:
-        return _Transaction(self, self._connected())
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        """Have a write transaction for the block: committed at its end, rolled back on any error."""
+        connection = self._connected()
+        try:
+            connection.execute("BEGIN IMMEDIATE")
+            yield connection
+            connection.execute("COMMIT")
+            self._note_left()
+        except sqlite3.Error as error:
+            raise self._explain(error) from error
+        finally:
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
 
     def _connected(self) -> sqlite3.Connection:
         """Return the connection, opened where it is not, to the file at the journal's path."""
@@ -787,39 +790,6 @@ class _Mark:
     @classmethod
     def of(cls, state: os.stat_result | None) -> Self | None:
         return None if state is None else cls(state.st_size, state.st_mtime_ns)
-
-
-class _Transaction:
-    """One write transaction: committed at the end of the `with` block, rolled back on any error."""
-
-    def __init__(self, journal: Journal, connection: sqlite3.Connection) -> None:
-        self._journal, self._connection = journal, connection
-
-    def __enter__(self) -> sqlite3.Connection:
-        try:
-            self._connection.execute("BEGIN IMMEDIATE")
-        except sqlite3.Error as error:
-            raise self._journal._explain(error) from error
-        return self._connection
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if error is None:
-                self._connection.execute("COMMIT")
-                self._journal._note_left()
-                return
-        except sqlite3.Error as failure:
-            self._roll_back()
-            raise self._journal._explain(failure) from failure
-        self._roll_back()
-        if isinstance(error, sqlite3.Error):
-            raise self._journal._explain(error) from error
-
-    def _roll_back(self) -> None:
-        if self._connection.in_transaction:
-            self._connection.execute("ROLLBACK")
 
 
 def free_bytes(folder: Path) -> int:

@@ -18,7 +18,7 @@ from scipy.optimize import curve_fit
 from scipy.special import ndtri
 
 from radiometer.analysis.reading.budget import propagated_u
-from radiometer.analysis.regions import LOST, spread_beyond_noise
+from radiometer.analysis.regions import LOST
 from radiometer.data import Flag, Patch, Quantity, RadianceMap, Reading
 from radiometer.devices import DisplayPatch
 from radiometer.errors import MeasurementError, UsageError
@@ -28,6 +28,7 @@ from radiometer.screen.checks import WarmUp, wait_until_steady
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep
 from radiometer.screen.run import Light, measure_steps
+from radiometer.statistics.scale import spread_beyond_noise
 from radiometer.typing import Array
 
 WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
@@ -521,7 +522,7 @@ def mura_of(found: RadianceMap) -> Mura:
         Quantity(spot, u_spot, "1"),
         Quantity((x + 0.5) / width, u_place / width, "1"),
         Quantity((y + 0.5) / height, u_place / height, "1"),
-        spread_beyond_noise(float(band.var()), known - pattern, cells, pattern),
+        Quantity(*spread_beyond_noise(float(band.var()), known - pattern, cells, pattern), "1"),
         u * math.sqrt(2.0 * math.log(20.0 * cells)),
     )
 

@@ -46,6 +46,7 @@ from radiometer.analysis.signal.model import (
     refuse_brighter_darks,
     some_lit_pixels,
     temperature_factor,
+    with_found_code_step,
 )
 from radiometer.analysis.signal.situation import flat_field_for, situation_of
 from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
@@ -479,6 +480,9 @@ class StreamingMerge:
                 self._dark = [self._taps.levelled(dark) for dark in self._dark]
             frame = self._taps.levelled(frame)
         few = some_lit_pixels(frame, None if self._taps is None else self._taps.lit)
+        if not self._terms:
+            model = with_found_code_step(self._situation.model, (few.dn,))
+            self._situation = replace(self._situation, model=model)
         darkest = darkest_signal(few, self._situation.model)
         self._darkest = min(self._darkest, darkest if frame.masked_dn is None else 0.0)
         terms = frame_terms(

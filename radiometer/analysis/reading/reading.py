@@ -43,6 +43,7 @@ from radiometer.analysis.signal.model import (
     refuse_brighter_darks,
     straightened,
     temperature_factor,
+    with_found_code_step,
     without_glare,
 )
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
@@ -121,6 +122,7 @@ def patch_situation(
     levelled, taps = levelled_frames(frames, setup)
     lit, defects = None if taps is None else taps.lit, calibration.defects if calibration else ()
     light, dark_frames, shape = crop_frames(levelled, patch, settled.model, lit, defects)
+    settled = replace(settled, model=with_found_code_step(settled.model, (one.dn for one in light)))
     tap = None if taps is None else taps.tap_of(patch)
     if calibration is not None and settled.model.linear:
         light = [_straightened(one, calibration.found, settled.model) for one in light]

@@ -49,6 +49,7 @@ _STRUCK_SHARE = 0.01
 _HOT_SIGMAS = 10.0  # of the noise of dark frames: pixels that far above their middle are hot
 # Dark frames with more of their pixels at 0 have their noise cut off there: its mean is above the black level.
 FLOOR_SHARE = 0.01
+_CODES_OF_NOISE = 3  # numbers that occur where noise spreads them; two may be the scene's
 _LEAST_ROUNDING_DN = 1e-3  # noise of half a number leaves less, which is none next to any black level's u
 _HEADROOM_SIGMAS = 4.0  # of its noise above 0: there a black level keeps it whole
 # So many pixels of the whole picture give its mean.
@@ -361,6 +362,26 @@ def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: Sign
     step_dn = model.camera.code_step_dn or 1
     u_dn = math.hypot(rounding_u_of_mean(variance_dn2, step_dn), rounding_u_of_light(variance_dn2, shot_dn2, step_dn))
     return slope * u_dn if u_dn > _LEAST_ROUNDING_DN else 0.0
+
+
+def with_found_code_step(model: SignalModel, light: Iterable[DigitalNumbers]) -> SignalModel:
+    """Return a model with the distance between the numbers that light frames hold, where nothing states it.
+
+    It is a power of two, as of padded low bits, and most numbers that occur are neighbours at that distance.
+
+    Args:
+        model: Signal model of the camera.
+        light: Digital numbers of pixels of light frames, any shape.
+    """
+    if model.camera.code_step_dn is not None:
+        return model
+    codes = np.unique(np.concatenate([np.unique(dn) for dn in light]))
+    apart = np.diff(codes)
+    divisor = int(np.gcd.reduce(apart)) if codes.size >= _CODES_OF_NOISE else 1
+    step_dn = divisor & -divisor
+    if step_dn == 1 or np.median(apart) > step_dn:
+        return model
+    return replace(model, camera=model.camera.model_copy(update={"code_step_dn": step_dn}))
 
 
 def _from_masked(settings: FrameSettings, masked_dn: float, model: SignalModel) -> DarkLevel:

@@ -105,8 +105,8 @@ def _operation(route: Route) -> dict[str, Any]:
     operation: dict[str, Any] = {
         "summary": route.summary,
         "parameters": [
-            {"name": entry.name, "in": "query", "description": entry.summary, "schema": {"type": entry.kind}}
-            for entry in route.query
+            {"name": name, "in": "query", "description": stated.pop("description"), "schema": stated}
+            for name, stated in (route.query.model_json_schema()["properties"] if route.query else {}).items()
         ],
         "responses": {
             "200": {"description": "Done.", "content": {route.reply: {"schema": schema}}},

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from aiohttp import web
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from radiometer.daemon.http.readings import stream_asked
-from radiometer.daemon.http.requests import LimitsBody, PatchBody, read_body, read_query
-from radiometer.daemon.http.route import QUERIES, STATION, QueryParameter, Route, json_reply
+from radiometer.daemon.http.requests import Asked, LimitsBody, PatchBody, read_body, read_query
+from radiometer.daemon.http.route import QUERIES, STATION, Route, json_reply
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.patches import PatchLimits
 from radiometer.daemon.timestamps import now_us, parse_moment
@@ -23,39 +23,42 @@ _QUERY_DEADLINE_S: Final = 10.0  # what takes longer hinders the writer
 _MOST_POINTS: Final = 5000  # more than a screen has columns
 _MOST_EVENTS: Final = 5000  # more than a page can show
 _COVERAGE_FACTOR: Final = 2.0  # 95 %
-_TREND_QUERY: Final = (
-    QueryParameter("stream", "string", "main (the default) or patch NAME."),
-    QueryParameter("since", "string", "From this time on: ISO 8601, or an age such as 1h, 7d; 1h by default."),
-    QueryParameter("until", "string", "Before this time; now by default."),
-    QueryParameter("points", "integer", "About so many points at most, 10 to 5000; 1000 by default."),
-)
-_EVENT_QUERY: Final = (
-    QueryParameter("since", "string", "From this time on: ISO 8601, or an age such as 1h, 7d."),
-    QueryParameter("until", "string", "Before this time."),
-    QueryParameter("limit", "integer", "At most this many, the newest; 200 by default."),
-)
 
 
-class NamedPatchBody(BaseModel):
+class TrendQuery(Asked):
+    """Which course."""
+
+    stream: str = Field("main", description="main (the default) or patch NAME.")
+    since: str = Field("1h", description="From this time on: ISO 8601, or an age such as 1h, 7d; 1h by default.")
+    until: str | None = Field(None, description="Before this time; now by default.")
+    points: int = Field(1000, ge=10, le=_MOST_POINTS, description="About so many points at most; 1000 by default.")
+
+
+class EventQuery(Asked):
+    """Which events."""
+
+    since: str | None = Field(None, description="From this time on: ISO 8601, or an age such as 1h, 7d.")
+    until: str | None = Field(None, description="Before this time.")
+    limit: int = Field(200, ge=1, le=_MOST_EVENTS, description="At most this many, the newest; 200 by default.")
+
+
+class NamedPatchBody(Asked):
     """A patch with a name; "main" is the one measured for all, of which only limits can be set here."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str
     patch: PatchBody | None = Field(None, description="Where it is; left out, it stays.")
     limits: LimitsBody | None = Field(None, description="Its limits; left out, they stay.")
 
 
-class NameBody(BaseModel):
+class NameBody(Asked):
     """The name of a patch."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str
 
 
-class RemarkBody(BaseModel):
+class RemarkBody(Asked):
     """A remark of a person, kept among the events."""
 
-    model_config = ConfigDict(extra="forbid")
     message: str
 
 
@@ -80,21 +83,18 @@ async def delete_patch(request: web.Request) -> web.Response:
 
 async def show_trend(request: web.Request) -> web.Response:
     """Reply the course of one patch in columns; a time without readings is a point of nulls. Raises UsageError."""
-    query = read_query(request, _TREND_QUERY)
-    points = query.get("points", 1000)
-    if not 10 <= points <= _MOST_POINTS:
-        raise UsageError(f"points must be 10 to {_MOST_POINTS}, not {points}")
-    until_us = parse_moment(query["until"]) if "until" in query else now_us()
-    since_us = parse_moment(query.get("since", "1h"))
+    query = read_query(request, TrendQuery)
+    until_us = now_us() if query.until is None else parse_moment(query.until)
+    since_us = parse_moment(query.since)
     if since_us >= until_us:
         raise UsageError("since must be a time before until")
-    stream = stream_asked(query.get("stream", "main"))
+    stream = stream_asked(query.stream)
     if stream is None:
         raise UsageError("a trend is of one patch: stream must be main or patch NAME")
     station = request.app[STATION]
     reader = JournalReader(station.journal_path, deadline_s=_QUERY_DEADLINE_S)
     async with request.app[QUERIES]:
-        found = await asyncio.to_thread(reader.trend, stream, since_us, until_us, points)
+        found = await asyncio.to_thread(reader.trend, stream, since_us, until_us, query.points)
     return json_reply({"since": since_us / 1e6, "until": until_us / 1e6, "coverage_factor": _COVERAGE_FACTOR,
                   **trend_columns(found, station.acquisition.every_s)})  # fmt: skip
 
@@ -136,14 +136,10 @@ def _longest_pause_us(points: list[TrendPoint], every_s: float | None) -> float:
 
 async def show_events(request: web.Request) -> web.Response:
     """Reply the newest events of a time, oldest first. Raises UsageError."""
-    query = read_query(request, _EVENT_QUERY)
-    limit = query.get("limit", 200)
-    if not 1 <= limit <= _MOST_EVENTS:
-        raise UsageError(f"limit must be 1 to {_MOST_EVENTS}, not {limit}")
-    since_us = parse_moment(query["since"]) if "since" in query else None
-    until_us = parse_moment(query["until"]) if "until" in query else None
+    query = read_query(request, EventQuery)
+    since_us, until_us = (None if text is None else parse_moment(text) for text in (query.since, query.until))
     reader = JournalReader(request.app[STATION].journal_path, deadline_s=5.0)
-    return json_reply(await asyncio.to_thread(reader.events, since_us, limit, until_us))
+    return json_reply(await asyncio.to_thread(reader.events, since_us, query.limit, until_us))
 
 
 async def add_remark(request: web.Request) -> web.Response:
@@ -160,8 +156,8 @@ ROUTES: Final = (
           schema="Status"),
     Route("GET", "/trend", show_trend, "Course of one patch in columns: mean, expanded uncertainty (k=2), lowest and"
           " highest radiance of each short time; nulls where there are no readings.",
-          query=_TREND_QUERY, schema="Trend"),
-    Route("GET", "/events", show_events, "Alarms, recoveries, changes and remarks, oldest first.", query=_EVENT_QUERY,
+          query=TrendQuery, schema="Trend"),
+    Route("GET", "/events", show_events, "Alarms, recoveries, changes and remarks, oldest first.", query=EventQuery,
           schema="Events"),
     Route("POST", "/events", add_remark, "Keep a remark among the events.", body=RemarkBody, schema="Event"),
 )  # fmt: skip

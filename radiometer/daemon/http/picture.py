@@ -5,33 +5,37 @@ from __future__ import annotations
 import asyncio
 import io
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import cv2
 import numpy as np
 from aiohttp import web
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from pydantic import Field
 
-from radiometer.daemon.http.requests import read_query
-from radiometer.daemon.http.route import STATION, QueryParameter, Route
+from radiometer.daemon.http.requests import Asked, Switch, read_query
+from radiometer.daemon.http.route import STATION, Route
 from radiometer.daemon.instrument import Measurement
 from radiometer.data import Frame, ResponseCurve
-from radiometer.errors import UsageError
 
-_QUERY: Final = (
-    QueryParameter("width", "integer", "Width of the picture in pixels, 64 to 2048; 808 by default."),
-    QueryParameter("scale", "string", "log, linear, or auto (log where the scene spans more than a factor of 20)."),
-    QueryParameter("map", "string", "inferno, grey, or red (for a dark room)."),
-    QueryParameter("bar", "boolean", "Draw the scale bar; on by default."),
-)
-_MAPS: Final = ("inferno", "grey", "red")
 _TICKS: Final = np.linspace(0.0, 1.0, 5)  # places of the page's labels next to its bar
 _MOST_DIGITS: Final = 7  # a scale spans 0.1 % at least: five labels differ in the sixth digit
 _BAR_WIDTH: Final = 132  # pixels: the bar and its longest number
 _CLIPPED_RGB: Final = (64, 224, 255)  # cyan, which inferno and grey do not hold
 _HATCH_PX: Final = 4  # wide enough to be seen, in the red view, on a page at half size
 _PERCENTILES: Final = (0.5, 99.8)  # a few hot pixels or glints do not set the scale
+
+
+class PictureQuery(Asked):
+    """How the picture is drawn."""
+
+    width: int = Field(808, ge=64, le=2048, description="Width of the picture in pixels; 808 by default.")
+    scale: Literal["log", "linear", "auto"] = Field(
+        "auto", description="log, linear, or auto (log where the scene spans more than a factor of 20)."
+    )
+    map: Literal["inferno", "grey", "red"] = Field("inferno", description="inferno, grey, or red (for a dark room).")
+    bar: Switch = Field(True, description="Draw the scale bar; on by default.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,12 +184,7 @@ ONE_AT_A_TIME: Final = web.AppKey("one picture at a time", asyncio.Lock)
 
 async def show_frame(request: web.Request) -> web.Response:
     """Serve the latest picture. Raises UsageError, or HTTPNotFound where there is none yet."""
-    query = read_query(request, _QUERY)
-    width, scale, colours = query.get("width", 808), query.get("scale", "auto"), query.get("map", "inferno")
-    if not 64 <= width <= 2048:
-        raise UsageError(f"width must be 64 to 2048 pixels, not {width}")
-    if scale not in ("log", "linear", "auto") or colours not in _MAPS:
-        raise UsageError(f"scale must be log, linear or auto; map must be one of {', '.join(_MAPS)}")
+    query = read_query(request, PictureQuery)
     station = request.app[STATION]
     if station.shown.pictured is None or not station.shown.pictured[0].frames:
         raise web.HTTPNotFound(text="there is no picture yet; POST /measure makes one")
@@ -194,7 +193,7 @@ async def show_frame(request: web.Request) -> web.Response:
 
     def work() -> tuple[bytes, dict[str, str]]:
         picture = request.app[CACHE].get(measurement, response, reading.sequence)
-        return render(picture, width=width, scale=scale, colours=colours, bar=query.get("bar", True))
+        return render(picture, width=query.width, scale=query.scale, colours=query.map, bar=query.bar)
 
     async with request.app[ONE_AT_A_TIME]:
         content, headers = await asyncio.to_thread(work)
@@ -208,6 +207,6 @@ ROUTES: Final = (
         show_frame,
         "Latest picture in false colour with a scale bar; clipped pixels stand out.",
         reply="image/png",
-        query=_QUERY,
+        query=PictureQuery,
     ),
 )

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import socket
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import structlog
 from aiohttp import web
+from pydantic import Field
 
-from radiometer.daemon.http.requests import read_query
-from radiometer.daemon.http.route import BUDGET, LIMITS, QUERIES, STATION, QueryParameter, Route
+from radiometer.daemon.http.requests import Asked, Switch, read_query
+from radiometer.daemon.http.route import BUDGET, LIMITS, QUERIES, STATION, Route
 from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.journal import OWN_STREAM
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
@@ -33,38 +34,48 @@ _PIECE: Final = 262_144  # bytes
 _UNSENT_BYTES: Final = 65_536  # some 40 readings; Linux would let it grow to 4 MB, which is an hour of readings
 _FORMATS: Final = {"json": "application/json", "jsonl": "application/x-ndjson", "csv": "text/csv"}
 
-_LIST_QUERY: Final = (
-    QueryParameter("since", "string", "Not before this time: ISO 8601, or an age such as 15min, 2h, 7d."),
-    QueryParameter("until", "string", "Before this time."),
-    QueryParameter("after", "integer", "Sequence number above this; gives the oldest of these first."),
-    QueryParameter("flag", "string", "Only readings with this flag."),
-    QueryParameter("clean", "boolean", "Only readings without any flag."),
-    QueryParameter(
-        "limit", "integer", f"At most this many, the newest; {DEFAULT_ROWS} for json, all for jsonl and csv by default."
-    ),
-    QueryParameter(
-        "stream",
-        "string",
-        "main (the patch measured for all; the default), patch NAME, own (what clients measured for"
+
+class ListQuery(Asked):
+    """Which readings, and in which form."""
+
+    since: str | None = Field(None, description="Not before this time: ISO 8601, or an age such as 15min, 2h, 7d.")
+    until: str | None = Field(None, description="Before this time.")
+    after: int | None = Field(None, description="Sequence number above this; gives the oldest of these first.")
+    flag: str | None = Field(None, description="Only readings with this flag.")
+    clean: Switch = Field(False, description="Only readings without any flag.")
+    limit: int | None = Field(
+        None,
+        ge=1,
+        description=f"At most this many, the newest; {DEFAULT_ROWS} for json, all for jsonl and csv by default.",
+    )
+    stream: str = Field(
+        "main",
+        description="main (the patch measured for all; the default), patch NAME, own (what clients measured for"
         " themselves) or all.",
-    ),
-    QueryParameter("format", "string", "json (an array), jsonl (a line each) or csv; else the Accept header decides."),
-)
-_STREAM_QUERY: Final = (
-    QueryParameter("after", "integer", "First replay the readings above this number, as Last-Event-ID does."),
-    QueryParameter("format", "string", "sse (server-sent events) or jsonl; else the Accept header decides."),
-)
+    )
+    format: Literal["json", "jsonl", "csv"] | None = Field(
+        None, description="json (an array), jsonl (a line each) or csv; else the Accept header decides."
+    )
+
+
+class StreamQuery(Asked):
+    """Where a stream begins, and its form."""
+
+    after: int | None = Field(None, description="First replay the readings above this number, as Last-Event-ID does.")
+    format: Literal["sse", "jsonl"] | None = Field(
+        None, description="sse (server-sent events) or jsonl; else the Accept header decides."
+    )
 
 
 async def list_readings(request: web.Request) -> web.StreamResponse:
     """Serve history, oldest first: the newest of an array, the whole range of lines and tables."""
-    query = read_query(request, _LIST_QUERY)
-    form = _form(request, query.get("format"))
+    query = read_query(request, ListQuery)
+    form = query.format or _form_accepted(request)
     row_filter = _filter(query, request.app[LIMITS].rows)
     reader = JournalReader(request.app[STATION].journal_path, deadline_s=_QUERY_DEADLINE_S)
     if row_filter.after is not None:
         row_filter = replace(row_filter, after=await asyncio.to_thread(reader.known, row_filter.after))
-    if form != "json" and "limit" not in query:
+    if form != "json" and query.limit is None:
         return await _send_all(request, reader, replace(row_filter, limit=_REPLAY_ROWS, newest_first=False), form)
     async with request.app[QUERIES]:
         body = await asyncio.to_thread(_render, reader, row_filter, form)
@@ -133,10 +144,8 @@ async def stream_readings(request: web.Request) -> web.StreamResponse:
         UsageError: If a parameter is wrong.
         HTTPServiceUnavailable: If there are too many listeners.
     """
-    query = read_query(request, _STREAM_QUERY)
-    form = query.get("format") or ("jsonl" if "ndjson" in request.headers.get("Accept", "") else "sse")
-    if form not in ("sse", "jsonl"):
-        raise UsageError(f"format must be sse or jsonl, not {form[:20]!r}")
+    query = read_query(request, StreamQuery)
+    form = query.format or ("jsonl" if "ndjson" in request.headers.get("Accept", "") else "sse")
     station = request.app[STATION]
     limits = request.app[LIMITS]
     if len(station.hub) >= limits.listeners and not station.hub.end_one(limits.listening_s):
@@ -146,7 +155,7 @@ async def stream_readings(request: web.Request) -> web.StreamResponse:
     response.charset = "utf-8"
     # A client that reconnects to an address with `after` states both: the header is the newer.
     last = _last_event_id(request)
-    after = query.get("after") if last is None else last
+    after = query.after if last is None else last
     subscription = station.hub.subscribe()
     try:
         await response.prepare(request)
@@ -219,29 +228,23 @@ def _last_event_id(request: web.Request) -> int | None:
     return int(text) if text.isascii() and text.isdigit() and len(text) < 19 else None
 
 
-def _form(request: web.Request, asked: str | None) -> str:
-    if asked is None:
-        accept = request.headers.get("Accept", "")
-        return next((form for form, kind in _FORMATS.items() if form != "json" and kind in accept), "json")
-    if asked not in _FORMATS:
-        raise UsageError(f"format must be one of {', '.join(_FORMATS)}, not {asked[:20]!r}")
-    return asked
+def _form_accepted(request: web.Request) -> str:
+    accept = request.headers.get("Accept", "")
+    return next((form for form, kind in _FORMATS.items() if form != "json" and kind in accept), "json")
 
 
-def _filter(query: dict[str, Any], most: int) -> ReadingFilter:
-    limit = query.get("limit", DEFAULT_ROWS)
-    if not 1 <= limit <= most:
-        raise UsageError(f"limit must be 1 to {most}, not {limit}; ask for more in steps with after=…")
-    after = query.get("after")
+def _filter(query: ListQuery, most: int) -> ReadingFilter:
+    if query.limit is not None and query.limit > most:
+        raise UsageError(f"limit must be 1 to {most}, not {query.limit}; ask for more in steps with after=…")
     return ReadingFilter(
-        since_us=parse_moment(query["since"]) if "since" in query else None,
-        until_us=parse_moment(query["until"]) if "until" in query else None,
-        after=after,
-        flag=query.get("flag"),
-        without_flags=query.get("clean", False),
-        limit=limit,
-        newest_first=after is None,
-        stream=stream_asked(query.get("stream", "main")),
+        since_us=None if query.since is None else parse_moment(query.since),
+        until_us=None if query.until is None else parse_moment(query.until),
+        after=query.after,
+        flag=query.flag,
+        without_flags=query.clean,
+        limit=query.limit or DEFAULT_ROWS,
+        newest_first=query.after is None,
+        stream=stream_asked(query.stream),
     )
 
 
@@ -266,9 +269,7 @@ def _render(reader: JournalReader, row_filter: ReadingFilter, form: str) -> byte
 
 
 ROUTES: Final = (
-    Route(
-        "GET", "/readings", list_readings, "History of readings, oldest first.", query=_LIST_QUERY, schema="Readings"
-    ),
+    Route("GET", "/readings", list_readings, "History of readings, oldest first.", query=ListQuery, schema="Readings"),
     Route(
         "GET",
         "/readings/stream",
@@ -276,6 +277,6 @@ ROUTES: Final = (
         "Readings as they come, each once it is in the journal. `id` is the sequence number, so a client that"
         " reconnects misses nothing of the same journal. An event named `status` reports a change of state.",
         reply="text/event-stream",
-        query=_STREAM_QUERY,
+        query=StreamQuery,
     ),
 )

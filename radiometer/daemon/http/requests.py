@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any, Final, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 from aiohttp import web
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from radiometer.daemon.http.route import QueryParameter
 from radiometer.daemon.patches import DEFAULT_HYSTERESIS_REL
 from radiometer.data import Patch
 from radiometer.data.json_text import RepeatedKey, parsed_json
 from radiometer.errors import UsageError
 
-_LONGEST_NUMBER: Final = 20  # signs: SQLite holds whole numbers of 63 bits
 _BODY_DEADLINE_S: Final = 5.0  # 16 kB, the most that is taken, come in it at 26 kbit/s
-_Model = TypeVar("_Model", bound=BaseModel)
+Switch = Annotated[bool, BeforeValidator(lambda text: text or "true")]  # `?clean` alone switches it on
 
 
-class PatchBody(BaseModel):
+class Asked(BaseModel):
+    """What a client may state, and nothing else."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+_Model = TypeVar("_Model", bound=Asked)
+
+
+class PatchBody(Asked):
     """A region of the picture in pixels."""
 
     model_config = ConfigDict(extra="forbid")
@@ -31,7 +37,7 @@ class PatchBody(BaseModel):
     height: int
 
 
-class LimitsBody(BaseModel):
+class LimitsBody(Asked):
     """Between which radiances a patch should stay."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -42,7 +48,7 @@ class LimitsBody(BaseModel):
     )
 
 
-class MeasureBody(BaseModel):
+class MeasureBody(Asked):
     """Settings of one measurement; omitted settings stay unchanged."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -70,7 +76,7 @@ class SettingsBody(MeasureBody):
     )
 
 
-class LightBody(BaseModel):
+class LightBody(Asked):
     """Level of one light channel."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -107,35 +113,21 @@ async def read_body(request: web.Request, model: type[_Model]) -> _Model:
     try:
         return model.model_validate_json(content.strip() or b"{}", strict=True)  # "1" and true are no numbers
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"])) or "the body"
-        raise UsageError(f"{where}: {first['msg']}; allowed are {', '.join(model.model_fields)}") from error
+        raise _refusal(error, model) from error
 
 
-def read_query(request: web.Request, known: Sequence[QueryParameter]) -> dict[str, Any]:
-    """Return the query parameters by name, converted. Raises UsageError for an unknown or malformed one."""
-    kinds = {parameter.name: parameter.kind for parameter in known}
-    values: dict[str, Any] = {}
-    for name, text in request.query.items():
-        if name not in kinds:
-            raise UsageError(f"there is no parameter {name[:40]!r}; there are: {', '.join(kinds) or 'none'}")
-        if name in values:
-            raise UsageError(f"{name} is given twice; leave one of them out")
-        values[name] = _converted(name, text, kinds[name])
-    return values
+def read_query(request: web.Request, model: type[_Model]) -> _Model:
+    """Return the validated query string. Raises UsageError for an unknown, malformed or repeated parameter."""
+    if repeated := [name for name in request.query if len(request.query.getall(name)) > 1]:
+        raise UsageError(f"{repeated[0]} is given twice; leave one of them out")
+    try:
+        return model.model_validate(dict(request.query))
+    except ValidationError as error:
+        raise _refusal(error, model) from error
 
 
-def _converted(name: str, text: str, kind: str) -> Any:
-    if kind == "integer":
-        try:
-            number = int(text) if len(text) <= _LONGEST_NUMBER else None
-        except ValueError:
-            number = None
-        if number is None:
-            raise UsageError(f"{name} must be a whole number, not {text[:20]!r}")
-        return number
-    if kind == "boolean":
-        if text.lower() not in ("1", "0", "true", "false", "on", "off", ""):
-            raise UsageError(f"{name} must be true or false, not {text[:20]!r}")
-        return text.lower() in ("1", "true", "on", "")
-    return text
+def _refusal(error: ValidationError, model: type[Asked]) -> UsageError:
+    """Return what is wrong with the first value that is, and what may be stated."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    where = ".".join(str(part)[:40] for part in first["loc"]) or "the body"
+    return UsageError(f"{where}: {first['msg']}; allowed are {', '.join(model.model_fields) or 'none'}")

@@ -26,15 +26,6 @@ BUDGET: Final = web.AppKey("budget", ReplyBudget)
 
 
 @dataclass(frozen=True, slots=True)
-class QueryParameter:
-    """A parameter in the query string: name, JSON type, and what it means."""
-
-    name: str
-    kind: str
-    summary: str
-
-
-@dataclass(frozen=True, slots=True)
 class Route:
     """One line of the route table."""
 
@@ -43,7 +34,7 @@ class Route:
     handler: Handler  # what serves it
     summary: str  # what it does
     reply: str = "application/json"  # content type of the reply
-    query: tuple[QueryParameter, ...] = ()  # parameters in the query string; others are refused
+    query: type[BaseModel] | None = None  # model of the query string; None where nothing is read from it
     body: type[BaseModel] | None = None  # model of the JSON body; None where there is none
     schema: str = ""  # name of the reply's schema in the OpenAPI description; "" where it is not JSON
     public: bool = False  # whether it is served without the token; such a route gives away no measurement

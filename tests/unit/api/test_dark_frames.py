@@ -124,14 +124,17 @@ def test_dark_frames_of_one_exposure_leave_the_dark_current_of_the_others_open(t
     assert function is merged or u < 0.06 * share  # noise of one dark frame
 
 
-def test_codes_that_a_capture_set_states_as_padded_are_in_the_uncertainty(tmp_path):
-    """Darkness is anywhere within a step of 16 DN, although the calibration states none; bright light is not."""
-    padded = CAMERA.model_copy(update={"code_step_dn": 16})
+@pytest.mark.parametrize("stated", [16, None])
+def test_padded_codes_are_in_the_uncertainty(tmp_path, stated):
+    """Darkness is anywhere within a step of 16 DN, by the capture set or by the numbers alone; bright light is not."""
+    padded = CAMERA.model_copy(update={"code_step_dn": stated})
     with CaptureSetWriter(tmp_path / "set", padded, LENS, source=SourceDescription(wavelength_nm=WAVELENGTH_NM)) as one:
         for number, shutter in ((496, "closed"), (1232, "open")):
             for _ in range(2):
-                dn = np.full((40, 56), number, np.uint16)
-                one.add(Frame(dn, 12, FrameSettings(TIMES_S[1], black_level_dn=BLACK_DN, shutter=shutter)))
+                dn = number + 16 * np.arange(40 * 56).reshape(40, 56) % (48 if shutter == "open" else 1)
+                one.add(
+                    Frame(dn.astype(np.uint16), 12, FrameSettings(TIMES_S[1], black_level_dn=BLACK_DN, shutter=shutter))
+                )
     of_1_dn = GAIN_E_PER_DN / (LIGHT_E_PER_S * TIMES_S[1])
     assert measured(tmp_path / "set")[1] > 16.0 * np.sqrt(1.0 / 12.0) * of_1_dn
 
