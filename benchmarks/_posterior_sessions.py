@@ -18,7 +18,6 @@ from benchmarks._reconcile_tasks import Task, tasks
 from benchmarks.reconcile_outsiders import session_of
 from radiometer.importing import open_capture
 from radiometer.reconciliation.engine import examine, whole_catalogue
-from radiometer.reconciliation.measure.reduce import frame_reader
 from radiometer.reconciliation.search.outcome import Reconciled
 from testing.generator.registry import everything
 from testing.generator.session import make_session
@@ -100,7 +99,7 @@ def _run(asked: Asked) -> tuple[Reconciled, list[list[str]], list[str]]:
     own = make_session(*task.names, **options)
     frames = list(own.frames())
     entries = {name: kind for name, kind in catalogue.items() if name not in task.without}
-    done = examine(own.header, frame_reader(frames), frames[0].shape, catalogue=entries, with_limits=False)
+    done = examine(own.header, frames.__getitem__, frames[0].shape, catalogue=entries, with_limits=False)
     hidden = [everything()[name] for name in task.names]
     right = [sorted(({h.entry} if h.entry else set()) | set(h.accepted) - set(task.without)) for h in hidden]
     right = [[name for name in names if name not in task.without] for names in right]

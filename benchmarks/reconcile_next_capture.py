@@ -17,7 +17,6 @@ import numpy as np
 
 from benchmarks._sections import write_section
 from radiometer.reconciliation.engine import examine
-from radiometer.reconciliation.measure.reduce import frame_reader
 from radiometer.reconciliation.next_capture import CapturePool
 from radiometer.reconciliation.search.outcome import Reconciled
 from testing.generator.plan import Setting, bracket
@@ -53,7 +52,7 @@ def captures_needed(name: str, seed: int, choose: Choice, most: int, *, known: b
     for number in range(most + 1):
         session = make_session(name, camera_seed=seed, plan=_bracket_and(tuple(added)), known_patches=known)
         frames = list(session.frames())
-        done = examine(session.header, frame_reader(frames), frames[0].shape)
+        done = examine(session.header, frames.__getitem__, frames[0].shape)
         result = done.result
         answer = " + ".join([str(result.verdict), *(effect.name for effect in result.effects)])
         named = [effect.name for effect in result.effects] == [name]

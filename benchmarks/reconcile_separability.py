@@ -22,7 +22,7 @@ from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.search.screening import StartPool, screen
 from radiometer.reconciliation.separability import (
     Separability,
@@ -76,7 +76,7 @@ def start_of(plan: str) -> FitState:
     session = make_session(camera_seed=_SEED, plan=PLANS[plan])
     frames = list(session.frames())
     design = Design.of(session.header, frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(frames)))
+    return first_state(design, *reduce_frames(design, frames.__getitem__))
 
 
 def like(state: FitState, truth: CatalogueEffect, pool: StartPool) -> dict[str, float]:

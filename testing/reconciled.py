@@ -10,7 +10,6 @@ from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation import ReconcileResult
 from radiometer.reconciliation.engine import evidence_for, examine, whole_catalogue
 from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.measure.reduce import frame_reader
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -34,7 +33,7 @@ def reconcile(
         raise CaptureError(f"the header lists {len(header.frames)} frames, but {len(held)} were given")
     known = whole_catalogue() if catalogue is None else catalogue
     entries = {name: kind for name, kind in known.items() if name not in without}
-    return examine(header, frame_reader(held), held[0].shape, model, catalogue=entries, with_limits=with_limits).result
+    return examine(header, held.__getitem__, held[0].shape, model, catalogue=entries, with_limits=with_limits).result
 
 
 @on_one_blas_thread
@@ -43,5 +42,5 @@ def gaps_of(
 ) -> tuple[float, ...]:
     """Return the reduced χ² of held-out settings under the effects of results, or of none, frozen; nuisances fitted."""
     held = list(frames)
-    design, _, reduced = evidence_for(header, held[0].shape, frame_reader(held))
+    design, _, reduced = evidence_for(header, held[0].shape, held.__getitem__)
     return tuple(first_state(design, *reduced, () if entry is None else entry.added).gap for entry in found)

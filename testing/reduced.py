@@ -10,7 +10,7 @@ from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import reduce_frames
 
 
 class Captured(Protocol):
@@ -42,10 +42,10 @@ def taken(frames: Sequence[Frame], **camera: Any) -> Taken:
 def statistics_of(captured: Captured) -> CaptureStatistics:
     """Return the statistics that frames are reduced to."""
     design = Design.of(captured.header, captured.frames[0].shape)
-    return reduce_frames(design, frame_reader(captured.frames))[0]
+    return reduce_frames(design, captured.frames.__getitem__)[0]
 
 
 def start_of(captured: Captured) -> FitState:
     """Return the fit that a search starts from: the camera as declared, without any effect."""
     design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    return first_state(design, *reduce_frames(design, captured.frames.__getitem__))

@@ -1,4 +1,4 @@
-"""`radiometer` with the simulated camera of each bench behind the GigE Vision protocol, and a hand for its cap.
+"""`radiometer` with the simulated camera of each bench behind the GigE Vision protocol, and a hand at the bench.
 
     python -m testing.wire_program measure --bench lab.yaml
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -20,11 +21,12 @@ from radiometer.bench.config import DEFAULT_BENCH
 from radiometer.bench.served_camera import served_camera
 from radiometer.data.config_files import shipped_config
 from simulators.cameras.blackfly_gige import BlackflyGige
+from simulators.cameras.blackfly_pictures import ForwardModelSource
 from testing.wire import LOOPBACK, only_camera, radiometer
 
 OPEN_A_CAMERA: Final = ("measure", "bracket", "serve")
-# The last words that a person at the terminal is shown, and whether the cap is on the lens from then.
-_ASKED: Final = {b"Cover the lens. Done? [Y/n]:": True, b"Uncover the lens. Done? [Y/n]:": False}
+_ASKED: Final = re.compile(r"([^\n]*)\. Done\? \[Y/n\]:$")  # the last words that a person at the terminal is shown
+_PATTERN: Final = re.compile(r"show the pattern '(\w+)'", re.IGNORECASE)
 
 
 def main(words: list[str]) -> int:
@@ -39,7 +41,7 @@ def main(words: list[str]) -> int:
 
 
 def _at_a_terminal(command: list[str], camera: BlackflyGige) -> int:
-    """Run a command, pass its errors on, and do with the cap what it asks for."""
+    """Run a command, pass its errors on, and do at the bench what it asks for."""
     keyboard, terminal = pty.openpty()
     child = subprocess.Popen(command, stdin=terminal, stderr=subprocess.PIPE)
     signal.signal(signal.SIGTERM, lambda number, _: child.send_signal(number))
@@ -48,12 +50,19 @@ def _at_a_terminal(command: list[str], camera: BlackflyGige) -> int:
     while part := os.read(child.stderr.fileno(), 4096):
         os.write(sys.stderr.fileno(), part)
         shown = (shown + part)[-200:]
-        for words, on in _ASKED.items():
-            if shown.rstrip().endswith(b"\n" + words) or shown.rstrip() == words:
-                camera.cap(on=on)
-                os.write(keyboard, b"\n")
-                shown = b"\n"
+        if asked := _ASKED.search(shown.decode(errors="replace").rstrip()):
+            _do(asked[1], camera)
+            os.write(keyboard, b"\n")
+            shown = b"\n"
     return child.wait()
+
+
+def _do(wish: str, camera: BlackflyGige) -> None:
+    """Put the cap on or off and show a pattern, as wished."""
+    if "cover the lens" in wish.lower():
+        camera.cap(on="uncover" not in wish.lower())
+    if (pattern := _PATTERN.search(wish)) and isinstance(camera.source, ForwardModelSource):
+        camera.source.show(pattern[1])
 
 
 if __name__ == "__main__":

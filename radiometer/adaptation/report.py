@@ -40,6 +40,7 @@ LABELS: Final = {
     "area_from_min": "AUDAC from",
     "area_to_min": "AUDAC cut at",
 }
+CHOSEN_TO: Final = 0.1  # what is chosen, not estimated, as the ends of an area in min, has two decimals
 _HELD_WEIGHT: Final = 0.5  # of the largest; below, a threshold hardly counts
 _POINTS: Final = 600  # about one per pixel
 _LEFT_PART: Final = 0.45  # of the time axis; where the break is there, its words are to the right of it
@@ -368,8 +369,8 @@ def _estimates(fit: AdaptationFit) -> str:
     rows = []
     for name, estimate in fit.estimates.items():
         interval = estimate.profile or estimate.bootstrap
-        half = 0.5 * (interval.high - interval.low) if interval is not None else 0.0  # 0 where a time is just stated
-        value = rounded(estimate.value, half or math.nan)[0]
+        half = 0.5 * (interval.high - interval.low) if interval is not None else math.nan
+        value = rounded(estimate.value, half or CHOSEN_TO)[0]
         ends = [rounded(end, half)[0] for end in (interval.low, interval.high)] if interval is not None and half else []
         rows.append((label_of(name, fit), value, " to ".join(ends), unit_text(estimate.unit)))
     head = ("", "value", f"{100 * fit.request.confidence:g} % interval", "unit")

@@ -10,6 +10,7 @@ more harmonics than samples support, so there the extremes are those of neighbou
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -295,10 +296,13 @@ def find_period(waveform: Waveform, fewest: float = FEWEST_PERIODS) -> Period | 
     best_hz, share = 0.0, 0.0
     for near_hz in (lines_hz[0], lines_hz[0] / 2.0, lines_hz[0] / 3.0, *lines_hz[1:]):
         if near_hz * duration_s >= fewest - _LINE_WIDTHS:
-            found_hz, held = _refined(light, rate_hz, near_hz)
+            order = max(1, min(_MOST_HARMONICS, int(0.45 * rate_hz / near_hz)))
+            found_hz, held = _refined(light, rate_hz, near_hz, order)
             if found_hz * duration_s < fewest:
                 continue
-            if best_hz == 0.0 or 1.0 - held < 0.5 * (1.0 - share) - _LEAST_SHARE:
+            # As many harmonics for both: those of steps that samples are too few for show at other frequencies.
+            least = max(share, _refined(light, rate_hz, best_hz, order)[1]) if best_hz else -1.0
+            if 1.0 - held < 0.5 * (1.0 - least) - _LEAST_SHARE:
                 best_hz, share = found_hz, held
     if share < _PERIODIC_SHARE:
         return None
@@ -348,10 +352,9 @@ def harmonics(phase: Array, order: int) -> Array:
     return np.hstack([np.ones((phase.size, 1)), np.cos(angles), np.sin(angles)])
 
 
-def _refined(light: Array, rate_hz: float, near_hz: float) -> tuple[float, float]:
-    """Return the fundamental frequency in Hz near another, and the share of the variance that it explains."""
+def _refined(light: Array, rate_hz: float, near_hz: float, order: int) -> tuple[float, float]:
+    """Return the fundamental frequency in Hz near another, and the share of the variance that an order explains."""
     time_s = np.arange(light.size) / rate_hz
-    order = max(1, min(_MOST_HARMONICS, int(0.45 * rate_hz / near_hz)))
 
     def unexplained(frequency_hz: float) -> float:
         columns = harmonics(frequency_hz * time_s, order)
@@ -485,9 +488,9 @@ def _mean_light(waveform: Waveform) -> float:
 def _with_noise(pst: Quantity, part: Waveform, period: Period | None) -> tuple[Quantity, list[str]]:
     """Return PstLM with the noise of the record in u, and a warning where that is much.
 
-    The measure squares what it sees, so noise adds to it; whether that is of the light, a record cannot show.
+    The measure takes percentiles of squares, so noise adds to it; whether that is of the light, a record cannot show.
     """
-    quietest = math.sqrt(max(pst.value**2 - noise_severity(part, period) ** 2, 0.0))
+    quietest = max(pst.value - noise_severity(part, period), 0.0)
     found = Quantity(pst.value, math.hypot(pst.u, (pst.value - quietest) / math.sqrt(3.0)), "1")
     if pst.value - quietest <= _NOISY_REL * pst.value:
         return found, []
@@ -566,7 +569,10 @@ def short_term_severity(waveform: Waveform, period: Period | None = None) -> flo
     percentiles of the result give the severity. The filters have their analogue responses: digital ones of 2 kHz are
     off by 4 % at 120 Hz. A record below a minute repeats by whole periods; of a longer one the first 20 s are left out.
     """
-    light, rate_hz, transient = _for_severity(waveform, period)
+    return _severity(*_for_severity(waveform, period))
+
+
+def _severity(light: Array, rate_hz: float, transient: int) -> float:
     s = 2j * np.pi * rfftfreq(light.size, 1.0 / rate_hz)
     corner = 2.0 * math.pi * _PST_BAND_HZ[0]
     numerator, denominator = butter(6, 2.0 * math.pi * _PST_BAND_HZ[1], "low", analog=True)
@@ -582,21 +588,18 @@ def short_term_severity(waveform: Waveform, period: Period | None = None) -> flo
 
 
 def noise_severity(waveform: Waveform, period: Period | None = None) -> float:
-    """Return the PstLM that white noise has at most (k = 2), of the density that the record has between its lines.
+    """Return what white noise adds to PstLM, of the density that the record has between its lines above the band.
 
-    Noise of the density above the band of the measure is drawn and measured.
+    As much is drawn and added once more. Noise alone, and its products with light that changes, grow as √2 then.
     """
-    light, rate_hz, _ = _for_severity(waveform, period)
+    light, rate_hz, transient = _for_severity(waveform, period)
     frequency_hz, amplitude = spectrum(light / light.mean(), rate_hz)
     between = amplitude[(frequency_hz > _PST_BAND_HZ[1]) & (frequency_hz < rate_hz / 4.0)]
     if between.size < _FEWEST_LINES:
         return 0.0
-    sigma, rng = _line_noise(between, light.size), np.random.default_rng(0)
-    drawn = [
-        short_term_severity(Waveform(1.0 + rng.normal(0.0, sigma, light.size), rate_hz, waveform.origin)) ** 2
-        for _ in range(_MOST_BLOCKS)
-    ]
-    return math.sqrt(float(np.mean(drawn)) + 2.0 * float(np.std(drawn, ddof=1)))
+    sigma, rng = light.mean() * _line_noise(between, light.size), np.random.default_rng(0)
+    noisier = [_severity(light + rng.normal(0.0, sigma, light.size), rate_hz, transient) for _ in range(_DRAWS)]
+    return max(0.0, float(np.mean(noisier)) - _severity(light, rate_hz, transient)) / (math.sqrt(2.0) - 1.0)
 
 
 def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, float, int]:
@@ -614,12 +617,9 @@ def _jackknife(
     of: Callable[[Waveform, Period | None], float], part: Waveform, period: Period | None, blocks: int, periods: int
 ) -> Array:
     """Return the standard uncertainty of a measure by leaving out one block of whole periods at a time."""
-    edges = np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / max(periods, 1)
-    values = []
-    for first, last in zip(edges[:-1].round().astype(int), edges[1:].round().astype(int), strict=True):
-        left = np.concatenate([part.light[:first], part.light[last:]])
-        values.append(of(Waveform(left, part.rate_hz, part.origin, averaged_s=part.averaged_s), period))
-    return jackknife_u(values)
+    edges = np.round(np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / max(periods, 1)).astype(int)
+    left = (np.delete(part.light, np.s_[first:last]) for first, last in itertools.pairwise(edges))
+    return jackknife_u([of(replace(part, light=one), period) for one in left])
 
 
 def _rounded(waveform: Waveform) -> list[Waveform]:
@@ -691,17 +691,18 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     def of(fold: _Fold) -> tuple[Array, Array]:
         return _of_series(fold, *orders, kept) if orders else _of_phases(fold)
 
-    values, u = of(whole)
-    u = np.maximum(u, jackknife_u([of(part)[0] for part in parts]))
+    values, own_u = of(whole)
     if orders:
         phase, u_hz = np.arange(_GRID) / _GRID, 0.0
         light = harmonics(phase, orders[1]) @ _Series.of(whole, orders[1]).factors
     else:
         phase, light = whole.phase, whole.light
         u_hz = math.hypot(period.u_hz, period.frequency_hz / (math.sqrt(6.0) * waveform.light.size))
-        off_hz = (period.frequency_hz - u_hz, period.frequency_hz + u_hz)
-        off = [of(_folds(waveform, replace(period, frequency_hz=one))[0])[0] - values for one in off_hz]
-        u = np.hypot(u, np.abs(off).max(axis=0))
+        # Which phases are next to a step, and how far apart, depends on the frequency: what leaves most open counts.
+        near = (replace(period, frequency_hz=period.frequency_hz + one * u_hz) for one in (-1.0, 0.0, 1.0))
+        found, found_u = np.array([of(_folds(waveform, one)[0]) for one in near]).swapaxes(0, 1)
+        own_u = np.hypot(np.abs(found - values).max(axis=0), found_u.max(axis=0))
+    u = np.maximum(own_u, jackknife_u([of(part)[0] for part in parts]))
     return ShapeMeasures(values, u, len(parts), bool(orders) and not hidden, phase, light, hidden, u_hz)
 
 

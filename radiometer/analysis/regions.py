@@ -14,6 +14,7 @@ from scipy.ndimage import map_coordinates, uniform_filter
 from radiometer.analysis.exports.maps import rgbe
 from radiometer.data import Patch, PixelMask, Quantity, RadianceMap
 from radiometer.errors import InputError, MeasurementError, required_library
+from radiometer.statistics.scale import spread_beyond_noise
 from radiometer.typing import Array
 
 # What has no value. A pixel below the noise has one, which scatters about its light as others do: without it a mean of
@@ -84,7 +85,7 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     u_low, u_high = (math.hypot(noise[at], _extreme_u(noise[at], values.size)) for at in ends)
     variance = float(values[good].var(ddof=1)) if count > 1 else math.nan  # of one pixel it is not known
     pattern = float(np.mean((found.u_rel_pattern * values[good]) ** 2))
-    spread = spread_beyond_noise(variance, float(np.mean(own[good] ** 2)) - pattern, count, pattern)
+    spread, u_spread = spread_beyond_noise(variance, float(np.mean(own[good] ** 2)) - pattern, count, pattern)
     uniformity = low / high if high > 0 else math.nan
     u_uniformity = u_low / max(high, 1e-30)
     if low > 0:
@@ -94,7 +95,7 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
         name, patch, Quantity(level, math.hypot(u_mean, level * common), unit),
         Quantity(float(np.median(values[good])), math.hypot(1.2533 * u_mean, level * common), unit),
         Quantity(low, math.hypot(u_low, low * common), unit), Quantity(high, math.hypot(u_high, high * common), unit),
-        Quantity(spread.value, math.hypot(spread.u, spread.value * common), unit),
+        Quantity(spread, math.hypot(u_spread, spread * common), unit),
         Quantity(uniformity, u_uniformity, "1"), share, by_level, _flags(mask, black),
     )  # fmt: skip
 
@@ -107,22 +108,6 @@ def u_of_ratio(one: float, other: float, u_rel_one: float, u_rel_other: float) -
     """
     alike = min(one, other) / max(one, other, 1e-30)
     return math.sqrt(max(u_rel_one**2 + u_rel_other**2 - 2.0 * alike * u_rel_one * u_rel_other, 0.0))
-
-
-def spread_beyond_noise(variance: float, noise_variance: float, count: float, may_vary: float = 0.0) -> Quantity:
-    """Return the standard deviation of n values without that of their normal noise: Var(s²) is 4S²σ²/n + 2σ⁴/n.
-
-    Args:
-        variance: Of the values.
-        noise_variance: Of their noise, which is taken off.
-        count: n.
-        may_vary: Variance that may be in the values besides, anywhere from 0 to this: k = 2 covers all of it.
-    """
-    noise, square = max(noise_variance, 0.0) + may_vary, max(variance - noise_variance, 0.0)
-    u_square = math.sqrt((4.0 * square + 2.0 * noise) * noise / count)
-    value, least = math.sqrt(square), math.sqrt(max(square - may_vary - 2.0 * u_square, 0.0))
-    u = min(math.sqrt(u_square), u_square / (2.0 * value) if square > 0.0 else math.inf)
-    return Quantity(value, max(u, (value - least) / 2.0), "1")
 
 
 def image_circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Array, float]:

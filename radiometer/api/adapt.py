@@ -18,7 +18,7 @@ from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
-from radiometer.adaptation.report import LABELS, curve_csv, label_of, short, to_mapping, write_page
+from radiometer.adaptation.report import CHOSEN_TO, LABELS, curve_csv, label_of, short, to_mapping, write_page
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
 from radiometer.adaptation.run_facts import intercept_of
@@ -303,7 +303,7 @@ class AdaptationCurve(Result):
             known = interval is not None and interval.low < interval.high  # ends of an area are chosen, not estimated
             ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval and known else []
             shown = f"   {ends[0]} to {ends[1]} (95 %)" if ends else ""
-            value = rounded(estimate.value, expanded)[0]
+            value = rounded(estimate.value, expanded or CHOSEN_TO)[0]
             found.append(f"{label_of(name, self.fit):<32} {value:>9} {unit_text(estimate.unit):<10}{shown}".rstrip())
         rates = Reliability.of_facts(self.series.facts).rates
         return [*found, *(f"{NAMES[name]:<32} {rate}" for name, rate in rates.items())]

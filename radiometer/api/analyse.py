@@ -150,10 +150,11 @@ class MapAnalysis(Drawn):
         """Write a self-contained page. Raises OutputError if it cannot be written."""
         quantity = quantity_in_words(self.map.unit)
         tall = min(2.0, max(0.5, self.map.shape[0] / self.map.shape[1]))
+        inches = (8.0, 6.5 * tall), (4.0, 3.4 * tall)
         further = [f"{name}: {one.text()}" for name, one in self.of_picture.items()]
         regions = table(("region", *_FIGURES), self.region_rows(), words=(0,))
         parts = [
-            picture(self._draw_map, f"{self.origin}: {quantity}", (8.0, 6.5 * tall), (4.0, 3.4 * tall)),
+            picture(lambda figure, _: self.plot(figure.subplots()), f"{self.origin}: {quantity}", *inches),
             section(f"Regions: {quantity}, {self.coverage}", regions),
             self._profile_section(quantity),
             section("Further figures, k = 2", listed(further)),
@@ -187,9 +188,6 @@ class MapAnalysis(Drawn):
             # At its left end, as a colour bar stands at the right; below, as names of regions stand above.
             mark(where, "profile", min((x1, y1), (x2, y2)), (2, -3), "red", va="top")
         return where
-
-    def _draw_map(self, figure: Figure, _narrow: bool) -> None:
-        self.plot(figure.subplots())
 
     def _profile_section(self, quantity: str) -> str:
         if self.profile is None or not (rows := self.profile_rows()):

@@ -20,7 +20,7 @@ from radiometer.analysis.calibration.calibrate import (
     metered_u_rel,
 )
 from radiometer.analysis.calibration.flat_field import fit_flat_field
-from radiometer.analysis.calibration.shared import require_channel, require_flat_field
+from radiometer.analysis.calibration.shared import require_channel, require_flat_field, require_response
 from radiometer.analysis.characterise.taps import camera_with_taps
 from radiometer.analysis.exports.certificate import read_certificate
 from radiometer.analysis.merge.bracket import merge
@@ -298,6 +298,7 @@ def calibrate(
     inputs = tuple(Path(path).name for path in files if path)
     further = (
         *of_black,
+        *require_response(curve, base.camera),
         *_of_taps(base, seen),
         *(seen.assumed if seen else ()),
         *_of_dials(settings, exposure_s, f_number),
@@ -514,7 +515,8 @@ def _base(
     elif curve is None or meter is None:
         raise UsageError("--response is missing: without frames only the curve states how many bits the camera has")
     else:
-        camera, lens = CameraDescription(bit_depth=curve.bit_depth), LensDescription(f_number=meter.f_number)
+        camera = curve.camera or CameraDescription(bit_depth=curve.bit_depth)
+        lens = LensDescription(f_number=meter.f_number)
     if preset is not None:
         camera = preset.applied_to(camera, "the camera file")
     stated = black_dn

@@ -66,7 +66,9 @@ class Certificate(Result):
         ]
         budget = [(line.name, line.kind, f"{100 * line.u_rel:.2g} %") for line in content.budget]
         parts = [
-            section("Result", table(("quantity", "value", "k"), results, words=(0,))),
+            section(
+                "Result, ± its expanded uncertainty (95.45 %)", table(("quantity", "value", "k"), results, words=(0,))
+            ),
             section("Certificate", table(("", ""), parties, words=(0, 1))),
             section("Method", listed(content.method)),
             section("Uncertainty budget", table(("contribution", "type", "u (k = 1)"), budget, words=(0,))),
@@ -157,13 +159,11 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
             "the laboratory file states no item; a certificate of a reading needs the source that was read"
         )
     stated = {name: content[name] for name in ("radiance", "luminance") if content.get(name)}
-    if stated["radiance"]["unit"] == "relative":
+    if stated["radiance"]["unit"] == "relative" or Flag.UNCALIBRATED.value in content["flags"]:
         raise UsageError(_RELATIVE)
     k = stated_factor(float(content["coverage_factor"]))
     if Flag.SATURATED.value in content["flags"]:
         raise InputError("the reading is saturated: its value is a lower bound, which no certificate states")
-    if Flag.UNCALIBRATED.value in content["flags"]:
-        raise UsageError(_RELATIVE)
     results = tuple((name, _result(name, stated[name]), k) for name in stated)
     _refuse_changed(content, results[0][1], k)
     budget = tuple(

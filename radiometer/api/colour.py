@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
+from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.colour.calibration import (
     ColourCalibration,
     ColourCamera,
@@ -349,31 +350,44 @@ class _Channels:
 
     origin: str
     maps: Mapping[str, RadianceMap]
-    setup: Setup
-    settings: tuple[FrameSettings, ...]  # of the light frames, as they were merged
+    # By channel, how its light frames were taken, and their settings as they were merged
+    taken: Mapping[str, tuple[Setup, tuple[FrameSettings, ...]]]
     patches: Mapping[str, Patch]
     together: bool
+    assumed: tuple[str, ...] = ()  # of settings that calibration or frames do not state
 
     @property
     def assumptions(self) -> tuple[str, ...]:
         """Return what was assumed of the frames."""
-        return tuple(dict.fromkeys(text for one in self.maps.values() for text in one.provenance.assumptions))
+        of_maps = (text for one in self.maps.values() for text in one.provenance.assumptions)
+        return tuple(dict.fromkeys((*self.assumed, *of_maps)))
+
+    @property
+    def setup(self) -> Setup:
+        """Return how the frames of the first channel were taken."""
+        return next(iter(self.taken.values()))[0]
 
     @property
     def camera(self) -> ColourCamera:
-        """Return the camera as its frames were taken."""
-        iso = min((one.iso for one in self.settings if one.iso is not None), default=None)
-        return ColourCamera(tuple(self.maps), self.setup.camera, self.setup.lens, frame_conditions(self.settings), iso)
-
-    @property
-    def reference(self) -> Calibration:
-        """Return how the frames were taken, for comparison with others."""
-        return reference(self.camera, (self.setup.taken or dt.datetime.now(dt.UTC)).isoformat())
+        """Return the camera as the frames of its first channel were taken."""
+        setup, settings = next(iter(self.taken.values()))
+        iso = min((one.iso for one in settings if one.iso is not None), default=None)
+        return ColourCamera(tuple(self.maps), setup.camera, setup.lens, frame_conditions(settings), iso)
 
     def carried(self, to: Calibration) -> tuple[_Channels, float]:
-        """Return the channels as if taken as a calibration's frames were, and the relative u of that."""
-        factor, u_rel = carried(replace(self.setup, calibration=to), self.settings)
-        return replace(self, maps={name: one.scaled(factor, one.unit) for name, one in self.maps.items()}), u_rel
+        """Return the channels as if taken as a calibration's frames were, and the relative u that all of them share.
+
+        What one channel differs by more than the others, such as a filter before it alone, is in its own u.
+        """
+        found = {
+            name: carried(replace(setup, calibration=to), settings) for name, (setup, settings) in self.taken.items()
+        }
+        shared, maps = min(u_rel for _, u_rel in found.values()), {}
+        for name, (factor, u_rel) in found.items():
+            common = math.hypot(self.maps[name].u_rel_common, math.sqrt(u_rel**2 - shared**2))
+            maps[name] = replace(self.maps[name].scaled(factor, self.maps[name].unit), u_rel_common=common)
+        assumed = (text for setup, _ in self.taken.values() for text in require_camera(to, setup.camera))
+        return replace(self, maps=maps, assumed=tuple(dict.fromkeys(assumed))), shared
 
     def signal(self, patch: Patch, name: str) -> tuple[Array, Array, tuple[str, ...]]:
         """Return the mean of each channel over a patch, its u without what all pixels share, and flags."""
@@ -439,11 +453,19 @@ class _Frames:
             if capture.header.camera.mosaic is not None:
                 raise UsageError(f"--filter {name}={filters[name]}: the camera has colour filters; give its set alone")
             seen[name] = self._of_capture(capture, {name: self._merged(Path(folder))["mono"]})
-        first = next(iter(seen.values()))
-        maps = {name: one.carried(first.reference)[0].maps[name] for name, one in seen.items()}
+        maps = {name: one.maps[name] for name, one in seen.items()}
         if len({one.shape for one in maps.values()}) > 1:
             raise InputError("--filter: the frames behind the filters differ in size; capture the same region")
-        return replace(first, origin=", ".join(map(str, filters.values())), maps=maps, patches={}, together=False)
+        # All filters are those of one camera, in the order of its channels.
+        stated = [one.setup.camera.filter for one in seen.values()]
+        behind = {"filter": ", ".join(one or "unstated" for one in stated) if any(stated) else None}
+        taken = {
+            name: (replace(setup, camera=setup.camera.model_copy(update=behind)), settings)
+            for name, one in seen.items()
+            for setup, settings in one.taken.values()
+        }
+        everywhere = set.intersection(*(set(one.patches.items()) for one in seen.values()))
+        return _Channels(", ".join(map(str, filters.values())), maps, taken, dict(everywhere), together=False)
 
     def _of_capture(self, capture: CaptureSet, maps: Mapping[str, RadianceMap]) -> _Channels:
         header = capture.header
@@ -451,7 +473,7 @@ class _Frames:
         number = settings[0].f_number or header.lens.f_number or self.f_number
         setup = Setup(header.camera, header.lens.model_copy(update={"f_number": number}), taken=header.taken)
         places = {one.name: one.patch for one in header.patches}
-        return _Channels(str(capture.path), maps, setup, settings, places, together=True)
+        return _Channels(str(capture.path), maps, dict.fromkeys(maps, (setup, settings)), places, together=True)
 
     def _of_photographs(self, path: Path) -> _Channels:
         stack = stack_of(open_source(path, "each"), str(path))
@@ -466,7 +488,8 @@ class _Frames:
         settings = tuple(one.settings for one in next(iter(stack)).light)
         lens = LensDescription(f_number=settings[0].f_number or self.f_number)
         setup = Setup(stack.camera, lens, taken=stack.taken)
-        return _Channels(str(path), {name: found[name] for name in COLOURS}, setup, settings, {}, together=True)
+        maps = {name: found[name] for name in COLOURS}
+        return _Channels(str(path), maps, dict.fromkeys(maps, (setup, settings)), {}, together=True)
 
 
 def _lights(
@@ -479,7 +502,10 @@ def _lights(
     def channels(of: PathLike | None) -> tuple[_Channels, float]:
         if str(of) not in seen:
             found, first = frames.channels(of), next(iter(seen.values()), None)
-            seen[str(of)] = (found, 0.0) if first is None else found.carried(first[0].reference)
+            like = found if first is None else first[0]
+            when = like.setup.taken or dt.datetime.now(dt.UTC)
+            alike, u_rel = found.carried(reference(like.camera, when.isoformat()))
+            seen[str(of)] = alike, 0.0 if first is None else u_rel
         return seen[str(of)]
 
     lights = [] if chart is None else read_chart(Path(chart))

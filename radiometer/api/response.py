@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.calibration.shared import require_same_camera
 from radiometer.analysis.exports.curves import CURVE_SUFFIXES, draw_responses, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
@@ -19,7 +20,7 @@ from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Drawn, Progress
 from radiometer.bench.sources import open_source
-from radiometer.data import Bracket, ResponseCurve
+from radiometer.data import Bracket, CameraDescription, ResponseCurve
 from radiometer.data.capture_set import refuse_inputs
 from radiometer.data.drawing import check_plot_name, new_axes
 from radiometer.data.iso_speeds import IsoSpeeds
@@ -27,7 +28,7 @@ from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.photographs.response import ENOUGH_PIXELS
 from radiometer.photographs.scene import Photographs, reject_inconsistent_photographs
-from radiometer.photographs.stated import with_gains, with_iso_speeds
+from radiometer.photographs.stated import stated_camera, with_gains, with_iso_speeds
 from radiometer.plausible import Iso, Positive
 from radiometer.progress import counted, unseen
 
@@ -197,8 +198,12 @@ def recover_response(
     _refuse_targets(target, drawn, names, inputs, force=force)
     notes: list[str] = []
     found: dict[str, list[Bracket]] = {}
+    camera: CameraDescription | None = None
     for one in several:
-        for name, bracket in _read(one, channel, dict(measured_iso or {}), align, progress, notes.append):
+        stated, brackets = _read(one, channel, dict(measured_iso or {}), align, progress, notes.append)
+        camera = camera or stated
+        require_same_camera(camera, stated, "first capture")
+        for name, bracket in brackets:
             found.setdefault(name, []).append(bracket)
     joint: Sequence[ResponseEstimate | None] = [None] * len(found)
     if DEFAULT_METHOD in names and len(found) > 1:
@@ -209,6 +214,7 @@ def recover_response(
         for brackets, known in zip(found.values(), joint, strict=True)
         for estimate in _recovered(brackets, names, ratios, known, progress, notes.append)
     ]
+    estimates = [replace(one, curve=replace(one.curve, camera=camera)) for one in estimates]
     files = _written(estimates, target) if target is not None else []
     if drawn is not None:
         draw_responses(estimates, drawn)
@@ -241,13 +247,14 @@ def _read(
     align: str,
     progress: Progress | None,
     note: Callable[[str], None],
-) -> list[tuple[str, Bracket]]:
-    """Return the brackets of a source with their colour channels; photographs in one place."""
+) -> tuple[CameraDescription, list[tuple[str, Bracket]]]:
+    """Return the camera of a source, and its brackets with their colour channels; photographs in one place."""
     if isinstance(source, Bracket):
+        camera, _ = stated_camera(source)
         taken, by_hand = Photographs({_channel(source): source}, Path(source.origin)), False
     else:
         stack = source if isinstance(source, Stack) else _opened(Path(source), channel, measured_iso, progress)
-        taken, by_hand = stack.as_photographs(), stack.photographs
+        taken, by_hand, camera = stack.as_photographs(), stack.photographs, stack.camera
     if by_hand:
         taken = taken.thinned().each(lambda one: with_gains(one, IsoSpeeds(measured_iso)))
     reject_inconsistent_photographs(taken)
@@ -260,7 +267,7 @@ def _read(
             note(f"{taken.folder}: the black level is that of {len(one.dark)} dark frames, {level:.1f} DN")
         elif one.dark:
             note(f"{taken.folder}: {len(one.dark)} dark frames are not used; the frames state their black level")
-    return [(_channel(bracket), bracket) for bracket in placed.common.values()]
+    return camera, [(_channel(bracket), bracket) for bracket in placed.common.values()]
 
 
 def _opened(path: Path, channel: str, measured_iso: dict[float, float], progress: Progress | None) -> Stack:

@@ -6,6 +6,7 @@ same keys whatever the job, so that all rows fit one table.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import math
 import os
@@ -20,7 +21,7 @@ import numpy as np
 from radiometer.data import Bracket, Calibration, CaptureSet, Frame, Patch, RadianceMap
 from radiometer.data.json_text import json_text
 from radiometer.data.provenance import source_hash
-from radiometer.data.setup import Setup
+from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.errors import CaptureError, InputError, MeasurementError, OutputError, RadiometerError, required_library
 
 Row = dict[str, Any]
@@ -88,7 +89,11 @@ def write_map(merged: RadianceMap, path: Path) -> None:
             provenance=merged.provenance.to_mapping(),
         )
         shutil.rmtree(path, ignore_errors=True)
-        unfinished.rename(path)
+        try:
+            unfinished.rename(path)
+        except OSError as error:  # of copies of a capture set another worker may write the same map
+            if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
+                raise
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
@@ -173,7 +178,9 @@ def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     header = capture_set.header
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
     bracket = Bracket.from_frames(_lit(capture_set), origin=str(capture_set.path))
-    merged = merge_frames(bracket, Setup(header.camera, header.lens, calibration))
+    spectrum = header.source.spectrum or AS_CALIBRATED
+    setup = Setup(header.camera, header.lens, calibration, header.source, spectrum, header.taken)
+    merged = merge_frames(bracket, setup)
     if settings.maps:
         # Another calibration gives another map, and the one before still belongs to its table.
         name = f"{capture_set.path.name}-{capture_set.content_hash()[:12]}-{settings.fingerprint()[:8]}.zarr"

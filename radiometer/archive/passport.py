@@ -28,6 +28,7 @@ _TINY_U: Final = 1e-300  # where nothing is known of both uncertainties
 _JUMP_SIGMAS: Final = 5.0  # by chance once in 2 million places
 _SMALLEST_JUMP_REL: Final = 0.002  # engineering prior: lamps wander by a tenth of a percent from frame to frame
 _LIGHT_CHANGED_REL: Final = 0.01  # engineering prior: to this a lamp repeats that is switched on again
+_FEWEST_OF_A_COURSE: Final = 3  # two frames are a pair
 _PARAMETERS: Final = 2  # of a law of the dark current
 _COVERED: Final = 0.97725  # of a normal distribution, below two sigma
 _STEP_K: Final = 0.01  # of a central difference, short against the kelvins within which the rate doubles
@@ -421,37 +422,43 @@ def _light(sessions: Sequence[Session], camera_unchanged: bool) -> list[str]:
     for session in sessions:
         for series in session.series:
             levels.setdefault(series.setting, []).append((session, float(np.mean(series.signal_dn))))
+    changes: dict[tuple[str, str], list[tuple[float, float]]] = {}  # (exposure in s, change) by the sessions' names
     for setting, seen in levels.items():
-        lines += _level_change(setting, seen, camera_unchanged)
+        for (before, low), (after, high) in itertools.pairwise(seen):
+            change = _level_change(before, low, after, high)
+            if change is not None:
+                changes.setdefault((before.name, after.name), []).append((setting[0], change))
+    whose = "the light (gain and dark current did not change)" if camera_unchanged else "light or camera"
+    for (before_name, after_name), found in changes.items():
+        (shortest, least), (longest, most) = (tuple(map(of, zip(*found, strict=True))) for of in (min, max))
+        times = " to ".join(dict.fromkeys(f"{one:g}" for one in (shortest, longest)))
+        by = " to ".join(dict.fromkeys(f"{100 * one:+.1f}" for one in (least, most)))
+        lines.append(f"at {times} s the signal changed by {by} % from {before_name} to {after_name}: {whose}")
     return lines
 
 
-def _level_change(setting: tuple[Any, ...], seen: Sequence[tuple[Session, float]], camera_unchanged: bool) -> list[str]:
-    lines = []
-    for (before, low), (after, high) in itertools.pairwise(seen):
-        change = high / low - 1.0
-        gains = [s.figures.get("K") for s in (before, after)]
-        if abs(change) <= _LIGHT_CHANGED_REL:
-            continue
-        if gains[0] is not None and gains[1] is not None:
-            # The same electrons at another gain are a change of the camera; at the same gain, of the light.
-            change = high / gains[1].value / (low / gains[0].value) - 1.0
-            if abs(change) <= _LIGHT_CHANGED_REL + 2 * math.hypot(gains[0].u_rel, gains[1].u_rel):
-                continue
-        whose = "the light (gain and dark current did not change)" if camera_unchanged else "light or camera"
-        lines.append(
-            f"at {setting[0]:g} s the signal changed by {100 * change:+.1f} % from {before.name} to {after.name}: "
-            f"{whose}"
-        )
-    return lines
+def _level_change(before: Session, low: float, after: Session, high: float) -> float | None:
+    """Return by what part the signal of one setting rose; None where the light did not change."""
+    change = high / low - 1.0
+    gains = [s.figures.get("K") for s in (before, after)]
+    if abs(change) <= _LIGHT_CHANGED_REL:
+        return None
+    if gains[0] is None or gains[1] is None:
+        return change
+    # The same electrons at another gain are a change of the camera; at the same gain, of the light.
+    of_light = high / gains[1].value / (low / gains[0].value) - 1.0
+    known_to = 2 * math.hypot(gains[0].u_rel, gains[1].u_rel)
+    return change if abs(of_light) > _LIGHT_CHANGED_REL + known_to else None
 
 
 def light_line(session: str, series: LightSeries) -> str | None:
-    """Return what the light did during frames of one setting; None where it was steady to 0.2 %.
+    """Return what the light did during frames of one setting; None where it was steady to 0.2 %, or two are all.
 
     A jump is a step between two frames that stands five standard deviations out of the scatter on both sides.
     """
     signal = np.array(series.signal_dn)
+    if signal.size < _FEWEST_OF_A_COURSE:
+        return None
     relative = signal / signal.mean() - 1.0
     jump = _jump(relative)
     where = f"{session}, {series.exposure_s:g} s"

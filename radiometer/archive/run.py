@@ -42,6 +42,7 @@ _MMAP_THRESHOLD: Final = -3  # malloc.h of glibc
 _LARGEST_BLOCK: Final = 32 << 20  # glibc's own upper limit on 64 bits
 _KEPT_BYTES: Final = 256 << 20  # a capture's frames are read again and again: giving them back costs page faults
 _BEGINNING: Final = f'[{{"{COLUMNS[0]}":'  # of every journal, even where a kill cut its first line short
+_NUMBERS: Final = ("value", "u", "captured")
 TABLE_ENDINGS = (".parquet", ".csv")
 
 
@@ -117,7 +118,7 @@ class ResultJournal:
         ordered = sorted(
             newest.values(), key=lambda r: tuple(str(r[k]) for k in ("capture", "job", "patch", "quantity"))
         )
-        frame = pd.DataFrame(ordered, columns=list(COLUMNS)).astype({"value": float, "u": float, "captured": float})
+        frame = pd.DataFrame(ordered, columns=list(COLUMNS)).astype(dict.fromkeys(_NUMBERS, float))
         content = BytesIO()
         if self.table.suffix == ".parquet":
             frame.to_parquet(content, index=False)
@@ -144,7 +145,15 @@ class ResultJournal:
                 rows = parsed_json(line)
             except (ValueError, RecursionError):
                 continue
-            yield from rows
+            if isinstance(rows, list) and all(map(_is_row, rows)):
+                yield from rows
+
+
+def _is_row(row: Any) -> bool:
+    """Return whether a value is a row as `run_job` makes it."""
+    if not isinstance(row, dict) or not row.keys() >= set(COLUMNS):
+        return False
+    return all(isinstance(row[name], int | float | None) for name in _NUMBERS)
 
 
 @cache

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import glob
-from collections.abc import Callable, Collection, Sequence
+import os
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +25,7 @@ from radiometer.importing.photograph_pixels import IMAGE_SUFFIXES
 from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
 from radiometer.moments import moment_of
 
-_FEWEST_OF_A_SERIES: Final = 3  # two frames are a pair; a course needs a third
+_CLIPS: Final = 0.002  # part of the pixels at full scale from which a mean says nothing of the light
 _FRAME_SUFFIXES: Final = (*FITS_SUFFIXES, *TIFF_SUFFIXES)
 _PICTURE_SUFFIXES: Final = (*_FRAME_SUFFIXES, *IMAGE_SUFFIXES, *RAW_SUFFIXES)
 
@@ -42,7 +43,7 @@ def find_captures(archive: str) -> tuple[list[Path], list[Path]]:
     """
     matches = [archive] if Path(archive).is_dir() else glob.glob(archive, recursive=True)  # noqa: PTH207 (any root)
     roots = [Path(found) for found in matches if Path(found).is_dir()]
-    finished = sorted({header.parent for root in roots for header in root.rglob(HEADER_NAME)})
+    finished = sorted({file.parent for root in roots for file in _files_below(root) if file.name == HEADER_NAME})
     foreign = {folder for root in roots for folder in _foreign_folders(root, finished, _PICTURE_SUFFIXES)}
     if not finished:
         raise InputError(
@@ -79,7 +80,7 @@ class Session:
     figures: dict[str, Quantity]  # EMVA 1288 figures that it gives
     # (temperature in °C, u in K, dark current in DN/s) of each plateau
     dark_rates: tuple[tuple[float, float, Quantity], ...]
-    series: tuple[LightSeries, ...]  # repeated bright frames
+    series: tuple[LightSeries, ...]  # bright frames
     notes: tuple[str, ...]  # what a user must know
 
 
@@ -92,7 +93,7 @@ def find_sessions(archive: Path) -> list[CaptureSet]:
     """
     if not archive.is_dir():
         raise InputError(f"{archive} is no folder; name one that holds capture sets or folders of frames")
-    own = sorted({header.parent for header in archive.rglob(HEADER_NAME)})
+    own = sorted({file.parent for file in _files_below(archive) if file.name == HEADER_NAME})
     found = [CaptureSet.read(folder) for folder in own]
     for folder in _foreign_folders(archive, own):
         try:
@@ -163,10 +164,23 @@ def read_sessions(archive: Path, report: Callable[[str], None] = lambda line: No
 def _foreign_folders(archive: Path, own: Sequence[Path], suffixes: Collection[str] = _FRAME_SUFFIXES) -> list[Path]:
     folders = {
         file.parent
-        for file in archive.rglob("*")
+        for file in _files_below(archive)
         if file.is_file() and (_is_frame(file, suffixes) or file.name == DESCRIPTOR_NAME)
     }
     return sorted(f for f in folders if not any(f.is_relative_to(one) for one in own))
+
+
+def _files_below(root: Path) -> Iterator[Path]:
+    """Yield what is no folder at any depth, behind symbolic links too; each folder once."""
+    seen = set()
+    for folder, folders, names in os.walk(root, followlinks=True):
+        real = os.path.realpath(folder)
+        if real in seen:
+            folders.clear()
+            continue
+        seen.add(real)
+        folders.sort()
+        yield from (Path(folder) / name for name in names)
 
 
 def _is_frame(file: Path, suffixes: Collection[str] = _FRAME_SUFFIXES) -> bool:
@@ -199,9 +213,12 @@ def _series(capture: CaptureSet, black_dn: float) -> list[LightSeries]:
     found = []
     for group in groups_of_capture(capture):
         one = group.settings
-        if one.is_dark or one.source_level <= 0 or len(group.files) < _FEWEST_OF_A_SERIES:
+        if one.is_dark or one.source_level <= 0:
             continue
-        means = [float(np.mean(dn)) - black_dn for dn in group.read(capture.header.camera.full_scale_dn)]
+        frames = list(group.read(capture.header.camera.full_scale_dn))
+        if any(np.mean(dn >= capture.header.camera.saturated_dn) > _CLIPS for dn in frames):
+            continue
+        means = [float(np.mean(dn)) - black_dn for dn in frames]
         files = tuple(file.name for file in group.files)
         found.append(LightSeries(one.exposure_s, one.gain_db, one.source_level, one.pattern, files, tuple(means)))
     return found

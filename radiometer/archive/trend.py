@@ -450,6 +450,8 @@ def _history(patch: str, quantity: str, rows: pd.DataFrame) -> Trend:
         "saturated: the value is a lower bound": marks.str.contains(r"\bsaturated\b"),
         "below_noise: the value is an upper bound": marks.str.contains(r"\bbelow_noise\b"),
     }
+    if {"content_hash", "job"} <= set(rows):
+        reasons["copies of a capture set"] = rows["content_hash"].notna() & rows.duplicated(["content_hash", "job"])
     flags = Counter(flag for written in marks for flag in re.split(r"[\s,;|]+", str(written)) if flag)
     left_out = {reason: int(found.sum()) for reason, found in reasons.items() if found.any()}
     unit = str(rows["unit"].iloc[0])

@@ -35,6 +35,7 @@ from radiometer.errors import ConfigurationError, InputError, UsageError
 from radiometer.reporting.origin import moment
 from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
 from radiometer.screen.meter import ScreenReading
+from radiometer.screen.report import derived
 from radiometer.screen.run import Light
 from radiometer.typing import Array
 
@@ -105,7 +106,9 @@ class ScreenBench:
         xs = np.linspace(0, limits.width - patch.width, 3).astype(int)
         ys = np.linspace(0, limits.height - patch.height, 3).astype(int)
         places = [[Patch(int(x), int(y), patch.width, patch.height) for x in xs] for y in ys]
-        return Uniformity.of([[self.instrument.at(place).measure().radiance.value for place in row] for row in places])
+        found = [[self.instrument.at(place).measure() for place in row] for row in places]
+        u_rel = max(derived([one, found[1][1]], lambda v: float(v[0] / v[1])).u for row in found for one in row)
+        return Uniformity.of([[one.radiance.value for one in row] for row in found], u_rel)
 
 
 def _around(places: Sequence[Patch]) -> Patch:

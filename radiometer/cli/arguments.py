@@ -218,6 +218,17 @@ def parse_known_ratios(words: Sequence[str] | None) -> dict[int, float]:
     return {int(pair): ratio for pair, ratio in found.items()}
 
 
+def parse_named(words: Sequence[str], option: str, between: str, expected: str) -> dict[str, str]:
+    """Return texts by name. Raises UsageError for a word that is no name and text, or a name that occurs twice."""
+    found = dict[str, str]()
+    for word in words:
+        name, sign, text = word.partition(between)
+        if not (name and sign and text) or name in found:
+            raise UsageError(f"{option} {word!r}: expected {expected}; each name once")
+        found[name] = text
+    return found
+
+
 def _pairs(words: Sequence[str] | None, option: str, expected: str, above: float) -> dict[float, float]:
     found: dict[float, float] = {}
     for word in words or ():

@@ -149,5 +149,5 @@ def _annotation(name: str, kind: str, default: Any, stated: Any, text: str) -> A
     if whole:
         return Annotated[(*get_args(stated)[:-1], info)]
     names = re.findall(r"\w+", kind)
-    word = str if info.parser else next((of for known, of in _KINDS.items() if known in names), str)
+    word = str if info.parser else next((_KINDS[one] for one in names if one in _KINDS), str)
     return Annotated[word | None if default is None else word, info]

@@ -12,17 +12,25 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.data.capture_header import CameraDescription
 from radiometer.data.provenance import Provenance
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import dump_yaml, read_text, read_yaml, write_text_atomic
-from radiometer.data.validation import refuse_unknown
+from radiometer.data.validation import refuse_unknown, validate
 from radiometer.errors import InputError
 
 FORMAT = "radiometer-response/1"
 _LARGEST_LOG: Final = 100.0  # of an exposure: e¹⁰⁰ and e⁻¹⁰⁰ J·m⁻² are beyond all light
 _KEYS: Final = (
-    "format", "bit_depth", "channel", "absolute", "unit", "valid_dn", "provenance", "log_exposure", "u_log_exposure",
+    "format", "bit_depth", "channel", "camera", "absolute", "unit", "valid_dn", "provenance", "log_exposure",
+    "u_log_exposure",
 )  # fmt: skip
+_OF_CAMERA: Final = (
+    "vendor",
+    "model",
+    "serial",
+    "mode",
+)  # what a file keeps of the camera: which one, how it developed
 _CSV_HEADER = ["dn", "log_exposure", "u_log_exposure"]
 
 
@@ -42,6 +50,7 @@ class ResponseCurve:
     valid_dn: tuple[int, int] | None = None
     channel: str = "mono"  # "mono", "luminance", "red", "green" or "blue"
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))  # method, inputs, assumptions
+    camera: CameraDescription | None = None  # the camera; None where nothing says of which the curve is
 
     def __post_init__(self) -> None:
         size = self.log_exposure.size
@@ -82,6 +91,7 @@ class ResponseCurve:
             "format": FORMAT,
             "bit_depth": self.bit_depth,
             "channel": self.channel,
+            "camera": self.camera.model_dump(include=set(_OF_CAMERA), exclude_none=True) if self.camera else None,
             "absolute": self.absolute,
             "unit": "ln(J m-2)" if self.absolute else "ln(relative exposure)",
             "valid_dn": list(self.valid_dn) if self.valid_dn else None,
@@ -110,6 +120,7 @@ class ResponseCurve:
                 valid_dn=(int(valid[0]), int(valid[1])) if valid else None,
                 channel=str(mapping.get("channel", "mono")),
                 provenance=provenance,
+                camera=_camera(mapping, where),
             )
         except KeyError as error:
             raise InputError(f"{where}: key {error} is missing") from error
@@ -135,6 +146,15 @@ class ResponseCurve:
         if path.suffix.lower() != ".csv":
             return cls.from_mapping(read_yaml(path), str(path))
         return _from_csv(read_text(path), path)
+
+
+def _camera(mapping: dict[str, Any], where: str) -> CameraDescription | None:
+    """Return the camera that a file states; None in files of versions before there was such a key."""
+    if (stated := mapping.get("camera")) is None:
+        return None
+    refuse_unknown(stated, _OF_CAMERA, f"{where}: camera", InputError)
+    bit_depth = len(mapping["log_exposure"]).bit_length() - 1
+    return validate(CameraDescription, {"bit_depth": bit_depth, **stated}, f"{where}: camera", InputError)
 
 
 def _of_light(log_exposure: NDArray[np.float64]) -> NDArray[np.float64]:

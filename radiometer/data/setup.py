@@ -21,8 +21,7 @@ class Setup:
     lens: LensDescription = field(default_factory=LensDescription)  # the lens in use
     # The camera's calibration, with the light's spectrum where that is stated; None gives relative values
     calibration: Calibration | None = None
-    # What is known of the light; that of a screen counts as polarised where nothing else is stated
-    source: SourceDescription | None = None
+    source: SourceDescription | None = None  # what is known of the light
     # Name of the light's spectrum, or path of a CSV; `AS_CALIBRATED`; None where only the source may state it. Where it
     # does not either, all kinds of light count in the uncertainty
     spectrum: str | None = AS_CALIBRATED
@@ -35,6 +34,13 @@ class Setup:
             object.__setattr__(self, "spectrum", self.source.spectrum)
         if self.calibration is not None and self.spectrum not in (None, AS_CALIBRATED):
             object.__setattr__(self, "calibration", replace(self.calibration, spectrum=self.spectrum))
+
+    @property
+    def polarised(self) -> bool | None:
+        """Return whether the light is polarised: a screen's is where nothing else is stated; None where unknown."""
+        if self.source is None:
+            return None
+        return True if self.source.polarised is None and self.source.kind == "screen" else self.source.polarised
 
     @property
     def spectrum_stated(self) -> bool:

@@ -182,7 +182,7 @@ def _of_mosaic(path: Path, units: Any, pictures: Sequence[Any], mosaic: Mosaic, 
     differing = sorted({*cards[0]} & {place.name for place in (*_ELECTRONS_PER_DN, *_READ_NOISE)} - {*alike})
     doubt = (f"its amplifiers state {', '.join(differing)} each: not used for the whole frame",) if differing else ()
     return replace(
-        frame, camera={**frame.camera, "taps": mosaic.taps}, taken={**frame.taken, "taps": "DETSEC"},
+        frame, camera={**frame.camera, "taps": mosaic.taps}, taken={**frame.taken, "taps": "sections of the detector"},
         doubts=(*frame.doubts, *doubt), not_used=not_used,
     )  # fmt: skip
 

@@ -12,7 +12,7 @@ import numpy as np
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError, UnsettledError
-from radiometer.units import exact_exposure_s, exact_f_number
+from radiometer.units import exact_exposures_s, exact_f_number
 
 _NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "luminance": ("luminance", "l_v", "lv", "luminance_cd_per_m2"),
@@ -29,13 +29,14 @@ _NEEDS: Final = "luminance, f_number, time and iso"
 
 @dataclass(frozen=True, slots=True)
 class MeterRow:
-    """One reading: luminance in cd·m⁻², printed f-number and time in s, ISO speed, and the source's name."""
+    """One reading: luminance in cd·m⁻², f-number and time in s as printed, ISO speed, the source's name, exact time."""
 
     source: str
     luminance_cd_m2: float
     f_number: float
     time_s: float
     iso: float
+    exact_time_s: float  # behind the printed one, by the dial that all rows together show
 
     @property
     def k_printed(self) -> float:
@@ -45,8 +46,7 @@ class MeterRow:
     @property
     def k_exact(self) -> float:
         """Return the meter constant from the exact stops behind them."""
-        time_s, f_number = exact_exposure_s(self.time_s), exact_f_number(self.f_number)
-        return self.luminance_cd_m2 * time_s * self.iso / f_number**2
+        return self.luminance_cd_m2 * self.exact_time_s * self.iso / exact_f_number(self.f_number) ** 2
 
 
 @bounded_reader(error=InputError)
@@ -62,10 +62,12 @@ def read_meter_table(path: Path) -> tuple[MeterRow, ...]:
     named = next(
         (i for i, name in enumerate(table.plain) if name in ("screen", "source", "scene", "target", "name")), None
     )
-    rows = []
-    for (line, cells), *figures in zip(table.rows, *columns.values(), strict=True):
+    for (line, _), *figures in zip(table.rows, *columns.values(), strict=True):
         if min(figures) <= 0:
             raise InputError(f"{table.where(line)}: expected positive numbers, times as 0.004 or 1/250")
+    rows = []
+    exact = exact_exposures_s(columns["exposure"])
+    for (_, cells), *figures in zip(table.rows, *columns.values(), exact, strict=True):
         source = cells[named].strip() if named is not None else f"{figures[0]:g} cd·m⁻²"
         rows.append(MeterRow(source, *figures))
     if len(rows) < 2:

@@ -23,6 +23,8 @@ from radiometer.errors import CaptureError
 CHANNELS: Final = ("red", "green", "blue")
 IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 LUMA: Final = (0.299, 0.587, 0.114)  # ITU-R BT.601
+# A JPEG holds luma and two colour differences as whole numbers, 0.5 off at most each: a blue of 255 returns as 253.
+_ROUNDED_DN: Final = 2
 _PNG_START: Final = b"\x89PNG"
 _JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 
@@ -66,7 +68,8 @@ class Photograph:
         if channel in CHANNELS:
             return _plane(values[..., CHANNELS.index(channel)])
         full_scale = (1 << self.bit_depth) - 1
-        return luma_of([values[..., k] for k in range(len(CHANNELS))], (full_scale,) * len(CHANNELS), full_scale)
+        end = full_scale - (_ROUNDED_DN if self.bit_depth == 8 else 0)
+        return luma_of([values[..., k] for k in range(len(CHANNELS))], (end,) * len(CHANNELS), full_scale)
 
 
 def luma_of(planes: Sequence[Any], saturated_dn: Sequence[int], full_scale_dn: int) -> DigitalNumbers:

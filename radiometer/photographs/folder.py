@@ -93,7 +93,7 @@ class PhotographFolder:
         """Return one bracket of the requested channel, or three (red, green, blue) for "each".
 
         Grey photographs give one bracket whatever the channel. A colour photograph's luminance is the luma
-        0.299 R + 0.587 G + 0.114 B of its stored values (ITU-R BT.601), clipped where any channel is.
+        0.299 R + 0.587 G + 0.114 B of its stored values (ITU-R BT.601), clipped where any channel may be.
 
         Args:
             channel: "luminance", "red", "green", "blue" or "each".

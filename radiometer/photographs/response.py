@@ -133,6 +133,7 @@ def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], N
     from radiometer.analysis.response.estimate import telling
     from radiometer.analysis.response.labels import reject_inconsistent_exposures
     from radiometer.data.provenance import source_hash
+    from radiometer.photographs.stated import stated_camera
 
     for bracket in brackets.values():
         reject_inconsistent_exposures(bracket)
@@ -151,7 +152,7 @@ def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], N
     for channel, estimate in zip(brackets, found, strict=True):
         parameters = {**estimate.curve.provenance.parameters, _KEY: key, _VERSION_KEY: source_hash(_RECOVERY)}
         provenance = replace(estimate.curve.provenance, parameters=parameters)
-        curves[channel] = replace(estimate.curve, provenance=provenance)
+        curves[channel] = replace(estimate.curve, provenance=provenance, camera=stated_camera(brackets[channel])[0])
     return curves
 
 

@@ -424,7 +424,6 @@ def merge_photographs(
             absent=photographs.absent,
             without_ghosts=not keep_ghosts,
             displacement_px=displacement.px if displacement else 0.0,
-            doubt_exposures=True,
         )
         found = with_iso_in_map(with_displacement_stated(found, displacement), bracket.light)
         further = (*_assumed_of(curve, name), *photographs.assumed.get(name, ()))

@@ -19,7 +19,7 @@ from scipy.special import stdtr
 
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.result import FittedParameter, Repeats, Series
-from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
+from radiometer.reconciliation.thresholds import SIGNIFICANCE
 from radiometer.statistics.chances import chi2_beyond, chi2_quantile
 from radiometer.statistics.least_squares import solve
 from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
@@ -92,7 +92,8 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     """Return the relative variance by which the source wanders from frame to frame, alike at all exposures.
 
     It is the likeliest one. It is at most the source's stated reproducibility, or 0.3 % where none is stated. It is
-    none where it differs between exposures, since flicker averages out in long ones.
+    none where it differs between exposures, since flicker averages out in long ones. One capture alone shows none: a
+    source that wanders does so in the others too.
 
     Args:
         tried: (values,) relative variances, 0 first.
@@ -102,7 +103,10 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     """
     allowed = tried <= (_PLAUSIBLE_WANDER if declared is None else _DECLARED_WANDER * declared) ** 2
     totals = np.where(allowed, deviances.sum(axis=1), np.inf)
-    if not exposure_s.size or not is_supported(deviances[0].sum() - totals.min(), CLEARLY_BETTER):
+    if not exposure_s.size:
+        return 0.0
+    gains = deviances[0] - deviances[np.argmin(totals)]
+    if not is_supported(float(gains.sum() - gains.max()), CLEARLY_BETTER):
         return 0.0
     order = np.argsort(exposure_s, kind="stable")
     groups = np.array_split(order, min(_EXPOSURE_GROUPS, len(np.unique(exposure_s))))
@@ -312,7 +316,7 @@ def _standing_out(series: Series, total: float, freedom: int) -> tuple[int, ...]
         own = apart**2 * (n - 1.0) / n
         left = max(total - own, 1e-30) / max(freedom - 1, 1)
         t = abs(apart) / np.sqrt(left * n / (n - 1.0))
-        if freedom > _FEWEST and 2.0 * float(stdtr(freedom - 1, -t)) * (freedom + 1) < FRAME_SIGNIFICANCE:
+        if freedom > _FEWEST and 2.0 * float(stdtr(freedom - 1, -t)) * (freedom + 1) < SIGNIFICANCE:
             found.append(position)
     return tuple(found)
 

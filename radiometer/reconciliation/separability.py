@@ -351,8 +351,9 @@ def _followed(gram: Array, right: Array, whole: float) -> tuple[float, Array]:
 
 
 def _paid(target: CatalogueEffect, other: CatalogueEffect) -> float:
-    """Return the χ² that an entry must pay for having more parameters."""
-    return 2.0 * PARAMETER_NATS * max(len(other.free()) - len(target.free()), 0)
+    """Return the χ² that an entry must pay for having more parameters, and for being rarer: as in the posterior."""
+    further = PARAMETER_NATS * max(len(other.free()) - len(target.free()), 0)
+    return 2.0 * (further + target.log_prior_odds - other.log_prior_odds)
 
 
 def _times(effect: CatalogueEffect, amount: float) -> CatalogueEffect:

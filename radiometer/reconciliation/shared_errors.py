@@ -351,18 +351,19 @@ def relative_bands(prediction: Prediction) -> Array:
     """Return the relative variance of the light that goes as a wave along the rows, (captures,)."""
     if not prediction.waves:
         return np.zeros(prediction.gain.shape)
-    return _of_fair_tiles(prediction, prediction.band_variance)
+    return of_fair_tiles(prediction, prediction.band_variance)
 
 
 def relative_flicker(prediction: Prediction) -> Array:
-    """Return the relative variance that all light of a frame shares, (captures,).
+    """Return the relative variance that all light of a frame shares by chance, (captures,).
 
     Of the tiles with a fair share of the light the one that shows most counts: a full well shows none.
     """
-    return _of_fair_tiles(prediction, prediction.common_variance)
+    return of_fair_tiles(prediction, prediction.common_variance)
 
 
-def _of_fair_tiles(prediction: Prediction, variance: Array) -> Array:
+def of_fair_tiles(prediction: Prediction, variance: Array) -> Array:
+    """Return a variance in DN² relative to the light of the tile with a fair share that shows most, (captures,)."""
     if not variance.any():
         return np.zeros(variance.shape[:-1])
     light = np.maximum(prediction.signal * prediction.gain[..., None], 1e-12)

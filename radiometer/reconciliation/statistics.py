@@ -37,6 +37,7 @@ class Prediction:
     neighbour_y: Array
     first: Array
     common_variance: Array
+    ordered_variance: Array  # (captures, tiles) variance by their order of the frames behind the first, in DN²
     row_variance: Array
     fixed_column_variance: Array
     fixed_row_variance: Array

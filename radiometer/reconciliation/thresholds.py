@@ -46,16 +46,8 @@ SIGNIFICANCE: Final = _row(
     "SIGNIFICANCE",
     0.005,
     "chance",
-    "a false alarm among all tests of one pass, and among the few in a name's own place",
+    "a false alarm among all tests of one pass, among the few in a name's own place, and among the frames of a session",
     _NULL,
-)
-FRAME_SIGNIFICANCE: Final = _row(
-    "FRAME_SIGNIFICANCE",
-    0.001,
-    "chance",
-    "a period among frames that scatter at random, one of equal frames reported as an outlier by chance",
-    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py), series drawn at random "
-    "(tests/unit/reconciliation/test_repeats.py): none",
 )
 SCATTER_SIGMAS: Final = _row(
     "SCATTER_SIGMAS", 5.0, "sigma", "scatter without any trend, which no test along a covariate sees", _NULL
@@ -79,13 +71,6 @@ NAMED_NATS: Final = _row(
     "a name, another law or another name in its place by chance: odds of 3000, and ln(starts) more, as one of many "
     "starts fits by chance; also what a curve may predict better by",
     _ODDS,
-)
-SHOWN_CHI2: Final = _row(
-    "SHOWN_CHI2",
-    8.0,
-    "χ²",
-    "a name that its own statistic does not support, only others that it happens to improve",
-    _acted(20),
 )
 SMOOTH_SHARE: Final = _row(
     "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate", _acted(16)
@@ -112,17 +97,17 @@ HUGE_NATS: Final = _row(
     "nats",
     "judging near candidates by linearised nuisances that are far off: they are fitted in full",
 )
-NEAR_SHARE: Final = _row("NEAR_SHARE", 0.05, "1", "the same: share of the best within which candidates are near")
-FAR_GAP: Final = _row(
-    "FAR_GAP", 100.0, "χ²", "the same: reduced χ² from which every candidate that may be it is fitted in full"
-)
 MOST_STEPS: Final = int(
     _row("MOST_STEPS", 12, "1", "a search without an end", "a CCD's darks show nine effects, two in freer forms")
 )
 
 # ---- doubts ---------------------------------------------------------------------------------------------------------
 ESSENTIAL_SIGMAS: Final = _row(
-    "ESSENTIAL_SIGMAS", 3.0, "sigma", "an entry that fits by its further terms alone, its essential one being nothing"
+    "ESSENTIAL_SIGMAS",
+    3.0,
+    "sigma",
+    "an entry that neither its own statistic nor its essential parameter shows, only others that it happens to improve",
+    _acted(20),
 )
 
 TABLE: Final[tuple[Threshold, ...]] = tuple(_ROWS.values())

@@ -329,6 +329,7 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
     peak = float(np.nanmax(radiance))
     settings = BatchSettings.of(design)
     numbers = [table[:, None, None, :] for table in design.frame_numbers]
+    moments_s = [None if table is None else table[:, None, None, :] for table in design.frame_times_s]
     context = TileContext(
         cast(Any, settings),
         geometry,
@@ -344,6 +345,7 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
         tile_pixels=np.array([t.width * t.height for t in design.tiles], dtype=np.float64)[None, :, None],
         tile_height=np.array([t.height for t in design.tiles], dtype=np.float64)[None, :, None],
         frame_numbers=numbers[0],
+        frame_times_s=moments_s[0],
         grid=grid,
         times=FrameTimes.of(design),
     )
@@ -356,9 +358,10 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
             since_light_s=_column(since),
             since_frame_s=_column(rested),
             frame_numbers=own,
+            frame_times_s=taken_s,
         )
-        for (time_s, warm, since), rested, own in zip(
-            design.first_and_later, design.since_frame_s, numbers[1:], strict=True
+        for (time_s, warm, since), rested, own, taken_s in zip(
+            design.first_and_later, design.since_frame_s, numbers[1:], moments_s[1:], strict=True
         )
     )
     return replace(context, first_frame=first, later_frames=later)
@@ -619,6 +622,7 @@ class TileModel:
             neighbour_y=(tiles(final.neighbour_y) - lines / shared + band * left.lag) / safe,
             first=tiles(final.first_excess),
             common_variance=tiles(final.common_variance),
+            ordered_variance=everywhere(final.ordered_variance),
             row_variance=lines.mean(axis=-1),
             fixed_column_variance=columns.mean(axis=-1),
             fixed_row_variance=rows.mean(axis=-1),

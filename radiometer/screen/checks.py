@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from radiometer.numbers import rounded
 from radiometer.screen.meter import Meter, ScreenReading
 
 STEADY_REL: Final = 0.002  # change over the window that counts as warmed up: the size of white's repeatability
@@ -90,14 +91,20 @@ class Uniformity:
     grid: tuple[tuple[float, ...], ...]  # rows of values relative to the middle
     lowest: float  # the lowest of them
     highest: float  # the highest of them
+    u_rel: float  # the largest standard uncertainty of one of them
 
     @classmethod
-    def of(cls, values: Sequence[Sequence[float]]) -> Uniformity:
-        """Return the figures of a grid of radiances with odd numbers of rows and columns."""
+    def of(cls, values: Sequence[Sequence[float]], u_rel: float) -> Uniformity:
+        """Return the figures of a grid of radiances with odd numbers of rows and columns.
+
+        Args:
+            values: The radiances, in any unit.
+            u_rel: The largest standard uncertainty of their ratios to the middle.
+        """
         table = np.asarray(values, dtype=np.float64)
         relative = table / table[table.shape[0] // 2, table.shape[1] // 2]
         rows = tuple(tuple(float(v) for v in row) for row in relative)
-        return cls(rows, float(relative.min()), float(relative.max()))
+        return cls(rows, float(relative.min()), float(relative.max()), u_rel)
 
 
 def additivity(whites: Mapping[str, float], blacks: float) -> float | None:
@@ -138,7 +145,9 @@ def checks_in_words(checks: Mapping[str, Any]) -> dict[str, str]:
             f"{1e3 * flicker['exposure_s']:.3g} ms (PWM dimming?): {repeats} readings are averaged"
         )
     if grid:
-        found["uniformity"] = f"{100 * grid['lowest']:.1f} to {100 * grid['highest']:.1f} % of the middle"
+        u = grid.get("u_rel", math.nan)  # files of earlier versions do not state it
+        (lowest, each), (highest, _) = (rounded(100 * grid[end], 200 * u) for end in ("lowest", "highest"))
+        found["uniformity"] = f"{lowest} to {highest} % of the middle, each ± {each} % (k = 2)"
     if additive is not None:
         found["additivity"] = f"primaries add up to white within {100 * additive:.2g} %"
     return found

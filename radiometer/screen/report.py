@@ -13,12 +13,12 @@ from functools import partial
 from typing import Final, Literal, Protocol
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, label
 from scipy.optimize import curve_fit
 from scipy.special import ndtri
 
 from radiometer.analysis.reading.budget import propagated_u
-from radiometer.analysis.regions import LOST, spread_beyond_noise
+from radiometer.analysis.regions import LOST
 from radiometer.data import Flag, Patch, Quantity, RadianceMap, Reading
 from radiometer.devices import DisplayPatch
 from radiometer.errors import MeasurementError, UsageError
@@ -28,6 +28,7 @@ from radiometer.screen.checks import WarmUp, wait_until_steady
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep
 from radiometer.screen.run import Light, measure_steps
+from radiometer.statistics.scale import spread_beyond_noise
 from radiometer.typing import Array
 
 WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
@@ -134,7 +135,7 @@ class Figure:
 
 
 def relative(name: str, share: Quantity) -> Figure:
-    """Return a figure that is 0 for an ideal display, such as an excess, in %."""
+    """Return a figure in %: one that is 0 for an ideal display, or a place."""
     return Figure(name, share.scaled(100.0, "%"))
 
 
@@ -349,7 +350,7 @@ def _gamma(examined: Examined) -> Section:
     return Section(
         "gamma", "Gamma of the greys",
         (f"{len(drives)} greys, full screen, centre; slope of ln(L − L_black) over ln(level)",),
-        (Figure("gamma", replace(slope, u=math.hypot(slope.u, of_line))), Figure("misfit_rms", misfit)),
+        (Figure("gamma", replace(slope, u=math.hypot(slope.u, of_line))), relative("misfit_rms", misfit)),
         ("level", "luminance (cd·m⁻²)", "local gamma"), tuple(rows), notes,
     )  # fmt: skip
 
@@ -452,8 +453,8 @@ def _mura(examined: Examined) -> Section:
     examined.bench.display.show(WHITE)
     found = mura_of(examined.bench.map_of(examined.area))
     figures = (
-        relative("largest_spot", found.spot), Figure("largest_spot_x", found.x), Figure("largest_spot_y", found.y),
-        relative("rms", found.rms),
+        relative("largest_spot", found.spot), relative("largest_spot_x", found.x),
+        relative("largest_spot_y", found.y), relative("rms", found.rms),
     )  # fmt: skip
     notes = ["the pattern of the camera's own pixels is in the map unless its calibration holds a flat field"]
     if abs(found.spot.value) < found.detection_limit:
@@ -463,7 +464,7 @@ def _mura(examined: Examined) -> Section:
         (
             "full-screen white, every pixel of the camera's picture",
             f"band-pass: Gaussians of {100 * _FINE_SHARE:g} % and {100 * _COARSE_SHARE:g} % of the height, no shading",
-            "x and y count from the top left corner, as shares of width and height",
+            "x and y count from the top left corner, in % of width and height",
         ),
         figures, notes=tuple(notes), picture=100.0 * found.relative,
     )  # fmt: skip
@@ -509,8 +510,10 @@ def mura_of(found: RadianceMap) -> Mura:
     # The largest of many spots of nearly one size is large by chance as well.
     tied = max(1.0, cells * float(np.mean(np.abs(band) > abs(spot) - 2.0 * math.sqrt(2.0) * u)))
     u_spot = u * math.hypot(1.0, math.sqrt(2.0 * math.log(tied)) / math.sqrt(3.0))
-    # A maximum of width σ is found to about σ·noise/height; a pixel is a rectangle.
-    u_place = math.hypot(math.sqrt(2.0) * fine * u / max(abs(spot), u), 1.0 / math.sqrt(12.0))
+    # A maximum of curvature c is found to the noise's slope over c: a blurred spot s²·2π·ln 2 large has c = value/s².
+    parts, _ = label(np.sign(spot) * band > abs(spot) / 2.0)
+    s_2 = float(np.sum(parts == parts[y, x])) / (2.0 * math.pi * math.log(2.0))
+    u_place = math.hypot(s_2 * u / (math.sqrt(2.0) * fine * max(abs(spot), u)), 1.0 / math.sqrt(12.0))
     known = float(np.mean(noise**2))
     pattern = known * float(np.mean((found.u_rel_pattern * flat) ** 2)) / max(float(np.mean(own**2)), 1e-300)
     return Mura(
@@ -518,7 +521,7 @@ def mura_of(found: RadianceMap) -> Mura:
         Quantity(spot, u_spot, "1"),
         Quantity((x + 0.5) / width, u_place / width, "1"),
         Quantity((y + 0.5) / height, u_place / height, "1"),
-        spread_beyond_noise(float(band.var()), known - pattern, cells, pattern),
+        Quantity(*spread_beyond_noise(float(band.var()), known - pattern, cells, pattern), "1"),
         u * math.sqrt(2.0 * math.log(20.0 * cells)),
     )
 

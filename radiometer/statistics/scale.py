@@ -77,6 +77,26 @@ def common_deviance(values: Array, size: Array, variance: Array, deviation: Arra
     return np.asarray(np.log(total).sum(1) + np.log(weights.sum(1)) + (weights * (rates - centre) ** 2).sum(1))
 
 
+def spread_beyond_noise(
+    variance: float, noise_variance: float, count: float, may_vary: float = 0.0
+) -> tuple[float, float]:
+    """Return the standard deviation of n values without that of their normal noise, and its standard uncertainty.
+
+    Var(s²) is 4S²σ²/n + 2σ⁴/n.
+
+    Args:
+        variance: Of the values.
+        noise_variance: Of their noise, which is taken off.
+        count: n.
+        may_vary: Variance that may be in the values besides, anywhere from 0 to this: k = 2 covers all of it.
+    """
+    noise, square = max(noise_variance, 0.0) + may_vary, max(variance - noise_variance, 0.0)
+    u_square = math.sqrt((4.0 * square + 2.0 * noise) * noise / count)
+    value, least = math.sqrt(square), math.sqrt(max(square - may_vary - 2.0 * u_square, 0.0))
+    u = min(math.sqrt(u_square), u_square / (2.0 * value) if square > 0.0 else math.inf)
+    return value, max(u, (value - least) / 2.0)
+
+
 def jackknife_u(left: Sequence[ArrayLike], *, few_parts: bool = False) -> Array:
     """Return the standard uncertainty that results with one part of the data left out each show.
 

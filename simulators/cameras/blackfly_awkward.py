@@ -267,7 +267,7 @@ class AwkwardBlackfly(BlackflyGige):
         request = replace(asked[0], **{name: getattr(held, name) for name in _MADE_UNDER})
         format_name = asked[1]
         try:
-            dn = _drawn(device, processed(device, self._source(request), request), request)
+            dn = _drawn(device, processed(device, self.source(request), request), request)
         except RadiometerError as error:
             self.failure = error
             dn = np.zeros((request.height, request.width), np.uint16)

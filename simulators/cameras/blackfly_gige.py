@@ -72,7 +72,7 @@ class BlackflyGige(Opened):
         real_time: bool = False,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._source, self._limits, self._native_bits = source, limits, native_bit_depth
+        self.source, self._limits, self._native_bits = source, limits, native_bit_depth
         self._vendor, self._model, self._serial, self._address = vendor, model, serial, address
         self._temperature_c, self._real_time, self._sleep = temperature_c, real_time, sleep
         self._info = INFO_TEXT
@@ -236,7 +236,7 @@ class BlackflyGige(Opened):
         request, format_name = asked
         size = request.width * request.height * WIRE_FORMATS[format_name].bits_per_pixel // 8
         try:
-            dn = processed(device, self._source(request), request)
+            dn = processed(device, self.source(request), request)
             return SentPicture(asked, pack_pixels(dn, format_name)[:size], float(dn.mean()), request)
         except RadiometerError as error:
             self.failure = error

@@ -35,9 +35,13 @@ class ForwardModelSource:
     """Exposes the virtual sensor anew for every picture."""
 
     def __init__(self, sensor: VirtualSensor) -> None:
-        self._sensor = sensor
+        self._sensor, self._pattern = sensor, sensor.scene.patterns[0]
         self._last: FrameSettings | None = None
         self._since_change = 0
+
+    def show(self, pattern: str) -> None:
+        """Show another pattern of the scene, as a person at the bench does."""
+        self._pattern = pattern
 
     def __call__(self, request: PictureRequest) -> DigitalNumbers:
         """Return the picture of a request, shape (height, width).
@@ -52,7 +56,7 @@ class ForwardModelSource:
             black_level_dn=request.black_level_dn,
             temperature_c=request.temperature_c,
             source_level=request.source_level,
-            pattern=self._sensor.scene.patterns[0],
+            pattern=self._pattern,
             shutter="closed" if request.is_shutter_closed else "open",
         )
         self._since_change = self._since_change + 1 if settings == self._last else 0

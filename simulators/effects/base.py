@@ -156,6 +156,10 @@ class Effect(ABC):
         """Return the variance common to all pixels of a frame that this effect adds, in unit_out²."""
         return 0.0
 
+    def ordered_variance(self, signal: Signal, context: ExposureContext) -> Signal | float:
+        """Return how a capture's frames behind its first differ by their order, as a variance in unit_out²."""
+        return 0.0
+
     def slope(self, signal: Signal, context: ExposureContext) -> Signal | float:
         """Return d(mean)/d(signal) pixel by pixel; by central difference unless an effect knows better."""
         step = _RELATIVE_STEP * largest(signal)

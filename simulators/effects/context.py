@@ -154,6 +154,7 @@ class ExposureContext:
     # Running numbers in the session, from 0, of the frames that are meant, along the last axis: one of a single frame;
     # NaN where a series has fewer than others
     frame_numbers: Any = (0,)
+    frame_times_s: Any = None  # their times in s; None: that of the settings
     device_seed: int = 0  # identity of this particular camera: its fixed patterns follow from it
     # Bits per pixel that leave the camera; None for the native depth. Until `quantisation` all DN (black level too) are
     # native ones; after it they are those of the output.

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
-from simulators.effects.catalogue import Offset, elapsed_s, over_frames
+from simulators.effects.catalogue import Offset, elapsed_s
 from simulators.effects.context import ExposureContext
 
 _TRIED_DN = 1.0  # a fit is linear in it: any size begins
@@ -21,7 +21,7 @@ _SLOWEST_S = 600.0  # what takes longer is warmth: another temperature of the ca
 class EventOffset(Offset):
     """Adds an offset that dies away after an event: y' = y + b·exp(−(t − t₀)/τ) from t₀ on, y' = y before.
 
-    The event is known to be before the first capture that shows it, not better: t₀ is that capture's time, and is not
+    The event is known to be before the first frame that shows it, not better: t₀ is that frame's time, and is not
     fitted. What has not come back by the last capture is a step, which whatever changes once (a setting, a temperature)
     gives as well.
 
@@ -47,11 +47,9 @@ class EventOffset(Offset):
 
     def offset(self, context: ExposureContext) -> Any:
         """Return the offset in DN; of a series of frames its mean."""
-        return over_frames(self._law, context)
-
-    def _law(self, context: ExposureContext) -> Any:
-        since = np.asarray(elapsed_s(context)) - self.event_s
-        return np.where(since >= 0, self.offset_dn * np.exp(-np.maximum(since, 0.0) / self.tau_s), 0.0)
+        since = _times_of_frames(context) - self.event_s
+        lifted = np.where(since < 0, 0.0, self.offset_dn * np.exp(-np.maximum(since, 0.0) / self.tau_s))
+        return np.nanmean(lifted, axis=-1)
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
@@ -60,13 +58,18 @@ class EventOffset(Offset):
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return events in front of every capture with several before and after it, short and long, up and down."""
-        begun = elapsed_s(context if context.first_frame is None else context.first_frame)
-        times = np.unique(begun)
-        usual_s = float(np.ptp(times)) / max(times.size - 1, 1)
+        """Return events in front of every frame with captures before and after it, short and long, up and down."""
+        begun = np.unique(elapsed_s(context if context.first_frame is None else context.first_frame))
+        usual_s = float(np.ptp(begun)) / max(begun.size - 1, 1)
+        times = np.unique(_times_of_frames(context))
         return tuple(
             cls(size, float(np.clip(rests * usual_s, 0.1, _SLOWEST_S)), float(time))
-            for time in times[_FEWEST : times.size - _FEWEST]
+            for time in times[(times >= begun[_FEWEST]) & (times <= begun[-1 - _FEWEST])]
             for rests in _RESTS
             for size in (_TRIED_DN, -_TRIED_DN)
         )
+
+
+def _times_of_frames(context: ExposureContext) -> Any:
+    """Return the time in s of each frame along a last axis, NaN where a series has fewer than others."""
+    return np.asarray(elapsed_s(context))[..., None] if context.frame_times_s is None else context.frame_times_s

@@ -42,15 +42,12 @@ class SeriesSettling(Scaling):
         share = self.ratio**context.frame_index if frames is None else self._powers(frames, 1.0, 0.0) / frames
         return 1.0 + self.excess_rel * share
 
-    def common_variance(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return how the frames that count differ, as a variance: of three and more all but the first."""
-        frames: Any = getattr(context, "frames", None)
-        if frames is None:
-            return 0.0
-        first = np.where(frames > 2, 1.0, 0.0)
-        counted = np.maximum(frames - first, 1.0)
-        mean = self._powers(frames, 1.0, first) / counted
-        square = self._powers(frames, 2.0, first) / counted
+    def ordered_variance(self, signal: Signal, context: ExposureContext) -> Any:
+        """Return how the frames behind the first differ, as a variance."""
+        frames: Any = getattr(context, "frames", 1.0)
+        counted = np.maximum(frames - 1.0, 1.0)
+        mean = self._powers(frames, 1.0, 1.0) / counted
+        square = self._powers(frames, 2.0, 1.0) / counted
         unbiased = counted / np.maximum(counted - 1.0, 1.0)
         return np.square(signal * self.excess_rel) * np.maximum(square - np.square(mean), 0.0) * unbiased
 

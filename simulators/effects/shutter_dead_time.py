@@ -53,11 +53,11 @@ class ShutterDeadTime(CatalogueEffect):
         """Return the share of its exposure that a frame keeps which loses so many dead times; never below nothing."""
         return np.maximum(1.0 - dead_times * self.dead_time_s / context.settings.exposure_s, 0.0)
 
-    def common_variance(self, signal: Signal, context: ExposureContext) -> Any:
+    def ordered_variance(self, signal: Signal, context: ExposureContext) -> Any:
         """Return how the frames of a run after its first differ, as a variance."""
         later: Any = getattr(context, "frames", 1.0) - 1.0
         step = self.growth * self.dead_time_s / context.settings.exposure_s
-        return np.square(signal * step) * later * (later + 1.0) / 12.0 if self.growth else 0.0
+        return np.square(signal * step) * (later > 1.0) * later * (later + 1.0) / 12.0 if self.growth else 0.0
 
     def _usual(self, frames: Any) -> Any:
         """Return the mean dead time of the frames after the first over that of the second."""

@@ -14,7 +14,7 @@ from simulators.effects.context import Signal
 class Moments:
     """Expected value and variances of a signal, all of one shape."""
 
-    squared: ClassVar[tuple[str, ...]] = ("variance", "spatial_variance", "common_variance")
+    squared: ClassVar[tuple[str, ...]] = ("variance", "spatial_variance", "common_variance", "ordered_variance")
     linear: ClassVar[tuple[str, ...]] = ()
     figures: ClassVar[tuple[str, ...]] = ()  # numbers of the whole frame, which no array holds
 
@@ -22,6 +22,8 @@ class Moments:
     variance: Signal  # temporal variance of one pixel about it
     spatial_variance: Signal  # variance from pixel to pixel that stays from frame to frame (fixed pattern)
     common_variance: Signal  # temporal variance that all pixels of one frame share (flicker)
+    # Variance of the frames of a capture by their order, no chance; the first of them has `first_excess`
+    ordered_variance: Signal | float = field(default=0.0, kw_only=True)
     # The moments in front of the rounding to whole codes; None where nothing was rounded
     unrounded: Moments | None = field(default=None, kw_only=True)
 

@@ -6,7 +6,7 @@ import pytest
 from radiometer.reconciliation.fit.descent import accepted, converged_fit, first_state, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design, rough_share, tile_groups
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import reduce_frames
 from simulators.effects.row_temporal_noise import RowTemporalNoise
 from testing.generator.session import make_session
 
@@ -20,7 +20,7 @@ def dark_state() -> FitState:
     session = make_session("row_temporal_noise", camera_seed=SEED, scale=SIGMA_E / 0.5, plan="darks")
     frames = list(session.frames())
     design = Design.of(session.header, frames[0].shape)
-    state = first_state(design, *reduce_frames(design, frame_reader(frames)))
+    state = first_state(design, *reduce_frames(design, frames.__getitem__))
     return converged_fit(refit(accepted(state, RowTemporalNoise(0.3))))
 
 

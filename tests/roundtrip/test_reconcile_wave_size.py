@@ -8,7 +8,7 @@ import pytest
 from radiometer.reconciliation.fit.descent import accepted, converged_fit, first_state, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import reduce_frames
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from testing.generator.rig import Rig
 from testing.generator.session import make_session
@@ -23,7 +23,7 @@ def waving() -> tuple[FitState, dict[str, float]]:
     session = make_session("rolling_shutter_banding", camera_seed=SEED, scale=2.0, rig=LARGER, plan="short")
     frames = list(session.frames())
     design = Design.of(session.header, frames[0].shape)
-    state = first_state(design, *reduce_frames(design, frame_reader(frames)))
+    state = first_state(design, *reduce_frames(design, frames.__getitem__))
     truth = {name: float(value) for name, value in session.truth["rolling_shutter_banding"].items()}  # type: ignore[arg-type]
     start = RollingShutterBanding(truth["depth"], truth["frequency_Hz"], truth["row_s"])
     return converged_fit(refit(accepted(state, start))), truth

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Protocol
 
-from radiometer.data import Calibration, CameraDescription, Frame, LensDescription
+from radiometer.data import Calibration, CameraDescription, Frame, LensDescription, ResponseCurve
 from radiometer.data.capture_header import AUTOMATIC
 from radiometer.data.serials import same_serial
 from radiometer.errors import CalibrationError, RadiometerError, UsageError
@@ -76,8 +76,8 @@ def _of_device(name: str) -> dict[State, Rule]:
     return {
         State.EQUAL: _KEPT,
         State.DIFFERENT: _refused(
-            f"the calibration is of another camera: its {name} is {{there}}, the camera's is {{here}}; "
-            "use this camera's own calibration, or make one with `radiometer calibrate`"
+            f"the {{what}} is of another camera: its {name} is {{there}}, the camera's is {{here}}; use this camera's "
+            "own, or make one"
         ),
         State.READING_SILENT: _AS_CALIBRATED,
         State.CALIBRATION_SILENT: _AS_CALIBRATED,
@@ -91,8 +91,8 @@ def _of_settings(name: str, unit: str = "") -> dict[State, Rule]:
     return {
         State.EQUAL: _KEPT,
         State.DIFFERENT: _refused(
-            f"the calibration holds for {name} {{there}}{unit}, the frames were taken with {{here}}{unit}: {other}; "
-            "calibrate with the setting in use, or correct the one that capture or calibration states wrongly"
+            f"the {{what}} holds for {name} {{there}}{unit}, the frames were taken with {{here}}{unit}: {other}; "
+            "make one with the setting in use, or correct the one that is stated wrongly"
         ),
         State.READING_SILENT: Rule(
             Handling.ASSUMED, f"{name} {{there}}{unit}, as at calibration: the frames do not state it, and {other}"
@@ -250,7 +250,14 @@ def state_of(there: object | None, here: object | None, *, equal: bool | None = 
     return State.EQUAL if (there == here if equal is None else equal) else State.DIFFERENT
 
 
-def settle(quantity: str, there: object | None, here: object | None, *, equal: bool | None = None) -> Handling:
+def settle(
+    quantity: str,
+    there: object | None,
+    here: object | None,
+    *,
+    equal: bool | None = None,
+    what: str = "calibration",
+) -> Handling:
     """Return what is done about a quantity of a calibration and a reading.
 
     Args:
@@ -258,6 +265,7 @@ def settle(quantity: str, there: object | None, here: object | None, *, equal: b
         there: Of the calibration; None where it does not state it.
         here: Of the reading; None where it does not state it.
         equal: Whether both count as equal where they are stated; None compares them.
+        what: What is compared with the reading, in the words of a message.
 
     Raises:
         CalibrationError: If they do not go together; with the two values and the way out.
@@ -265,7 +273,7 @@ def settle(quantity: str, there: object | None, here: object | None, *, equal: b
     """
     rule = TABLE[quantity][state_of(there, here, equal=equal)]
     if rule.handling is Handling.REFUSED:
-        raise rule.error(rule.reason.format(there=_shown(there), here=_shown(here)))
+        raise rule.error(rule.reason.format(there=_shown(there), here=_shown(here), what=what))
     return rule.handling
 
 
@@ -290,9 +298,7 @@ def require_camera(calibration: OfCamera, camera: CameraDescription) -> tuple[st
         CalibrationError: If model, serial number, bit depth, pixel pitch, mosaic or a setting such as binning differ.
     """
     mine = calibration.camera
-    settle("model", mine.model, camera.model)
-    alike = None not in (mine.serial, camera.serial) and same_serial(str(mine.serial), str(camera.serial))
-    settle("serial", mine.serial, camera.serial, equal=alike)
+    require_same_camera(mine, camera, "calibration")
     settle("bit depth", mine.bit_depth, camera.bit_depth)
     pitches = mine.pixel_pitch_um, camera.pixel_pitch_um
     settle("pixel pitch", *pitches, equal=_is_near(*pitches))
@@ -304,6 +310,39 @@ def require_camera(calibration: OfCamera, camera: CameraDescription) -> tuple[st
     settings = (_assumed(name, getattr(mine, name), getattr(camera, name)) for name in CameraDescription.SETTINGS)
     weighed = _AUTOMATIC_BALANCE if camera.white_balance == AUTOMATIC else None
     return tuple(filter(None, (*settings, weighed)))
+
+
+def require_same_camera(mine: CameraDescription, camera: CameraDescription, what: str) -> None:
+    """Refuse another camera than the one that something belongs to, or another mode of it.
+
+    Args:
+        mine: The camera that it belongs to.
+        camera: The camera in use.
+        what: What belongs to it, in the words of the message.
+
+    Raises:
+        CalibrationError: If model, serial number or mode differ.
+    """
+    settle("model", mine.model, camera.model, what=what)
+    alike = None not in (mine.serial, camera.serial) and same_serial(str(mine.serial), str(camera.serial))
+    settle("serial", mine.serial, camera.serial, equal=alike, what=what)
+    settle("mode", mine.mode, camera.mode, what=what)
+
+
+def require_response(curve: ResponseCurve | None, camera: CameraDescription) -> tuple[str, ...]:
+    """Refuse the response curve of another camera, or of another mode of it.
+
+    Returns what is assumed where the curve does not say of which camera it is.
+
+    Raises:
+        CalibrationError: If model, serial number or mode differ.
+    """
+    if curve is None:
+        return ()
+    if (mine := curve.camera) is None:
+        return ("the response curve does not state its camera: it counts as that of this one",)
+    require_same_camera(mine, camera, "response curve")
+    return ()
 
 
 def require_lens(calibration: OfCamera, lens: LensDescription) -> None:

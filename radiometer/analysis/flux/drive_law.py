@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data import Quantity
 from radiometer.typing import Array
 
@@ -98,11 +99,10 @@ def fit_drive_law(drive: Array, light: Array) -> DriveLaw | None:
     size = target.size
     if size * math.log((squares(0.0) + _NOTHING) / (squares(onset) + _NOTHING)) < 2.0 * math.log(size):
         onset = 0.0
-    moved = np.column_stack([columns, -1.0 / (d - onset)]) if onset else columns
+    # Drives that show no onset may hide a small one: the covariance is with it in any case, for k = 2 by Student's t.
+    moved = np.column_stack([columns, -1.0 / (d - onset)])
     found, residual = solved(onset)
-    variance = float(residual @ residual) / max(1, size - moved.shape[1])
-    spread = variance * np.linalg.pinv(moved.T @ moved)
-    covariance = np.zeros((3, 3))
-    kept = moved.shape[1] - 1
-    covariance[:kept, :kept] = spread[1:, 1:]
+    freedom = size - moved.shape[1]
+    variance = float(residual @ residual) / freedom * (coverage_factor(freedom) / 2.0) ** 2
+    covariance = variance * np.linalg.pinv(moved.T @ moved)[1:, 1:]
     return DriveLaw(1.0 + float(found[1]), float(found[2]), onset, covariance, math.sqrt(float(np.mean(residual**2))))

@@ -114,7 +114,7 @@ def _of_calibration(setup: Setup, settings: Sequence[FrameSettings], area_m2: fl
     u_rel = math.hypot(
         calibration.scale.u_rel,
         spectral_u_rel(calibration, stated, spectrum_stated=setup.spectrum_stated),
-        frame_u_rel(calibration, lens, numbers, settings, setup.taken),
+        frame_u_rel(setup, lens, numbers, settings),
     )
     temperatures = [one.temperature_c for one in settings if one.temperature_c is not None]
     here_c = sum(temperatures) / len(temperatures) if temperatures and len(temperatures) == len(settings) else None

@@ -32,7 +32,7 @@ from radiometer.analysis.merge.sums import (
 )
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
-from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, fluctuation
+from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, doubted_gains, fluctuation
 from radiometer.analysis.signal.lens import (
     falloff_known,
     flat_doubt,
@@ -46,6 +46,7 @@ from radiometer.analysis.signal.model import (
     refuse_brighter_darks,
     some_lit_pixels,
     temperature_factor,
+    with_found_code_step,
 )
 from radiometer.analysis.signal.situation import flat_field_for, situation_of
 from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
@@ -149,7 +150,6 @@ def merge(
     absent: Sequence[NDArray[np.bool_]] = (),
     without_ghosts: bool = False,
     displacement_px: float = 0.0,
-    doubt_exposures: bool = False,
 ) -> RadianceMap:
     """Return radiance in W·sr⁻¹·m⁻² (relative without a calibration) and its standard uncertainty for every pixel.
 
@@ -162,14 +162,12 @@ def merge(
         absent: Of a Bracket: where each light frame shows nothing, shape (height, width) each.
         without_ghosts: Of a Bracket: leave out of every pixel the frames that contradict the others there.
         displacement_px: Of a Bracket: standard deviation of a frame's displacement along any direction in pixels.
-        doubt_exposures: Count what an offset of all exposures does in the uncertainty of every pixel, not in words
-            alone: of shutters it is larger than the noise.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
         MeasurementError: If there is no light frame, there are more than 64, or frames do not belong together.
     """
-    merging = StreamingMerge(setup, doubt_exposures=doubt_exposures)
+    merging = StreamingMerge(setup)
     if isinstance(frames, Bracket):
         return merging.merge_bracket(frames, absent, without_ghosts=without_ghosts, displacement_px=displacement_px)
     for frame in frames:
@@ -200,14 +198,12 @@ class StreamingMerge:
 
     Args:
         setup: Camera, lens and calibration in use; without a calibration values are relative.
-        doubt_exposures: Count what an offset of all exposures does in the uncertainty of every pixel.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
     """
 
-    def __init__(self, setup: Setup, *, doubt_exposures: bool = False) -> None:
-        self._exposures_in_u = doubt_exposures
+    def __init__(self, setup: Setup) -> None:
         self._situation = situation_of(setup)
         self._model = self._situation.model  # with the noise that the frames show where it is not stated
         self._shown: list[
@@ -484,6 +480,9 @@ class StreamingMerge:
                 self._dark = [self._taps.levelled(dark) for dark in self._dark]
             frame = self._taps.levelled(frame)
         few = some_lit_pixels(frame, None if self._taps is None else self._taps.lit)
+        if not self._terms:
+            model = with_found_code_step(self._situation.model, (few.dn,))
+            self._situation = replace(self._situation, model=model)
         darkest = darkest_signal(few, self._situation.model)
         self._darkest = min(self._darkest, darkest if frame.masked_dn is None else 0.0)
         terms = frame_terms(
@@ -513,7 +512,8 @@ class StreamingMerge:
         if self._dark:
             model = self._situation.model
             middle = float(model.table(frame.settings)[int(np.median(frame.dn))])
-            refuse_brighter_darks(frame.settings, middle, float(np.mean(terms.dark)), terms.u_dark, model)
+            u_dark = math.hypot(terms.u_dark, terms.u_unstated)
+            refuse_brighter_darks(frame.settings, middle, float(np.mean(terms.dark)), u_dark, model)
 
     def _refuse_misfit(self, frame: Frame) -> None:
         if self._shape is None:
@@ -581,13 +581,6 @@ class StreamingMerge:
         stated = [one for one in known if one is not None]
         return sum(stated) / len(stated) if len(stated) == len(known) else None
 
-    def _frames_u_rel(self, numbers: set[float | None]) -> float:
-        settings = [terms.settings for terms in self._terms]
-        calibration, situation = self._calibration, self._situation
-        if calibration is None:
-            return 0.0
-        return frame_u_rel(calibration, situation.lens, numbers, settings, situation.setup.taken)
-
     def _share(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> NDArray[np.float32] | None:
         """Add to the uncertainty of every pixel what pixels of one level and place share; return what they share.
 
@@ -596,38 +589,32 @@ class StreamingMerge:
             uncertainty held already.
         """
         shared = np.zeros_like(radiance)
-        levels = merge_tables(self._terms, self._model).at_levels()
-        bends, darkens = bool(levels.curve_u_rel.any()), bool(levels.dark_u.any())
-        if bends:
-            self._by_level(levels, radiance, shared, curve=True)
-        doubts = (
-            self._doubt_falloff,
-            self._doubt_exposures,
-            self._doubt_dark_current,
-            self._doubt_taps,
-            self._doubt_light,
-        )
+        levels = self._levels()
+        doubts = (self._doubt_falloff, self._doubt_dark_current, self._doubt_taps)
         added = [doubt(radiance, shared) for doubt in doubts]
-        if bends or any(added):
-            np.hypot(u_radiance, shared, out=u_radiance)
-        elif not darkens:
+        if not any(added) and not levels.u_rel.any() and not levels.dark_u.any():
             return None
-        if darkens:
-            self._by_level(levels, radiance, shared, dark=True)
-            np.minimum(shared, u_radiance, out=shared)
-        return shared
-
-    def _by_level(
-        self, levels: AtLevels, radiance: NDArray[np.float32], shared: NDArray[np.float32], **which: bool
-    ) -> None:
-        """Add to what pixels share what curve or dark level bring, on all cores; arguments as `AtLevels.add`."""
-        values, own = radiance.ravel(), shared.ravel()
+        flat = radiance.ravel(), u_radiance.ravel(), shared.ravel()
 
         def work(start: int, stop: int) -> None:
-            part = slice(start, stop)
-            levels.add(own[part], values[part], self._factor(start, stop - start), **which)
+            levels.add(*(one[start:stop] for one in flat), self._factor(start, stop - start))
 
         on_all_cores(self._known_shape(), work)
+        return shared
+
+    def _levels(self) -> AtLevels:
+        """Return what curve, dark level, an offset of all exposures, and light that wanders bring to a pixel's level.
+
+        A value is the mean of its frames: an offset δ changes it by δ times their mean 1/t, of which the calibration's
+        own exposures share a part.
+        """
+        levels, calibration = merge_tables(self._terms, self._model).at_levels(), self._calibration
+        u_rel = np.hypot(levels.u_rel, self._wander_rel * np.sqrt((levels.weights**2).sum(axis=0)))
+        if calibration is not None and self._brightest_off() >= _REPORTED_REL:
+            inverse_per_s = 1.0 / np.array([one.settings.exposure_s for one in self._terms])
+            apart_per_s = inverse_per_s @ levels.weights - calibration.scale.conditions.inverse_exposure_per_s
+            u_rel = np.hypot(u_rel, calibration.uncertainties.exposure_u_s * apart_per_s)
+        return replace(levels, u_rel=u_rel)
 
     def _doubt_falloff(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
         """Add to what pixels share that of a fall-off that is corrected and not measured; return whether there is."""
@@ -671,31 +658,6 @@ class StreamingMerge:
         np.hypot(shared, u_rel * radiance, out=shared)
         return True
 
-    def _doubt_light(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
-        """Add to what pixels share what frames differ by as a whole, as a reading does; return whether they do.
-
-        A pixel is the mean of the frames in which it does not clip, weighted by their exposures.
-        """
-        if self._wander_rel == 0.0:
-            return False
-        values, own = radiance.ravel(), shared.ravel()
-        on_axis, wander = np.float32(self._on_axis() * self._terms[0].exposure), np.float32(self._wander_rel)
-
-        def work(start: int, stop: int) -> None:
-            for begin in range(start, stop, BLOCK_PIXELS):
-                part = slice(begin, min(begin + BLOCK_PIXELS, stop))
-                rate = values[part] / on_axis
-                total, squares = np.zeros_like(rate), np.zeros_like(rate)
-                for one in self._terms:
-                    exposure = np.where(rate * one.exposure < one.clips_at, np.float32(one.exposure), np.float32(0.0))
-                    total += exposure
-                    squares += exposure**2
-                share = np.where(total > 0, np.sqrt(squares) / np.maximum(total, np.float32(1e-30)), np.float32(1.0))
-                np.hypot(own[part], wander * share * values[part], out=own[part])
-
-        on_all_cores(self._known_shape(), work)
-        return True
-
     def _wander(self) -> tuple[str, ...]:
         """Find by what frames differ as a whole beyond their noise, and return what to say of it.
 
@@ -723,9 +685,13 @@ class StreamingMerge:
         dark = np.array([math.hypot(one.u_dark, one.u_unstated) for one in self._terms]) / middle
         known = own + np.square(curve) + np.square(dark)
         self._wander_rel, evidence = fluctuation(amplitude, np.ones_like(amplitude), known, 1.0)
+        doubts = doubted_gains(amplitude, known, [one.settings.gain_db for one in self._terms])
         if self._wander_rel < FLICKER_FLOOR_REL or not is_supported(evidence, FIVE_SIGMA):
-            return ()
-        return (f"the frames differ as a whole by {100 * self._wander_rel:.2g} % (standard deviation), which u holds",)
+            return doubts
+        return (
+            *doubts,
+            f"the frames differ as a whole by {100 * self._wander_rel:.2g} % (standard deviation), which u holds",
+        )
 
     def _doubt_pattern(
         self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]
@@ -786,7 +752,7 @@ class StreamingMerge:
             return ()
         shortest = min(terms.settings.exposure_s for terms in self._terms)
         text = f"the exposure of {1e6 * shortest:.3g} µs may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
-        return (f"{text}, which u {'holds' if self._exposures_in_u else 'does not hold'}",)
+        return (f"{text}, which u holds",)
 
     def _brightest_off(self) -> float:
         """Return the relative uncertainty that an offset of all exposures brings to the shortest alone."""
@@ -795,29 +761,6 @@ class StreamingMerge:
         shortest = min(terms.settings.exposure_s for terms in self._terms)
         there = self._calibration.scale.conditions.inverse_exposure_per_s
         return self._calibration.uncertainties.exposure_u_s * abs(1.0 / shortest - there)
-
-    def _doubt_exposures(self, radiance: NDArray[np.float32], shared: NDArray[np.float32]) -> bool:
-        """Add to what pixels share that of an offset of all exposures; return whether it counts.
-
-        A pixel's value is Σx/Σt over the frames that do not clip there: an offset δ of n exposures changes it by
-        δ·n/Σt, less what the calibration's own exposures share. Bright pixels rest on short exposures alone.
-        """
-        calibration, off = self._calibration, self._brightest_off()
-        if calibration is None or not self._exposures_in_u or off < _REPORTED_REL:
-            return False
-        u_s, there = calibration.uncertainties.exposure_u_s, calibration.scale.conditions.inverse_exposure_per_s
-        # From the brightest rate that a frame takes on, it no longer counts: ends ascend with shorter exposures.
-        ends = np.array([one.clips_at / one.exposure for one in self._terms])
-        order = np.argsort(ends)
-        times = np.array([one.settings.exposure_s for one in self._terms])[order]
-        counts, sums = np.arange(times.size, 0, -1), np.cumsum(times[::-1])[::-1]
-        u_rel = np.append(u_s * np.abs(counts / sums - there), off).astype(np.float32)
-        on_axis = self._on_axis() * self._terms[0].exposure  # radiance per rate
-        bounds, values, own = ends[order] * on_axis, radiance.ravel(), shared.ravel()
-        for start in range(0, values.size, BLOCK_PIXELS):
-            part = slice(start, start + BLOCK_PIXELS)
-            np.hypot(own[part], u_rel[np.searchsorted(bounds, values[part])] * values[part], out=own[part])
-        return True
 
     def _bend(self) -> tuple[str, ...]:
         """Return how far the response bends as it was found, which a map keeps."""
@@ -875,15 +818,15 @@ class StreamingMerge:
         of_wander = self._wander()
         shared = self._share(*images[:2])
         of_time = self._exposure_offset()
-        in_u = of_time if self._exposures_in_u else ()
         of_light = self._stray_light(images[0])
-        of_time = () if self._exposures_in_u else of_time
-        not_in_u = (*of_light, *of_time, *self._black(), *self._bend(), *self._light(), *self._fall_off(), *doubtful)
+        not_in_u = (*of_light, *self._black(), *self._bend(), *self._light(), *self._fall_off(), *doubtful)
         not_in_u += of_pattern
+        situation, settings = self._situation, [terms.settings for terms in self._terms]
+        of_frames = frame_u_rel(situation.setup, situation.lens, self._numbers(), settings)
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,
-            u_rel_common=math.hypot(common_u_rel(self._situation), self._frames_u_rel(self._numbers())),
+            u_rel_common=math.hypot(common_u_rel(situation), of_frames),
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
@@ -894,7 +837,7 @@ class StreamingMerge:
                     *self._copies.notes,
                     *used,
                     *of_wander,
-                    *in_u,
+                    *of_time,
                     *not_in_u,
                 ),
                 parameters={

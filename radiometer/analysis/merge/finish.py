@@ -280,45 +280,50 @@ class AtLevels:
 
     lowest: float  # ln of the lowest rate
     weights: Array  # of each frame, sum 1, shape (frames, levels)
-    curve_u_rel: Array  # relative standard uncertainty that the curve brings to the value
+    u_rel: Array  # relative standard uncertainty of the value, which pixels of one level share: of the curve
     dark_u: Array  # standard uncertainty of the rate that the frames' common dark level brings
 
     def add(
         self,
-        shared: NDArray[np.float32],
         radiance: NDArray[np.float32],
+        u_radiance: NDArray[np.float32],
+        shared: NDArray[np.float32],
         per_rate: NDArray[np.float32],
-        *,
-        curve: bool = False,
-        dark: bool = False,
     ) -> None:
-        """Add to an uncertainty, in place, what curve or dark level bring to each pixel.
+        """Add to the uncertainties of pixels, in place, what those of one level share.
 
         Args:
-            shared: Uncertainty that pixels share, flat; overwritten.
             radiance: Radiance, flat.
+            u_radiance: Its uncertainty, with the dark level in it; what pixels share is added.
+            shared: What they share by their place; what they share by their level and their dark level is added.
             per_rate: Radiance per rate, of every pixel or of all (size 1).
-            curve: Add that of the response curve.
-            dark: Add that of the dark level.
         """
-        of_curve, of_dark = (
-            u if there else np.zeros_like(u) for u, there in ((self.curve_u_rel, curve), (self.dark_u, dark))
+        _add_by_level(
+            radiance,
+            per_rate,
+            self.lowest,
+            self.u_rel.astype(np.float32),
+            self.dark_u.astype(np.float32),
+            u_radiance,
+            shared,
         )
-        _add_by_level(radiance, per_rate, self.lowest, of_curve, of_dark, shared)
 
 
 @compiled
 def _add_by_level(
-    radiance: Any, per_rate: Any, lowest: float, u_rel: Any, u_rate: Any, shared: Any
+    radiance: Any, per_rate: Any, lowest: float, u_rel: Any, u_rate: Any, own: Any, shared: Any
 ) -> None:  # pragma: no cover (compiled)
     step = 1 if per_rate.size > 1 else 0
-    floor, last = math.exp(lowest), u_rel.size - 1
+    floor, last, fold = np.float32(math.exp(lowest)), u_rel.size - 1, np.float32(PER_FOLD)
+    first = np.float32(0.5 - lowest * PER_FOLD)
     for i in range(radiance.size):
         factor = per_rate[i * step]
-        place = int((math.log(max(radiance[i] / factor, floor)) - lowest) * PER_FOLD + 0.5)
+        place = int(math.log(max(radiance[i] / factor, floor)) * fold + first)
         place = min(place, last)
-        of_curve, of_dark = u_rel[place] * radiance[i], u_rate[place] * factor
-        shared[i] = math.sqrt(shared[i] * shared[i] + of_curve * of_curve + of_dark * of_dark)
+        of_level, of_dark = u_rel[place] * radiance[i], u_rate[place] * factor
+        more = shared[i] * shared[i] + of_level * of_level
+        own[i] = math.sqrt(own[i] * own[i] + more)
+        shared[i] = min(math.sqrt(more + of_dark * of_dark), own[i])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -298,34 +298,33 @@ def outside_terms(
     return terms
 
 
-def frame_conditions(settings: Sequence[FrameSettings]) -> ScaleConditions:
+def frame_conditions(settings: Sequence[FrameSettings], polarised: bool | None = None) -> ScaleConditions:
     """Return the conditions of frames that count alike, as far as no place in the picture matters."""
     even = np.full(len(settings), 1.0 / max(len(settings), 1))
-    return conditions_of(even, settings, 0.5, 1.0, 0.0, 1.0, None)
+    return conditions_of(even, settings, 0.5, 1.0, 0.0, 1.0, polarised)
 
 
 def frame_u_rel(
-    calibration: Calibration,
-    lens: LensDescription,
-    numbers: set[float | None],
-    settings: Sequence[FrameSettings],
-    now: dt.datetime | None = None,
+    setup: Setup, lens: LensDescription, numbers: set[float | None], settings: Sequence[FrameSettings]
 ) -> float:
-    """Return the relative standard uncertainty that all pixels share through lens, gain, temperature and age.
+    """Return the relative standard uncertainty that all pixels share through lens, gain, temperature, age and light.
 
     Args:
-        calibration: The calibration.
+        setup: With what the frames were taken; without a calibration it is 0.
+        lens: The lens in use.
         numbers: f-numbers of the frames.
         settings: Of the frames.
-        now: Time that the calibration's age is counted to, with time zone; None for the present.
     """
-    here = frame_conditions(settings)
+    if (calibration := setup.calibration) is None:
+        return 0.0
+    here = frame_conditions(settings, setup.polarised)
     stated, there = calibration.uncertainties, calibration.scale.conditions
     terms = [
         _gain(1.0, here, there, stated),
         _temperature(1.0, here, there, stated),
-        _drift(1.0, calibration, now or dt.datetime.now(dt.UTC)),
+        _drift(1.0, calibration, setup.taken or dt.datetime.now(dt.UTC)),
         *_handling(1.0, lens, stated),
+        _polarisation(1.0, here, there, stated),
     ]
     parts = [
         f_number_u_rel(calibration, stated, numbers)[0],
@@ -358,7 +357,7 @@ def carried(setup: Setup, settings: Sequence[FrameSettings]) -> tuple[float, flo
         gains_db = [one.gain_db if one.iso is None else speeds.gain_db(one.iso, ()) for one in settings]
         factor /= gain_factor(min(gains_db))
         settings = [replace(one, gain_db=gain_db) for one, gain_db in zip(settings, gains_db, strict=True)]
-    return factor, frame_u_rel(calibration, lens, set(numbers), settings, setup.taken)
+    return factor, frame_u_rel(setup, lens, set(numbers), settings)
 
 
 def stray_light(value: float, surround: float, calibration: Calibration) -> Term:

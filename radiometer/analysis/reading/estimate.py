@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from radiometer.statistics.scale import common_deviance
 
 # Frames of a steady source through a good calibration agree to this; only more is called flicker.
 FLICKER_FLOOR_REL = 1e-3
+_GAIN_SIGMAS, _LEAST_GAIN_REL = 5.0, 0.01  # amplifiers keep a gain in dB to a percent
 _FLUCTUATION_GRID = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 101)])
 
 
@@ -30,6 +32,7 @@ class PatchEstimate:
     evidence: float  # twice the gain in log-likelihood that this difference brings
     pixel_rates: NDArray[np.float64]  # the same estimate for every pixel, shape of the patch
     u_pixel: float  # standard uncertainty of one pixel's rate from the noise model
+    doubts: tuple[str, ...]  # of the frames' stated gains
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -71,10 +74,10 @@ def estimate_patch(
         expected, single, curve, dark_variance = _variances(rate, frames, dark, exposures, model)
         noise = single / count
         tau, evidence = fluctuation(means, exposures, noise + curve + dark_variance, rate)
-        weights = exposures / (noise + curve + (tau * expected) ** 2)
+        weights = exposures / (noise + curve + dark_variance + (tau * expected) ** 2)
         coefficients = weights / float(weights @ exposures)
         rate = float(coefficients @ means)
-    expected, single, _, _ = _variances(rate, frames, dark, exposures, model)
+    expected, single, curve, dark_variance = _variances(rate, frames, dark, exposures, model)
     pixels = np.tensordot(coefficients, np.stack([f.signal - d.signal for f, d in zip(frames, dark, strict=True)]), 1)
     return PatchEstimate(
         rate,
@@ -86,6 +89,11 @@ def estimate_patch(
         evidence=evidence,
         pixel_rates=pixels,
         u_pixel=float(np.sqrt(coefficients**2 @ single)),
+        doubts=doubted_gains(
+            means / exposures,
+            (single / count + curve + dark_variance) / exposures**2,
+            [f.settings.gain_db for f in frames],
+        ),
     )
 
 
@@ -117,3 +125,34 @@ def fluctuation(
     best = int(np.argmin(deviance))
     evidence = float(deviance[0] - deviance[best])
     return (float(_FLUCTUATION_GRID[best]), evidence) if is_supported(evidence, AKAIKE) else (0.0, evidence)
+
+
+def doubted_gains(
+    rates: NDArray[np.float64], variance: NDArray[np.float64], gains_db: Sequence[float]
+) -> tuple[str, ...]:
+    """Return what to say of gains whose frames disagree on the light by more than their noise and scatter.
+
+    Args:
+        rates: Signal of each frame over its exposure and its stated gain, shape (frames,).
+        variance: Of each from its known causes.
+        gains_db: Stated gain of each frame in dB.
+    """
+    gains = np.round(gains_db, 6)
+    found = {gain: _mean_rate(rates[gains == gain], variance[gains == gain]) for gain in np.unique(gains).tolist()}
+    lowest, (reference, u_reference) = next(iter(found.items()))
+    doubts = []
+    for gain, (rate, u) in found.items():
+        apart, limit = rate - reference, max(_GAIN_SIGMAS * math.hypot(u, u_reference), _LEAST_GAIN_REL * reference)
+        if min(rate, reference) > 0.0 and abs(apart) > limit:
+            real_db = gain - lowest + 20.0 * math.log10(rate / reference)
+            doubts.append(
+                f"frames at {gain:g} dB show {100 * apart / reference:+.1f} % against those at {lowest:g} dB: the "
+                f"light changed between them, or the gain rises by {real_db:.2f} dB and not by {gain - lowest:g}"
+            )
+    return tuple(doubts)
+
+
+def _mean_rate(rates: NDArray[np.float64], variance: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the mean of rates of one gain and its standard uncertainty by their noise, or by their scatter."""
+    scatter = float(np.var(rates, ddof=1)) if rates.size > 1 else 0.0
+    return float(rates.mean()), math.sqrt(max(float(variance.mean()), scatter) / rates.size)

@@ -43,6 +43,7 @@ from radiometer.analysis.signal.model import (
     refuse_brighter_darks,
     straightened,
     temperature_factor,
+    with_found_code_step,
     without_glare,
 )
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
@@ -121,6 +122,7 @@ def patch_situation(
     levelled, taps = levelled_frames(frames, setup)
     lit, defects = None if taps is None else taps.lit, calibration.defects if calibration else ()
     light, dark_frames, shape = crop_frames(levelled, patch, settled.model, lit, defects)
+    settled = replace(settled, model=with_found_code_step(settled.model, (one.dn for one in light)))
     tap = None if taps is None else taps.tap_of(patch)
     if calibration is not None and settled.model.linear:
         light = [_straightened(one, calibration.found, settled.model) for one in light]
@@ -153,7 +155,13 @@ def patch_situation(
     conditions = _conditions(estimate, chosen, settled, surround, place, field).model_copy(update={"tap": tap})
     scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
     shown = Shown(
-        estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light), (*copies.notes, *_left_out(good))
+        estimate,
+        tuple(chosen),
+        tuple(dark),
+        good,
+        len(light),
+        _unsteady(light),
+        (*copies.notes, *_left_out(good), *estimate.doubts),
     )
     falloff = _falloff(calibration, camera, settled.lens, chosen, place)
     now = now or setup.taken or dt.datetime.now(dt.UTC)
@@ -207,7 +215,6 @@ def _conditions(
     place: NDArray[np.float64],
     field: float,
 ) -> ScaleConditions:
-    source = settled.setup.source
     shares = estimate.coefficients * estimate.expected / (estimate.rate or 1.0)
     model, settings = settled.model, [one.settings for one in chosen]
     heights = [
@@ -216,10 +223,7 @@ def _conditions(
     ]
     level = float(np.abs(shares) @ heights) / max(float(np.abs(shares).sum()), 1e-300)
     ratio = surround.rate / estimate.rate if estimate.rate > 0.0 else 0.0
-    polarised = None if source is None else source.polarised
-    if source is not None and polarised is None and source.kind == "screen":
-        polarised = True
-    return conditions_of(shares, settings, level, float(place.mean()), field, ratio, polarised)
+    return conditions_of(shares, settings, level, float(place.mean()), field, ratio, settled.setup.polarised)
 
 
 def _field(camera: CameraDescription, lens: LensDescription, shape: tuple[int, int], patch: Patch) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from radiometer.analysis.signal.rounding import rounding_u_of_mean
+from radiometer.analysis.signal.rounding import rounding_u_of_light, rounding_u_of_mean
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -49,6 +49,7 @@ _STRUCK_SHARE = 0.01
 _HOT_SIGMAS = 10.0  # of the noise of dark frames: pixels that far above their middle are hot
 # Dark frames with more of their pixels at 0 have their noise cut off there: its mean is above the black level.
 FLOOR_SHARE = 0.01
+_CODES_OF_NOISE = 3  # numbers that occur where noise spreads them; two may be the scene's
 _LEAST_ROUNDING_DN = 1e-3  # noise of half a number leaves less, which is none next to any black level's u
 _HEADROOM_SIGMAS = 4.0  # of its noise above 0: there a black level keeps it whole
 # So many pixels of the whole picture give its mean.
@@ -270,7 +271,7 @@ def _level(
     darkest: float,
 ) -> DarkLevel:
     if matching := matching_darks(settings, dark_frames):
-        return _from_frames(settings, matching, model)
+        return _from_frames(settings, matching, model, darkest)
     if masked_dn is not None:
         return _from_masked(settings, masked_dn, model)
     same_gain = [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]
@@ -332,26 +333,55 @@ def _as_warm(one_c: float | None, other_c: float | None) -> bool:
     return one_c is None or other_c is None or abs(one_c - other_c) <= _AS_WARM_K
 
 
-def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel) -> DarkLevel:
+def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel, darkest: float) -> DarkLevel:
     means, count = [], 0
     for frame in frames:
         means.append(float(signal_of(frame, model, settings).mean()))
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
-    return DarkLevel(float(np.mean(means)), sigma, _u_of_rounding(settings, frames, model), "dark frames")
+    level = float(np.mean(means))
+    return DarkLevel(level, sigma, _u_of_rounding(settings, frames, model, darkest - level), "dark frames")
 
 
-def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel) -> float:
+def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel, least: float) -> float:
     """Return what rounding to whole codes leaves in light less dark, in x: an error that all pixels and frames share.
 
-    Light is taken as rounded like the dark frames. That is the most: more light has more noise, which averages it out.
+    Args:
+        settings: Of the light frame.
+        frames: Dark frames.
+        model: Signal model of the camera.
+        least: Signal x of the least light of the frame, whose shot noise spreads the pixels over the codes; inf where
+            it is not known.
     """
     some = np.concatenate([frame.dn.ravel()[:: max(1, frame.dn.size // _PIXELS_OF_THE_WHOLE)] for frame in frames])
     low, high = np.percentile(some, (1.0, 99.0))  # defects are no noise
     variance_dn2 = float(np.var(some[(some >= low) & (some <= high)]))
     slope = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(settings.gain_db)
-    u_dn = math.sqrt(2.0) * rounding_u_of_mean(variance_dn2, model.camera.code_step_dn or 1)
+    known = math.isfinite(least) and "conversion_gain_e_per_dn" not in model.noise.assumed
+    shot_dn2 = max(least, 0.0) / model.electrons_per_unit / slope**2 if known else 0.0
+    step_dn = model.camera.code_step_dn or 1
+    u_dn = math.hypot(rounding_u_of_mean(variance_dn2, step_dn), rounding_u_of_light(variance_dn2, shot_dn2, step_dn))
     return slope * u_dn if u_dn > _LEAST_ROUNDING_DN else 0.0
+
+
+def with_found_code_step(model: SignalModel, light: Iterable[DigitalNumbers]) -> SignalModel:
+    """Return a model with the distance between the numbers that light frames hold, where nothing states it.
+
+    It is a power of two, as of padded low bits, and most numbers that occur are neighbours at that distance.
+
+    Args:
+        model: Signal model of the camera.
+        light: Digital numbers of pixels of light frames, any shape.
+    """
+    if model.camera.code_step_dn is not None:
+        return model
+    codes = np.unique(np.concatenate([np.unique(dn) for dn in light]))
+    apart = np.diff(codes)
+    divisor = int(np.gcd.reduce(apart)) if codes.size >= _CODES_OF_NOISE else 1
+    step_dn = divisor & -divisor
+    if step_dn == 1 or np.median(apart) > step_dn:
+        return model
+    return replace(model, camera=model.camera.model_copy(update={"code_step_dn": step_dn}))
 
 
 def _from_masked(settings: FrameSettings, masked_dn: float, model: SignalModel) -> DarkLevel:
@@ -370,7 +400,7 @@ def _from_other_exposures(
     Two exposures or more determine black level and dark current. One corrects the black level, and the dark current
     is the modelled one.
     """
-    measured = [_from_frames(frame.settings, [frame], model) for frame in frames]
+    measured = [_from_frames(frame.settings, [frame], model, darkest) for frame in frames]
     times = np.array([_seconds_at_reference(frame.settings, model) for frame in frames])
     signals = np.array([level.signal for level in measured])
     here = _seconds_at_reference(settings, model)
@@ -391,8 +421,8 @@ def _from_other_exposures(
     if "dark_current_e_per_s" in model.noise.assumed:
         apart_s = here - float(times.mean())
         # Shorter dark frames lack dark signal, up to all that the darkest pixels show; longer ones have too much, up to
-        # all of theirs. Where they are brighter than the darkest pixels they do not belong to the frame.
-        most = (darkest - offset) * apart_s / here if apart_s > 0 else offset if darkest > offset else 0.0
+        # all of theirs.
+        most = (darkest - offset) * apart_s / here if apart_s > 0 else offset
         u_rate = u_unstated = _unknown_dark_u(replace(settings, exposure_s=abs(apart_s)), model, most)
     return DarkLevel(dark + offset, 0.0, math.hypot(noise, u_rate, rounding), _OTHER, u_unstated)
 

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from radiometer.data import Quantity
 
@@ -72,16 +72,39 @@ def rounding_u_of_mean(variance_dn2: float, step_dn: int = 1) -> float:
         step_dn: Distance between codes in DN.
 
     Returns:
-        That of a place anywhere between two codes, which the harmonics of the error over this place give. Two codes
-        vary by a quarter of a squared step at most, and below that there may be no noise at all.
-
-    Source: Widrow, Kollár, Quantization Noise (2008), chapter 4.
+        That of a place anywhere between two codes. Where a part p of the pixels has the upper of two codes, these vary
+        by p·(1 − p), and the noise is unknown. Without any the mean is off by p − ½, with much of it by nothing.
     """
     steps = variance_dn2 / step_dn**2
-    noise = 0.0 if steps < _OF_TWO_CODES else steps - SHEPPARD
+    of_two = max(_OF_TWO_CODES - steps, 0.0) / 3.0
+    return step_dn * math.sqrt(of_two + _error_by_noise(max(steps, _OF_TWO_CODES) - SHEPPARD))
+
+
+def rounding_u_of_light(dark_variance_dn2: float, shot_dn2: float, step_dn: int = 1) -> float:
+    """Return the same of light whose noise is that of dark frames and shot noise; it is elsewhere between two codes.
+
+    Args:
+        dark_variance_dn2: Variance of dark frames after rounding in DN², of pixels and frames together.
+        shot_dn2: Variance of the light's shot noise in DN².
+        step_dn: Distance between codes in DN.
+    """
+    steps = dark_variance_dn2 / step_dn**2
+    least = 0.0  # noise that may have made that variance: midway between two codes, a quarter needs none
+    if steps >= _SHEPPARD_FROM:
+        least = steps - SHEPPARD
+    elif steps > _OF_TWO_CODES:
+        least = float(ndtri((steps - _OF_TWO_CODES) / 4.0)) ** -2  # two further codes, 1.5 steps off
+    return step_dn * math.sqrt(_error_by_noise(least + shot_dn2 / step_dn**2))
+
+
+def _error_by_noise(noise: float) -> float:
+    """Return the mean square error of a rounded mean in squared steps, over all places between two codes.
+
+    Source: Widrow, Kollár, Quantization Noise (2008), chapter 4: the harmonics of the error over the place.
+    """
     harmonic = np.arange(1, 100)
     squares = np.exp(-4.0 * (np.pi * harmonic) ** 2 * noise) / (2.0 * (np.pi * harmonic) ** 2)
-    return step_dn * math.sqrt(float(np.sum(squares)))
+    return float(np.sum(squares))
 
 
 def _predicted(mean: float, spread: float) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.calibration.shared import require_camera, require_lens, require_place
+from radiometer.analysis.calibration.shared import require_camera, require_lens, require_place, require_response
 from radiometer.analysis.photometry.photometry import (
     spectral_mismatch_factor,
     spectrum,
@@ -63,7 +63,9 @@ def situation_of(setup: Setup) -> Situation:
         model = signal_model(camera, None, noise, black.dn, stated.linearity_u_rel)
         assumed = ("response taken as linear", *noise.assumptions)
         return Situation(setup, model, black, stated, 1.0, lens, assumed)
-    settings = require_camera(calibration, camera)
+    settings, of_curve = require_camera(calibration, camera), require_response(calibration.response, camera)
+    if calibration.absolute:
+        of_curve = ()  # that of the calibration's camera
     require_lens(calibration, lens)
     if calibration.flat_field is not None:
         require_place(calibration, lens)
@@ -75,7 +77,7 @@ def situation_of(setup: Setup) -> Situation:
     factor, correction = spectral_correction(calibration)
     of_light = setup.source.spectrum if setup.source else None
     doubt = contradicted(calibration.spectrum if calibration.absolute else None, of_light)
-    assumed = (*of_source, *doubt, *correction, *settings, *calibration.noise.assumptions)
+    assumed = (*of_source, *doubt, *correction, *settings, *of_curve, *calibration.noise.assumptions)
     scale, used = calibration.scale.value * factor, lens_in_use(calibration, lens)
     return Situation(setup, model, black, stated, scale, used, assumed)
 

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from radiometer.cli.arguments import parse_numbers, parse_patch
+from radiometer.cli.arguments import parse_named, parse_numbers, parse_patch
 from radiometer.cli.console import console, show_remarks, show_table
 from radiometer.cli.function import command_of
 from radiometer.cli.options import words
-from radiometer.errors import UsageError
 from radiometer.numbers import unit_text
 
 if TYPE_CHECKING:
@@ -31,16 +30,9 @@ def _show(found: MapAnalysis) -> None:
     show_remarks(found.assumptions, flags=found.flags)
 
 
-def _regions(texts: Sequence[str]) -> dict[str, Patch]:
-    found: dict[str, Patch] = {}
-    for text in texts:
-        name, colon, where = text.rpartition(":")
-        if not colon or not name:
-            raise UsageError(f"--region {text!r}: expected NAME:X,Y,W,H, such as centre:100,80,40,40")
-        if name in found:
-            raise UsageError(f"--region {text!r}: {name} is named twice; give each region another name")
-        found[name] = parse_patch(where)
-    return found
+def _regions(words: Sequence[str]) -> dict[str, Patch]:
+    named = parse_named(words, "--region", ":", "NAME:X,Y,W,H, such as centre:100,80,40,40")
+    return {name: parse_patch(where) for name, where in named.items()}
 
 
 command = command_of(

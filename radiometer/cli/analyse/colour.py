@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
 
-from radiometer.cli.arguments import parse_patch
+from radiometer.cli.arguments import parse_named, parse_patch
 from radiometer.cli.console import show_remarks, show_table
 from radiometer.cli.function import command_of
 from radiometer.cli.options import FNumberOption, command_group, relative_option
-from radiometer.errors import UsageError
 from radiometer.numbers import unit_text
 
 if TYPE_CHECKING:
@@ -39,15 +38,8 @@ def _show_reading(found: ColourReading) -> None:
     show_remarks(found.assumptions, flags=found.flags)
 
 
-def _filters(words: Sequence[str]) -> dict[str, Path] | None:
-    """Return folders by channel. Raises UsageError for a word that is no NAME=FOLDER, or a name that occurs twice."""
-    found = dict[str, Path]()
-    for word in words:
-        name, equals, folder = word.partition("=")
-        if not (name and equals and folder) or name in found:
-            raise UsageError(f"--filter {word!r}: expected NAME=FOLDER, each name once, such as red=out/red")
-        found[name] = Path(folder)
-    return found or None
+def _filters(words: Sequence[str]) -> dict[str, str] | None:
+    return parse_named(words, "--filter", "=", "NAME=FOLDER, such as red=out/red") or None
 
 
 _FRAMES: Final[dict[str, Any]] = {

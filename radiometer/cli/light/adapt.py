@@ -68,7 +68,7 @@ def run(
     ] = None,
     simulate: Annotated[
         str | None,
-        typer.Option(help="Simulated subject: steady, never, always, leaves, wanders, healthy or amd."),
+        typer.Option(help="Simulated subject: steady, never, always, leaves, wanders; healthy or amd for rapid."),
     ] = None,
     room: Annotated[NotNegative, typer.Option(help="Luminance of the simulated box's room in cd·m⁻².")] = 0.0,
     slow: Annotated[Duration, typer.Option(help="Real seconds per simulated trial, to watch it.")] = 0.0,

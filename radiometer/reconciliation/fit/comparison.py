@@ -28,6 +28,7 @@ from radiometer.reconciliation.shared_errors import (
     line_excess,
     mixing_of_bands,
     mixing_of_lines,
+    of_fair_tiles,
     phases_of_wave,
     relative_bands,
     relative_flicker,
@@ -71,7 +72,7 @@ class Comparison:
     # covariance
     whiteners: Mapping[str, Array]
     cuts: Mapping[str, slice]  # rows of each block in the vector
-    flicker2: Array  # (captures,) relative variance from frame to frame of the accepted effects, of a whole frame
+    flicker2: Array  # (captures,) relative variance of a whole frame by the accepted effects, by chance and by order
     wander2: float  # the same of the source itself, whatever the exposure, up to what its stated reproducibility allows
     rows2: Array  # (captures,) row noise of the accepted effects in DN²
     common_of_rows: Array  # (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation
@@ -240,9 +241,12 @@ class Comparison:
         return np.asarray(bands2[..., None] * wave_power(self._bins, self.seen.bands_basis, frequency)[0])
 
     def flicker_of(self, prediction: Prediction) -> Array:
-        """Return the relative variance that all light of a frame has in common, bands included, (captures,)."""
-        steady = relative_flicker(prediction) + _common_bands(self.design, self.seen, prediction)
-        return steady + self._first_of_two(prediction)
+        """Return the relative variance that all light of a frame has in common, bands included, (captures,).
+
+        Chance is in the weights too, once it is accepted; what follows the order of the frames is not.
+        """
+        chance = relative_flicker(prediction) + _common_bands(self.design, self.seen, prediction)
+        return chance + of_fair_tiles(prediction, prediction.ordered_variance) + self._first_of_two(prediction)
 
     def _first_of_two(self, prediction: Prediction) -> Array:
         """Return what a first frame that differs adds to it where there are but two frames, (captures,)."""
@@ -345,12 +349,15 @@ def compare(
     if repeatability.row_variance.any():
         seen = with_heavy_rows(design, seen, base)
     deviation = _deviations(Scatter(design, seen, base, mask["variance"]), repeatability, variance_response, floors)
-    of_rows = common_of_rows(design, seen, np.where(mask["mean"], sensitivity, 0.0))
-    common = repeatability.flicker2 + _common_bands(design, seen, base)
+    none, of_rows = (
+        np.zeros(len(design.captures)),
+        common_of_rows(design, seen, np.where(mask["mean"], sensitivity, 0.0)),
+    )
     bands = (repeatability.bands2, repeatability.band_frequency)
     plain = Comparison(
-        design, seen, mask, deviation, {}, _cuts(design), common, 0.0, repeatability.row_variance, of_rows, *bands
+        design, seen, mask, deviation, {}, _cuts(design), none, 0.0, repeatability.row_variance, of_rows, *bands
     )
+    plain = replace(plain, flicker2=plain.flicker_of(base))
     plain = replace(plain, wander2=_steady_wander2(plain, base))
     repeatability = replace(repeatability, flicker2=repeatability.flicker2 + plain.wander2)
     errors = shared_errors(design, base, mask, sensitivity, repeatability, _of_noise(variance_response))

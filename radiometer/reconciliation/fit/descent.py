@@ -25,7 +25,7 @@ from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.shared_errors import chances_of_rows
-from radiometer.reconciliation.thresholds import CLOSED_GAP, FAR_GAP, SCATTER_SIGMAS
+from radiometer.reconciliation.thresholds import CLOSED_GAP, SCATTER_SIGMAS
 from radiometer.reconciliation.tile_model import TileModel
 from radiometer.statistics.chances import frames_counted
 from radiometer.typing import Array
@@ -380,16 +380,6 @@ def is_misfit(state: FitState) -> bool:
     """Return whether structure remains: the gap of held-out settings exceeds 1 by more than chance."""
     count = max(float(state.held_out.count[: state.settings].sum()), 1.0)
     return state.gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * float(np.sqrt(2.0 / count)))
-
-
-def is_far(state: FitState) -> bool:
-    """Return whether entries are off by ten of their uncertainties and more: linear predictions mean little there.
-
-    Entries are held-out settings and stated values: a wrong model may fit the former by moving the latter.
-    """
-    stated = slice(state.settings, None)
-    off = float(state.held_out.chi2[stated].sum()) / max(float(state.held_out.count[stated].sum()), 1.0)
-    return max(state.gap, off) >= FAR_GAP
 
 
 def scatter_of(state: FitState) -> float:

@@ -204,9 +204,7 @@ class Design:
 
         With it the mean of the same over the other frames; that of the first where there is no other.
         """
-        times = (self.timestamp_s,) * 3
-        if self.has_timestamps:
-            times = self._in_parts(self._of_frames("timestamp_s") - float(np.min(self._column("timestamp_s"))))
+        times = self._in_parts(self._times_s) if self.has_timestamps else (self.timestamp_s,) * 3
         warm, since = self._in_parts(self._of_frames("temperature_c")), self._in_parts(self._since_light)
         return tuple(zip(times[1:], warm[1:], since[1:], strict=True))
 
@@ -246,13 +244,27 @@ class Design:
 
     @cached_property
     def frame_numbers(self) -> tuple[Array, Array, Array]:
-        """Return the numbers in the header of each capture's frames, of its first one and of the others.
+        """Return the numbers in the header of each capture's frames, of its first one and of the others."""
+        return self._one_by_one(np.arange(len(self.header.frames)))
+
+    @cached_property
+    def frame_times_s(self) -> tuple[Array, Array, Array] | tuple[None, None, None]:
+        """Return the same of the times in s, as captures have them; None where these are not known."""
+        return self._one_by_one(self._times_s) if self.has_timestamps else (None, None, None)
+
+    @property
+    def _times_s(self) -> Array:
+        """Return the time in s of every frame of the header since the first capture."""
+        return self._of_frames("timestamp_s") - float(np.min(self._column("timestamp_s")))
+
+    def _one_by_one(self, of_frames: Array) -> tuple[Array, Array, Array]:
+        """Return a figure of each capture's frames, of its first one and of the others.
 
         Each of shape (captures, most frames of one), NaN beyond; a lone frame represents others too.
         """
         all_ = np.full((len(self.captures), int(self.frame_count.max())), np.nan)
         for row, capture in zip(all_, self.captures, strict=True):
-            row[: len(capture.frames)] = capture.frames
+            row[: len(capture.frames)] = of_frames[list(capture.frames)]
         first, later = all_.copy(), all_.copy()
         first[:, 1:] = np.nan
         later[self.frame_count > 1, 0] = np.nan

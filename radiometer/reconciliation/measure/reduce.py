@@ -872,11 +872,6 @@ def _later_noise(
     return noise
 
 
-def frame_reader(frames: Sequence[Frame]) -> FrameReader:
-    """Return a reader of frames that are in memory already."""
-    return frames.__getitem__
-
-
 def _darks_first(design: Design) -> list[int]:
     """Return the captures' numbers, darks first and the longest of them foremost: it shows the most defects."""
     return sorted(

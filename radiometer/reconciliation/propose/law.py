@@ -203,8 +203,8 @@ class FrameLaw(SignalLaw):
         law = over_frames(lambda frame: self.law(signal, frame), context)
         return self._at_its_link(self.link.code, law, signal, context).astype(signal.dtype)
 
-    def common_variance(self, signal: Any, context: ExposureContext) -> Any:
-        """Return how the frames of a series differ, as a variance; of three and more all but the first.
+    def ordered_variance(self, signal: Any, context: ExposureContext) -> Any:
+        """Return how the frames of a series behind its first differ, as a variance.
 
         What depends on the time goes on among the others, evenly where they follow each other evenly. What depends on
         the rest before a frame is the same for all of them. Of laws by the frame's number some have it and others not.
@@ -213,14 +213,12 @@ class FrameLaw(SignalLaw):
             return 0.0
         frames = np.asarray(getattr(context, "frames", 1.0))
         if self.of_law.is_of_the_series:
-            few, many = self.law(signal, context), self.law(signal, context.later_frames)
-            counted, law = frames - (frames > 2.0), np.where(frames > 2.0, many, few)
+            counted, law = np.maximum(frames - 1.0, 0.0), self.law(signal, context.later_frames)
             amplitude = getattr(self, self.of_law.amplitude)
             spread = law * (amplitude - law) * counted / np.maximum(counted - 1.0, 1.0)
             return spread if self.link.adds else spread * np.square(signal)
         goes_on = "timestamp_s" in self.of_law.covariates
-        others = np.maximum(frames - 1.0, 0.0) / (3.0 * frames) if goes_on else 0.0
-        share = np.where(frames == 2.0, 0.5, others)
+        share = np.where(frames > 2.0, np.maximum(frames - 1.0, 0.0) / (3.0 * frames), 0.0) if goes_on else 0.0
         apart = self.law(signal, context.first_frame) - self.law(signal, context.later_frames)
         return share * np.square(self._at_its_link(self.link.change, apart, signal, context))
 

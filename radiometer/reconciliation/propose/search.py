@@ -23,7 +23,7 @@ from scipy.special import ndtr
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.descent import FullFits, UnfitError, fitted_parameters, included, is_far, scatter_of
+from radiometer.reconciliation.fit.descent import FullFits, UnfitError, fitted_parameters, included, scatter_of
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.posterior import posterior
@@ -46,6 +46,7 @@ from simulators.effects.surroundings import column_light, picture_mean
 
 _AT_ONCE: Final = 64  # laws that are projected together
 _FAINT: Final = 1e-9
+_FAR_GAP: Final = 100.0  # reduced χ²
 _FOLLOWING: Final = ("mean", *(name for name, row in STATISTICS.items() if row.follows_light))
 
 
@@ -450,7 +451,7 @@ def _judged(fits: FullFits, chosen: list[Screened]) -> list[_JudgedLaw]:
     too badly to judge.
     """
     fitted, state = list[tuple[Law, FittedCandidate]](), fits.state
-    most = np.inf if is_far(state) else fits.most
+    most = np.inf if _is_far(state) else fits.most
     for entry in chosen:
         effect = _started(entry)
         if effect is None:
@@ -466,6 +467,16 @@ def _judged(fits: FullFits, chosen: list[Screened]) -> list[_JudgedLaw]:
     rated = [(f, judged_gain(state, f)) for _, f in fitted[:_JUDGED]]
     laws = {id(f): law for law, f in fitted}
     return [(laws[id(f)], f, nats) for f, nats in _fitted_in_full(fits, rated)]
+
+
+def _is_far(state: FitState) -> bool:
+    """Return whether entries are off by ten of their uncertainties and more: linear predictions mean little there.
+
+    Entries are held-out settings and stated values: a wrong model may fit the former by moving the latter.
+    """
+    stated = slice(state.settings, None)
+    off = float(state.held_out.chi2[stated].sum()) / max(float(state.held_out.count[stated].sum()), 1.0)
+    return max(state.gap, off) >= _FAR_GAP
 
 
 def _fitted_in_full(fits: FullFits, rated: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:

@@ -11,17 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
-from radiometer.reconciliation.fit.descent import FullFits, is_far
+from radiometer.reconciliation.fit.descent import FullFits
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.search.localise import Disagreement
 from radiometer.reconciliation.thresholds import (
+    ESSENTIAL_SIGMAS,
     HUGE_NATS,
     NAMED_NATS,
-    NEAR_SHARE,
     PARAMETER_NATS,
     RIVAL_NATS,
-    SHOWN_CHI2,
 )
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -108,22 +107,19 @@ def is_shown(fitted: FittedCandidate, nats: float) -> bool:
     """
     needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(fitted.tries))
     needed += RIVAL_NATS if fitted.flexible else 0.0
-    return nats >= needed and fitted.evidence >= SHOWN_CHI2
+    return nats >= needed and fitted.evidence >= ESSENTIAL_SIGMAS**2
 
 
 def contenders_of(fits: FullFits, judged: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
-    """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
+    """Return the candidates, those of a very large gain judged anew after a full fit of each.
 
-    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges; where entries
-    are off by ten of their uncertainties and more, of all candidates.
+    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges.
     """
-    best = max((nats for _, nats in judged), default=0.0)
-    share = 1.0 if is_far(fits.state) else NEAR_SHARE
-    near = [entry for entry in judged if entry[1] > best - share * best]
-    if best < HUGE_NATS or len(near) < 2:
+    huge = [fitted for fitted, nats in judged if nats > HUGE_NATS]
+    if len(huge) < 2:
         return judged
     base = fits.state.evidence
-    return [(f, fits.included(f.effect, far=True).evidence - base) for f, _ in near]
+    return [(fitted, fits.included(fitted.effect, far=True).evidence - base) for fitted in huge]
 
 
 def rivals_of(chosen: Judged, judged: Sequence[Judged]) -> tuple[CatalogueEffect, ...]:

@@ -652,10 +652,10 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
 
 
 def _with_form(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:
-    """Return the model with a form, fitted in full; None where its plain law is far from the result.
+    """Return the model with a form, or with its plain law where that is worth more and leaves nothing, fitted in full.
 
-    None too where it is not worth more than `least`, or leaves more than `most` under the weights of the model without
-    it; how far its plain law comes is not asked then.
+    None where the plain law is far from the result, where it is not worth more than `least`, or where it leaves more
+    than `most` under the weights of the model without it; how far its plain law comes is not asked then.
     """
     try:
         state = included(base, form, far=True, most=most)
@@ -667,4 +667,4 @@ def _with_form(base: FitState, form: FreeLaw, least: float, most: float) -> Refi
     brought, whole = plain.evidence - base.evidence, state.evidence - base.evidence
     if brought < LAW_SHARE * whole:
         return None
-    return Refined(state, form.name, base)
+    return Refined(plain if worth(plain) >= worth(state) and not is_misfit(plain) else state, form.name, base)

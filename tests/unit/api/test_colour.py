@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,17 +95,40 @@ def test_the_command_prints_what_the_function_returns(bench: Path, tmp_path: Pat
 
 
 def test_filters_before_a_monochrome_camera_are_channels(bench: Path, tmp_path: Path) -> None:
-    """Captures behind three filters, here the planes of the mosaic, give the matrix of the mosaic."""
+    """Captures behind three filters, here the planes of the mosaic, give the matrix of the mosaic.
+
+    Filters that are exchanged are refused. A grey filter before one of them, known to ±10 %, is in u.
+    """
     whole, filters = CaptureSet.read(bench / "set"), {}
     camera = whole.header.camera.model_copy(update={"mosaic": None})
+    lens = whole.header.lens.model_copy(update={"transmittance": 0.9})
     for colour in COLOURS:
-        with CaptureSetWriter(tmp_path / colour, camera, whole.header.lens) as writer:
+        behind = camera.model_copy(update={"filter": f"{colour} glass"})
+        with CaptureSetWriter(tmp_path / colour, behind, lens) as writer:
             for frame in replace(whole, colour=colour).frames():
                 writer.add(frame)
         filters[colour] = tmp_path / colour
     found = rm.colour_calibrate(chart=bench / "chart.csv", filters=filters).calibration
     expected = rm.colour_calibrate(bench / "set", bench / "chart.csv").calibration
     assert found.matrices["all"].matrix == pytest.approx(expected.matrices["all"].matrix, rel=1e-6)
+    words = [word for name, folder in filters.items() for word in ("--filter", f"{name}={folder}")]
+    asked = ["--chart", str(bench / "chart.csv"), "--out", str(tmp_path / "colour.yaml")]
+    assert run(["colour", "calibrate", *words, *asked]) == 0
+    assert (
+        yaml.safe_load((tmp_path / "colour.yaml").read_text())["matrices"] == found.model_dump(mode="json")["matrices"]
+    )
+    asked = {"calibration": found, "patch": place("white"), "kind": "leds"}
+    with pytest.raises(CalibrationError, match="filter red glass, green glass, blue glass, the frames were taken with"):
+        rm.colour_measure(filters={**filters, "red": filters["green"], "green": filters["red"]}, **asked)
+    plain = rm.colour_measure(filters=filters, **asked)
+    header = filters["green"] / "capture.yaml"
+    stated = yaml.safe_load(header.read_text())
+    stated["lens"]["transmittance"] = 0.09
+    header.write_text(yaml.safe_dump(stated))
+    grey = rm.colour_measure(filters=filters, **asked)
+    for channel, u_rel in (("red", 0.0), ("green", 0.1 / math.sqrt(3.0)), ("blue", 0.0)):
+        added = [one.signals[channel].u / one.signals[channel].value for one in (grey, plain)]
+        assert math.sqrt(added[0] ** 2 - added[1] ** 2) == pytest.approx(math.sqrt(2.0) * u_rel, abs=1e-6)
 
 
 def test_photographs_need_to_be_proportional_to_light(bench: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Batches: every capture once, failures reported and passed by, resumable, the same on any number of workers."""
 
+import json
 import os
 import shutil
 import signal
@@ -13,7 +14,7 @@ import yaml
 from radiometer.archive.jobs import COLUMNS, JOBS, JobSettings
 from radiometer.archive.run import ResultJournal, run_batch
 from radiometer.archive.sessions import find_captures
-from radiometer.data import Calibration, CaptureSet, LensDescription, Scale, SensorNoise
+from radiometer.data import Calibration, CaptureSet, LensDescription, Scale, SensorNoise, StatedUncertainties
 from radiometer.errors import DeviceNotFound, InputError, OutputRefused, UsageError
 from testing.patience import within
 
@@ -46,7 +47,10 @@ def calibration_of(root, folder):
     scale = Scale(value=1e-3, u_rel=0.005, method="known_radiance", f_number=4.0)
     noise = SensorNoise(conversion_gain_e_per_dn=2.6, read_noise_e=2.4)
     camera = CaptureSet.read(root / "day-0000").header.camera
-    Calibration(camera, LensDescription(f_number=4.0), scale, None, noise).write(folder / "cal.yaml")
+    exact = StatedUncertainties(drift_u_rel_per_year=0.0)
+    Calibration(camera, LensDescription(f_number=4.0), scale, None, noise, uncertainties=exact).write(
+        folder / "cal.yaml"
+    )
     return str(folder / "cal.yaml")
 
 
@@ -117,13 +121,25 @@ def test_an_interrupted_run_leaves_a_usable_table_and_goes_on(make_archive, tmp_
 
 
 def test_a_journal_cut_in_the_middle_of_a_line_loses_that_capture_only(make_archive, tmp_path):
-    """After a kill in the middle of writing, the half line is done again."""
+    """After a kill in the middle of writing, the half line is done again; lines that are no rows count for nothing."""
     root = make_archive(3)
     batch(root, tmp_path / "results.csv")
     journal = tmp_path / "results.csv.journal"
     os.truncate(journal, journal.stat().st_size - 30)
+    row = dict.fromkeys(COLUMNS) | {"value": "bright"}
+    with journal.open("a") as file:
+        file.write('\n{"format":"x"}\n[{"capture":1}]\n[3]\n' + json.dumps([row]) + "\n")
     again = batch(root, tmp_path / "results.csv")
     assert (again.done, again.skipped, again.rows_in_table) == (1, 2, 3)
+
+
+def test_captures_behind_a_link_are_found_once(make_archive, tmp_path):
+    """One whose folder is elsewhere is found; a link back to the archive is no second one."""
+    root = make_archive(2)
+    find_captures(str(root))[0][0].rename(tmp_path / "elsewhere")
+    (root / "link").symlink_to(tmp_path / "elsewhere")
+    (root / "loop").symlink_to(root)
+    assert len(find_captures(str(root))[0]) == 2
 
 
 def test_a_journal_of_something_else_is_kept(make_archive, tmp_path):

@@ -174,16 +174,20 @@ def test_a_lamp_that_wanders_and_one_that_is_steady():
     assert light_line("a", series(1000.0 * (1 + rng.normal(0, 2e-4, 8)))) is None
 
 
-def test_another_lamp_is_not_another_camera():
+@pytest.mark.parametrize("frames", [1, 3])
+def test_another_lamp_is_not_another_camera(frames):
     """A signal 10 % up at one gain and one dark law is the light's; with the gain 10 % up it is no change of light."""
-    level = series([1000.0, 1000.5, 999.5])
-    up = series([1100.0, 1100.5, 1099.5])
+    level = series([1000.0, 1000.5, 999.5][:frames])
+    up = series([1100.0, 1100.5, 1099.5][:frames])
     temperatures = (-10, 0, 10)
     before = session("a", temperatures=temperatures, series=[level])
     (lamp,) = passports([before, session("b", temperatures=temperatures, series=[up])])
     assert "+10.0 %" in lamp.light[0]
     assert "the light (gain and dark current did not change)" in lamp.light[0]
     assert not any(change.changed for change in lamp.changes)
+    more = [replace(one, exposure_s=2.0) for one in (level, up)]
+    pair = [session("a", series=[level, more[0]]), session("b", series=[up, more[1]])]
+    assert any("at 1 to 2 s the signal changed by +10.0 %" in one for one in passports(pair)[0].light)
     (gain,) = passports([before, session("b", temperatures=temperatures, series=[up], K=0.55)])
     assert gain.light == ()
     assert [change.changed for change in gain.changes if change.quantity == "K"] == [True]

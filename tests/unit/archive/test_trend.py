@@ -388,7 +388,7 @@ def test_changes_of_the_settings_and_flags_come_from_the_table(tmp_path):
 @pytest.mark.parametrize(
     ("column", "entry", "reason"),
     [("captured", 0.0, "1990"), ("captured", 3.2e10, "future"), ("flags", "few_frames saturated", "lower bound"),
-     ("flags", "below_noise", "upper bound")],
+     ("flags", "below_noise", "upper bound"), ("content_hash", "0", "copies of a capture set")],
 )  # fmt: skip
 def test_rows_that_show_nothing_take_no_part_and_are_counted(tmp_path, column, entry, reason):
     """A clock that was wrong once hides no drift; bounds that fall are none, and another unit is a history apart."""
@@ -396,9 +396,10 @@ def test_rows_that_show_nothing_take_no_part_and_are_counted(tmp_path, column, e
     value = 1.5 * (1.0 + 0.02 * weeks / 52.18) * (1.0 + 0.002 * rng.standard_normal(weeks.size))
     rows = pd.DataFrame({
         "captured": 1.6e9 + 604_800.0 * weeks, "quantity": "radiance", "patch": "lamp", "value": value, "u": 0.003,
-        "unit": "W sr-1 m-2", "status": "ok", "flags": "",
+        "unit": "W sr-1 m-2", "status": "ok", "flags": "", "job": "measure", "content_hash": weeks.astype(str),
     })  # fmt: skip
-    bad = rows.tail(30).assign(**{column: entry, "value": 0.1})
+    hashes = "later " + rows["content_hash"]
+    bad = rows.assign(content_hash=hashes).tail(30).assign(**{column: entry, "value": 0.1})
     other = rows.assign(unit="relative", value=3.0)
     pd.concat([rows, bad, other]).assign(instrument="FLIR BFS 1").to_csv(tmp_path / "t.csv", index=False)
     found = {one.unit: one for one in read_histories(tmp_path / "t.csv", "radiance")}

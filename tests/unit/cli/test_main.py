@@ -277,6 +277,21 @@ def test_an_option_of_one_value_is_not_given_twice(name, tmp_path, monkeypatch, 
     assert not list(tmp_path.iterdir())
 
 
+def _documented_with_an_option_twice():
+    """Return the words of each documented command that states an option more than once."""
+    pages = "".join(page.read_text(encoding="utf-8") for page in (Path(__file__).parents[3] / "docs").rglob("*.md"))
+    lines = re.findall(r"(?:^\$ |`)radiometer ([^`\n#]*)", pages, re.MULTILINE)
+    return [one.split() for one in lines if re.search(r"(--[a-z-]+) .*\1 ", one)]
+
+
+@pytest.mark.parametrize("words", _documented_with_an_option_twice(), ids=lambda words: words[0])
+def test_a_documented_option_may_be_given_as_often_as_the_page_gives_it(words, tmp_path, monkeypatch, capsys):
+    """Regions, filters and maps are named one by one; without their files each command fails for the file alone."""
+    monkeypatch.chdir(tmp_path)
+    assert run(words) != 0
+    assert "is given twice" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("text", "value"), [("0.05", 0.05), ("5%", 0.05), ("5 %", 0.05), ("0", 0.0), (None, None)])
 def test_a_relative_quantity_is_a_fraction_or_per_cent(text, value):
     """Both forms give the same number."""

@@ -228,10 +228,12 @@ def test_a_file_keeps_all_that_is_known_of_a_curve(tmp_path):
     whole = ResponseCurve(
         np.arange(4.0), np.full(4, 0.1), absolute=True, valid_dn=(1, 2), channel="red",
         provenance=Provenance("by hand", ("a.png",), ("none",), {"x": 1}),
+        camera=CameraDescription(bit_depth=2, vendor="V", model="M", serial="1", mode="vivid"),
     )  # fmt: skip
     whole.write(tmp_path / "c.yaml")
     read = ResponseCurve.read(tmp_path / "c.yaml")
     assert (read.absolute, read.valid_dn, read.channel, read.provenance) == (True, (1, 2), "red", whole.provenance)
+    assert read.camera == whole.camera
     assert whole.to_mapping()["unit"] == "ln(J m-2)"
     assert curve().to_mapping()["unit"] == "ln(relative exposure)"
     for middle, absolute in ((0.0, False), (0.9e-9, False), (-0.9e-9, False), (1.1e-9, True), (-1.1e-9, True)):
@@ -245,6 +247,7 @@ def test_a_file_keeps_all_that_is_known_of_a_curve(tmp_path):
     [
         ({"format": "radiometer-response/0"}, "expected 'radiometer-response/1'"),
         ({"log_exposure": None}, "c.yaml: a response curve needs 2"), ({"u_log_exposure": ["x"]}, "c.yaml: could not"),
+        ({"camera": {"color": 3}}, "c.yaml: camera: unknown key 'color'"), ({"camera": 3}, "c.yaml: 'int'"),
         ({"valid_dn": [1, "x"]}, "c.yaml: invalid"), ({"valid_dn": 3}, "c.yaml: 'int'"),
     ],
 )  # fmt: skip

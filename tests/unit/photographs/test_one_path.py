@@ -121,6 +121,25 @@ def test_photographs_of_another_camera_or_development_are_not_read_by_a_calibrat
             ask()
 
 
+def test_a_response_holds_for_the_camera_that_it_was_recovered_from(tmp_path, curve):
+    """Its file keeps camera and development; others are refused everywhere. Of a curve without them a doubt is left."""
+    own = photographs(tmp_path / "own", scene(), tags=CAMERA_TAGS)
+    rm.recover_response(own, "linear_spline", output=tmp_path / "curve.yaml")
+    asked = {"patch": (4, 4, 8, 8), "radiance": 0.5, "u_rel": 0.01}
+    others = ({272: "Another"}, "its model"), ({42033: "2"}, "its serial"), ({41992: 2}, "mode Contrast 0")
+    for number, (tags, said) in enumerate(others):
+        changed = photographs(tmp_path / str(number), scene(), times_s=TIMES_S[:2], seed=8, tags=CAMERA_TAGS | tags)
+        with pytest.raises(CalibrationError, match=said):
+            rm.merge(changed, tmp_path / "curve.yaml")
+        with pytest.raises(CalibrationError, match=said):
+            rm.calibrate(changed, response=tmp_path / "curve.yaml", **asked)
+        with pytest.raises(CalibrationError, match=said):
+            rm.recover_response([own, changed], "linear_spline")
+    doubt = "the response curve does not state its camera: it counts as that of this one"
+    found = [rm.merge(own, one).assumptions for one in (tmp_path / "curve.yaml", curve)]
+    assert [doubt in one for one in found] == [False, True]
+
+
 def test_an_automatic_white_balance_is_an_assumption_of_every_value(tmp_path):
     """The camera weighs the colours by what it sees; photographs of one bracket must agree in what they state of it."""
     folder = photographs(tmp_path / "p", scene(), tags=CAMERA_TAGS | {41987: 0})

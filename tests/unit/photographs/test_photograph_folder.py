@@ -112,9 +112,9 @@ def test_each_channel_is_a_bracket_of_its_own(tmp_path):
 
 
 def test_luminance_is_luma_and_saturated_where_a_channel_is(tmp_path):
-    """Luma weights are 0.299, 0.587, 0.114; one saturated channel saturates the sum."""
+    """Luma weights are 0.299, 0.587, 0.114; one channel at 253, as JPEG returns a blue of 255, saturates the sum."""
     image = np.zeros((8, 8, 3), np.uint8)
-    image[:4], image[4:] = (10, 100, 200), (0, 0, 255)  # blue, green, red
+    image[:4], image[4:] = (10, 100, 200), (253, 0, 0)  # blue, green, red
     cv2.imwrite(str(tmp_path / "a.png"), image)
     (tmp_path / "exposures.txt").write_text("a.png 1\n")
     luma = read_photographs(tmp_path, "luminance")[0].light[0].dn

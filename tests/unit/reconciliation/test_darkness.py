@@ -13,7 +13,7 @@ from radiometer.data.thermometer import regulated, uncertainty_of_readings
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import reweighted, with_effects
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.shared_errors import errors_of_darkness
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
@@ -38,7 +38,7 @@ def _dark(
         frames.append(Frame(np.round(dn).astype(np.uint16), 16, own))
     camera = CameraDescription(bit_depth=16, conversion_gain_e_per_dn=E_PER_DN)
     design = Design.of(CaptureHeader(camera=camera, frames=tuple(entries)), size)
-    return design, *reduce_frames(design, frame_reader(frames))
+    return design, *reduce_frames(design, frames.__getitem__)
 
 
 def test_a_black_level_that_wanders_is_measured() -> None:

@@ -13,7 +13,6 @@ from radiometer.data import Frame, FrameEntry, FrameSettings
 from radiometer.reconciliation.engine import examine
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic
-from radiometer.reconciliation.measure.reduce import frame_reader
 from testing.reconciled import reconcile
 
 EXPOSURES = [{"t": float(t)} for t in np.geomspace(2e-4, 5e-3, 7)]
@@ -41,7 +40,7 @@ def _seen(
         entries.append(FrameEntry.of(f"{number}.png", settings))
         taken.append(Frame(np.clip(np.rint(value), 0, 4095).astype(np.uint16), 12, settings, number))
     design = Design.of(header.model_copy(update={"frames": tuple(entries)}), picture.shape)
-    reader = FrameLight(design, frame_reader(taken))
+    reader = FrameLight(design, taken.__getitem__)
     for number in range(len(taken)):
         reader(number)
     captures, tiles = len(design.captures), len(design.tiles)
@@ -103,7 +102,7 @@ def test_rest_is_one_entry_with_its_size(make_capture: Callable[..., Any]) -> No
     waves = [6.0 * np.sin(2.0 * np.pi * (n // 4) / 9.0) for n in range(4 * len(plan))]
     captured = make_capture(seed=54, plan=plan, extra_dn=lambda s: waves[next(number)])
     design_frames = captured.frames
-    done = examine(captured.header, frame_reader(design_frames), design_frames[0].shape, with_limits=False)
+    done = examine(captured.header, design_frames.__getitem__, design_frames[0].shape, with_limits=False)
     unnamed = [effect for effect in done.result.effects if effect.name == "unnamed"]
     assert len(unnamed) == 1
     assert unnamed[0].parameters["rms_dn"].value == pytest.approx(6.0 / np.sqrt(2.0), rel=0.3)

@@ -29,8 +29,8 @@ PLAN = [{"t": float(t)} for t in TIMES for _ in range(2)] + [{"t": t, "shutter":
 
 @pytest.fixture(scope="module")
 def late(make_capture: Callable[..., Any]) -> FitState:
-    """Return the ideal camera fitted to exposures that are too long by 8 µs, and by twice that from 2 ms on."""
-    captured = make_capture(seed=81, plan=PLAN, exposure=lambda t: t + (8e-6 if t < 1e-3 else 24e-6))
+    """Return the ideal camera fitted to exposures that are too long by 8 µs, and by five times that from 1 ms on."""
+    captured = make_capture(seed=81, plan=PLAN, exposure=lambda t: t + (8e-6 if t < 1e-3 else 40e-6))
     return start_of(captured)
 
 
@@ -53,7 +53,7 @@ def test_no_law_is_free_where_nothing_varies(late: FitState) -> None:
 
 @pytest.mark.slow
 def test_one_name_by_its_own_law_replaces_nothing_at_all(late: FitState) -> None:
-    """Of two entries the exposure's error predicts best by a curve that is three times as high at the end."""
+    """Of two entries the exposure's error predicts best by a curve that is five times as high at the end."""
     found = by_a_free_law(late, late, [ExposureTimeOffset(8e-6), GammaEnabled(1.001)])
     assert found is not None
     assert found.name == "exposure_time_offset"
@@ -61,7 +61,7 @@ def test_one_name_by_its_own_law_replaces_nothing_at_all(late: FitState) -> None
     (form,) = found.state.effects
     context = late.model.context
     factor = np.ravel(form.weight(np.ones(1), context))[np.argsort(late.design.exposure_s)]
-    assert factor[-4] / factor[0] == pytest.approx(3.0, rel=0.25)
+    assert factor[-4] / factor[0] == pytest.approx(5.0, rel=0.3)
     assert scatter_of(found.state) == 1.0
 
 

@@ -11,7 +11,6 @@ import pytest
 
 from radiometer.acquire.capture_plan import read_capture_plan
 from radiometer.reconciliation.engine import Reconciled, examine
-from radiometer.reconciliation.measure.reduce import frame_reader
 from radiometer.reconciliation.next_capture import write_plan
 from simulators.scenes.screen import ScreenPatch, ScreenScene
 
@@ -26,7 +25,7 @@ def _veiled(make_capture: Callable[..., Any], *more: dict[str, Any], known: bool
         seed=21, plan=[*BRACKET, *DARKS, *more], known=known,
         picture=lambda image, s: 0.99 * image + 0.01 * image.mean(),
     )  # fmt: skip
-    return examine(captured.header, frame_reader(captured.frames), captured.frames[0].shape)
+    return examine(captured.header, captured.frames.__getitem__, captured.frames[0].shape)
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +74,7 @@ def test_fit_of_an_unknown_scene_converges(make_capture: Callable[..., Any]) -> 
     """Responsivity and free radiances stand for each other; still the least χ² is reached, to 0.01."""
     captured = make_capture(seed=22, plan=[*BRACKET, *DARKS], known=False)
     state = examine(
-        captured.header, frame_reader(captured.frames), captured.frames[0].shape, with_limits=False
+        captured.header, captured.frames.__getitem__, captured.frames[0].shape, with_limits=False
     ).outcome.start
     assert state.cost == pytest.approx(float(np.sum(state.fit.projected**2)), abs=0.01)
 
@@ -96,7 +95,7 @@ def _shaded(make_capture: Callable[..., Any]) -> Reconciled:
     y, x = np.mgrid[:64, :96]
     shade = 1.0 - 0.04 * (((x - 47.5) / 47.5) ** 2 + ((y - 31.5) / 47.5) ** 2)
     captured = make_capture(seed=23, plan=[*BRACKET, *DARKS], picture=lambda image, s: image * shade)
-    return examine(captured.header, frame_reader(captured.frames), captured.frames[0].shape)
+    return examine(captured.header, captured.frames.__getitem__, captured.frames[0].shape)
 
 
 def test_shading_at_one_f_number_may_be_any_that_would_change_with_it(make_capture: Callable[..., Any]) -> None:

@@ -12,7 +12,7 @@ from scipy.ndimage import convolve
 
 from radiometer.reconciliation.fit.descent import UnfitError, included
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.search.screening import StartPool, of_seen_codes
 from radiometer.reconciliation.shared_errors import mixing_of_bands, mixing_of_lines, renewed_patterns
 from simulators.effects.base import EXPOSURE, Stage, parameter
@@ -49,7 +49,7 @@ def test_codes_that_occur_rule_out_a_coarser_step(
     """Of all steps only those remain that leave no code empty which occurs, as far as periods up to 5 tell."""
     captured = make_capture(7)
     coarse = [replace(frame, dn=frame.dn - frame.dn % step) for frame in captured.frames]
-    seen, _ = reduce_frames(Design.of(captured.header, coarse[0].shape), frame_reader(coarse))
+    seen, _ = reduce_frames(Design.of(captured.header, coarse[0].shape), coarse.__getitem__)
     left = of_seen_codes(seen, MissingCodes.starts(start_of(captured).model.context))
     assert {effect.step_codes for effect in left if effect.kept_codes == 1.0} == possible
 

@@ -12,7 +12,7 @@ import pytest
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, PatchDescription
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, dark_current_is_free
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.repeatability import steady_wander2
 from radiometer.reconciliation.separability import limits
 from simulators.effects.gain_step_error import GainStepError
@@ -132,6 +132,6 @@ def test_darks_stand_for_a_black_level_that_is_not_stated(make_capture: Callable
     units = []
     for known in (header, untold):
         design = Design.of(known, captured.frames[0].shape)
-        seen, _ = reduce_frames(design, frame_reader(captured.frames))
+        seen, _ = reduce_frames(design, captured.frames.__getitem__)
         units.append(seen.common_unit[~design.closed & (design.exposure_s * design.source_level > 1e-4)])
     np.testing.assert_allclose(units[1], units[0], rtol=0.02)

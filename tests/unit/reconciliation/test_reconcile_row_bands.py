@@ -12,7 +12,7 @@ import pytest
 from radiometer.reconciliation.fit.descent import is_misfit
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.lines import RowBins, TileBands, wave_power
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.verdict import place_of_scatter
 from testing.reduced import start_of, statistics_of
@@ -62,7 +62,7 @@ def test_bands_have_the_power_that_a_wave_predicts(make_capture: Callable[..., A
     """Over 24 captures the ratios summed over all frequencies agree with 1 + A²/2·|z|² within 4 sigma of the phases."""
     captured = make_capture(plan=_one_after_the_other(24), picture=_bands(5, PERIODS_PER_ROW), seed=5)
     design = Design.of(captured.header, captured.frames[0].shape)
-    seen, _ = reduce_frames(design, frame_reader(captured.frames))
+    seen, _ = reduce_frames(design, captured.frames.__getitem__)
     power, common = wave_power(RowBins.of(design), seen.bands_basis, PERIODS_PER_ROW)
     measured = np.nansum(seen.bands, axis=1)
     expected = np.sum(np.where(np.isfinite(seen.bands), 1 + AMPLITUDE**2 / 2 * power, 0.0), axis=1)

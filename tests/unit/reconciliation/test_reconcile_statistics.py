@@ -15,7 +15,7 @@ from radiometer.reconciliation.fit.descent import converged_fit, first_state, fi
 from radiometer.reconciliation.fit.state import LinearTerm, with_effects
 from radiometer.reconciliation.measure.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
 from radiometer.reconciliation.measure.lines import RowBins, edge_shares
-from radiometer.reconciliation.measure.reduce import CaptureSums, frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import CaptureSums, reduce_frames
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.separability import limits
 from radiometer.reconciliation.shared_errors import fixed_errors
@@ -56,7 +56,7 @@ def test_mean_and_variance_agree_with_numpy(make_capture: Callable[..., Any]) ->
     """Streaming sums give what all frames at once give."""
     captured = make_capture(plan=[{"t": 3e-3}], frames=5)
     design = Design.of(captured.header, captured.frames[0].shape)
-    seen, _ = reduce_frames(design, frame_reader(captured.frames))
+    seen, _ = reduce_frames(design, captured.frames.__getitem__)
     tile = design.tiles[7]
     stack = np.stack([frame.dn[tile.slices] for frame in captured.frames]).astype(float)
     centred = stack - stack.mean(axis=(1, 2), keepdims=True)
@@ -210,7 +210,7 @@ def test_rows_alone_move_the_tiles_of_a_grid_as_one() -> None:
     entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
     camera = CameraDescription(bit_depth=12, black_level_dn=64.0, conversion_gain_e_per_dn=1.0, read_noise_e=1.0)
     design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
-    state = first_state(design, *reduce_frames(design, frame_reader(frames)))
+    state = first_state(design, *reduce_frames(design, frames.__getitem__))
     model = with_effects(state, [RowPattern(sigma_e=3.0)])
     terms = fixed_errors(model.effects, model.prediction, state.seen, design, state.model.context)
     moved = next(term for term in terms if term.name == "additive pattern: mean")
@@ -225,7 +225,7 @@ def test_frames_of_another_size_are_refused(make_capture: Callable[..., Any]) ->
     design = Design.of(captured.header, captured.frames[0].shape)
     smaller = Frame(captured.frames[1].dn[:-1], 12, captured.frames[1].settings)
     with pytest.raises(CaptureError, match="frame 1 is 96 × 63 pixels"):
-        reduce_frames(design, frame_reader([captured.frames[0], smaller]))
+        reduce_frames(design, [captured.frames[0], smaller].__getitem__)
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ import pytest
 from radiometer.numbers import rounded
 from radiometer.reconciliation.engine import Reconciled, examine, whole_catalogue
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.reduce import frame_reader
 from radiometer.reconciliation.report_page import (
     along,
     axis_label,
@@ -34,7 +33,7 @@ def glaring() -> Reconciled:
     session = make_session("veiling_glare", camera_seed=424_201)
     frames = list(session.frames())
     entries = {name: whole_catalogue()[name] for name in ("veiling_glare", "gain_step_error", "exposure_time_offset")}
-    return examine(session.header, frame_reader(frames), frames[0].shape, catalogue=entries, with_limits=False)
+    return examine(session.header, frames.__getitem__, frames[0].shape, catalogue=entries, with_limits=False)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from radiometer.reconciliation.fit.descent import (
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
 from radiometer.reconciliation.measure.design import Design, slope_lengths, tile_groups
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.tile_model import predict_several
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
@@ -144,7 +144,7 @@ def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_captu
     captured = make_capture(6, plan=LADDER[:3], picture=lambda image, setting: image * np.linspace(0.7, 1.0, 96))
     header = captured.header.model_copy(update={"patches": ()})
     design = Design.of(header, captured.frames[0].shape)
-    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    state = first_state(design, *reduce_frames(design, captured.frames.__getitem__))
     layout, tiles = state.layout, len(design.tiles)
     assert layout.free_scene
     jacobian = np.zeros((state.comparison.size, layout.size))
@@ -180,7 +180,7 @@ def test_a_patch_that_two_amplifiers_read_has_one_radiance(make_capture: Callabl
     parts = [n for n, tile in enumerate(design.tiles) if tile.name == patch.name]
     left, right = (design.tiles[n] for n in parts)
     assert left.x + left.width == at == right.x
-    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    state = first_state(design, *reduce_frames(design, captured.frames.__getitem__))
     column, step, moved = len(state.layout.scalars) + 3, 1e-6, state.values.copy()
     moved[column] += step
     there = state.layout.unpack(design, moved)

@@ -12,7 +12,6 @@ import pytest
 
 from radiometer.reconciliation.engine import examine, whole_catalogue
 from radiometer.reconciliation.inputs.sources import reconciled_model
-from radiometer.reconciliation.measure.reduce import frame_reader
 from radiometer.reconciliation.result import Verdict
 from radiometer.reconciliation.search.outcome import Reconciled
 from simulators.chain.camera_model import CameraModel
@@ -26,7 +25,7 @@ def late(make_capture: Callable[..., Any]) -> Reconciled:
     """Return what is found of a camera whose exposures are 8 µs too long, where that is the only entry."""
     captured = make_capture(seed=82, plan=PLAN, exposure=lambda t: t + OFFSET_S)
     entries = {NAME: whole_catalogue()[NAME]}
-    read = frame_reader(captured.frames)
+    read = captured.frames.__getitem__
     return examine(captured.header, read, captured.frames[0].shape, catalogue=entries, with_limits=False)
 
 

@@ -223,12 +223,16 @@ def test_page_states_the_checks_that_the_terminal_prints(screen, odd, tmp_path):
     checks = {
         "warm_up": {"waited_s": 1800.0, "drift_rel": 0.01, "steady": False},
         "flicker": {"found": True, "scatter_rel": 0.05, "exposure_s": 1e-3},
-        "uniformity": {"grid": [], "lowest": 0.87, "highest": 1.02},
+        "uniformity": {"grid": [], "lowest": 0.87, "highest": 1.02, "u_rel": 0.001},
         "repeats": 12, "drift_rel": 0.012, "drift_u_rel": 0.002, "additivity_rel": -0.004,
     }  # fmt: skip
     replace(screen, checks={**checks, **odd}).write(tmp_path / "desk.yaml")
     rm.screen_export(tmp_path / "desk.yaml", ["page"])
     text = (tmp_path / "desk.html").read_text(encoding="utf-8").replace("\u00a0", " ")
-    stated = ("still drifting after 1800 s", "87.0 to 102.0 % of the middle", "1.2 % while measuring")
+    stated = (
+        "still drifting after 1800 s",
+        "87.00 to 102.00 % of the middle, each ± 0.20 % (k = 2)",
+        "1.2 % while measuring",
+    )
     assert [one in text for one in stated] == [not odd] * 3
     assert "12 readings are averaged" in text

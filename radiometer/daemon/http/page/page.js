@@ -38,8 +38,10 @@ function written(value, U) {
   const scale = 10 ** exponent, second = U > 0 ? 1 - Math.floor(Math.log10(U / scale)) : 4;
   const digits = Math.min(9, Math.max(0, second)), step = 10 ** Math.max(0, -second);
   const shown = (x) => (step > 1 ? Math.round(x / scale / step) * step : x / scale).toFixed(digits);
-  return { value: shown(value), U: U > 0 ? shown(U) : "", power: exponent ? ` × 10${superscript(exponent)}` : "" };
+  return { value: shown(value), U: U > 0 ? shown(U) : "", power: exponent ? `·10${superscript(exponent)}` : "" };
 }
+// As on the terminal: where a power of ten follows, it belongs to both, (1.3420 ± 0.0029)·10⁵.
+const joined = ({ value, U, power }) => (U && power ? `(${value} ± ${U})${power}` : `${value}${U ? ` ± ${U}` : ""}${power}`);
 const withSuperscripts = (message) => message.replace(/\b(W|sr|m)(-[12])\b/g, (_, letter, power) => letter + superscript(power));
 const ago = (s) => (s < 2 ? "now" : s < 90 ? `${Math.round(s)} s ago` : s < 5400 ? `${Math.round(s / 60)} min ago` : `${Math.round(s / 3600)} h ago`);
 
@@ -127,7 +129,7 @@ function showValue(reading) {
   $("exposures").textContent = shownExposures.join(", ") + (reading.exposures_s.length > 6 ? ` and ${reading.exposures_s.length - 6} more` : "");
   const l = reading.luminance;
   const lw = l && written(l.value, l.u * k);
-  $("luminance").textContent = l ? `${lw.value} ± ${lw.U}${lw.power} ${unitText(l.unit)}` : "";
+  $("luminance").textContent = l ? `${joined(lw)} ${unitText(l.unit)}` : "";
   $("flags").replaceChildren(...(reading.flags.length ? reading.flags : [""]).map((flag) => {
     const chip = document.createElement("span");
     chip.textContent = flag ? flag.replace("_", " ") : "no flags";
@@ -141,7 +143,7 @@ function showValue(reading) {
 }
 
 // ---- trends --------------------------------------------------------------------------------------------------------
-const quantity = (value, U, unit) => { const w = written(value, U); return `${w.value}${w.U ? ` ± ${w.U}` : ""}${w.power} ${unitText(unit)}`; };
+const quantity = (value, U, unit) => `${joined(written(value, U))} ${unitText(unit)}`;
 function hovered(panel, index) {
   const c = panel.columns, rows = c.value.map((v, i) => i).filter((i) => c.value[i] !== null);
   if (!rows.length) return "";
@@ -177,10 +179,12 @@ async function refreshTrends() {
     try {
       const stream = encodeURIComponent(name === "main" ? "main" : `patch ${name}`), points = Math.max(200, Math.min(2000, Math.round($("panels").clientWidth)));
       const columns = await (await ask(`/trend?stream=${stream}&since=${iso(since)}&until=${iso(until)}&points=${points}`)).json();
-      panels.get(name)?.show(columns, [since, until], own(state.status?.patches, name)?.limits, events);
+      panels.get(name)?.show(columns, [since, until], own(state.status?.patches, name)?.limits, limitsSince(name), events);
     } catch { /* the next turn tries again */ }
   }));
 }
+// When the limits in force were set, in s; before all where that is not among the events at hand.
+const limitsSince = (name) => Date.parse(state.events.find((e) => e.kind === "patch" && e.message.startsWith(`limits of ${name}: `))?.time ?? 0) / 1000;
 async function marked(since, until, iso) {
   let known = state.events;
   // The newest are at hand; a time before them is asked for.
@@ -451,7 +455,7 @@ function showLegend(headers, map) {
   drawRamp($("ramp"), map);
   $("ticks").replaceChildren(...headers.get("Radiometer-Ticks").split(",").map((label, place, all) => {
     const t = document.createElement("span");
-    t.textContent = `${label.replace(/e([+-]\d+)/, (_, n) => `×10${superscript(+n)}`)}${place === all.length - 1 ? ` ${unit}` : ""}`;
+    t.textContent = `${label.replace(/e([+-]\d+)/, (_, n) => `·10${superscript(+n)}`)}${place === all.length - 1 ? ` ${unit}` : ""}`;
     return t;
   }));
 }

@@ -8,7 +8,7 @@ export const tickLabel = (value, step) => {
   const digits = (unit) => Math.min(8, Math.max(0, -Math.floor(Math.log10(step / unit) + 1e-9)));
   if (value === 0 || (Math.abs(value) >= 1e-3 && Math.abs(value) < 1e5)) return value.toFixed(digits(1));
   const exponent = Math.floor(Math.log10(Math.abs(value)) + 1e-9);
-  return `${(value / 10 ** exponent).toFixed(digits(10 ** exponent))}×10${superscript(exponent)}`;
+  return `${(value / 10 ** exponent).toFixed(digits(10 ** exponent))}·10${superscript(exponent)}`;
 };
 export const unitText = (unit) => unit.replace(/([a-zA-Z])(-?\d+)/g, (_, letter, power) => letter + superscript(power)).replaceAll(" ", "·");
 export const timeText = (at, span) => new Date(at * 1000).toLocaleString([], {

@@ -23,7 +23,7 @@ const LIMIT_ROOM = 10;  // ranges of the readings; farther away a limit would le
 /** One patch: its panel, its plot, and the columns it shows. */
 export class TrendPanel {
   constructor(place, name, hover) {
-    this.name = name; this.hover = hover; this.columns = null; this.limits = {}; this.breached = ""; this.events = []; this.window = [0, 1];
+    this.name = name; this.hover = hover; this.columns = null; this.limits = {}; this.limitsSince = 0; this.breached = ""; this.events = []; this.window = [0, 1];
     this.root = document.createElement("figure");
     this.root.className = "panel";
     this.root.dataset.patch = name;
@@ -90,7 +90,7 @@ export class TrendPanel {
     for (const limit of [this.limits.low, this.limits.high]) {
       if (limit == null) continue;
       const y = u.valToPos(limit, "y", true);
-      pen.beginPath(); pen.moveTo(left, y); pen.lineTo(left + width, y); pen.stroke();
+      pen.beginPath(); pen.moveTo(Math.max(left, u.valToPos(this.limitsSince, "x", true)), y); pen.lineTo(left + width, y); pen.stroke();
     }
     pen.setLineDash([2 * ratio, 3 * ratio]); pen.lineWidth = ratio;
     const drawn = new Set(), crowded = this.events.length > width / (24 * ratio);  // lines would hide the curve
@@ -119,8 +119,8 @@ export class TrendPanel {
     if (this.breached !== breached) { this.breached = breached; this.plot.setData(this.data()); }
     this.root.classList.toggle("bad", Boolean(breached));
   }
-  show(columns, window, limits, events) {
-    Object.assign(this, { columns, window, limits: limits && ["", columns?.unit].includes(limits.unit ?? "") ? limits : {}, events: events || [] });
+  show(columns, window, limits, limitsSince, events) {
+    Object.assign(this, { columns, window, limitsSince, limits: limits && ["", columns?.unit].includes(limits.unit ?? "") ? limits : {}, events: events || [] });
     this.unit.textContent = columns?.unit ? unitText(columns.unit) : "";
     this.empty.textContent = columns?.value.some((v) => v !== null) ? "" : "no readings in this time";
     this.plot.setData(this.data());

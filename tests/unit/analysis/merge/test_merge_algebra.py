@@ -27,6 +27,7 @@ from radiometer.data import (
     Scale,
     ScaleConditions,
     SensorNoise,
+    SourceDescription,
 )
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
@@ -118,13 +119,17 @@ def test_found_errors_of_the_camera_are_corrected_in_maps_too():
     assert corrected / plain == pytest.approx(0.98 / 1.1, rel=1e-5)
 
 
-def test_the_doubts_of_gain_and_stop_are_common_to_the_map():
-    """1 % of a gain that the calibration did not have, 4 % (2 · 2 %) of another f-number: in every pixel alike."""
+def test_the_doubts_of_gain_and_stop_and_polarised_light_are_common_to_the_map():
+    """1 % of another gain than the calibration's, 4 % (2 · 2 %) of another f-number, 0.3 % of a screen's light."""
     base = replace(CALIBRATION, scale=CALIBRATION.scale.model_copy(update={"f_number": 4.0}))
-    plain, amplified, stopped = (
-        merge([frame(1100, 1.0, gain_db, f_number=number)], Setup(CAMERA, LENS, base)).u_rel_common
-        for gain_db, number in ((0.0, 4.0), (6.0, 4.0), (0.0, 8.0))
+    plain, amplified, stopped, screen = (
+        merge([frame(1100, 1.0, gain_db, f_number=number)], Setup(CAMERA, LENS, base, source=light)).u_rel_common
+        for gain_db, number, light in (
+            *((gain_db, number, None) for gain_db, number in ((0.0, 4.0), (6.0, 4.0), (0.0, 8.0))),
+            (0.0, 4.0, SourceDescription(kind="screen")),
+        )
     )
+    assert np.sqrt(screen**2 - plain**2) == pytest.approx(0.003, rel=1e-3)
     assert np.sqrt(amplified**2 - plain**2) == pytest.approx(0.01, rel=1e-3)
     assert np.sqrt(stopped**2 - plain**2) == pytest.approx(0.04, rel=0.02)
 
@@ -644,7 +649,7 @@ def test_a_map_reports_what_is_off_by_a_thousandth_or_more(off_rel):
     )
     reported = merge(
         iter(frames(1, (seconds, 2.0 * seconds))), Setup(CAMERA, LensDescription(f_number=4.0), known)
-    ).not_in_u
+    ).provenance.assumptions
     words = ("the exposure of 1e+03 µs", "the response bends", "light of another spectrum")
     assert [any(one.startswith(word) for one in reported) for word in words] == [off_rel > 0.001] * 3
 

@@ -12,6 +12,7 @@ from scipy.stats import norm
 from radiometer import compiled as merge_compile
 from radiometer.analysis.merge import finish as merge_finish
 from radiometer.analysis.merge.bracket import StreamingMerge, merge
+from radiometer.analysis.reading.reading import read_patch
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -21,6 +22,7 @@ from radiometer.data import (
     Frame,
     FrameSettings,
     LensDescription,
+    Patch,
     PixelMask,
     ResponseCurve,
     Scale,
@@ -31,7 +33,7 @@ from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 
 EXACT = {
-    "uncertainties": StatedUncertainties(exposure_u_rel=0.0, linearity_u_rel=0.0, prnu_u_rel=0.0),
+    "uncertainties": StatedUncertainties(exposure_u_rel=0, exposure_u_s=0, linearity_u_rel=0, prnu_u_rel=0),
     "black_level": BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0),
 }
 LADDER_S = tuple(20e-6 * 2.0**k for k in range(14))
@@ -141,7 +143,9 @@ def test_light_that_wanders_from_frame_to_frame_is_in_the_uncertainty_of_every_p
         )
     assert np.mean(np.abs(z) < 2.0) > 0.85  # four frames know their scatter poorly
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 2.0
-    steady = merged(rig, Bracket.from_frames(rig.frames(truth, np.random.default_rng(1), (5e-4, 1e-3, 1.5e-3))))
+    steady = merged(
+        rig, Bracket.from_frames(rig.frames(truth, np.random.default_rng(1), (5e-4, 1e-3, 1.5e-3))), **EXACT
+    )
     assert steady.u_shared is None or steady.u_shared.max() < 1e-3 * truth[0, 0]
 
 
@@ -328,28 +332,40 @@ def test_a_map_says_what_stray_light_it_may_hold(rig):
     assert float(words[0.02][0].split("add ")[1].split()[0]) == pytest.approx(0.02 * found.radiance.mean(), rel=0.05)
 
 
-def test_a_map_says_what_an_offset_of_short_exposures_may_do(rig):
-    """3 µs of 50 µs, under a scale from 1 ms: 5.7 % of the brightest pixels, in u on request."""
-    base = rig.calibration()
-    conditions = base.scale.conditions.model_copy(update={"inverse_exposure_per_s": 1000.0})
-    stated = base.uncertainties.model_copy(update={"exposure_u_s": 3e-6, "glare_u": 0.0})
-    known = replace(base, uncertainties=stated, scale=base.scale.model_copy(update={"conditions": conditions}))
-    text = {}
-    for shortest in (50e-6, 1e-3):
-        frames = rig.frames(scene(rig), np.random.default_rng(1), (shortest, 1e-3))
-        words = merge(frames, Setup(rig.description, rig.lens, known)).not_in_u
-        text[shortest] = [one for one in words if "exposure" in one]
-    assert text[1e-3] == []
-    assert text[50e-6] == [
-        "the exposure of 50 µs may be off: 5.7 % (k = 1) of the brightest pixels, which u does not hold"
-    ]
-    light = np.full((8, 8), 0.5 * rig.radiance_of_full_scale(50e-6))  # clips at 1 ms: 50 µs alone give its value
-    bright = rig.frames(light, np.random.default_rng(2), (50e-6, 1e-3))
-    own = merge(bright, Setup(rig.description, rig.lens, known), doubt_exposures=True)
-    assert any("which u holds" in one for one in own.provenance.assumptions)
-    noise = merge(bright, Setup(rig.description, rig.lens, known))
-    added = np.sqrt(own.u_radiance**2 - noise.u_radiance**2) / own.radiance
-    assert np.median(added) == pytest.approx(3e-6 * (1 / 50e-6 - 1000.0), rel=0.01)
+def test_an_offset_of_all_exposures_is_in_the_uncertainty_as_in_that_of_a_reading(rig):
+    """3 µs, scaled at 1 ms: 5.7 % where 50 µs alone show light, 0.27 % (2/1.05 ms) with 1 ms as well, 0 at 1 ms."""
+    conditions = rig.calibration().scale.conditions.model_copy(update={"inverse_exposure_per_s": 1000.0})
+    known = rig.calibration(**EXACT | {"uncertainties": StatedUncertainties(exposure_u_s=3e-6, linearity_u_rel=0.0)})
+    known = replace(known, scale=known.scale.model_copy(update={"conditions": conditions}))
+    exact = replace(known, uncertainties=known.uncertainties.model_copy(update={"exposure_u_s": 0.0}))
+    added = []
+    for full_s, shortest in ((50e-6, 50e-6), (1e-3, 50e-6), (1e-3, 1e-3)):
+        light = np.full((8, 8), 0.5 * rig.radiance_of_full_scale(full_s))
+        frames = rig.frames(light, np.random.default_rng(2), (shortest, 1e-3))
+        found, plain = (merge(frames, Setup(rig.description, rig.lens, one)) for one in (known, exact))
+        shared, without = (one.radiance[0, 0] ** -1 * one.parts_of_u(np.s_[0, 0])[1] for one in (found, plain))
+        named = any(f"{1e6 * shortest:.3g} µs may be off" in one for one in found.provenance.assumptions)
+        assert named == (shortest < 1e-3)
+        added.append(math.sqrt(shared**2 - without**2))
+        reading = read_patch(frames, Patch(0, 0, 8, 8), Setup(rig.description, rig.lens, known))
+        of_reading = next(one.u_rel for one in reading.budget if one.name == "exposure offset")
+        assert added[-1] == pytest.approx(of_reading, rel=0.05, abs=1e-5)
+    assert added == pytest.approx([3e-6 * 19_000, 3e-6 * 905, 0.0], rel=0.05, abs=1e-5)
+
+
+@pytest.mark.parametrize("real_db", [12.0, 11.5, 12.3])
+def test_frames_at_two_gains_show_a_wrong_step_between_them(rig, real_db):
+    """12 dB stated: in map and reading a doubt with the step that the frames show."""
+    rng, light = np.random.default_rng(5), np.full((16, 16), 0.2 * rig.radiance_of_full_scale(1e-3))
+    frames = rig.frames(light, rng, (1e-3,) * 3)
+    for one in rig.frames(light, rng, (1e-3,) * 3):
+        dn = np.rint((one.dn - rig.black_dn) * 10.0 ** (real_db / 20.0) + rig.black_dn).astype(np.uint16)
+        frames.append(replace(one, dn=dn, settings=replace(one.settings, gain_db=12.0)))
+    setup = Setup(rig.description, rig.lens, rig.calibration(**EXACT))
+    for found in (merge(frames, setup), read_patch(frames, Patch(0, 0, 16, 16), setup)):
+        doubts = [text for text in found.provenance.assumptions if "and not by 12" in text]
+        shown = [float(text.split("rises by ")[1].split()[0]) for text in doubts]
+        assert shown == ([] if real_db == 12.0 else [pytest.approx(real_db, abs=0.05)])
 
 
 def test_the_pattern_of_the_pixels_is_in_their_uncertainty(rig):

@@ -383,7 +383,9 @@ def test_what_all_pixels_share_grows_with_the_calibration_s_age(rig):
     settings = [FrameSettings(1e-3, temperature_c=25.0)]
 
     def shared(years, frames=settings):
-        return frame_u_rel(calibration, rig.lens, {rig.lens.f_number}, frames, NOON + dt.timedelta(days=365.25 * years))
+        taken = NOON + dt.timedelta(days=365.25 * years)
+        setup = Setup(rig.description, rig.lens, calibration, taken=taken)
+        return frame_u_rel(setup, rig.lens, {rig.lens.f_number}, frames)
 
     assert math.sqrt(shared(-2.0) ** 2 - shared(0.0) ** 2) == pytest.approx(0.02)
     assert math.sqrt(shared(3.0) ** 2 - shared(0.0) ** 2) == pytest.approx(0.03)

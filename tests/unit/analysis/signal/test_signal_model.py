@@ -114,7 +114,7 @@ def dark_frame(number, exposure_s, gain_db=0.0, size=10):
     return Frame(dn.astype(np.uint16), 12, FrameSettings(exposure_s, gain_db, shutter="closed"))
 
 
-LIGHT = FrameSettings(0.1, 0.0, temperature_c=25.0)
+LIGHT, DARK = FrameSettings(0.1, 0.0, temperature_c=25.0), FrameSettings(0.1, shutter="closed")
 DOUBT = BlackLevel(dn=BLACK, u_dn=0.5, dark_u_rel=0.4)
 
 
@@ -144,11 +144,21 @@ def test_dark_frames_of_the_exposure_are_taken_as_they_are():
 
 @pytest.mark.parametrize("step", [1, 16])
 def test_what_rounding_hides_in_dark_frames_is_shared(step):
-    """All pixels at one code: light and dark are each anywhere within a step, 1/√12 of it."""
+    """All pixels at one code: light and dark are each anywhere within a step, 1/√12 of it; bright light is not."""
     model = replace(LINEAR, camera=LINEAR.camera.model_copy(update={"code_step_dn": step}))
-    still = Frame(np.full((10, 10), 112, np.uint16), 12, FrameSettings(0.1, shutter="closed"))
+    still = Frame(np.full((10, 10), 112, np.uint16), 12, DARK)
     (level,) = dark_levels([LIGHT], [still], model, DOUBT)
     assert level.u_common == pytest.approx(step * math.sqrt(2.0 / 12.0), rel=0.01)
+    (level,) = dark_levels([LIGHT], [still], model, DOUBT, darkest=(1000.0,))
+    assert level.u_common == pytest.approx(step * math.sqrt(1.0 / 12.0), rel=0.01)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.45, 0.5])
+def test_what_two_codes_leave_open_is_how_far_their_mean_is_from_midway(share):
+    """At most share − ½, by noise less: over √3; light whose noise spreads over the codes adds nothing."""
+    two = Frame(np.where(np.arange(100) < 100 * share, 113, 112).reshape(10, 10).astype(np.uint16), 12, DARK)
+    (level,) = dark_levels([LIGHT], [two], LINEAR, DOUBT, darkest=(1000.0,))
+    assert level.u_common == pytest.approx((0.5 - share) / math.sqrt(3.0), abs=0.01)
 
 
 def test_a_dark_frame_of_another_exposure_corrects_the_black_level():

@@ -49,6 +49,13 @@ def test_thesis_constants_scatter_by_rounding(tmp_path: Path) -> None:
     assert [round(row.k_printed, 4) for row in done.rows] == [16.6016, 18.0697, 18.3824, 14.3029, 15.1786, 16.4706]
 
 
+def test_a_time_of_two_dials_is_that_of_the_dial_of_the_other_rows(tmp_path: Path) -> None:
+    """1/3 s is on dials of thirds and of halves; 1/25 s and 1/50 s show the dial of thirds: K is one number."""
+    rows = "source,luminance,f_number,time,iso\na,25,8,1/3,100\na,25,4,1/12,100\na,25,2.8,1/25,100\na,50,2.8,1/50,100\n"
+    (effect,) = reconcile_meter_table(_table(tmp_path, rows)).result.effects
+    assert (effect.name, effect.gap_after < 1e-9) == ("nominal_settings", True)
+
+
 def test_rest_at_full_aperture_is_not_guessed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The sixth of a stop at f/1.7 is reported, with both causes that these data cannot tell apart."""
     assert run(["reconcile", str(_table(tmp_path, THESIS)), "--json"]) == 0

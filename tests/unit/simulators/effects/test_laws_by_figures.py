@@ -699,14 +699,16 @@ def test_an_event_lifts_black_and_is_forgotten():
 
 
 def test_an_event_within_a_series_is_in_the_frames_behind_it():
-    """The first of four frames lies before it, the others on average half a time constant behind."""
-    first, later = _series(np.array(90.0)), _series(np.array(110.0))
-    series = _capture(frames=4.0, first_frame=first, later_frames=later, settings=later.settings)
+    """Two of four frames lie before it, one is at it and one half a time constant behind."""
+    times_s = np.array([80.0, 90.0, 100.0, 110.0])[None, None, None]
+    first, later = _capture(frame_times_s=times_s[..., :1]), _capture(frame_times_s=times_s[..., 1:])
+    series = _capture(frames=4.0, first_frame=first, later_frames=later, frame_times_s=times_s)
     effect = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0)
-    assert float(effect.offset(series)) == pytest.approx(0.75 * 6.0 * math.exp(-0.5))
+    both = 6.0 * (1.0 + math.exp(-0.5))
+    assert float(np.ravel(effect.offset(series))[0]) == pytest.approx(both / 4)
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
     assert isinstance(after, TileMoments)
-    assert float(np.ravel(after.first_excess)[0]) == pytest.approx(-6.0 * math.exp(-0.5))
+    assert float(np.ravel(after.first_excess)[0]) == pytest.approx(-both / 3)
 
 
 def test_an_event_is_looked_for_in_front_of_captures():
@@ -901,12 +903,11 @@ def test_a_source_settles_within_each_series(frames):
     series = _capture(frames=np.full((1, 1, 1), float(frames)))
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
     assert isinstance(after, TileMoments)
-    counted = one[1:] if frames > 2 else one  # of three and more the first has a statistic of its own
     assert float(after.mean[0, 0, 0]) == pytest.approx(np.mean(one))
     first = one[0] - float(np.mean(one[1:])) if frames > 1 else 0.0
     assert float(np.ravel(after.first_excess)[0]) == pytest.approx(first, abs=1e-12)
-    scatter = float(np.var(counted, ddof=1)) if len(counted) > 1 else 0.0
-    assert float(np.ravel(after.common_variance)[0]) == pytest.approx(scatter, abs=1e-12)
+    scatter = float(np.var(one[1:], ddof=1)) if frames > 2 else 0.0
+    assert float(np.ravel(after.ordered_variance)[0]) == pytest.approx(scatter, abs=1e-12)
 
 
 def test_a_gamma_above_black_bends_noise_too():
