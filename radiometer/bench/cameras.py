@@ -137,8 +137,8 @@ def simulated_parts(camera_config: SimulatedCameraConfig, where: Path) -> tuple[
         ConfigurationError: If there is no such preset, or it is damaged.
     """
     name = camera_config.preset
-    beside = where.parent / "cameras" / f"{name}.yaml"
-    file = beside if beside.is_file() else shipped_config(f"cameras/{name}.yaml")
+    own_file = where.parent / "cameras" / f"{name}.yaml"
+    file = own_file if own_file.is_file() else shipped_config(f"cameras/{name}.yaml")
     preset = CameraPreset.read(file)
     limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
     width, height = camera_config.width or limits.width, camera_config.height or limits.height
