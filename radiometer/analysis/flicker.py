@@ -793,7 +793,7 @@ class _Series(NamedTuple):
         columns = harmonics(fold.phase, order)
         weighted = columns * fold.count[:, None]
         products = columns.T @ weighted
-        sizes, inverse = np.linalg.eigvalsh(products), np.linalg.pinv(products, hermitian=True)
+        sizes, inverse = np.linalg.eigvalsh(products), np.asarray(np.linalg.pinv(products, hermitian=True), np.float64)
         factors = inverse @ (weighted.T @ fold.light)
         residual = fold.light - columns @ factors
         freedom = max(fold.phase.size - factors.size, 1)
