@@ -70,7 +70,7 @@ def with_u(value: float, expanded: float, unit: str = "", k: float | None = None
     if expanded >= 99.5 or "e" in shown:
         power = _power(value, expanded)
         digits = max(0, _decimals(min(expanded, apart)) + power)
-        shown, u = (f"{number / 10.0**power:.{digits}f}" for number in (value, expanded))
+        shown, u = (f"{round(number / 10.0**power, digits) + 0.0:.{digits}f}" for number in (value, expanded))
         return f"({shown} ± {u})·10{str(power).translate(_RAISED)}{behind}"
     return f"({shown} ± {u}){behind}" if printed.startswith(("%", "°")) else f"{shown} ± {u}{behind}"
 

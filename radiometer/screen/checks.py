@@ -26,6 +26,11 @@ class WarmUp:
     steady: bool  # whether that was below the limit before the time was up
     readings: tuple[ScreenReading, ...] = ()  # of white meanwhile
 
+    @property
+    def drift_s(self) -> float:
+        """Return the time in s that the change was seen over."""
+        return self.readings[-1].time_s - self.readings[-_WINDOW:][0].time_s
+
 
 def wait_until_steady(
     meter: Meter,

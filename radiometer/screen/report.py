@@ -230,7 +230,8 @@ def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
     figures = _times(*fitted) if fitted else [relative("excess_at_start", excess)]
     if fitted is None:
         notes.append("the change is too small, or was watched for too short, for the time constant")
-    figures.append(relative("drift_at_end", Quantity(outcome.drift_rel, u_excess, "1")))
+    drift = Quantity(outcome.drift_rel, u_excess, "1").scaled(100.0, f"% in {outcome.drift_s:.0f} s")
+    figures.append(Figure("drift_at_end", drift))
     if not outcome.steady:
         notes.append("not steady when the time was up: later figures hold the change of white in their uncertainty")
     rows = tuple(

@@ -37,6 +37,7 @@ def test_a_value_stands_with_its_uncertainty_and_unit():
     assert with_u(103.4, 1.0, "cd m-2", k=2) == "103.4 ± 1.0 cd·m⁻² (k = 2)"
     assert with_u(4099.0, 782.0, "e-") == "(4.10 ± 0.78)·10³ e⁻"
     assert with_u(12345.0, 148.0) == "(1.234 ± 0.015)·10⁴"
+    assert with_u(-3.0, 10_000.0, "ppm") == "(0.0 ± 1.0)·10⁴ ppm"
     assert with_u(0.0, 1.7e-4, "cd m-2", k=2.03) == "0.00000 ± 0.00017 cd·m⁻² (k = 2.03)"
 
 

@@ -26,7 +26,7 @@ from radiometer.cli.options import (
 )
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
-from radiometer.numbers import rounded, with_u
+from radiometer.numbers import below, rounded, upper_limit, with_u
 from radiometer.plausible import Count, Duration, Gamma, PatchSize, PixelPitch, Port, Positive
 
 if TYPE_CHECKING:
@@ -172,8 +172,10 @@ def level(
     if json:
         print(found.to_json())
         return
-    value = with_u(found.shown.value, 2 * found.shown.u, found.shown.unit, k=2)
-    console().print(f"level {found.level} of {channel} shows {value}")
+    value, u = found.shown.value, found.shown.u
+    known = value > 2 * u  # below it only a limit is known
+    shown = with_u(value, 2 * u, found.shown.unit, k=2) if known else below(upper_limit(value, u), found.shown.unit)
+    console().print(f"level {found.level} of {channel} shows {shown}")
 
 
 @app.command("export")

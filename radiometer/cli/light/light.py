@@ -258,7 +258,7 @@ def _show_status(report: dict[str, Any]) -> None:
     out.print(f"light box  {report['serial']}  firmware {report['firmware']}  on {report['port']}")
     out.print(f"supply     {report['supply_v']:.2f} V   temperature {report['temperature_C']:.1f} °C")
     out.print(
-        f"clock      {clock['drift_ppm']:+.0f} ± {2 * clock['u_drift_ppm']:.0f} ppm, offset known to "
+        f"clock      {with_u(clock['drift_ppm'], 2 * clock['u_drift_ppm'], 'ppm')}, offset known to "
         f"± {2e3 * clock['u_offset_s']:.2f} ms (k = 2)"
     )
     out.print(f"since power-on ({report['reset_cause']})  damaged lines {report['damaged_lines']}")
