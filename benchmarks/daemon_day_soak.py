@@ -244,11 +244,11 @@ async def _day(
 async def _world(folder: Path, witness: Witness) -> AsyncIterator[_World]:
     bench, _ = write_benches(folder)
     camera, box, journal = _Camera(bench), _Box(), _FillingJournal(folder / "journal.sqlite")
-    broker, library = _Broker(witness), mqtt._library
+    broker = _Broker(witness)
     settings = MeasurementSettings(patch=Patch(**PATCHES["bright"][0]))
     station = Station(camera, journal, box=box, settings=settings, times=KeeperTimes(check_every_s=5.0))
     scpi, http = ScpiServer(station), HttpServer(station)
-    mqtt._library = lambda: broker
+    sys.modules["paho.mqtt.client"] = broker  # type: ignore[assignment]
     await station.start()
     publisher = mqtt.MqttPublisher(station, mqtt.MqttTarget("127.0.0.1"))
     publisher.start()
@@ -262,7 +262,7 @@ async def _world(folder: Path, witness: Witness) -> AsyncIterator[_World]:
         await scpi.close()
         await station.stop()
         await publisher.stop()
-        mqtt._library = library
+        del sys.modules["paho.mqtt.client"]
 
 
 def _clients(world: _World, http: aiohttp.ClientSession) -> list[Awaitable[None]]:

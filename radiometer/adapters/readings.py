@@ -5,7 +5,7 @@ from __future__ import annotations
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final, Protocol
 
 from radiometer.api.meter import Meter
@@ -67,7 +67,7 @@ class DaemonSource:
             DeviceError: If it refuses; the message is the daemon's own.
         """
         where = self.patch
-        asked = {"patch": {"x": where.x, "y": where.y, "width": where.width, "height": where.height}} if where else {}
+        asked = {"patch": asdict(where)} if where else {}
         headers = {"Content-Type": "application/json"} | (
             {"Authorization": f"Bearer {self.token}"} if self.token else {}
         )

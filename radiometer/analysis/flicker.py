@@ -300,8 +300,9 @@ def find_period(waveform: Waveform, fewest: float = FEWEST_PERIODS) -> Period | 
             found_hz, held = _refined(light, rate_hz, near_hz, order)
             if found_hz * duration_s < fewest:
                 continue
-            # As many harmonics for both: those of steps that samples are too few for show at other frequencies.
-            least = max(share, _refined(light, rate_hz, best_hz, order)[1]) if best_hz else -1.0
+            least = share if best_hz else -1.0
+            if share >= _PERIODIC_SHARE:  # as many harmonics for both: those above half the rate show elsewhere
+                least = max(share, _refined(light, rate_hz, best_hz, order)[1])
             if 1.0 - held < 0.5 * (1.0 - least) - _LEAST_SHARE:
                 best_hz, share = found_hz, held
     if share < _PERIODIC_SHARE:

@@ -15,7 +15,7 @@ from radiometer.bench.cameras import OWN_KINDS, SIMULATED, list_cameras
 from radiometer.bench.config import read_bench
 from radiometer.bench.doctor import check_daemon, examine
 from radiometer.bench.new_bench import write_bench
-from radiometer.bench.served_box import serve_box
+from radiometer.bench.served_box import serve_box, served_box
 from radiometer.bench.served_camera import Faults, serve, served_camera
 from radiometer.data.serials import other_notation, serial_shown
 from radiometer.devices import CameraIdentity, Finding, Health, LightBoxIdentity
@@ -249,8 +249,8 @@ def simulate_box(
         MissingLibrary: If simavr is asked for and not installed.
     """
     known_link, known_firmware = (Path(one) if one else None for one in (link, firmware))
-    serve_box(
+    made = served_box(
         serial, known_link, firmware=known_firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed,
-        subject=subject, filter_density=filter_density, reset_every_s=reset_every_s, press_every_s=press_every_s,
-        ready=ready, entered=entered,
+        subject=subject, filter_density=filter_density,
     )  # fmt: skip
+    serve_box(made, reset_every_s, press_every_s, ready, entered)

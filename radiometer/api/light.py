@@ -8,14 +8,14 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from radiometer.analysis.flux.drive_law import DriveLaw, fit_drive_law
+from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, fit_drive_law
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.result import Notice, Progress, Result, unheard
+from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
 from radiometer.bench.boxes import (
     ExposureReport,
     OpenedBox,
@@ -29,6 +29,7 @@ from radiometer.bench.boxes import (
 )
 from radiometer.bench.light_bench import SurveyRequest, asked_of, open_light_camera, survey_box
 from radiometer.data import Quantity
+from radiometer.data.drawing import new_axes
 from radiometer.data.event_journal import kept_until_written
 from radiometer.data.json_text import json_text
 from radiometer.data.light_calibration import LevelChoice, LightCalibration
@@ -48,6 +49,10 @@ from radiometer.plausible import (
     RelativeUncertainty,
     Seed,
 )
+from radiometer.reporting.pictures import label
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 RUN_FORMAT: Final = "radiometer-light-run/1"  # of the journal of an unfinished calibration
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
@@ -571,7 +576,7 @@ def light_calibrate(
 
 
 @dataclass(frozen=True, repr=False)
-class EngineLaws(Result):
+class EngineLaws(Drawn):
     """Drive laws of a light engine's channels, and how its twin differs.
 
     Attributes:
@@ -609,6 +614,20 @@ class EngineLaws(Result):
                 for name, law in self.laws.items()
             },
         }
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw each channel's light over its drive, as a share of that at full drive, and its law."""
+        where = axes if axes is not None else new_axes()
+        for one in self.table.channels:
+            per_drive = one.light / one.drive
+            (points,) = where.plot(one.drive, per_drive / per_drive[-1], ".", label=label(one.name))
+            if (law := self.laws[one.name]) is not None:
+                at = np.linspace(max(LEAST_DRIVE, 1.01 * law.onset), one.drive[-1], 100)
+                shown = [law.light_over(each, one.drive[-1]).value * one.drive[-1] / each for each in at.tolist()]
+                where.plot(at, shown, color=points.get_color(), linewidth=1.0)
+        where.set(xlabel="drive over full drive", ylabel="light over drive, over that at full drive")
+        where.legend(fontsize="small", loc="lower right")
+        return where
 
     def lines(self) -> list[str]:
         """Return each channel's law in a line."""

@@ -138,5 +138,4 @@ def known_patches(config: BenchConfig) -> tuple[PatchDescription, ...]:
     """Return the regions that a bench knows of; the radiance of the one to be measured is left open."""
     if config.patches or config.patch is None:
         return config.patches
-    patch = config.patch
-    return (PatchDescription(name="patch", x=patch.x, y=patch.y, width=patch.width, height=patch.height),)
+    return (PatchDescription(name="patch", **config.patch.model_dump()),)

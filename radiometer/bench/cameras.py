@@ -7,6 +7,7 @@ from pathlib import Path
 
 from radiometer.bench.config import SIMULATED as SIMULATED
 from radiometer.bench.config import BenchConfig, CameraConfig, GenicamCameraConfig, SimulatedCameraConfig
+from radiometer.data import CameraDescription
 from radiometer.data.config_files import shipped_config
 from radiometer.devices import Camera, CameraCapabilities, CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import ConfigurationError, MissingLibrary
@@ -106,15 +107,11 @@ def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where:
 
     if config.scene is None:
         raise ConfigurationError(f"{where}: key 'scene' is missing; a simulated camera needs something to look at")
-    file = preset_path(camera_config.preset, where)
-    preset = CameraPreset.read(file)
-    limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
-    limits = replace(limits, width=camera_config.width or limits.width, height=camera_config.height or limits.height)
-    lens = config.lens_description
+    datasheet, limits = simulated_parts(camera_config, where)
     model = (
         CameraModel.read(where.parent / camera_config.model)
         if camera_config.model
-        else CameraModel.ideal(preset.camera, lens)
+        else CameraModel.ideal(datasheet, config.lens_description)
     )
     flicker = camera_config.flicker
     pulsed = PulsedLight(flicker.frequency_Hz, flicker.modulation, flicker.duty) if flicker else None
@@ -131,7 +128,18 @@ def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where:
     )
 
 
-def preset_path(name: str, where: Path) -> Path:
-    """Return the file of a camera preset: next to the bench file, or one that comes with the product."""
-    camera_file = where.parent / "cameras" / f"{name}.yaml"
-    return camera_file if camera_file.is_file() else shipped_config(f"cameras/{name}.yaml")
+def simulated_parts(camera_config: SimulatedCameraConfig, where: Path) -> tuple[CameraDescription, CameraCapabilities]:
+    """Return what the datasheet says of a simulated camera, and its limits, with a shutter.
+
+    The preset is a file next to the bench file, or one that comes with the product.
+
+    Raises:
+        ConfigurationError: If there is no such preset, or it is damaged.
+    """
+    name = camera_config.preset
+    own_file = where.parent / "cameras" / f"{name}.yaml"
+    file = own_file if own_file.is_file() else shipped_config(f"cameras/{name}.yaml")
+    preset = CameraPreset.read(file)
+    limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
+    width, height = camera_config.width or limits.width, camera_config.height or limits.height
+    return preset.camera, replace(limits, width=width, height=height)

@@ -15,13 +15,13 @@ from radiometer.analysis.photometry.spectral_correction import FLAT_QUANTUM_EFFI
 from radiometer.bench.assembly import calibration_path, open_instrument, require_absolute
 from radiometer.bench.boxes import OpenedBox
 from radiometer.bench.cameras import SIMULATED as SIMULATED_CAMERA
+from radiometer.bench.cameras import simulated_parts
 from radiometer.bench.config import SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument
 from radiometer.data import Calibration, Patch, Provenance
 from radiometer.data.config_files import shipped_config
 from radiometer.data.event_journal import EventJournal
 from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
-from radiometer.devices import CameraPreset
 from radiometer.errors import UsageError
 from simulators.chain.camera_model import CameraModel
 from simulators.light_box.camera import BoxView, HookedClock, LightBoxCamera
@@ -161,11 +161,9 @@ def _simulated_instrument(
     camera_config, twin = config.camera, opened.twin
     if not isinstance(camera_config, SimulatedCameraConfig) or twin is None:
         raise UsageError(f"{where}: its camera is not simulated, the light box is; use a bench with a simulated camera")
-    preset = CameraPreset.shipped(camera_config.preset)
-    limits = preset.require_limits(camera_config.preset).capabilities(has_shutter=True)
-    limits = replace(limits, width=camera_config.width or limits.width, height=camera_config.height or limits.height)
+    datasheet, limits = simulated_parts(camera_config, where)
     clock = HookedClock(opened.box.link.line.now, opened.wait)
-    model = CameraModel.ideal(preset.camera, config.lens_description)
+    model = CameraModel.ideal(datasheet, config.lens_description)
     camera = LightBoxCamera(
         model,
         BoxView(twin, ambient_w_sr_m2),

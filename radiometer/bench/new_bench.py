@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,7 +60,7 @@ def write_bench(
     if calibration:
         mapping["calibration"] = calibration
     if patch:
-        mapping["patch"] = {"x": patch.x, "y": patch.y, "width": patch.width, "height": patch.height}
+        mapping["patch"] = asdict(patch)
     validate(BenchConfig, mapping, str(path), ConfigurationError)
     write_yaml_atomic(path, mapping)
     return path

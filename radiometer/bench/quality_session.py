@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Final
 
@@ -79,7 +79,7 @@ def take_step(
     with open_bench_camera(bench, name) as (config, camera):
         chosen = patch or (config.patch.patch if config.patch else None)
         if chosen is not None:
-            config = config.model_copy(update={"patches": (_described(chosen),)})
+            config = config.model_copy(update={"patches": (PatchDescription(name="patch", **asdict(chosen)),)})
         gain_db = gain_of_step(step.name)
         if gain_db is not None:
             camera.configure(replace(camera.settings, gain_db=gain_db))
@@ -88,10 +88,6 @@ def take_step(
         request = BracketRequest(region, None, _TIME_LIMIT_S, count)
         exposures = _exposures(plan_for_scene(camera, request), of, camera, repeat)
         return capture_exposures(out, camera, exposures, request, config, ask, taken)
-
-
-def _described(patch: Patch) -> PatchDescription:
-    return PatchDescription(name="patch", x=patch.x, y=patch.y, width=patch.width, height=patch.height)
 
 
 def _exposures(planned: ExposurePlan, of: Procedure, camera: Camera, repeat: int) -> ExposurePlan:

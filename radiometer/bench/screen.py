@@ -26,11 +26,11 @@ from radiometer.analysis.photometry.photometry import (
 )
 from radiometer.bench.assembly import calibration_path, open_bench_camera, require_absolute
 from radiometer.bench.box_holder import darken_held
-from radiometer.bench.cameras import SIMULATED, preset_path
+from radiometer.bench.cameras import SIMULATED, simulated_parts
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.data import Calibration, Patch, RadianceMap, Reading
-from radiometer.devices import Camera, CameraPreset, CameraSettings, Display
+from radiometer.devices import Camera, CameraSettings, Display
 from radiometer.errors import ConfigurationError, InputError, UsageError
 from radiometer.reporting.origin import moment
 from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
@@ -284,13 +284,11 @@ def _simulated_bench(
         raise ConfigurationError(
             f"{where}: its camera is {camera_config.kind}; a simulated display needs a simulated camera"
         )
-    file = preset_path(camera_config.preset, where)
-    preset = CameraPreset.read(file)
-    limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
+    datasheet, limits = simulated_parts(camera_config, where)
     width, height = size
     display = SimulatedDisplay(DISPLAYS[name])
     camera = WatchingCamera(
-        CameraModel.ideal(preset.camera, config.lens_description),
+        CameraModel.ideal(datasheet, config.lens_description),
         display,
         seed=seed,
         serial=camera_config.serial,

@@ -89,12 +89,15 @@ def served_box(
         filter_density: Optical density of the filter before the spot.
 
     Raises:
-        UsageError: If a subject is to sit before the firmware, whose LEDs are not simulated, or is unknown.
+        UsageError: If the serial number is not possible, or the subject: it is unknown, or is to sit before the
+            firmware, whose LEDs are not simulated.
         OutputError: If the link cannot be made.
         OutputRefused: If a file, or a link of another program, is where the link is to be.
         MissingLibrary: If simavr is asked for and not installed.
         UnsafeStimulus: If the account of its exposure cannot be stored.
     """
+    if not re.fullmatch(r"[0-9A-Za-z-]{8}", serial):
+        raise UsageError(f"--serial {serial!r}: expected eight letters or digits, such as TWIN0001")
     place = link or own_folder(SIMULATED_PORTS) / serial
     if os.path.lexists(place) and not was_left_behind(place):
         raise OutputRefused(
@@ -135,16 +138,7 @@ def _locked(server: PtyServer, act: Callable[[bool], None]) -> Callable[[bool], 
 
 
 def serve_box(
-    serial: str,
-    link: Path | None,
-    *,
-    firmware: Path | None,
-    clock_ppm: float,
-    corrupt: float,
-    drop: float,
-    seed: int,
-    subject: str | None,
-    filter_density: float,
+    made: ServedBox,
     reset_every_s: float | None,
     press_every_s: float | None,
     ready: Callable[[str], None],
@@ -153,22 +147,14 @@ def serve_box(
     """Serve a simulated light box until an interrupt.
 
     Args:
-        serial: As all up to `filter_density` for `served_box`.
         reset_every_s: Restart the box this often; None for never.
         press_every_s: Press the button this often; None for never.
         ready: Called with the name of its port once it is served.
         entered: Waits so many seconds and returns whether the button is to be pressed.
 
     Raises:
-        UsageError: If the serial number or the subject is not possible.
         OutputError: If the link cannot be made.
     """
-    if not re.fullmatch(r"[0-9A-Za-z-]{8}", serial):
-        raise UsageError(f"--serial {serial!r}: expected eight letters or digits, such as TWIN0001")
-    made = served_box(
-        serial, link, firmware=firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed, subject=subject,
-        filter_density=filter_density,
-    )  # fmt: skip
     with made.server as server:
         ready(server.port)
         with contextlib.suppress(KeyboardInterrupt):

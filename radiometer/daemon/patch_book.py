@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, Final
 
 from radiometer.daemon.acquisition import ALARM as MEASUREMENT_ALARM
@@ -13,7 +13,6 @@ from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.lateness import Lateness
 from radiometer.daemon.metrics import Metrics
 from radiometer.daemon.patches import MAIN, MOST_PATCHES, NamedPatch, PatchLimits, PatchWatch, check_name
-from radiometer.daemon.state import patch_mapping
 from radiometer.data import Patch, Reading
 from radiometer.errors import UsageError
 
@@ -152,7 +151,7 @@ class PatchBook:
     def _mapping_of(self, name: str) -> dict[str, Any]:
         watch, patch = self.watches[name], self._acquisition.named.get(name, self._acquisition.settings.patch)
         return {
-            "patch": patch_mapping(patch) if patch else None,
+            "patch": asdict(patch) if patch else None,
             "limits": watch.limits.to_mapping(),
             "breached": watch.breached,
         }

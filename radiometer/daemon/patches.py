@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from radiometer.data import Flag, Patch, Reading
@@ -151,9 +151,7 @@ class NamedPatch:
 
     def to_json(self) -> str:
         """Return it as one line of JSON."""
-        patch = self.patch
-        where = {"x": patch.x, "y": patch.y, "width": patch.width, "height": patch.height}
-        return json_text({"patch": where, "limits": self.limits.to_mapping(), "every_s": self.every_s})
+        return json_text({"patch": asdict(self.patch), "limits": self.limits.to_mapping(), "every_s": self.every_s})
 
     @classmethod
     def from_json(cls, name: str, line: str) -> NamedPatch:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from radiometer.daemon.clock_watch import Jump
 from radiometer.daemon.instrument import Measurement, MeasurementSettings, Origin
 from radiometer.daemon.keeper import DeviceKeeper
 from radiometer.daemon.timestamps import iso_time
-from radiometer.data import Patch, Reading
+from radiometer.data import Reading
 from radiometer.data.serials import other_notation
 from radiometer.devices import CameraIdentity
 
@@ -61,11 +62,6 @@ def _is_of(measurement: Measurement, reading: Reading) -> bool:
     return (made.time, made.patch, made.radiance) == (reading.time, reading.patch, reading.radiance)
 
 
-def patch_mapping(patch: Patch) -> dict[str, int]:
-    """Return {x, y, width, height} in pixels."""
-    return {"x": patch.x, "y": patch.y, "width": patch.width, "height": patch.height}
-
-
 def identity_mapping(identity: CameraIdentity) -> dict[str, str]:
     """Return who the camera is; `serial_also` is a hexadecimal number in decimal, as people and labels write it."""
     return {
@@ -79,7 +75,7 @@ def identity_mapping(identity: CameraIdentity) -> dict[str, str]:
 def settings_mapping(settings: MeasurementSettings) -> dict[str, Any]:
     """Return what is measured with; the patch is null for the middle of the picture."""
     return {
-        "patch": patch_mapping(settings.patch) if settings.patch else None,
+        "patch": asdict(settings.patch) if settings.patch else None,
         "auto_exposure": settings.auto_exposure,
         "exposure_s": settings.exposure_s,
         "gain_db": settings.gain_db,

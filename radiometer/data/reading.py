@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from os import PathLike
 from pathlib import Path
@@ -233,12 +233,7 @@ class Reading:
         mapping: dict[str, Any] = {
             "time": self.time,
             "instrument": self.instrument,
-            "patch": {
-                "x": self.patch.x,
-                "y": self.patch.y,
-                "width": self.patch.width,
-                "height": self.patch.height,
-            },
+            "patch": asdict(self.patch),
             "radiance": self.radiance.to_mapping(),
             "luminance": self.luminance.to_mapping() if self.luminance else None,
             "coverage_factor": self.coverage_factor,

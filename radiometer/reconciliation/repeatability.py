@@ -92,7 +92,7 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     """Return the relative variance by which the source wanders from frame to frame, alike at all exposures.
 
     It is the likeliest one. It is at most the source's stated reproducibility, or 0.3 % where none is stated. It is
-    none where it differs between exposures, since flicker averages out in long ones. One capture alone shows none: a
+    none where it differs between exposures, since flicker averages out in long ones. One of several shows none: a
     source that wanders does so in the others too.
 
     Args:
@@ -106,7 +106,7 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     if not exposure_s.size:
         return 0.0
     gains = deviances[0] - deviances[np.argmin(totals)]
-    if not is_supported(float(gains.sum() - gains.max()), CLEARLY_BETTER):
+    if not is_supported(float(gains.sum() - (gains.max() if gains.size > 1 else 0.0)), CLEARLY_BETTER):
         return 0.0
     order = np.argsort(exposure_s, kind="stable")
     groups = np.array_split(order, min(_EXPOSURE_GROUPS, len(np.unique(exposure_s))))

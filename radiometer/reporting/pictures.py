@@ -30,7 +30,7 @@ _NARROW_PX: Final = 640  # telephones held upright
 _SMALLEST_PT: Final = 9.0  # what can be read in print
 
 Place = Literal["best", "upper left", "upper right", "lower left", "lower right"]
-Draw = Callable[["Figure", bool], None]
+Draw = Callable[["Figure", bool], object]
 
 
 def picture(draw: Draw, caption: str, wide: tuple[float, float], narrow: tuple[float, float]) -> str:

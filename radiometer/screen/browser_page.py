@@ -109,7 +109,7 @@ class BrowserPage(Opened):
             answer.set_result(message)
 
     def left(self) -> None:
-        """Tell who waits for an answer that the page is gone."""
+        """End the wait of whoever waits for an answer: the page is gone."""
         if self._server.is_shown:
             return
         self._connected.clear()

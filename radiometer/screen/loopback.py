@@ -40,7 +40,7 @@ class Host(Protocol):
     """Who talks with the browsers; called on the server's own thread."""
 
     def greeting(self) -> Message | None:
-        """Return what a browser that has just connected is told; None for nothing."""
+        """Return what is sent to a browser that has just connected; None for nothing."""
 
     def received(self, message: Message) -> None:
         """Take a message of a browser."""
@@ -109,7 +109,7 @@ class LoopbackServer:
         task.add_done_callback(self._tasks.discard)
 
     def darken(self, darken: Darken) -> None:
-        """Darken the light box, however long it takes, and tell the browsers the outcome; called as `keep`."""
+        """Darken the light box, however long it takes, and report the outcome to the browsers; called as `keep`."""
 
         async def report() -> None:
             try:

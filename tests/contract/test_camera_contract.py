@@ -49,33 +49,23 @@ def test_configure_returns_what_is_read_back(camera, settings):
     assert replace(in_force, exposure_s=settings.exposure_s) == settings
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0], ids=["too short", "too long"])
-def test_an_exposure_outside_the_limits_is_refused_with_limits_and_unit(camera, settings, factor):
+@pytest.mark.parametrize(
+    ("setting", "wrong", "message"),
+    [
+        ("exposure_s", lambda low, _: low / 2, "exposure time .* s is out of range; allowed is {:g} to {:g} s"),
+        ("exposure_s", lambda _, high: 2 * high, "exposure time .* s is out of range; allowed is {:g} to {:g} s"),
+        ("gain_db", lambda _, high: high + 1, "gain .* dB is out of range; allowed is {:g} to {:g} dB"),
+        ("black_level_dn", lambda *_: 60_000, "black level .* DN is out of range; allowed is .* DN"),
+    ],
+    ids=["too short", "too long", "gain", "black level"],
+)
+def test_a_setting_outside_the_limits_is_refused_with_limits_and_unit(camera, settings, setting, wrong, message):
     """The message gives value, limits and unit, and nothing was changed."""
-    before = camera.configure(settings)
-    low, high = camera.capabilities.exposure_s
-    wrong = low * factor if factor < 1 else high * factor
-    with pytest.raises(
-        SettingOutOfRange, match=rf"exposure time .* s is out of range; allowed is {low:g} to {high:g} s"
-    ):
-        camera.configure(replace(settings, exposure_s=wrong, gain_db=camera.capabilities.gain_db[1]))
-    assert camera.settings == before
-
-
-def test_a_gain_outside_the_limits_is_refused_with_limits_and_unit(camera, settings):
-    """The message gives the limits in dB, and nothing was changed."""
-    before = camera.configure(settings)
-    low, high = camera.capabilities.gain_db
-    with pytest.raises(SettingOutOfRange, match=rf"gain .* dB is out of range; allowed is {low:g} to {high:g} dB"):
-        camera.configure(replace(settings, gain_db=high + 1, exposure_s=0.5))
-    assert camera.settings == before
-
-
-def test_a_black_level_outside_the_limits_is_refused_with_limits_and_unit(camera, settings):
-    """The message gives the limits in DN, and nothing was changed."""
-    before = camera.configure(settings)
-    with pytest.raises(SettingOutOfRange, match=r"black level .* DN is out of range; allowed is .* DN"):
-        camera.configure(replace(settings, black_level_dn=60_000, exposure_s=0.5))
+    before, limits = camera.configure(settings), camera.capabilities
+    low, high = getattr(limits, setting)
+    asked = {"exposure_s": 0.5, "gain_db": limits.gain_db[1], setting: wrong(low, high)}
+    with pytest.raises(SettingOutOfRange, match=message.format(low, high)):
+        camera.configure(replace(settings, **asked))
     assert camera.settings == before
 
 

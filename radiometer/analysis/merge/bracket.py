@@ -597,7 +597,8 @@ class StreamingMerge:
         flat = radiance.ravel(), u_radiance.ravel(), shared.ravel()
 
         def work(start: int, stop: int) -> None:
-            levels.add(*(one[start:stop] for one in flat), self._factor(start, stop - start))
+            values, u, own = (one[start:stop] for one in flat)
+            levels.add(values, u, own, self._factor(start, stop - start))
 
         on_all_cores(self._known_shape(), work)
         return shared

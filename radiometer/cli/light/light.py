@@ -10,6 +10,7 @@ import typer
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_seconds
 from radiometer.cli.console import console, note, progress
+from radiometer.cli.function import command_of
 from radiometer.cli.options import (
     BenchOption,
     BoxOption,
@@ -200,21 +201,14 @@ def calibrate(
     console().print(f"written    {found.file}")
 
 
-@app.command()
-def law(
-    table: Annotated[Path, typer.Argument(help="CSV of channel, drive and light, or of a spectrum at each drive.")],
-    twin: Annotated[Path | None, typer.Option(help="Table of another engine of its type, to compare.")] = None,
-    json: JsonOption = False,
-) -> None:
-    """Fit the law of light over drive to a table of a light engine, channel by channel."""
-    found = rm.light_law(table, twin)
-    if json:
-        print(found.to_json())
-        return
+def _show_law(found: rm.EngineLaws) -> None:
     for line in found.lines():
         console().print(line)
     for taken in found.table.taken:
         note(f"taken: {taken}")
+
+
+app.command("law")(command_of("light_law", _show_law, results=("plot",), table=typer.Argument()))
 
 
 @app.command()

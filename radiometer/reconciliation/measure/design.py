@@ -245,7 +245,7 @@ class Design:
     @cached_property
     def frame_numbers(self) -> tuple[Array, Array, Array]:
         """Return the numbers in the header of each capture's frames, of its first one and of the others."""
-        return self._one_by_one(np.arange(len(self.header.frames)))
+        return self._one_by_one(np.arange(len(self.header.frames), dtype=np.float64))
 
     @cached_property
     def frame_times_s(self) -> tuple[Array, Array, Array] | tuple[None, None, None]:

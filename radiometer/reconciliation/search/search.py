@@ -654,8 +654,8 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
 def _with_form(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:
     """Return the model with a form, or with its plain law where that is worth more and leaves nothing, fitted in full.
 
-    None where the plain law is far from the result, where it is not worth more than `least`, or where it leaves more
-    than `most` under the weights of the model without it; how far its plain law comes is not asked then.
+    None where the form is not worth more than `least`, or leaves more than `most` under the weights of the model
+    without it. None too where the plain law is far from the result.
     """
     try:
         state = included(base, form, far=True, most=most)

@@ -117,6 +117,17 @@ def test_the_uncertainty_holds_for_noisy_records():
     assert min(inside.values()) >= 37, inside
 
 
+def test_the_uncertainty_of_a_severity_holds_what_noise_adds():
+    """Noise raises the percentiles of light that changes in proportion to it, not to its square."""
+    rng, t, inside = np.random.default_rng(46_004), light_at(2000.0, 1.0), 0
+    for _ in range(4):
+        light = 1.0 + 0.03 * np.sin(2.0 * np.pi * 20.0 * t)
+        found = measure_flicker(Waveform(light + rng.normal(0.0, 0.003, t.size), 2000.0, "noisy"))
+        true = short_term_severity(Waveform(light, 2000.0, "light"))
+        inside += abs(found.pst_lm.value - true) <= found.coverage_factor * found.pst_lm.u
+    assert inside == 4
+
+
 @pytest.mark.parametrize("rate_hz", [2000.0, 20_000.0])
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_the_uncertainty_holds_for_a_cusp(rate_hz: float, noise: float) -> None:

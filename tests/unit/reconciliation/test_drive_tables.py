@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import radiometer as rm
+from radiometer.analysis.flux.drive_law import fit_drive_law
 from radiometer.cli.main import run
 
 DRIVES = np.arange(1, 33) / 32
@@ -81,6 +82,17 @@ def test_onset_of_a_driver_is_fitted_and_leaves_the_droop_its_name(seed: int, tm
     assert [one.name for one in rm.reconcile(file).result.effects] == ["led_droop"]
 
 
+def test_the_law_s_uncertainty_holds_an_onset_that_noise_hides() -> None:
+    """Light from 1 % of full drive on with 1 % of noise: light at 0.3 over that at 0.9 is within k = 2 in 91 of 100."""
+    rng, drive, inside = np.random.default_rng(85), np.arange(1, 17) / 16, 0
+    for _ in range(100):
+        law = fit_drive_law(drive, (drive - 0.01) * (1.0 + 0.01 * rng.standard_normal(drive.size)))
+        assert law is not None
+        found = law.light_over(0.3, 0.9)
+        inside += abs(found.value - 0.29 / 0.89) <= 2.0 * found.u
+    assert inside >= 91
+
+
 def test_both_are_named(tmp_path: Path) -> None:
     """A droop and a step in one table get both names, and drives held out are predicted better by each."""
     light = _stepped(_engine(np.random.default_rng(80), 0.15), 0.3, 1.04)
@@ -115,9 +127,10 @@ def test_a_row_that_no_law_can_hold_is_refused_or_named(tmp_path: Path, light: f
 
 
 def test_commands_speak_json_and_write_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`light law --json` holds the law with u; `reconcile` writes its report."""
+    """`light law --json` holds the law with u, `--plot` draws it; `reconcile` writes its report."""
     file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(81), 0.1))
-    assert run(["light", "law", str(file), "--json"]) == 0
+    assert run(["light", "law", str(file), "--json", "--plot", str(tmp_path / "law.png")]) == 0
+    assert (tmp_path / "law.png").stat().st_size > 1000
     law = json.loads(capsys.readouterr().out)["channels"]["blue"]["drive_law"]
     assert law["droop"]["u"] > 0
     assert run(["reconcile", str(file), "--report", str(tmp_path / "r.html")]) == 0

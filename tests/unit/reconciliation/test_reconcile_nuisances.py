@@ -74,11 +74,13 @@ def test_lamp_that_wanders_as_stated_is_fitted() -> None:
 
 
 def test_light_that_long_exposures_even_out_is_no_wander() -> None:
-    """What averages out in long exposures flickers, and is left to be named; so is nothing at all."""
+    """What averages out in long exposures flickers, and is left to be named; so is nothing, or one capture."""
     exposure = np.geomspace(1e-4, 1e-1, 80)
     flicker = 1e-3 * np.minimum(1.0, 1e-3 / exposure)
     assert steady_wander2(TRIED, _deviances(flicker, 2), exposure, 1e-3) == 0.0
     assert steady_wander2(TRIED, _deviances(np.zeros(80), 3), exposure, 1e-3) == 0.0
+    one_of_them = np.where(np.arange(80) == 40, 3e-3, 0.0)
+    assert steady_wander2(TRIED, _deviances(one_of_them, 3), exposure, None) == 0.0
 
 
 def test_lamp_wanders_no_more_than_stated() -> None:

@@ -535,6 +535,19 @@ def test_largest_spot_is_found_wherever_it_is(x: float, y: float) -> None:
     assert math.hypot(found.x.value - x, found.y.value - y) < 0.05
 
 
+def test_place_of_a_spot_is_as_uncertain_as_it_is_wide() -> None:
+    """Of spots three times as wide as the filter, in noise, 9 of 10 are within k = 2 in each direction."""
+    rng, inside = np.random.default_rng(7), 0
+    rows, columns = np.mgrid[:64, :96]
+    for _ in range(20):
+        x, y = rng.uniform(0.3, 0.7, 2)
+        squared = (1.5 * ((columns + 0.5) / 96 - x)) ** 2 + ((rows + 0.5) / 64 - y) ** 2
+        light = 1.0 + 0.03 * np.exp(-squared / (2 * 0.06**2)) + rng.normal(0.0, 0.008, rows.shape)
+        found = mura_of(RadianceMap(light, np.full(rows.shape, 0.008), np.zeros(rows.shape, np.uint8)))
+        inside += sum(abs(one.value - true) <= 2.0 * one.u for one, true in ((found.x, x), (found.y, y)))
+    assert inside >= 36
+
+
 def test_flat_screen_has_no_spot_beyond_noise() -> None:
     """Of 40 maps of noise alone at most 6 exceed the limit that 5 % do (binomial: 2 ± 1.4)."""
     rng = np.random.default_rng(6)

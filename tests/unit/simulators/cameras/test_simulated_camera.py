@@ -1,6 +1,5 @@
 """The simulated camera, in simulated time, and the simulated Blackfly: features, pictures, packed pixels."""
 
-import itertools
 import re
 import time
 from dataclasses import replace
@@ -11,7 +10,7 @@ import pytest
 
 from radiometer.data import CaptureSet, FrameSettings, LensDescription
 from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings, Roi
-from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, SettingOutOfRange
+from radiometer.errors import ConfigurationError, DeviceError, SettingOutOfRange
 from simulators.cameras.blackfly_awkward import CHUNK_IDS, awkward_features
 from simulators.cameras.blackfly_features import blackfly_features
 from simulators.cameras.blackfly_pictures import ForwardModelSource, PictureRequest, PooledSource
@@ -97,12 +96,6 @@ def test_what_is_out_of_range_is_refused_and_nothing_changes(camera, change, mes
         assert camera.settings == before
 
 
-def test_unknown_pixel_format_is_refused_with_those_that_there_are(camera):
-    """The message lists the formats."""
-    with camera, pytest.raises(DeviceError, match=r"no pixel format 'BayerRG8'; it has Mono12, Mono8"):
-        camera.configure(replace(SETTINGS, pixel_format="BayerRG8"))
-
-
 @pytest.mark.parametrize(("name", "bits"), [("Mono8", 8), ("Mono10p", 10), ("Mono12p", 12), ("Mono16", 16)])
 def test_each_pixel_format_shows_the_same_light_in_its_own_numbers(camera, name, bits):
     """Mean DN over gain and black level, as the description states them, give the same electrons in every format."""
@@ -164,22 +157,6 @@ def test_camera_without_shutter_says_what_to_do(model, limits):
     camera = SimulatedCamera(model, UniformScene(), limits=replace(limits, has_shutter=False))
     with camera, pytest.raises(DeviceError, match="cover the lens"):
         camera.set_shutter(closed=True)
-
-
-def test_closed_camera_refuses_to_work(camera):
-    """Without open() each call is refused; opening twice is, too; closing twice is not."""
-    with pytest.raises(DeviceError, match="is not open"):
-        camera.capture()
-    with camera, pytest.raises(DeviceInUse, match="open already"):
-        camera.open()
-    camera.close()
-
-
-def test_stream_yields_frames_until_closed(camera):
-    """Frames come one after the other with rising numbers."""
-    with camera:
-        frames = list(itertools.islice(camera.stream(), 3))
-    assert [frame.frame_id for frame in frames] == [0, 1, 2]
 
 
 def test_unknown_pattern_and_level_are_refused(camera):
