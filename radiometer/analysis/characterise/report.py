@@ -232,7 +232,7 @@ def outcome(result: Characterisation) -> str:
     sentences = [f"One electron is {with_u(gain.value, 2 * gain.u, 'DN')}"]
     if "sigma_d" in figures:
         sentences.append(f"the camera reads with {_with_u(figures['sigma_d'])} of noise")
-    if "mu_e_sat" in figures:
+    if "mu_e_sat" in figures and upper_limit("mu_e_sat", figures["mu_e_sat"]) is None:
         sentences.append(f"holds {_with_u(figures['mu_e_sat'])} before it saturates")
     if len(sentences) == 3:
         sentences[1:] = [f"{sentences[1]} and {sentences[2]}"]
@@ -277,10 +277,10 @@ def _noise(read: Quantity | None, gain: Quantity | None) -> str:
 
 
 def _range(dynamic: Quantity | None, best: Quantity | None) -> str:
-    if dynamic is None or best is None or not best.value > 0:
+    if dynamic is None or best is None or upper_limit("SNR_max", best) is not None:
         return ""
     return (
-        f"One exposure spans {dynamic.value:.3g} dB; the best pixel of one frame is uncertain by "
+        f"One exposure spans {_with_u(dynamic)}; the best pixel of one frame is uncertain by "
         f"{100 / best.value:.2g} %. Scenes that span more take a bracket."
     )
 
@@ -318,7 +318,7 @@ def _figures(result: Characterisation) -> str:
     for key, symbol in SYMBOLS.items():
         if key in result.figures:
             value, expanded = as_printed(key, result.figures[key])
-            shown = expanded if expanded.startswith("below") else f"± {expanded}"
+            shown = expanded if expanded.startswith("<") else f"± {expanded}"
             unit = unit_text(result.figures[key].unit)
             rows.append((symbol.sign.replace("_", " "), symbol.meaning, value, shown, unit))
     return table(("symbol", "figure", "value", "U (k = 2)", "unit"), rows, words=(1, 4))

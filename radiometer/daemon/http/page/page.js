@@ -151,7 +151,7 @@ function hovered(panel, index) {
     const count = rows.reduce((n, i) => n + c.count[i], 0), mean = (column) => rows.reduce((n, i) => n + column[i] * c.count[i], 0) / count;
     const low = Math.min(...rows.map((i) => c.low[i])), high = Math.max(...rows.map((i) => c.high[i]));
     const [from, to] = [low, high].map((v) => written(v, high - low));
-    return `mean ${quantity(mean(c.value), mean(c.U), "").trim()} (k = ${c.coverage_factor}) · ${count} readings from ${from.value}${from.power === to.power ? "" : from.power} to ${to.value}${to.power}`;
+    return `mean ${quantity(mean(c.value), mean(c.U), "").trim()} (k = ${c.coverage_factor}) · n = ${count}, ${from.value}${from.power === to.power ? "" : from.power} to ${to.value}${to.power}`;
   }
   return `${timeText(c.time[index], state.span)}   ${quantity(c.value[index], c.U[index], c.unit)}${c.count[index] > 1 ? `   mean of ${c.count[index]}` : ""}${c.flagged[index] ? `   ${c.flagged[index]} flagged` : ""}`;
 }
