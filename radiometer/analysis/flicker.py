@@ -245,7 +245,7 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
     alike = np.correlate(residual, residual, "full")[rows.size - 1 :] / max(noise, 1e-300)
     together = max(2.0 * float(alike[: max(1, int(np.argmax(alike < 0.0)))].sum()) - 1.0, 1.0)
     freedom = max(rows.size / together - found.x.size - 2 * min(_MOST_HARMONICS, int(0.45 / found.x[0])) - 1, 1.0)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * noise / freedom
+    covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True) * noise / freedom
     size, turned = np.linalg.eigh(covariance / np.outer(scale, scale))
     off = [np.sqrt(max(one, 0.0)) * scale * direction for one, direction in zip(size, turned.T, strict=True)]
     u = math.sqrt(max(float(covariance[0, 0]), 0.0))
@@ -793,7 +793,7 @@ class _Series(NamedTuple):
         columns = harmonics(fold.phase, order)
         weighted = columns * fold.count[:, None]
         products = columns.T @ weighted
-        sizes, inverse = np.linalg.eigvalsh(products), np.asarray(np.linalg.pinv(products), np.float64)
+        sizes, inverse = np.linalg.eigvalsh(products), np.asarray(np.linalg.pinv(products, hermitian=True), np.float64)
         factors = inverse @ (weighted.T @ fold.light)
         residual = fold.light - columns @ factors
         freedom = max(fold.phase.size - factors.size, 1)

@@ -56,6 +56,7 @@ from radiometer.data.validation import validate
 from radiometer.devices import CameraPreset
 from radiometer.errors import CalibrationError, InputError, UsageError
 from radiometer.importing import imported_of, open_capture
+from radiometer.numbers import with_u
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
 from radiometer.photographs.stated import (
@@ -151,7 +152,7 @@ class Calibrated(Result):
         """Return scale, expanded uncertainty and method in one line."""
         scale = self.scale
         how = scale.method.replace("_", " ")
-        return f"{scale.value:.6g} J·m⁻² per unit of signal ± {200 * scale.u_rel:.2g} % (k = 2), {how}"
+        return f"{with_u(scale.value, 2 * scale.u_rel * scale.value, 'J·m⁻² per unit of signal', k=2)}, {how}"
 
 
 def _metered(meter: MeterReading, calibration: Calibration) -> dict[str, Any]:
@@ -212,7 +213,7 @@ def calibrate(
     Examples:
         >>> import radiometer as rm
         >>> rm.calibrate("out/chart", patch=(3, 3, 8, 8), radiance=0.2, u_rel=0.01)
-        <Calibrated ... J·m⁻² per unit of signal ± ... % (k = 2), known radiance>
+        <Calibrated (... ± ...)·10... J·m⁻² per unit of signal (k = 2), known radiance>
 
     Args:
         capture: Capture set or folder of photographs of the known source.

@@ -16,6 +16,7 @@ import numpy as np
 from radiometer.data import CaptureHeader
 from radiometer.data.pile_up import white_levels_of
 from radiometer.data.white_level import EDGE_SIGMAS, WhiteLevel
+from radiometer.numbers import lower_limit
 from radiometer.reconciliation.fit.descent import fitted_parameters
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.reduce import FrameReader
@@ -45,8 +46,8 @@ class ShownWell:
 
     @property
     def least_e(self) -> float:
-        """Return the electrons that pixels hold at least, with a probability of 97.7 % (2 standard deviations)."""
-        return self.shown_e - 2.0 * self.u_e
+        """Return the electrons that pixels hold at least, with a probability of 95 %."""
+        return lower_limit(self.shown_e, self.u_e)
 
     @property
     def contradicts(self) -> bool:
@@ -59,7 +60,7 @@ class ShownWell:
     def remark(self) -> str:
         """Return what a user must know of the full well; nothing where pixels gather where it is declared."""
         if self.contradicts:
-            shown = f"at least {self.least_e:.4g} (97.7 %)" if self.is_least else f"{self.shown_e:.4g} ± {self.u_e:.2g}"
+            shown = f"at least {self.least_e:.4g} (95 %)" if self.is_least else f"{self.shown_e:.4g} ± {self.u_e:.2g}"
             return f"full well: stated {self.declared_e:.4g} e-, the brightest pixels show {shown} e-"
         if self.is_least and self.shown_e < (1.0 - _AS_DECLARED) * self.declared_e:
             return (

@@ -61,10 +61,11 @@ class EventOffset(Offset):
         """Return events in front of every frame with captures before and after it, short and long, up and down."""
         begun = np.unique(elapsed_s(context if context.first_frame is None else context.first_frame))
         usual_s = float(np.ptp(begun)) / max(begun.size - 1, 1)
-        inner, times = begun[_FEWEST:-_FEWEST], np.unique(_times_of_frames(context))
+        between = begun[_FEWEST : begun.size - _FEWEST]
+        times = np.unique(_times_of_frames(context)) if between.size else between
         return tuple(
             cls(size, float(np.clip(rests * usual_s, 0.1, _SLOWEST_S)), float(time))
-            for time in times[(times >= inner.min(initial=np.inf)) & (times <= inner.max(initial=-np.inf))]
+            for time in times[(times >= between[:1]) & (times <= between[-1:])]
             for rests in _RESTS
             for size in (_TRIED_DN, -_TRIED_DN)
         )

@@ -40,6 +40,7 @@ from radiometer.analysis.characterise.steps import SignalStep, contradicting_dar
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
+from radiometer.numbers import lower_limit
 
 _FEWEST_LEVELS = 3
 
@@ -163,9 +164,9 @@ def _at_gain(gain_db: float, bright: list[GroupStatistics], dark: list[GroupStat
 
 
 def _least_e(saturation: Saturation, K: Quantity) -> float:
-    """Return the electrons that the brightest step shows, less twice their standard uncertainty."""
+    """Return how many electrons the brightest step shows at least, with a probability of 95 %."""
     shown = propagated(lambda dn, k: dn / k, "e-", Quantity(saturation.signal_dn, saturation.u_signal_dn, "DN"), K)
-    return shown.value - 2.0 * shown.u
+    return lower_limit(shown.value, shown.u)
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +258,7 @@ class _Work:
             notes.append(
                 "saturation was not reached: saturation capacity, SNR_max, DR and linearity are left out or hold up to "
                 f"{saturation.signal_dn:.0f} DN only. The saturation capacity is above "
-                f"{_least_e(saturation, K):.3g} e- (97.7 %); take longer exposures"
+                f"{_least_e(saturation, K):.3g} e- (95 %); take longer exposures"
             )
             keep = {"sigma_y_dark", "sigma_d", "mu_e_min", "mu_p_min"}
             found = {name: q for name, q in found.items() if name in keep}

@@ -13,7 +13,7 @@ from radiometer.analysis.characterise.result import SYMBOLS, Characterisation, a
 from radiometer.analysis.characterise.tap_report import tap_section
 from radiometer.analysis.characterise.taps import TapFigures
 from radiometer.data import Quantity
-from radiometer.numbers import rounded, unit_text, with_u
+from radiometer.numbers import below, rounded, unit_text, with_u
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, side_by_side, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
@@ -304,7 +304,7 @@ def _dark(current: Quantity | None, read: Quantity | None) -> str:
         return ""
     limit = upper_limit("mu_I_mean", current)
     if limit is not None:
-        return f"No dark current is seen: it is below {limit:.2g} {unit_text(current.unit)} (97.7 %)."
+        return f"No dark current is seen: it is {below(limit, current.unit)}."
     when = f"; its noise reaches the read noise at {read.value**2 / current.value:.3g} s" if read is not None else ""
     return f"Every pixel gathers {_with_u(current)} in the dark{when}. Take darks at the exposures of long frames."
 

@@ -11,7 +11,8 @@ from radiometer.analysis.characterise.linearity import Linearity
 from radiometer.analysis.characterise.photon_transfer import PhotonTransfer
 from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import CameraDescription, Provenance, Quantity
-from radiometer.numbers import rounded
+from radiometer.numbers import below, rounded
+from radiometer.numbers import upper_limit as upper_limit_95
 from radiometer.units import gain_factor
 
 # Quantum efficiency: no electron without a photon, and any sensor sold sees one in twenty.
@@ -65,7 +66,7 @@ _SIGNED: Final = {"LE_min", "LE_max", "mu_y_dark"}  # zero is a value like any o
 
 
 def upper_limit(name: str, figure: Quantity) -> float | None:
-    """Return the value that a figure is below with 97.7 % (2 standard deviations); None where it is determined.
+    """Return the value that a figure is below with 95 %; None where it is determined.
 
     A figure whose U (k = 2) exceeds 100 % is not determined.
 
@@ -75,13 +76,13 @@ def upper_limit(name: str, figure: Quantity) -> float | None:
     """
     if name in _SIGNED or not math.isfinite(figure.u) or abs(figure.value) > 2 * figure.u:
         return None
-    return max(figure.value, 0.0) + 2 * figure.u
+    return upper_limit_95(figure.value, figure.u)
 
 
 def as_printed(name: str, figure: Quantity) -> tuple[str, str]:
     """Return a figure and its U (k = 2) as texts; "not determined" with the upper limit where U exceeds 100 %."""
     limit = upper_limit(name, figure)
-    return rounded(figure.value, 2 * figure.u) if limit is None else ("not determined", f"below {limit:.2g} (97.7 %)")
+    return rounded(figure.value, 2 * figure.u) if limit is None else ("not determined", below(limit))
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ class Saturation:
     light: float  # its light (photons per pixel, or exposure × level)
     u_light_rel: float  # relative standard uncertainty that the spacing of the steps leaves
     linear_signal_dn: float  # signal that this light would give without compression, from the line below 70 %
-    u_linear_signal_dn: float  # its standard uncertainty, spacing included
+    u_linear_signal_dn: float  # its standard uncertainty, with what spacing and uneven light make
     reached: bool  # false where the variance still rises at the last step, so that all is a lower bound
     limited_by: str  # "converter" where pixels are at full scale there or beyond, else "full well"
     # Mean on the plateau beyond, where all pixels are saturated, with standard uncertainty (the black level is still in
@@ -56,13 +56,16 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
             "from darkness to saturation"
         )
     linear = slope * float(light[top])
+    # Pixels that get more light than the mean are full before it.
+    below = _below(steps, steps[top].signal_dn)[-1]
+    u_uneven_rel = math.sqrt(max(below.bright.spatial_variance_dn2, 0.0)) / (slope * below.light)
     return Saturation(
         signal_dn=steps[top].signal_dn,
         u_signal_dn=steps[top].u_signal_dn,
         light=float(light[top]),
         u_light_rel=u_light_rel,
         linear_signal_dn=linear,
-        u_linear_signal_dn=linear * math.hypot(u_slope / slope, u_light_rel),
+        u_linear_signal_dn=linear * math.hypot(u_slope / slope, u_light_rel, u_uneven_rel),
         reached=reached,
         limited_by="converter" if any(s.bright.clipped_share > CLIPPED_SHARE for s in steps[top:]) else "full well",
         plateau_dn=_plateau(steps[-1], float(variances[top])),
@@ -90,8 +93,13 @@ def _spacing_u(steps: Sequence[SignalStep], top: int) -> float:
     return max(above - steps[top].light, steps[top].light - below) / math.sqrt(3)
 
 
+def _below(steps: Sequence[SignalStep], signal_dn: float) -> list[SignalStep]:
+    """Return the steps up to 70 % of a signal, at least one."""
+    return [s for s in steps if 0 < s.signal_dn <= 0.7 * signal_dn] or list(steps[:1])
+
+
 def _slope_below(steps: Sequence[SignalStep], signal_dn: float) -> tuple[float, float]:
-    used = [s for s in steps if 0 < s.signal_dn <= 0.7 * signal_dn] or list(steps[:1])
+    used = _below(steps, signal_dn)
     line = fit_line(
         [s.light for s in used], [s.signal_dn for s in used], [s.u_signal_dn for s in used], through_origin=True
     )

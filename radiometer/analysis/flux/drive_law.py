@@ -104,5 +104,5 @@ def fit_drive_law(drive: Array, light: Array) -> DriveLaw | None:
     found, residual = solved(onset)
     freedom = size - moved.shape[1]
     variance = float(residual @ residual) / freedom * (coverage_factor(freedom) / 2.0) ** 2
-    covariance = variance * np.linalg.pinv(moved.T @ moved)[1:, 1:]
+    covariance = variance * np.linalg.pinv(moved.T @ moved, hermitian=True)[1:, 1:]
     return DriveLaw(1.0 + float(found[1]), float(found[2]), onset, covariance, math.sqrt(float(np.mean(residual**2))))

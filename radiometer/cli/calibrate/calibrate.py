@@ -163,10 +163,8 @@ def show_report(report: dict[str, Any]) -> None:
     """Print the JSON form of a calibration's report for people."""
     out, scale = console(), report["scale"]
     method, budget = scale["method"].replace("_", " "), scale["budget"]
-    out.print(
-        f"scale      [bold]{scale['value']:.6g} J·m⁻² per unit of signal[/bold] "
-        f"± {200 * scale['u_rel']:.2g} % (k = 2), {method}"
-    )
+    shown = with_u(scale["value"], 2 * scale["u_rel"] * scale["value"], "J·m⁻² per unit of signal", k=2)
+    out.print(f"scale      [bold]{shown}[/bold], {method}")
     if scale["reference"]:
         out.print(f"from       {scale['reference']}")
     out.print(f"spectrum   {report['spectrum']}")
@@ -176,10 +174,12 @@ def show_report(report: dict[str, Any]) -> None:
         for name, unit in (("luminance", "cd·m⁻²"), ("radiance", "W·sr⁻¹·m⁻²")):
             entry = metered[name]
             out.print(f"{name:<10} {with_u(entry['value'], 2 * entry['u'], unit, k=2)}  (metered surface)")
-        thesis = metered["thesis_spectral_radiance"]["value"]
-        out.print(
-            f"per µm     {thesis:.4f} W·sr⁻¹·m⁻²·µm⁻¹  (L_v/(683·0.1068): a spectral radiance, for comparison only)"
+        thesis, u_rel = (
+            metered["thesis_spectral_radiance"]["value"],
+            metered["luminance"]["u"] / metered["luminance"]["value"],
         )
+        shown = with_u(thesis, 2 * u_rel * thesis, "W·sr⁻¹·m⁻²·µm⁻¹", k=2)
+        out.print(f"per µm     {shown}  (L_v/(683·0.1068): a spectral radiance, for comparison only)")
     if ranged := report.get("dynamic_range"):
         exponent, u = ranged["exponent"], ranged["u_exponent"]
         out.print(

@@ -637,18 +637,18 @@ def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
             yield base.evidence - start.evidence + promise(base, form), base, form
 
 
-def promise(base: FitState, form: CatalogueEffect) -> float:
-    """Return the nats that a form would bring if it acted linearly, its parameters paid for.
+def promise(base: FitState, form: FreeLaw) -> float:
+    """Return the nats that a form would bring if it acted linearly, its parameters and those of its own law paid for.
 
     Args:
         base: The model without it.
-        form: A form with a free law, or a looser one.
+        form: A form with a free law.
     """
     try:
         gain = _linear_gain(base, (*base.effects, form), len(base.effects))
     except (MeasurementError, ConfigurationError):  # what no camera does
         return -np.inf
-    return gain / 2.0 - PARAMETER_NATS * len(form.free())
+    return gain / 2.0 - PARAMETER_NATS * (len(form.free()) + len(form.own.free()))
 
 
 def _with_form(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:

@@ -666,6 +666,9 @@ def test_saturation_takes_its_line_from_below_seventy_percent():
     assert found.signal_dn == pytest.approx(signals[-1])
     assert found.linear_signal_dn == pytest.approx(6000.0, rel=1e-6)
     assert responsivity(steps, found, 0.0).value == pytest.approx(0.5, rel=1e-6)
+    # Of a chart, whose pixels differ by 180 % of the mean, the mean does not show where one is full.
+    chart = find_saturation([changed(one, spatial_variance_dn2=(1.8 * one.signal_dn) ** 2) for one in steps])
+    assert chart.u_linear_signal_dn == pytest.approx(1.8 * 6000.0, rel=0.01)
     with pytest.raises(MeasurementError, match="2 bright steps"):
         find_saturation(steps[:2])
     with pytest.raises(MeasurementError, match="does not rise"):

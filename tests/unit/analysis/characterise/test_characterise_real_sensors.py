@@ -83,8 +83,8 @@ def test_the_variance_before_rounding(noise, fraction, spread, step_dn):
 
 @pytest.mark.parametrize(
     ("value", "u", "shown"),
-    [(-650_000.0, 390_000.0, ("not determined", "below 7.8e+05 (97.7 %)")),
-     (3.0, 2.0, ("not determined", "below 7 (97.7 %)")),
+    [(-650_000.0, 390_000.0, ("not determined", "< 6.4·10⁵, 95 %")),
+     (3.0, 2.0, ("not determined", "< 6.3, 95 %")),
      (3.0, 1.0, ("3.0", "2.0"))],
 )  # fmt: skip
 def test_a_figure_with_a_u_above_its_size_is_printed_as_a_limit(value, u, shown):

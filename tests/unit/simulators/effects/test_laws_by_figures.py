@@ -719,6 +719,7 @@ def test_an_event_is_looked_for_in_front_of_captures():
     assert len(starts) == len(tried)
     assert EventOffset.usable(_series(np.arange(6.0)))
     assert not EventOffset.usable(_series(np.arange(5.0)))
+    assert not EventOffset.starts(_series(np.zeros(1)))
 
 
 def test_the_first_frame_alone_is_off():
