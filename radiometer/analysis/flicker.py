@@ -445,8 +445,6 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         )
     else:
         svm = of_blocks(stroboscopic_visibility)
-        other = stroboscopic_visibility(part, period, power_law_threshold)
-        assumptions.append(f"SVM: thresholds of CIE TN 006:2016; those of Perz et al. 2018 give {other:.3g}")
         if waveform.duration_s < 1.0:
             assumptions.append(f"SVM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     if waveform.rate_hz < _PST_RATE_HZ:
@@ -534,17 +532,7 @@ def svm_threshold(frequency_hz: Array) -> Array:
     return np.asarray(1.0 / (1.0 + np.exp(-0.00518 * (f - 306.6))) + 20.0 * np.exp(-f / 10.0))
 
 
-def power_law_threshold(frequency_hz: Array) -> Array:
-    """Return a later fit of that threshold: 1.4 % above at 100 Hz, 16 % below at 400 Hz, and above 1 from 750 Hz.
-
-    Source: Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225.
-    """
-    return np.asarray(2.865e-5 * np.power(frequency_hz, 1.543) + 0.225)
-
-
-def stroboscopic_visibility(
-    waveform: Waveform, period: Period | None = None, threshold: Callable[[Array], Array] = svm_threshold
-) -> float:
+def stroboscopic_visibility(waveform: Waveform, period: Period | None = None) -> float:
     """Return the stroboscopic visibility measure, (Σ (C_m/T_m)^3.7)^(1/3.7) over the components from 80 Hz to 2 kHz.
 
     C_m is the amplitude of a Fourier component over the mean, T_m the threshold of a sinusoid of its frequency. An
@@ -560,7 +548,7 @@ def stroboscopic_visibility(
     within = (frequency_hz >= _SVM_BAND_HZ[0]) & (frequency_hz <= _SVM_BAND_HZ[1])
     kept = np.abs(np.sinc(frequency_hz[within] * part.averaged_s))  # numpy's sinc holds the π
     seen = amplitude[within] / np.where(kept < _LEAST_KEPT, 1.0, kept)
-    return float(np.sum((seen / threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
+    return float(np.sum((seen / svm_threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
 
 
 def short_term_severity(waveform: Waveform, period: Period | None = None) -> float:
