@@ -249,19 +249,16 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
     size, turned = np.linalg.eigh(covariance / np.outer(scale, scale))
     off = [np.sqrt(max(one, 0.0)) * scale * direction for one, direction in zip(size, turned.T, strict=True)]
     u = math.sqrt(max(float(covariance[0, 0]), 0.0))
-    smooth = np.polynomial.polynomial.polyfit(at, rows, _FALL_OFF_DEGREE)
-    without = float(np.sum((rows - np.polynomial.polynomial.polyval(at, smooth)) ** 2))
+    without = float(np.polyfit(at, rows, _FALL_OFF_DEGREE, full=True)[1].sum())  # squares that are left
     if rows.size * (found.x[0] + 2.0 * u) < 2.0 or noise > (1.0 - _PERIODIC_SHARE) * without:
         return unknown
     shadings = [(at_one[0], 1.0 + powers @ at_one[1:]) for at_one in (found.x, *(found.x + one for one in off))]
-    return (
-        tuple(
-            Waveform(rows / one * (one.mean() / rows.mean()), 1.0, "", period=Period(cycles, u, 1.0))
-            for cycles, one in shadings
-            if np.all(one > 0.0)
-        )
-        or unknown
-    )
+    lights = [
+        Waveform(rows / one * (one.mean() / rows.mean()), 1.0, "", period=Period(cycles, u, 1.0))
+        for cycles, one in shadings
+        if np.all(one > 0.0)
+    ]
+    return tuple(lights) or unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -425,7 +422,7 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         return [Quantity(float(value), float(one), "1") for value, one in zip(values, u, strict=True)]
 
     def of_blocks(of: Callable[[Waveform, Period | None], float]) -> Quantity:
-        own_u = _jackknife(of, part, period, blocks, periods)
+        own_u = jackknife_u([of(one, period) for one in _without_a_block(part, periods, blocks)])
         return with_u(np.array([of(part, period)]), own_u, lambda one, again: np.array([of(one, again)]))[0]
 
     depth, index = with_u(shape.values, shape.u, lambda one, again: _shape(one, again if periods else None)[0].values)
@@ -460,18 +457,14 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
-    if period is not None and u_clock_rel is None:
-        assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
+    frequency = None
+    if period is not None:
+        u_hz = math.hypot(max(period.u_hz, shape.u_hz), period.frequency_hz * (u_clock_rel or 0.0))
+        frequency = Quantity(period.frequency_hz, u_hz, "Hz")
+        if u_clock_rel is None:
+            assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
     k = coverage_factor(blocks - 1) if blocks else 2.0
-    frequency = _frequency(period, shape, u_clock_rel or 0.0)
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
-
-
-def _frequency(period: Period | None, shape: ShapeMeasures, u_clock_rel: float) -> Quantity | None:
-    if period is None:
-        return None
-    u_hz = math.hypot(max(period.u_hz, shape.u_hz), period.frequency_hz * u_clock_rel)
-    return Quantity(period.frequency_hz, u_hz, "Hz")
 
 
 def _mean_light(waveform: Waveform) -> float:
@@ -602,13 +595,11 @@ def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, flo
     return light, rate_hz, round(_PST_TRANSIENT_S * rate_hz)
 
 
-def _jackknife(
-    of: Callable[[Waveform, Period | None], float], part: Waveform, period: Period | None, blocks: int, periods: int
-) -> Array:
-    """Return the standard uncertainty of a measure by leaving out one block of whole periods at a time."""
+def _without_a_block(part: Waveform, periods: int, blocks: int) -> list[Waveform]:
+    """Return a part of whole periods without one block of them at a time."""
     edges = np.round(np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / max(periods, 1)).astype(int)
-    left = (np.delete(part.light, np.s_[first:last]) for first, last in itertools.pairwise(edges))
-    return jackknife_u([of(replace(part, light=one), period) for one in left])
+    cut = (np.delete(part.light, np.s_[first:last]) for first, last in itertools.pairwise(edges))
+    return [replace(part, light=one) for one in cut]
 
 
 def _rounded(waveform: Waveform) -> list[Waveform]:
