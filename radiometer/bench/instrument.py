@@ -208,9 +208,7 @@ def refuse_outside(patch: Patch, camera: Camera) -> None:
     """Raise UsageError for a patch that leaves the camera's frame."""
     height, width = _frame_shape(camera)
     if not patch.fits((height, width)):
-        raise UsageError(
-            f"patch {patch.x},{patch.y},{patch.width},{patch.height} leaves the frame of {width} × {height} pixels"
-        )
+        raise UsageError(f"patch {patch} leaves the frame of {width} × {height} pixels")
 
 
 def central_patch(camera: Camera) -> Patch:

@@ -121,10 +121,8 @@ class Acquisition:
         if settings.wavelength_nm is not None:
             self._refuse_outside("wavelength", settings.wavelength_nm, *WAVELENGTH_LIMITS_NM, "nm")
         if settings.patch is not None and not settings.patch.fits((limits.height, limits.width)):
-            patch = settings.patch
             raise UsageError(
-                f"patch {patch.x},{patch.y},{patch.width},{patch.height} is not inside the picture of"
-                f" {limits.width} × {limits.height} pixels"
+                f"patch {settings.patch} is not inside the picture of {limits.width} × {limits.height} pixels"
             )
 
     async def measure(

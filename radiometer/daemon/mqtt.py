@@ -101,8 +101,10 @@ class MqttPublisher:
         The topic holds the camera's serial number, so a camera never seen yet is waited for.
         """
         if not self._station.instrument.identity.serial:
-            if self._start_once_known not in self._station.on_change:
-                self._station.on_change.append(self._start_once_known)
+            if self.start not in self._station.on_change:
+                self._station.on_change.append(self.start)
+            return
+        if self._client is not None:
             return
         self._loop = asyncio.get_running_loop()
         client = self._mqtt.Client(self._mqtt.CallbackAPIVersion.VERSION2, protocol=self._mqtt.MQTTv311)
@@ -123,16 +125,12 @@ class MqttPublisher:
         self._station.on_change.append(self._clear_outdated)
         self._tasks = [asyncio.create_task(self._follow()), asyncio.create_task(self._look_often())]
 
-    def _start_once_known(self) -> None:
-        if self._client is None and self._station.instrument.identity.serial:
-            self.start()
-
     async def stop(self) -> None:
         """Clear what is retained, say goodbye and disconnect."""
         self._ended = True
         for task in self._tasks:
             task.cancel()
-        for callback in (self._start_once_known, self._clear_outdated):
+        for callback in (self.start, self._clear_outdated):
             if callback in self._station.on_change:
                 self._station.on_change.remove(callback)
         if self._client is not None:

@@ -60,7 +60,7 @@ class PatchBook:
         self._lateness.expect(name)
         self._keep(name)
         self._alarms.clear(limit_alarm(name), "the patch was moved")
-        self._writer.note("patch", f"{name} is {patch.x},{patch.y},{patch.width},{patch.height}")
+        self._writer.note("patch", f"{name} is {patch}")
         self._changed()
 
     def delete(self, name: str) -> None:

@@ -80,6 +80,9 @@ class Patch:
             if not isinstance(number, numbers.Integral):
                 raise UsageError(f"a patch is of whole pixels; {number!r} is no whole number")
 
+    def __str__(self) -> str:
+        return f"{self.x},{self.y},{self.width},{self.height}"
+
     @property
     def slices(self) -> tuple[slice, slice]:
         """Return the (row, column) slices of the patch."""

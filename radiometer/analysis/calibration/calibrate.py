@@ -278,7 +278,7 @@ def scale_by_source(
     conditions = situation.conditions.model_copy(update={"channel": None if channel is None else str(channel)})
     own = replace(base, scale=base.scale.model_copy(update={"conditions": conditions}))
     reading = read_patch(frames, patch, Setup(base.camera, base.lens, own), now=made)
-    where = f"the patch {patch.x},{patch.y},{patch.width},{patch.height} cannot carry a scale"
+    where = f"the patch {patch} cannot carry a scale"
     for flag in (Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM):
         if flag in reading.flags:
             raise MeasurementError(f"{where}: it is {flag}; choose an even, well exposed part of the known source")

@@ -297,6 +297,8 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
     if exact is not None:  # what is wrong with the white is wrong with all that is like it
         spread = spread + noise[exact] / error_2 * np.outer(along, along)
     error = _covering((left_out * np.sqrt(weight)[:, None])[np.arange(count) != exact], count - channels)
+    # The coefficients hold the lights' own u, though these agree better by chance.
+    spread = spread * max(1.0, 3.0 * float(np.mean(noise) / np.trace(error)))
     return Fit(matrix=matrix, spread=spread, error=error, hull=target[ConvexHull(target[:, :2]).vertices, :2])
 
 

@@ -719,9 +719,7 @@ def crop_frames(
         )
     sound = _without_defects(patch, defects) & ~_hot(parts, dark, model) & ~_struck(parts, model)
     if not sound.any():
-        raise MeasurementError(
-            f"every pixel of the patch {patch.x},{patch.y},{patch.width},{patch.height} is defective; choose another"
-        )
+        raise MeasurementError(f"every pixel of the patch {patch} is defective; choose another")
     cropped = [_crop(part, few, model, sound) for part, few in light]
     return sorted(cropped, key=lambda one: one.settings.effective_exposure_s), dark, shape
 
@@ -765,8 +763,8 @@ def _struck(parts: Sequence[Frame], model: SignalModel) -> NDArray[np.bool_]:
 def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: SignalModel) -> None:
     if not patch.fits(frame.shape):
         raise MeasurementError(
-            f"the patch {patch.x},{patch.y},{patch.width},{patch.height} is not inside the frame of "
-            f"{frame.shape[1]} × {frame.shape[0]} pixels; give X,Y,W,H within it"
+            f"the patch {patch} is not inside the frame of {frame.shape[1]} × {frame.shape[0]} pixels; "
+            "give X,Y,W,H within it"
         )
     if frame.shape != shape:
         raise MeasurementError(

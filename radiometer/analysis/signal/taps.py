@@ -130,8 +130,8 @@ class ReadOut:
         if numbers[0] == 0:
             places = "; ".join(f"{t.x},{t.y},{t.width},{t.height}" for t in self.taps)
             raise MeasurementError(
-                f"the patch {patch.x},{patch.y},{patch.width},{patch.height} reaches into pixels that no light "
-                f"reaches (overscan); choose it inside one tap: {places}"
+                f"the patch {patch} reaches into pixels that no light reaches (overscan); "
+                f"choose it inside one tap: {places}"
             )
         return self.taps[numbers[0] - 1].name if numbers.size == 1 else None
 
