@@ -250,19 +250,16 @@ def _without_fall_off(rows: Array) -> tuple[Waveform, ...]:
     size, turned = np.linalg.eigh(covariance / np.outer(scale, scale))
     off = [np.sqrt(max(one, 0.0)) * scale * direction for one, direction in zip(size, turned.T, strict=True)]
     u = math.sqrt(max(float(covariance[0, 0]), 0.0))
-    smooth = np.polynomial.polynomial.polyfit(at, rows, _FALL_OFF_DEGREE)
-    without = float(np.sum((rows - np.polynomial.polynomial.polyval(at, smooth)) ** 2))
+    without = float(np.polyfit(at, rows, _FALL_OFF_DEGREE, full=True)[1].sum())  # squares that are left
     if rows.size * (found.x[0] + 2.0 * u) < 2.0 or noise > (1.0 - _PERIODIC_SHARE) * without:
         return unknown
     shadings = [(at_one[0], 1.0 + powers @ at_one[1:]) for at_one in (found.x, *(found.x + one for one in off))]
-    return (
-        tuple(
-            Waveform(rows / one * (one.mean() / rows.mean()), 1.0, "", period=Period(cycles, u, 1.0))
-            for cycles, one in shadings
-            if np.all(one > 0.0)
-        )
-        or unknown
-    )
+    lights = [
+        Waveform(rows / one * (one.mean() / rows.mean()), 1.0, "", period=Period(cycles, u, 1.0))
+        for cycles, one in shadings
+        if np.all(one > 0.0)
+    ]
+    return tuple(lights) or unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -426,7 +423,7 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         return [Quantity(float(value), float(one), "1") for value, one in zip(values, u, strict=True)]
 
     def of_blocks(of: Callable[[Waveform, Period | None], float]) -> Quantity:
-        own_u = _jackknife(of, part, period, blocks, periods)
+        own_u = jackknife_u([of(one, period) for one in _without_a_block(part, periods, blocks)])
         return with_u(np.array([of(part, period)]), own_u, lambda one, again: np.array([of(one, again)]))[0]
 
     depth, index = with_u(shape.values, shape.u, lambda one, again: _shape(one, again if periods else None)[0].values)
@@ -446,8 +443,6 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         )
     else:
         svm = of_blocks(stroboscopic_visibility)
-        other = stroboscopic_visibility(part, period, power_law_threshold)
-        assumptions.append(f"SVM: thresholds of CIE TN 006:2016; those of Perz et al. 2018 give {other:.3g}")
         if waveform.duration_s < 1.0:
             assumptions.append(f"SVM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     if waveform.rate_hz < _PST_RATE_HZ:
@@ -463,18 +458,14 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     warnings += _averaging_warnings(waveform, period, shape)
-    if period is not None and u_clock_rel is None:
-        assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
+    frequency = None
+    if period is not None:
+        u_hz = math.hypot(max(period.u_hz, shape.u_hz), period.frequency_hz * (u_clock_rel or 0.0))
+        frequency = Quantity(period.frequency_hz, u_hz, "Hz")
+        if u_clock_rel is None:
+            assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
     k = coverage_factor(blocks - 1) if blocks else 2.0
-    frequency = _frequency(period, shape, u_clock_rel or 0.0)
     return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
-
-
-def _frequency(period: Period | None, shape: ShapeMeasures, u_clock_rel: float) -> Quantity | None:
-    if period is None:
-        return None
-    u_hz = math.hypot(max(period.u_hz, shape.u_hz), period.frequency_hz * u_clock_rel)
-    return Quantity(period.frequency_hz, u_hz, "Hz")
 
 
 def _mean_light(waveform: Waveform) -> float:
@@ -535,17 +526,7 @@ def svm_threshold(frequency_hz: Array) -> Array:
     return np.asarray(1.0 / (1.0 + np.exp(-0.00518 * (f - 306.6))) + 20.0 * np.exp(-f / 10.0))
 
 
-def power_law_threshold(frequency_hz: Array) -> Array:
-    """Return a later fit of that threshold: 1.4 % above at 100 Hz, 16 % below at 400 Hz, and above 1 from 750 Hz.
-
-    Source: Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225.
-    """
-    return np.asarray(2.865e-5 * np.power(frequency_hz, 1.543) + 0.225)
-
-
-def stroboscopic_visibility(
-    waveform: Waveform, period: Period | None = None, threshold: Callable[[Array], Array] = svm_threshold
-) -> float:
+def stroboscopic_visibility(waveform: Waveform, period: Period | None = None) -> float:
     """Return the stroboscopic visibility measure, (Σ (C_m/T_m)^3.7)^(1/3.7) over the components from 80 Hz to 2 kHz.
 
     C_m is the amplitude of a Fourier component over the mean, T_m the threshold of a sinusoid of its frequency. An
@@ -561,7 +542,7 @@ def stroboscopic_visibility(
     within = (frequency_hz >= _SVM_BAND_HZ[0]) & (frequency_hz <= _SVM_BAND_HZ[1])
     kept = np.abs(np.sinc(frequency_hz[within] * part.averaged_s))  # numpy's sinc holds the π
     seen = amplitude[within] / np.where(kept < _LEAST_KEPT, 1.0, kept)
-    return float(np.sum((seen / threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
+    return float(np.sum((seen / svm_threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
 
 
 def short_term_severity(waveform: Waveform, period: Period | None = None) -> float:
@@ -615,13 +596,11 @@ def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, flo
     return light, rate_hz, round(_PST_TRANSIENT_S * rate_hz)
 
 
-def _jackknife(
-    of: Callable[[Waveform, Period | None], float], part: Waveform, period: Period | None, blocks: int, periods: int
-) -> Array:
-    """Return the standard uncertainty of a measure by leaving out one block of whole periods at a time."""
+def _without_a_block(part: Waveform, periods: int, blocks: int) -> list[Waveform]:
+    """Return a part of whole periods without one block of them at a time."""
     edges = np.round(np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / max(periods, 1)).astype(int)
-    left = (np.delete(part.light, np.s_[first:last]) for first, last in itertools.pairwise(edges))
-    return jackknife_u([of(replace(part, light=one), period) for one in left])
+    cut = (np.delete(part.light, np.s_[first:last]) for first, last in itertools.pairwise(edges))
+    return [replace(part, light=one) for one in cut]
 
 
 def _rounded(waveform: Waveform) -> list[Waveform]:
