@@ -231,13 +231,11 @@ def vertical_illuminance(
     """Return the illuminance in lx (or irradiance in W·m⁻²) on a plane across the axis of a fisheye picture.
 
     E = Σ L·cos θ·dω over the image circle up to 90°, with the solid angle dω of each pixel under the projection.
-    Raises InputError if the field of view is not above 0 and at most 360°, or the map is a relative one, and
-    MeasurementError if the picture holds less than the hemisphere.
+    The field of view is above 0 and at most 360°. Raises InputError if the map is a relative one, and MeasurementError
+    if the picture holds less than the hemisphere.
     """
     if found.unit == "relative":
         raise InputError("a relative map has no illuminance; merge with a calibration")
-    if not 0.0 < field_of_view_deg <= 360.0:
-        raise InputError(f"field of view {field_of_view_deg:g}°: must be above 0 and at most 360°")
     r, inside, radius = image_circle(found, radius_px)
 
     def weight(field_deg: float) -> Array:
@@ -300,7 +298,7 @@ def glare_of(
     """
     if not found.unit.startswith("cd"):
         raise InputError("glare needs a map in cd·m⁻²: name the light's spectrum with --spectrum")
-    if not 180.0 <= field_of_view_deg <= 360.0:
+    if field_of_view_deg < 180.0:
         raise InputError(f"field of view {field_of_view_deg:g}°: UGR and DGP need the hemisphere, 180° or more")
     luminance, own, shared, radius = _circle(found, radius_px)
     rng = np.random.default_rng(seed)
