@@ -55,7 +55,7 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     over a box, for single pixels' extremes are those of the noise. The expected extreme of the noise of n boxes,
     √(2·ln n) standard deviations, counts as a rectangular bound; the boxes overlap, so n is the number of pixels.
     Pixels below the noise count by their values. The value of one that is black in every frame is the most that its
-    light can be, and its light is anywhere from 0 to there.
+    light can be. Its light is anywhere from 0 to there, and so is that of one outside the response's data.
 
     Raises InputError if the region leaves the map, MeasurementError if less than half of its pixels have a value.
     """
@@ -73,11 +73,13 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     level = float(values[good].mean())
     by_level = float(shared[good].mean()) / max(abs(level), 1e-30)  # relative
     common = math.hypot(found.u_rel_common, by_level)
-    # Pixels within their u may be black in every frame, where no dim one is below 0.
     dim = (mask & (PixelMask.BELOW_NOISE | LOST)) == PixelMask.BELOW_NOISE
-    near = (values > 0.0) & (values <= 1.001 * found.u_radiance[patch.slices].astype(np.float64))
-    black = dim & near & ~(dim & (values < 0.0)).any()
-    u_mean = math.hypot(math.sqrt(float(np.sum(own[good] ** 2))), float(values[black].sum()) / math.sqrt(3.0)) / count
+    # Of one that is black in every frame u is the value itself, but for what it shares with others. All have one value.
+    black = dim & np.isclose(found.u_radiance[patch.slices], values, rtol=0.01)
+    black &= np.isclose(values, np.median(values[black]) if black.any() else 0.0, rtol=0.01)
+    open_to_0 = black | (dim & ((mask & PixelMask.EXTRAPOLATED) != 0))
+    u_open = float(np.abs(values[open_to_0]).sum()) / math.sqrt(3.0)
+    u_mean = math.hypot(math.sqrt(float(np.sum(own[good] ** 2))), u_open) / count
     boxes, noise = _boxes(values, own, good, box_px)
     ends = [int(boxes.argmin()), int(boxes.argmax())]
     low, high = (float(boxes[at]) for at in ends)

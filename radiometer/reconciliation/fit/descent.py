@@ -427,9 +427,9 @@ def _by_misfit(state: FitState) -> Array:
 
 
 def _groupings(state: FitState) -> Iterator[NDArray[np.intp]]:
-    """Yield the group of each capture: its setting, then its place along each covariate that settings have."""
+    """Yield the group of each capture: those held out with it, then its place along each covariate of settings."""
     design = state.design
-    yield design.setting_id
+    yield design.held_out_id
     for values in (design.exposure_s, design.temperature_c, design.timestamp_s, design.gain_db, design.source_level):
         levels = np.unique(values[np.isfinite(values)])
         if levels.size > 1 and np.isfinite(values).all():

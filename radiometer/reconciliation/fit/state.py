@@ -403,7 +403,7 @@ class FitState:
     @cached_property
     def groups(self) -> Groups:
         """Return group of each row and whether it counts: settings first, then each prior row as its own group."""
-        setting = self.design.setting_id[self.comparison.capture_of_rows()]
+        setting = self.design.held_out_id[self.comparison.capture_of_rows()]
         priors = self.residual.size - setting.size
         behind = setting.max() + 1 + np.arange(priors)
         informative = np.concatenate([self.layout.prior < 1.0, np.zeros(self._term_prior.size, np.bool_)])
@@ -426,7 +426,7 @@ class FitState:
 
         It is comparable between different weights.
         """
-        comparison, setting = self.comparison, self.design.setting_id
+        comparison, setting = self.comparison, self.design.held_out_id
         found = self.held_out.log_density[: self.settings + self.layout.size].copy()
         for name in comparison.cuts:
             if name in comparison.whiteners:
@@ -454,8 +454,8 @@ class FitState:
 
     @property
     def settings(self) -> int:
-        """Return the number of settings: the first groups of what is held out."""
-        return int(self.design.setting_id.max()) + 1
+        """Return the number of settings, or captures of one setting: the first groups of what is held out."""
+        return int(self.design.held_out_id.max()) + 1
 
     @property
     def gap(self) -> float:

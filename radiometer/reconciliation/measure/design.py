@@ -320,6 +320,14 @@ class Design:
         order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
         return np.array([order[key] for key in keys], dtype=np.intp)
 
+    @property
+    def held_out_id(self) -> NDArray[np.intp]:
+        """Return a number for each capture that those left out together share: a setting's, if there are several.
+
+        In a session of one setting nothing else would be left to predict it: each capture is left out alone.
+        """
+        return self.setting_id if self.setting_id.any() else np.arange(len(self.captures), dtype=np.intp)
+
 
 def _without_zeros(header: CaptureHeader) -> CaptureHeader:
     """Return the header with a stand-in for bias frames' exposure of 0 s, far below every other.

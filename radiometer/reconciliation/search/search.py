@@ -638,7 +638,7 @@ def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
 
 
 def promise(base: FitState, form: FreeLaw) -> float:
-    """Return the nats that a form would bring if it acted linearly, its parameters and those of its own law paid for.
+    """Return the nats that a form would bring if it acted linearly, its parameters and its law's paid for.
 
     Args:
         base: The model without it.

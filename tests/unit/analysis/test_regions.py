@@ -94,6 +94,15 @@ def test_pixels_that_are_black_in_every_frame_count_as_bounds():
     assert "30 of 100 pixels" in figures.flags[0]
 
 
+def test_dim_light_outside_the_responses_data_is_anywhere_from_nothing_to_its_value():
+    """2 ± 0.7 (noise, 100 pixels of u = 7) that the curve's data do not reach: u holds 2/√3 as well."""
+    found = map_of(np.full((10, 10), 2.0), u=7.0, common=0.0)
+    found.mask[:] = PixelMask.BELOW_NOISE | PixelMask.EXTRAPOLATED
+    figures = region_figures(found, "x", Patch(0, 0, 10, 10))
+    assert figures.mean.u == pytest.approx(math.hypot(0.7, 2.0 / math.sqrt(3.0)), rel=0.02)
+    assert not any("black" in flag for flag in figures.flags)
+
+
 @pytest.mark.parametrize("part", [PixelMask.EXTRAPOLATED, PixelMask.INCONSISTENT, PixelMask.MOVED])
 def test_a_region_says_how_many_of_its_pixels_are_in_doubt(part):
     """Outside the response, or of frames that disagree: of 99 in 100 pixels it says 99 of 100, without any nothing."""

@@ -31,13 +31,14 @@ const { TrendPanel } = await import("/trends.js").catch(() => ({ TrendPanel: mis
 const { drawRamp, drawResponse } = await import("/response.js").catch(() => ({ drawRamp: missing("response.js"), drawResponse: missing("response.js") }));
 
 // ---- numbers -------------------------------------------------------------------------------------------------------
+// As `radiometer.numbers`: two digits of the expanded uncertainty decide how many of the value are shown. A power of ten
+// follows where they end before the point or far behind it.
 function written(value, U) {
-  // Two significant digits of the expanded uncertainty decide how many of the value are shown.
   if (value === null || !Number.isFinite(value)) return { value: "undefined", U: "", power: "" };
-  const size = Math.abs(value) || U || 1, exponent = size < 1e-3 || size >= 1e5 ? Math.floor(Math.log10(size)) : 0;
-  const scale = 10 ** exponent, second = U > 0 ? 1 - Math.floor(Math.log10(U / scale)) : 4;
-  const digits = Math.min(9, Math.max(0, second)), step = 10 ** Math.max(0, -second);
-  const shown = (x) => (step > 1 ? Math.round(x / scale / step) * step : x / scale).toFixed(digits);
+  const size = Math.max(Math.abs(value), U) || 1, first = U > 0 ? 1 - Math.floor(Math.log10(U)) : 4;
+  const decimals = U > 0 && Math.round(U * 10 ** first) >= 100 ? first - 1 : first;
+  const exponent = (U > 0 ? decimals < 0 || decimals > 7 : size < 1e-3 || size >= 1e5) ? Math.floor(Math.log10(size)) : 0;
+  const shown = (x) => (x / 10 ** exponent).toFixed(U > 0 ? Math.max(0, decimals + exponent) : 4).replace(/^-(?=[0.]*$)/, "");
   return { value: shown(value), U: U > 0 ? shown(U) : "", power: exponent ? `·10${superscript(exponent)}` : "" };
 }
 // As on the terminal: where a power of ten follows, it belongs to both, (1.3420 ± 0.0029)·10⁵.
