@@ -294,11 +294,12 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
         noise = known + np.mean((training.u_signal / total) ** 2 @ (matrix**2).T, axis=1)
         found = np.average(np.mean(left_out**2, axis=1) - noise, weights=weight)
         error_2 = max(float(found), _LEAST_ERROR**2)
-    if exact is not None:  # what is wrong with the white is wrong with all that is like it
-        spread = spread + noise[exact] / error_2 * np.outer(along, along)
     error = _covering((left_out * np.sqrt(weight)[:, None])[np.arange(count) != exact], count - channels)
     # The coefficients hold the lights' own u, though these agree better by chance.
-    spread = spread * max(1.0, 3.0 * float(np.mean(noise) / np.trace(error)))
+    noise *= 3.0 / np.trace(error)  # as `spread` counts it
+    spread *= max(1.0, float(np.mean(noise)))
+    if exact is not None:  # what is wrong with the white is wrong with all that is like it
+        spread = spread + noise[exact] * np.outer(along, along)
     return Fit(matrix=matrix, spread=spread, error=error, hull=target[ConvexHull(target[:, :2]).vertices, :2])
 
 
