@@ -277,10 +277,9 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
         )
     known = training.u_rel**2 * np.mean(target**2, axis=1)
     noise, error_2 = known, 1e-4
-    exact = training.names.index(white) if white in training.names else None
-    along = np.zeros(channels) if exact is None else share[exact] / np.sum(share[exact] ** 2)  # along · white is 1
-    free = np.eye(channels) if exact is None else np.linalg.svd(share[exact][None])[2][1:].T  # white has none of these
-    fixed = np.outer(np.zeros(3) if exact is None else target[exact], along)
+    exact = [n for n, name in enumerate(training.names) if name == white]  # none where no white is named
+    along = np.linalg.pinv(share[exact])  # along · white is 1, shape (channels, len(exact))
+    free, fixed = np.linalg.svd(share[exact])[2][len(exact) :].T, target[exact].T @ along.T  # white has none of free
     for _ in range(_ROUNDS):
         weight = 1.0 / (error_2 + noise)
         weight /= weight.mean()
@@ -294,12 +293,11 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
         noise = known + np.mean((training.u_signal / total) ** 2 @ (matrix**2).T, axis=1)
         found = np.average(np.mean(left_out**2, axis=1) - noise, weights=weight)
         error_2 = max(float(found), _LEAST_ERROR**2)
-    error = _covering((left_out * np.sqrt(weight)[:, None])[np.arange(count) != exact], count - channels)
+    error = _covering(np.delete(left_out * np.sqrt(weight)[:, None], exact, axis=0), count - channels)
     # The coefficients hold the lights' own u, though these agree better by chance.
     noise *= 3.0 / np.trace(error)  # as `spread` counts it
-    spread *= max(1.0, float(np.mean(noise)))
-    if exact is not None:  # what is wrong with the white is wrong with all that is like it
-        spread = spread + noise[exact] * np.outer(along, along)
+    # What is wrong with the white is wrong with all that is like it.
+    spread = spread * max(1.0, float(np.mean(noise))) + noise[exact] * along @ along.T
     return Fit(matrix=matrix, spread=spread, error=error, hull=target[ConvexHull(target[:, :2]).vertices, :2])
 
 
