@@ -293,11 +293,11 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
         noise = known + np.mean((training.u_signal / total) ** 2 @ (matrix**2).T, axis=1)
         found = np.average(np.mean(left_out**2, axis=1) - noise, weights=weight)
         error_2 = max(float(found), _LEAST_ERROR**2)
-    # What is wrong with the white is wrong with all that is like it.
-    spread = spread + noise[exact] / error_2 * along @ along.T
     error = _covering(np.delete(left_out * np.sqrt(weight)[:, None], exact, axis=0), count - channels)
     # The coefficients hold the lights' own u, though these agree better by chance.
-    spread = spread * max(1.0, 3.0 * float(np.mean(noise) / np.trace(error)))
+    noise *= 3.0 / np.trace(error)  # as `spread` counts it
+    # What is wrong with the white is wrong with all that is like it.
+    spread = spread * max(1.0, float(np.mean(noise))) + noise[exact] * along @ along.T
     return Fit(matrix=matrix, spread=spread, error=error, hull=target[ConvexHull(target[:, :2]).vertices, :2])
 
 
