@@ -64,9 +64,8 @@ class MeterReconciled:
         ]  # fmt: skip
         head = ("source", "luminance in cd·m⁻²", "f-number", "time in s", "K as printed", "K of exact stops")
         parts = [*(paragraph(text) for text in self.result.extra.get("remarks", [])), table(head, rows)]
-        outcome = f"Verdict: {self.result.verdict}."
         origin = Origin("", further=(("table", self.origin),))
-        write_text_atomic(path, page("Readings of a light meter", outcome, parts, kind="reconcile", origin=origin))
+        write_text_atomic(path, page("Readings of a light meter", self.result.sentence, parts, kind="reconcile", origin=origin))
         return str(path)
 
     def write_plan(self, path: Path) -> bool:
@@ -299,16 +298,16 @@ class DriveFit:
         rows = [(name, "too few lit drives" if one is None else str(one)) for name, one in self.laws.items()]
         found = [
             f"{one.name}: "
-            + ", ".join(f"{n} {with_u(p.value, 2 * (p.u or 0.0), p.unit)}" for n, p in one.parameters.items())
+            + ", ".join(f"{n} {with_u(p.value, 2 * (p.u or 0.0), p.unit, k=2)}" for n, p in one.parameters.items())
             for one in self.result.effects
         ]
         parts = [
             section("What was found", listed(found)),
-            section("Laws of the channels, k = 2", table(("channel", "law"), rows, words=(1,))),
+            section("Laws of the channels", table(("channel", "law"), rows, words=(1,))),
             section("Assumptions", listed([*self.data.taken, *self.result.assumptions])),
         ]
         origin = Origin(further=(("table", self.origin),))
-        write_text_atomic(path, page(self.origin, str(self.result.verdict), parts, kind="light engine", origin=origin))
+        write_text_atomic(path, page(self.origin, self.result.sentence, parts, kind="light engine", origin=origin))
         return str(path)
 
     def write_plan(self, path: Path) -> bool:
