@@ -24,6 +24,7 @@ _F_NUMBER, _DISTANCE, _FOCAL_LENGTH, _LENS_MAKE, _LENS_MODEL = 33437, 37382, 373
 _FAR_M: Final = 1000.0
 # Copies of a lens, real apertures, and the light that contributors measured by differ; a rectangle of some ±5 %.
 LENSFUN_U_REL: Final = 0.03
+_MOST_NAMED: Final = 8  # of the lenses that a name fits
 _LEAST_SENSITIVITY: Final = 0.02
 
 
@@ -126,8 +127,10 @@ def lensfun_flat_field(record: LensRecord, shape: tuple[int, int]) -> tuple[Flat
     if not _LEAST_SENSITIVITY < corner < 1.5:
         raise InputError(f"lensfun's fall-off of the {lens.model} is {corner:.2g} in the corners, which no lens has")
     far = f"{record.distance_m:g} m" if record.distance_m else "a far subject (the distance is not stated)"
+    is_named = _plain(lens.model, lens.maker) == _plain(record.lens, lens.maker)
+    which = lens.model if is_named else f"{lens.model} (the only lens known that {record.lens!r} fits)"
     return flat, (
-        f"fall-off by lensfun: {lens.model} at {record.focal_length_mm:g} mm, f/{record.f_number:g}, {far}: "
+        f"fall-off by lensfun: {which} at {record.focal_length_mm:g} mm, f/{record.f_number:g}, {far}: "
         f"{100 * corner:.0f} % in the corners, known to {100 * LENSFUN_U_REL:g} %, of the whole picture of the camera"
     )
 
@@ -149,11 +152,10 @@ def _of_one_name(lenses: Sequence[Any], name: str) -> list[Any]:
         InputError: If the name is that of none and a part of several.
     """
     same = [one for one in lenses if _plain(one.model, one.maker) == _plain(name, one.maker)] or list(lenses)
-    models = sorted({one.model for one in same})
-    if len({_plain(model) for model in models}) > 1:
-        raise InputError(
-            f"lensfun's database has several lenses for the name {name!r}: {', '.join(models)}; name one with --lens"
-        )
+    models = list({_plain(one.model): one.model for one in same}.values())
+    if len(models) > 1:
+        named = ", ".join(models[:_MOST_NAMED]) + (", …" if len(models) > _MOST_NAMED else "")
+        raise InputError(f"lensfun's database has several lenses for the name {name!r}: {named}; name one with --lens")
     return same
 
 

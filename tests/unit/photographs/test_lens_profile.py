@@ -3,6 +3,7 @@
 import csv
 import gzip
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -87,6 +88,21 @@ def test_what_the_photograph_does_not_say_is_named(tmp_path):
         read_lens_record(tmp_path / "a.png")
     _photograph(tmp_path / "b.png", np.zeros((8, 8), np.uint16), 0.1, without=(42036,))
     assert read_lens_record(tmp_path / "b.png", LENS).lens == LENS
+
+
+def test_a_name_of_several_lenses_is_refused_with_their_names():
+    """A part of two lenses' names names neither; a lens's whole name, with or without its maker, is that lens's."""
+    pytest.importorskip("lensfunpy")
+    several = r"several lenses .*: Canon EF 24-70mm f/2.8L USM, Canon EF 24-70mm f/2.8L II USM; name one with --lens"
+    with pytest.raises(InputError, match=several):
+        lensfun_flat_field(replace(RECORD, lens="EF 24-70mm f/2.8"), (40, 60))
+    for name in ("EF24-70mm f/2.8L USM", "Canon EF 24-70mm f/2.8L USM"):
+        assert (
+            "lensfun: Canon EF 24-70mm f/2.8L USM at 24 mm"
+            in lensfun_flat_field(replace(RECORD, lens=name), (40, 60))[1]
+        )
+    near = lensfun_flat_field(replace(RECORD, lens="Sigma 24-70mm F2.8 EX DG"), (40, 60))[1]
+    assert "IF EX DG HSM (the only lens known that 'Sigma 24-70mm F2.8 EX DG' fits)" in near
 
 
 @pytest.mark.parametrize(("camera", "lens"), [("Pinhole 3000", LENS), ("Canon EOS 5D Mark II", "Bottle 7 mm")])

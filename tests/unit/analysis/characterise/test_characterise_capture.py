@@ -21,9 +21,10 @@ from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
-from radiometer.errors import InputError, MeasurementError, OutputRefused
+from radiometer.errors import InputError, MeasurementError, OutputRefused, UsageError
 from radiometer.numbers import with_u
 from radiometer.reporting.page import prose
+from simulators.cameras.colour_filters import ColourFilters, FilteredScene
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
 from testing.golden.emva import REF001, REF001_LOOSE
@@ -122,6 +123,26 @@ def test_patches_of_a_chart_all_take_part_in_the_photon_transfer(tmp_path):
     result = characterise(subject_of_capture(capture))
     assert len({step.bright.region for step in result.transfer.used}) == 6
     assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
+
+
+def test_of_a_mosaic_the_pixels_of_one_colour_are_read(tmp_path):
+    """An ideal colour camera in even light has its K and no PRNU in a colour, and a descriptor holds that colour."""
+    scene = FilteredScene(UniformScene(radiance_W_per_sr_m2=0.3, wavelength_nm=500.0), ColourFilters())
+    believed = BELIEVED.model_copy(update={"mosaic": "RGGB"})
+    model = CameraModel.ideal(CAMERA, LensDescription(f_number=4.0))
+    path = simulate_capture(
+        model, _plan(), scene, tmp_path / "set", frames_per_setting=2, believed_camera=believed
+    ).path
+    assert "a mosaic of colours (RGGB): its green pixels are read" in read_subject(path).notes
+    found = rm.characterise(path, channel="blue")
+    assert "a mosaic of colours (RGGB): its blue pixels are read" in found.characterisation.notes
+    assert found["K"].value == pytest.approx(1 / 2.6, abs=4 * found["K"].u)
+    assert found["PRNU_1288"].value < 1.0
+    export_descriptor(read_subject(path, channel="blue"), found.characterisation, tmp_path / "emva.txt")
+    again = characterise(read_subject(tmp_path / "emva.txt"))
+    assert again.figures["K"].value == pytest.approx(found["K"].value, rel=1e-6)
+    with pytest.raises(UsageError, match="choose red, green, blue"):
+        rm.characterise(path, channel="each")
 
 
 def test_full_well_below_the_converter_is_the_plateau(tmp_path):
