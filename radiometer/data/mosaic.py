@@ -28,6 +28,14 @@ def in_cells(patch: Patch) -> Patch:
     return Patch(x, y, right - x, bottom - y)
 
 
+def of_sensor(camera: CameraDescription) -> CameraDescription:
+    """Return the camera of a plane in pixels of the sensor, as files state it; itself where it has no mosaic."""
+    spacing_um = camera.pixel_spacing_um
+    if camera.mosaic is None or spacing_um is None:
+        return camera
+    return camera.model_copy(update={"pixel_spacing_um": spacing_um / _SIDE})
+
+
 def in_planes(
     camera: CameraDescription, lens: LensDescription, patches: tuple[PatchDescription, ...]
 ) -> tuple[CameraDescription, LensDescription, tuple[PatchDescription, ...]]:

@@ -115,7 +115,9 @@ class CameraPreset(ConfigSection):
                     f"{where} is of another camera: its {name} is {mine}, the camera's is {theirs}; "
                     "use this camera's own file, or make one with `radiometer characterise`"
                 )
-        stated = self.camera.model_dump(exclude_none=True, exclude={"vendor", "model", "serial", "bit_depth"})
+        kept = {"vendor", "model", "serial", "bit_depth"}
+        kept |= {"pixel_spacing_um"} if camera.pixel_spacing_um is not None else set()  # of pixels as they are read
+        stated = self.camera.model_dump(exclude_none=True, exclude=kept)
         return camera.model_copy(update={name: getattr(self.camera, name) for name in stated})
 
     def figure_u_rel(self, symbol: str) -> float | None:

@@ -26,6 +26,7 @@ from radiometer.data import (
 )
 from radiometer.data.capture_set import read_digital_numbers
 from radiometer.data.frame import DigitalNumbers
+from radiometer.data.mosaic import of_sensor
 from radiometer.data.pile_up import white_levels_of
 from radiometer.data.white_level import WhiteLevel, white_level_notes
 from radiometer.errors import CaptureError, MeasurementError, UsageError
@@ -287,7 +288,7 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
         notes.append("the whole frame was used: no patch is named, so unevenness of the scene counts")
     return Subject(
         str(capture.path),
-        header.camera,
+        of_sensor(header.camera),
         header.lens,
         tuple(kept),
         tuple(p.patch for p in patches) or (None,),

@@ -138,6 +138,7 @@ def test_of_a_mosaic_the_pixels_of_one_colour_are_read(tmp_path):
     assert "a mosaic of colours (RGGB): its blue pixels are read" in found.characterisation.notes
     assert found["K"].value == pytest.approx(1 / 2.6, abs=4 * found["K"].u)
     assert found["PRNU_1288"].value < 1.0
+    assert found.characterisation.description().pixel_spacing_um == BELIEVED.pixel_pitch_um
     export_descriptor(read_subject(path, channel="blue"), found.characterisation, tmp_path / "emva.txt")
     again = characterise(read_subject(tmp_path / "emva.txt"))
     assert again.figures["K"].value == pytest.approx(found["K"].value, rel=1e-6)
