@@ -17,6 +17,7 @@ from radiometer.analysis.calibration.calibrate import (
     unscaled_calibration,
 )
 from radiometer.analysis.photometry.photometry import spectrum
+from radiometer.analysis.photometry.responses import unknown_mismatch_u_rel
 from radiometer.analysis.reading import budget
 from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
@@ -99,7 +100,7 @@ def test_a_camera_that_sees_a_colour_better_needs_less_of_it(used, factor):
 def test_what_a_spectral_correction_is_doubted_by():
     """The response's own 2 %; unknown as much as cameras differ there; next to what is stated, in squares."""
     stated = NOTHING.model_copy(update={"spectral_u_rel": 0.03, "efficacy_u_rel": 0.04})
-    unknown = budget.unknown_mismatch_u_rel("line:650", "line:450")
+    unknown = unknown_mismatch_u_rel("line:650", "line:450")
     assert unknown > 0.1
     shown = [
         budget.spectral_u_rel(spectral(*names, response, **more), stated)
@@ -114,13 +115,13 @@ def test_what_a_spectral_correction_is_doubted_by():
 
 
 def test_cameras_of_unknown_colour_differ_as_four_kinds_do():
-    """Photons alone, and through bells of 300 nm around 500, 550 and 600 nm: the root mean square of the logarithms."""
-    logs = []
+    """Photons alone, and through bells of 300 nm around 500, 550 and 600 nm: the root mean square of F − 1."""
+    off = []
     for peak in (None, 500.0, 550.0, 600.0):
         red, blue = (w * (1.0 if peak is None else 2.0 ** -(((w - peak) / 150.0) ** 2)) for w in (650.0, 450.0))
-        logs.append(math.log(blue / red))
-    expected = math.sqrt(sum(one**2 for one in logs) / 4)
-    assert budget.unknown_mismatch_u_rel("line:650", "line:450") == pytest.approx(expected, rel=1e-6)
+        off.append(blue / red - 1.0)
+    expected = math.sqrt(sum(one**2 for one in off) / 4)
+    assert unknown_mismatch_u_rel("line:650", "line:450") == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(("m", "p", "near"), [(0.0, 1.0, 1.0), (1.0, 1.0, 4.0), (0.5, 2.0, 1.5625), (0.5, 0.5, 4.0)])
