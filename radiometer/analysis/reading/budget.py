@@ -790,10 +790,8 @@ def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties, *, spe
     of_light = stated.spectral_u_rel if spectrum_stated else unstated_u_rel(calibration, stated)
     if of_scale == calibration.spectrum or not calibration.absolute:
         return math.hypot(of_light, efficacy)
-    response, unknown = (
-        calibration.spectral_response,
-        unknown_mismatch_u_rel(calibration.spectrum, of_scale, _colours(calibration)),
-    )
+    unknown = unknown_mismatch_u_rel(calibration.spectrum, of_scale, _colours(calibration))
+    response = calibration.spectral_response
     own = min(response.u_rel, unknown) if response else unknown
     return math.hypot(of_light, efficacy, own)
 

@@ -124,6 +124,32 @@ def test_cameras_of_unknown_colour_differ_as_four_kinds_do():
     assert unknown_mismatch_u_rel("line:650", "line:450") == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("mosaic", "channel", "read_nm"),
+    [
+        ("RGGB", "green", 620.0),
+        ("RGGB", "green", 470.0),
+        (None, "red", 540.0),
+        (None, "blue", 520.0),
+        ("RGGB", None, 620.0),
+    ],
+)
+def test_pixels_under_a_filter_may_pass_far_less_of_another_light(mosaic, channel, read_nm):
+    """Filters at 600, 540 and 455 nm: what a reading is wrong by is within 2 u, and not within 2 u of silicon."""
+    peak_nm, width_nm = {"red": (600.0, 80.0), "blue": (455.0, 70.0)}.get(channel, (540.0, 90.0))
+    passed = [w * 2.0 ** -((2.0 * (w - peak_nm) / width_nm) ** 2) for w in (peak_nm, read_nm)]
+    known = spectral(f"line:{peak_nm:g}", f"line:{read_nm:g}", None)
+    conditions = known.scale.conditions.model_copy(update={"channel": channel})
+    known = replace(
+        known,
+        camera=known.camera.model_copy(update={"mosaic": mosaic}),
+        scale=known.scale.model_copy(update={"conditions": conditions}),
+    )
+    off = passed[0] / passed[1] - 1.0
+    assert off > 2.0 * unknown_mismatch_u_rel(f"line:{read_nm:g}", f"line:{peak_nm:g}")
+    assert off < 2.0 * budget.spectral_u_rel(known, NOTHING)
+
+
 @pytest.mark.parametrize(("m", "p", "near"), [(0.0, 1.0, 1.0), (1.0, 1.0, 4.0), (0.5, 2.0, 1.5625), (0.5, 0.5, 4.0)])
 def test_close_focus_costs_light_by_the_pupil_s_magnification(m, p, near):
     """(1 + m/p)²: at life size with a symmetrical lens four times less; π·τ/4N² before it."""
