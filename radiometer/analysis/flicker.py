@@ -91,6 +91,7 @@ _MOST_OF_NOISE: Final = 1.5  # the trimmed noise of 32 points scatters by 18 %
 _SAMPLES_PER_FACTOR: Final = 4  # of a series: fewer leave too few residuals to judge it by
 _NEGLIGIBLE: Final = 1e-4  # of the fundamental's amplitude
 _WORST_CONDITION: Final = 100.0  # of the normal equations: beyond it phases do not separate harmonics
+_SHORT_PERIODS: Final = 1e-3  # an exposure of so small a part of the period loses less than other doubts leave
 _LEAST_KEPT: Final = 0.2  # of an amplitude that an exposure keeps; below, the correction would amplify noise
 _WINDOW: Final = 1 / 200  # of a period: mean over it before extremes of noisy phases are taken
 _NOISELESS: Final = 1e-3  # of the range: noise below it needs no means
@@ -622,8 +623,9 @@ def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeM
     """Return what averaging over the exposure of each sample hides."""
     if period is None or waveform.averaged_s <= 0.0:
         return []
-    kept = abs(float(np.sinc(period.frequency_hz * waveform.averaged_s)))
-    if kept > 0.99:
+    averaged_periods = period.frequency_hz * waveform.averaged_s
+    kept = abs(float(np.sinc(averaged_periods)))
+    if kept > 0.99 and (shape.is_series or averaged_periods < _SHORT_PERIODS):
         return []
     outcome = "modulation depth, flicker index and SVM are lower bounds"
     if kept >= _LEAST_KEPT and not shape.hidden:
@@ -631,7 +633,7 @@ def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeM
         if shape.is_series:
             outcome = "modulation depth, flicker index and SVM are corrected for it, but faster light may be hidden"
     return [
-        f"each sample averages over {1e3 * waveform.averaged_s:.3g} ms and keeps {100 * kept:.0f} % of the amplitude "
+        f"each sample averages over {1e3 * waveform.averaged_s:.3g} ms and keeps {100 * kept:.3g} % of the amplitude "
         f"at {period.frequency_hz:.4g} Hz: {outcome}; take a shorter exposure"
     ]
 
@@ -682,6 +684,8 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
         near = (replace(period, frequency_hz=period.frequency_hz + one * u_hz) for one in (-1.0, 0.0, 1.0))
         found, found_u = np.array([of(_folds(waveform, one)[0]) for one in near]).swapaxes(0, 1)
         own_u = np.hypot(np.abs(found - values).max(axis=0), found_u.max(axis=0))
+    if not orders or hidden:  # averaged edges of a square take so much of the area above its mean
+        own_u[1] = math.hypot(own_u[1], values[1] * averaged_periods / math.sqrt(3.0))
     u = np.maximum(own_u, jackknife_u([of(part)[0] for part in parts]))
     return ShapeMeasures(values, u, len(parts), bool(orders) and not hidden, phase, light, hidden, u_hz)
 

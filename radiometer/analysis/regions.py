@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
@@ -234,13 +233,11 @@ def vertical_illuminance(
     """Return the illuminance in lx (or irradiance in W·m⁻²) on a plane across the axis of a fisheye picture.
 
     E = Σ L·cos θ·dω over the image circle up to 90°, with the solid angle dω of each pixel under the projection.
-    Raises InputError if the field of view is not above 0 and at most 360°, or the map is a relative one, and
-    MeasurementError if the picture holds less than the hemisphere.
+    The field of view is above 0 and at most 360°. Raises InputError if the map is a relative one, and MeasurementError
+    if the picture holds less than the hemisphere.
     """
     if found.unit == "relative":
         raise InputError("a relative map has no illuminance; merge with a calibration")
-    if not 0.0 < field_of_view_deg <= 360.0:
-        raise InputError(f"field of view {field_of_view_deg:g}°: must be above 0 and at most 360°")
     r, inside, radius = image_circle(found, radius_px)
 
     def weight(field_deg: float) -> Array:
@@ -301,16 +298,15 @@ def glare_of(
 
     Source: UGR: CIE 117-1995. DGP: Wienold and Christoffersen 2006, Energy and Buildings 38, 743.
     """
-    evaluate = _evalglare()
     if not found.unit.startswith("cd"):
         raise InputError("glare needs a map in cd·m⁻²: name the light's spectrum with --spectrum")
-    if not 180.0 <= field_of_view_deg <= 360.0:
+    if field_of_view_deg < 180.0:
         raise InputError(f"field of view {field_of_view_deg:g}°: UGR and DGP need the hemisphere, 180° or more")
     luminance, own, shared, radius = _circle(found, radius_px)
     rng = np.random.default_rng(seed)
 
     def indices(values: Array, field_deg: float) -> Array:
-        return evaluate(_picture(values, radius, projection, field_deg))
+        return _evalglare(_picture(values, radius, projection, field_deg))
 
     value = indices(luminance, field_of_view_deg)
     together = np.hypot(luminance * found.u_rel_common, shared)
@@ -325,22 +321,18 @@ def glare_of(
     return ugr, dgp
 
 
-def _evalglare() -> Callable[[bytes], Array]:
-    """Return what gives (UGR, DGP) of a Radiance picture. Raises MissingLibrary."""
+def _evalglare(picture: bytes) -> Array:
+    """Return (UGR, DGP) of a Radiance picture. Raises MissingLibrary, MeasurementError."""
     library = required_library("pyradiance", INSTALL)
-
-    def evaluate(picture: bytes) -> Array:
-        try:
-            printed = library.evalglare(picture).decode("ascii", "replace")
-        except Exception as error:  # pyradiance raises what its version has: RuntimeError, CalledProcessError
-            raise MeasurementError(f"evalglare refuses the picture: {str(error).strip()[:200]}") from error
-        names, _, values = printed.strip().splitlines()[-1].partition(":")
-        known = dict(zip(names.split(","), values.split(), strict=False))
-        if not {"ugr", "dgp"} <= set(known):
-            raise MeasurementError(f"evalglare printed {printed.strip()[:80]!r}; update pyradiance")
-        return np.array([float(known["ugr"]), float(known["dgp"])])
-
-    return evaluate
+    try:
+        printed = library.evalglare(picture).decode("ascii", "replace")
+    except Exception as error:  # pyradiance raises what its version has: RuntimeError, CalledProcessError
+        raise MeasurementError(f"evalglare refuses the picture: {str(error).strip()[:200]}") from error
+    names, _, values = printed.strip().splitlines()[-1].partition(":")
+    known = dict(zip(names.split(","), values.split(), strict=False))
+    if not {"ugr", "dgp"} <= set(known):
+        raise MeasurementError(f"evalglare printed {printed.strip()[:80]!r}; update pyradiance")
+    return np.array([float(known["ugr"]), float(known["dgp"])])
 
 
 def _circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Array, Array, float]:
@@ -376,25 +368,14 @@ def _picture(luminance: Array, radius: float, projection: Projection, field_deg:
 
     Radiance has no equisolid view: such a picture is made an equidistant one, by linear interpolation.
     """
-    side = luminance.shape[0]
-    view, values = _VIEWS.get(projection), luminance
-    if view is None:
-        view, values = "a", _equidistant(luminance, radius, math.radians(field_deg) / 2.0)
+    side, half, values = luminance.shape[0], math.radians(field_deg) / 2.0, luminance
+    if projection not in _VIEWS:
+        projection, values = "equidistant", _equidistant(luminance, radius, half)
     # The picture's edge is at side/2, which may be a part of a pixel beyond the circle.
-    whole = _field_at_edge(side / 2.0 / radius, field_deg, view)
-    form = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nVIEW= -vt{view} -vv {whole:.6f} -vh {whole:.6f}\n\n"
+    whole = 2.0 * math.degrees(math.acos(float(_angles(np.array(side / 2.0 / radius), half, projection)[0])))
+    form = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nVIEW= -vt{_VIEWS[projection]} -vv {whole:.6f} -vh {whole:.6f}\n\n"
     planes = np.repeat(values[:, :, None] / _EFFICACY_LM_W, 3, axis=2).astype(np.float32)
     return f"{form}-Y {side} +X {side}\n".encode("ascii") + rgbe(planes).tobytes()
-
-
-def _field_at_edge(part: float, field_deg: float, view: str) -> float:
-    """Return the full angle in degrees at the picture's edge, `part` of the circle's radius."""
-    half = math.radians(field_deg) / 2.0
-    if view == "a":
-        return field_deg * part
-    if view == "h":
-        return 2.0 * math.degrees(math.asin(min(1.0, part * math.sin(min(half, math.pi / 2.0)))))
-    return 4.0 * math.degrees(math.atan(part * math.tan(half / 2.0)))
 
 
 def _equidistant(luminance: Array, radius: float, half: float) -> Array:

@@ -122,17 +122,14 @@ def certificate(
     """
     if not identifier.strip():
         raise UsageError("--identifier: a certificate needs a number")
-    target = None if out is None else Path(out)
-    page = None if target is None else target.with_suffix(".html")
-    written = [file for file in (target, page) if file is not None]
+    written = [] if out is None else [Path(out), Path(out).with_suffix(".html")]
     check_outputs(*written, force=force)
     refuse_inputs(written, [Path(one) for one in (source, laboratory) if isinstance(one, str | os.PathLike)])
     known = Laboratory.read(Path(laboratory))
     content = _certified(source, known, identifier.strip())
-    made = Certificate(content, known, target, page)
-    if target is not None and page is not None:
-        write_text_atomic(target, made.to_xml())
-        write_text_atomic(page, made.to_html())
+    made = Certificate(content, known, *written)
+    for file, text in zip(written, (made.to_xml, made.to_html), strict=False):
+        write_text_atomic(file, text())
     return made
 
 
@@ -142,15 +139,6 @@ def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory,
     if not isinstance(source, Reading) and Path(source).suffix.lower() in (".yaml", ".yml"):
         return _of_calibration(Calibration.read(Path(source)), identifier)
     return of_reading(source, lambda content: _of_reading(content, laboratory, identifier))
-
-
-def _calibration_of(content: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the calibration that a reading was made with as equipment; nothing where it is not stated."""
-    stated = content.get("calibration")
-    if not isinstance(stated, dict):
-        return []
-    words = (Path(str(stated.get("file") or "")).name, str(stated.get("created", ""))[:10], stated.get("reference"))
-    return [("calibration", ", ".join(str(word) for word in words if word))]
 
 
 def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str) -> Certified:
@@ -170,6 +158,10 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
         Contribution(str(line["name"]), float(line["u_rel"]), str(line.get("kind", "B")))
         for line in content.get("budget", [])
     )
+    known, equipment = content.get("calibration") or {}, [("camera", str(content["instrument"]))]
+    words = (Path(str(known.get("file") or "")).name, str(known.get("created", ""))[:10], known.get("reference"))
+    if any(words):
+        equipment.append(("calibration", ", ".join(str(word) for word in words if word)))
     exposures = ", ".join(f"{one:.4g} s" for one in content["exposures_s"])
     region = "{x},{y} {width} × {height} pixels".format(**content["patch"])
     conditions = [("exposure times", exposures), ("region of the picture", region)]
@@ -177,8 +169,8 @@ def _of_reading(content: dict[str, Any], laboratory: Laboratory, identifier: str
     conditions += [("assumption", str(one)) for one in content.get("assumptions", [])]
     return Certified(
         identifier=identifier, title="radiance of a patch", date=_day(str(content["time"])), method=_READING_METHOD,
-        item=laboratory.item, equipment=(("camera", str(content["instrument"])), *_calibration_of(content)),
-        conditions=tuple(conditions), results=results, budget=budget, version=radiometer.__version__,
+        item=laboratory.item, equipment=tuple(equipment), conditions=tuple(conditions), results=results, budget=budget,
+        version=radiometer.__version__,
     )  # fmt: skip
 
 

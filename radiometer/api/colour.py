@@ -242,8 +242,6 @@ def colour_calibrate(
         raise UsageError("--train-on responsivities needs --responsivities FILE")
     if train_on == "chart" and not with_lights:
         raise UsageError("give --chart FILE or --spectra FILE, or --responsivities FILE with --train-on responsivities")
-    if with_lights and source is None and filters is None and chart is None:
-        raise UsageError("the known lights need frames: give a capture set, photographs, or --filter NAME=FOLDER")
     training, powers, known = None, None, ColourCamera(tuple(filters) if filters else COLOURS)
     if with_lights:
         training, powers, known = _lights(source, chart, spectra, kind, frames)

@@ -21,6 +21,7 @@ _LIGHTS: Final = ("light", "radiance", "luminance", "irradiance", "illuminance",
                   "signal", "lux", "cd_m2")  # fmt: skip
 _NEEDS: Final = "a drive (setting, level), the light (one column, or one per wavelength in nm) and perhaps a channel"
 _WAVELENGTH: Final = re.compile(r"([,;\t]\s*)(\d+(?:\.\d+)?)(?=\s*(?:[,;\t\r]|$))")
+_IN_NM: Final = re.compile(r"(?:nm)?\s*(\d+(?:\.\d+)?)\s*(?:nm)?")
 _WAVELENGTHS_NM: Final = (150.0, 3000.0)  # headings that are numbers within it are wavelengths
 _FEWEST_BANDS: Final = 5  # fewer numbers as headings are no spectrum
 _MOST_BELOW_ZERO: Final = 0.01  # of the most light: what noise and zero of a meter may be below it
@@ -117,8 +118,5 @@ def _columns(table: TextTable) -> tuple[int | None, int, tuple[int, ...]] | None
 
 
 def _is_wavelength(name: str) -> bool:
-    try:
-        value = float(name.lower().removeprefix("nm").removesuffix("nm"))
-    except ValueError:
-        return False
-    return _WAVELENGTHS_NM[0] <= value <= _WAVELENGTHS_NM[1]
+    stated = _IN_NM.fullmatch(name.lower())
+    return stated is not None and _WAVELENGTHS_NM[0] <= float(stated[1]) <= _WAVELENGTHS_NM[1]

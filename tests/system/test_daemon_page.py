@@ -179,7 +179,7 @@ async def test_the_page_shows_trends_alarms_and_gaps(daemon, tmp_path):
         await browser.evaluate("document.querySelector('[data-span=\"86400\"]').click()")
         for name, value in (("main", 0.918), ("dim lamp", 0.2)):
             text = f"document.querySelector('[data-patch=\"{name}\"] figcaption .quiet').textContent"
-            await browser.wait_for(f"/1[34]\\d\\d readings/.test({text})")
+            await browser.wait_for(f"/n = 1[34]\\d\\d,/.test({text})")
             mean = float((await browser.evaluate(text)).split()[1])
             assert mean == pytest.approx(value, rel=0.01)
         export = await browser.evaluate("document.getElementById('export').getAttribute('href')")

@@ -105,7 +105,6 @@ def _temperature(uv: Array, covariance: Array) -> tuple[Array, Array, Array, Arr
     locus = _locus()
     near = locus(_MIRED)
     mired = _MIRED[np.argmin(np.sum((uv[..., None, :] - near) ** 2, axis=-1), axis=-1)]
-    step = np.full(mired.shape, np.inf)
     for _ in range(_ROUNDS):
         away, along, bend = uv - locus(mired), locus(mired, 1), locus(mired, 2)
         stiffness = np.sum(along**2, axis=-1) - np.sum(away * bend, axis=-1)

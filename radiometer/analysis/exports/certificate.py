@@ -226,14 +226,15 @@ def read_certificate(path: Path, unit: str) -> Quantity:
     if root.tag != f"{{{_DCC}}}digitalCalibrationCertificate":
         raise InputError(f"{path}: is no digital calibration certificate; its first element is {root.tag!r}")
     values = [one for results in root.iter(f"{{{_DCC}}}results") for one in results.iter(f"{{{_SI}}}real")]
-    found = [one for one in values if _OF_SI.get(_text(one, "unit").replace(" ", "")) == unit]
+    units = ["".join(_texts(one, "unit")[:1]) for one in values]
+    found = [one for one, si in zip(values, units, strict=True) if _OF_SI.get(si.replace(" ", "")) == unit]
     if len(found) != 1:
-        stated = ", ".join(sorted({_text(one, "unit") for one in values})) or "none"
+        stated = ", ".join(sorted(set(units))) or "none"
         raise InputError(
             f"{path}: states {len(found)} values in {unit}; just one is needed (units of its values: {stated})"
         )
     for uncertainty in ("uncertainty", "valueExpandedMU"):  # of D-SI 1.x and 2.1; of 2.2 and later
-        if _text(found[0], uncertainty) and _text(found[0], "coverageFactor"):
+        if all(any(_texts(found[0], tag)) for tag in (uncertainty, "coverageFactor")):
             value, expanded, k = (_stated(path, found[0], tag) for tag in ("value", uncertainty, "coverageFactor"))
             _PLAUSIBLE[unit].check(f"{path}: value", value)
             _COVERAGE_FACTORS.check(f"{path}: coverage factor", k)
@@ -245,12 +246,11 @@ def read_certificate(path: Path, unit: str) -> Quantity:
 
 def _stated(path: Path, parent: ET.Element, tag: str) -> float:
     """Return the number of the one element of a name. Raises InputError."""
-    texts = [(one.text or "").strip() for one in parent.iter(f"{{{_SI}}}{tag}")]
+    texts = _texts(parent, tag)
     if len(texts) != 1 or not _NUMBER.fullmatch(texts[0]):
         raise InputError(f"{path}: {tag} is {', '.join(map(repr, texts))}; just one number is needed")
     return float(texts[0])
 
 
-def _text(parent: ET.Element, tag: str) -> str:
-    found = next(parent.iter(f"{{{_SI}}}{tag}"), None)
-    return (found.text or "").strip() if found is not None else ""
+def _texts(parent: ET.Element, tag: str) -> list[str]:
+    return [(one.text or "").strip() for one in parent.iter(f"{{{_SI}}}{tag}")]

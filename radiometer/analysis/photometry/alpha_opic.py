@@ -58,11 +58,9 @@ def alpha_opic_quantities(
 
     A photometric quantity X_v gives X_α = X_v·∫S·s_α dλ / (K_m·∫S·V dλ), a radiometric one X_e·∫S·s_α dλ / ∫S dλ.
     The uncertainty holds the quantity's own, and the ratio's from independent relative errors `u_rel` of the spectrum's
-    entries and from its wavelength scale. Raises InputError if the unit is none of `UNITS`, or the spectrum holds or
-    states too little light where the functions are tabulated.
+    entries and from its wavelength scale. The unit is one of `UNITS`. Raises InputError if the spectrum holds or states
+    too little light where the functions are tabulated.
     """
-    if quantity.unit not in _FORMS:
-        raise InputError(f"unit {quantity.unit!r}: an α-opic quantity is made of one in {', '.join(UNITS)}")
     photometric, unit, daylight_unit = _FORMS[quantity.unit]
     luminous_efficacy(light)  # without one the α-opic efficacies are not defined
     low, high = _TABULATED_NM

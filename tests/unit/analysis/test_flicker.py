@@ -217,6 +217,16 @@ def test_a_harmonic_that_the_exposure_hides_leaves_lower_bounds(exposure_s, hidd
     assert hidden or found.modulation_depth.value == pytest.approx(truth, rel=1e-3)
 
 
+def test_edges_that_a_short_exposure_averages_are_in_the_flicker_index():
+    """Light of 1.4 and 0.6 in halves of 4 ms has 0.2; 0.2 ms take a twentieth of it, which u holds and a line says."""
+    t, rng = light_at(50_000.0, 0.4), np.random.default_rng(3)
+    square = np.where(250.0 * t % 1.0 < 0.5, 1.4, 0.6)
+    light = np.convolve(square, np.full(10, 0.1), "same")[10:-10] + rng.normal(0.0, 0.01, t.size - 20)
+    found = measure_flicker(Waveform(light, 50_000.0, "rows", 0.0, 2e-4))
+    assert abs(found.flicker_index.value - 0.2) <= 2.0 * found.flicker_index.u < 0.03
+    assert any("flicker index are lower bounds" in line for line in found.warnings)
+
+
 def test_darkness_scales_every_modulation_and_counts_in_u():
     """Darkness scales every modulation and counts in u."""
     light = 1.0 + 0.3 * np.sin(2.0 * np.pi * 100.0 * light_at(RATE_HZ, 0.5))
