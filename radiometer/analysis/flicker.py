@@ -666,9 +666,9 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     averaged_periods = period.frequency_hz * waveform.averaged_s
     enough, order = orders or (0, 0)
     kept = np.sinc(averaged_periods * np.arange(order + 1))  # numpy's sinc holds the π
-    lost = np.abs(kept) < _LEAST_KEPT
-    hidden = bool(np.any(lost[: enough + 1]))
-    kept[lost | hidden] = 1.0  # without one of its harmonics the light would have another shape
+    hidden = bool(np.any(np.abs(kept[: enough + 1]) < _LEAST_KEPT))
+    orders = None if hidden else orders  # without one of its harmonics the light would have another shape
+    kept[np.abs(kept) < _LEAST_KEPT] = 1.0
     kept = np.concatenate([kept, kept[1:]])  # of mean, cosines and sines
 
     def of(fold: _Fold) -> tuple[Array, Array]:
@@ -685,12 +685,11 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
         near = (replace(period, frequency_hz=period.frequency_hz + one * u_hz) for one in (-1.0, 0.0, 1.0))
         found, found_u = np.array([of(_folds(waveform, one)[0]) for one in near]).swapaxes(0, 1)
         own_u = np.hypot(np.abs(found - values).max(axis=0), found_u.max(axis=0))
-    if not orders or hidden:
         again = _taken_once_more(phase, light, averaged_periods)
         values[1] += 2.0 * again
         own_u[1] = math.hypot(own_u[1], again / math.sqrt(3.0))
     u = np.maximum(own_u, jackknife_u([of(part)[0] for part in parts]))
-    return ShapeMeasures(values, u, len(parts), bool(orders) and not hidden, phase, light, hidden, u_hz)
+    return ShapeMeasures(values, u, len(parts), bool(orders), phase, light, hidden, u_hz)
 
 
 def _taken_once_more(phase: Array, light: Array, averaged_periods: float) -> float:
