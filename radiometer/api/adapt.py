@@ -385,22 +385,22 @@ class Retest(Result):
         """Yield for each quantity its heading and its lines."""
         for one in self.comparisons:
             text = [
-                f"{with_u(a, 2 * u_a)} then {with_u(b, 2 * u_b)} (k = 2)   difference {b - a:+.3f}"
+                f"{with_u(a, 2 * u_a)} then {with_u(b, 2 * u_b)} (k = 2, by the fits alone)   difference {b - a:+.3f}"
                 for (a, b), (u_a, u_b) in zip(one.visits, one.u, strict=True)
             ]
             text += [f"not in both visits of pair {', '.join(map(str, one.missing))}"] if one.missing else []
-            text.append(f"standard uncertainty of a difference by the fits alone: {one.u_fits:.2g}")
+            text.append(f"standard uncertainty of a difference, without that of the light's scale: {one.u_fits:.2g}")
             limits = one.agreement
             if limits is None:
                 text.append(f"limits of agreement need {FEWEST_PAIRS} pairs")
             else:
                 bounds = ("mean difference", limits.mean), ("lower limit", limits.lower), ("upper limit", limits.upper)
                 text += [f"{name:<16} {b.value:+.3f}   {b.low:+.3f} to {b.high:+.3f} (95 %)" for name, b in bounds]
-            yield f"{LABELS[one.name]} ({unit_text(one.unit)}), {len(one.visits)} pairs", text
+            yield f"{LABELS[one.name]} ({unit_text(one.unit)}), pairs: {len(one.visits)}", text
 
     def __str__(self) -> str:
         """Return the names of the quantities."""
-        return ", ".join(f"{LABELS[one.name]}: {len(one.visits)} pairs" for one in self.comparisons)
+        return ", ".join(f"{LABELS[one.name]}, pairs: {len(one.visits)}" for one in self.comparisons)
 
 
 def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[str] = ()) -> Retest:

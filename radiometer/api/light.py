@@ -651,7 +651,7 @@ def light_law(table: PathLike, twin: PathLike | None = None) -> EngineLaws:
     Examples:
         >>> import radiometer as rm
         >>> rm.light_law("engine.csv")
-        <EngineLaws 2 channels; blue: exponent ..., droop ..., half drive ... off proportional, misfit ...>
+        <EngineLaws 2 channels; blue: exponent ..., droop ..., half drive ... off proportional (k = 2), misfit ...>
 
     Args:
         table: CSV of channel, drive and light, or of a spectrum at each drive.

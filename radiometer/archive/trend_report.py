@@ -109,7 +109,7 @@ def _undecided(changed: Sequence[Trend], count: int) -> str:
 
 
 def _straight(trend: Trend) -> str:
-    return with_u(100 * trend.straight_per_month, 200 * trend.u_straight_per_month, "% per month")
+    return with_u(100 * trend.straight_per_month, 200 * trend.u_straight_per_month, "% per month of the mean")
 
 
 def advice(ordered: Sequence[Trend]) -> list[str]:
@@ -143,7 +143,7 @@ def advice(ordered: Sequence[Trend]) -> list[str]:
 
 
 def _per_month(trend: Trend) -> str:
-    percent = with_u(100 * trend.drift_per_month, 200 * trend.u_drift_per_month, "% per month")
+    percent = with_u(100 * trend.drift_per_month, 200 * trend.u_drift_per_month, "% per month of the mean")
     return f"{percent}, k = 2"
 
 

@@ -50,7 +50,7 @@ class Place:
         known = [one for one in self.readings if one["radiance"]["value"] is not None]
         values = [one["radiance"]["value"] for one in known if not _bound(one)]
         span = f"{self.readings[0]['time'][:19]} to {self.readings[-1]['time'][:19]}"
-        head = f"{self.name}: {len(self.readings)} readings, {span}"
+        head = f"{self.name}: {len(self.readings)} reading{'s' * (len(self.readings) > 1)}, {span}"
         if left_out := Counter(flag for one in known if (flag := _bound(one))):
             named = ", ".join(f"{count} {flag} ({BOUNDS[flag]} their value)" for flag, count in left_out.items())
             head += f"; left out of the mean: {named}"

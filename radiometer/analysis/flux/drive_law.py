@@ -65,7 +65,7 @@ class DriveLaw:
         half = known["deviation_at_half_drive"].scaled(100.0, "%").text()
         return (
             f"exponent {known['exponent'].text()}, droop {known['droop'].text()}, {onset}"
-            f"half drive {half} off proportional, misfit {100 * self.misfit_rel:.2g} %"
+            f"half drive {half} off proportional (k = 2), misfit {100 * self.misfit_rel:.2g} %"
         )
 
 

@@ -52,7 +52,7 @@ def _sentence(trend: Trend) -> str:
     drift, u = 100 * trend.drift_per_month, 100 * trend.u_drift_per_month
     outliers = f", {int(trend.outlier.sum())} outliers" if trend.outlier.any() else ""
     return (
-        f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: {with_u(drift, 2 * u, '% per month', k=2)} "
-        f"over {trend.time_s.size} readings{outliers}"
+        f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: "
+        f"{with_u(drift, 2 * u, '% per month of the mean', k=2)} over {trend.time_s.size} readings{outliers}"
         + "".join(f"\n  {count} rows take no part: {reason}" for reason, count in trend.left_out.items())
     )

@@ -64,9 +64,10 @@ class MeterReconciled:
         ]  # fmt: skip
         head = ("source", "luminance in cd·m⁻²", "f-number", "time in s", "K as printed", "K of exact stops")
         parts = [*(paragraph(text) for text in self.result.extra.get("remarks", [])), table(head, rows)]
-        outcome = f"Verdict: {self.result.verdict}."
         origin = Origin("", further=(("table", self.origin),))
-        write_text_atomic(path, page("Readings of a light meter", outcome, parts, kind="reconcile", origin=origin))
+        write_text_atomic(
+            path, page("Readings of a light meter", self.result.sentence, parts, kind="reconcile", origin=origin)
+        )
         return str(path)
 
     def write_plan(self, path: Path) -> bool:
@@ -129,7 +130,7 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
         gap_after=effects[0].gap_after if effects else printed,
         limits={"nominal_settings": Limit(_COINCIDENCE, "share", "1"), "fnumber_tstop_error": of_stops},
         captures=len(rows),
-        assumptions=("times run in thirds of a stop, f-numbers in thirds or halves",),
+        assumptions=(_times_in_words(rows),),
         gap_unit=_GAP_UNIT,
         extra=extra,
     )
@@ -155,6 +156,12 @@ def _rounding_in_words(before: float, after: float, left_out: float | None) -> s
         f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were treated as exact; "
         f"with the exact stops behind them (1/60 s is 1/64 s, f/5.6 is f/5.657) by {100 * after:.2f} %."
     )
+
+
+def _times_in_words(rows: Sequence[MeterRow]) -> str:
+    if all(row.exact_time_s == row.time_s for row in rows):
+        return "times are as written, for one is on no dial; f-numbers run in thirds or halves of a stop"
+    return "times and f-numbers run in thirds or halves of a stop"
 
 
 def _rest_in_words(rest: float, widest: float) -> str:
@@ -293,16 +300,16 @@ class DriveFit:
         rows = [(name, "too few lit drives" if one is None else str(one)) for name, one in self.laws.items()]
         found = [
             f"{one.name}: "
-            + ", ".join(f"{n} {with_u(p.value, 2 * (p.u or 0.0), p.unit)}" for n, p in one.parameters.items())
+            + ", ".join(f"{n} {with_u(p.value, 2 * (p.u or 0.0), p.unit, k=2)}" for n, p in one.parameters.items())
             for one in self.result.effects
         ]
         parts = [
             section("What was found", listed(found)),
-            section("Laws of the channels, k = 2", table(("channel", "law"), rows, words=(1,))),
+            section("Laws of the channels", table(("channel", "law"), rows, words=(1,))),
             section("Assumptions", listed([*self.data.taken, *self.result.assumptions])),
         ]
         origin = Origin(further=(("table", self.origin),))
-        write_text_atomic(path, page(self.origin, str(self.result.verdict), parts, kind="light engine", origin=origin))
+        write_text_atomic(path, page(self.origin, self.result.sentence, parts, kind="light engine", origin=origin))
         return str(path)
 
     def write_plan(self, path: Path) -> bool:

@@ -35,7 +35,7 @@ def test_trend_says_what_drifts_and_what_does_not(table, capsys):
     assert run(["trend", str(table)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     found = re.search(
-        r"lamp: radiance drifts: \((-[\d.]+) ± ([\d.]+)\) % per month \(k = 2\) over 90 readings", printed
+        r"lamp: radiance drifts: \((-[\d.]+) ± ([\d.]+)\) % per month of the mean \(k = 2\) over 90 readings", printed
     )
     assert found, printed
     # Relative to the level in the middle of the record, which is 3 % lower than the first.

@@ -267,7 +267,7 @@ def test_a_drift_is_reported_with_its_size_and_uncertainty():
     """The sentence holds the fitted drift in per cent per month and its U (k = 2), and the true one lies within."""
     trend = _history("lamp", -0.01)
     found = re.fullmatch(
-        r"lamp drifts: its radiance falls, \((-[\d.]+) ± ([\d.]+)\) % per month, k = 2\.", outcome([trend])
+        r"lamp drifts: its radiance falls, \((-[\d.]+) ± ([\d.]+)\) % per month of the mean, k = 2\.", outcome([trend])
     )
     assert found is not None
     assert float(found[1]) == pytest.approx(100 * trend.drift_per_month, abs=0.006)
@@ -296,12 +296,13 @@ def test_a_change_that_a_season_may_be_is_no_drift_and_no_silence():
     trend = _history("lamp", 0.005, months=6.0)
     text = outcome([trend])
     assert re.match(
-        r"lamp changes, \(\+?0\.[45]\d* ± [\d.]+\) % per month, k = 2, if on a straight line. A season", text
+        r"lamp changes, \(\+?0\.[45]\d* ± [\d.]+\) % per month of the mean, k = 2, if on a straight line. A season",
+        text,
     )
     assert "lamp: measure until 2025-05-15" in advice([trend])[0]  # 1.5 years from 2023-11-14
     page = trend_report([trend], "t")
     assert "<span class='tag'>season or drift</span>" in page
-    assert re.search(r"Without any season it would be \(\+?0\.[45]\d*\s±\s[\d.]+\)\s% per month\.", page)
+    assert re.search(r"Without any season it would be \(\+?0\.[45]\d*\s±\s[\d.]+\)\s% per month of the mean\.", page)
     assert ">a season or a drift<" in page
     both = outcome([trend, _history("wall", 0.0, months=6.0)])
     assert both.startswith("lamp changes (1 of 2 patches)")

@@ -493,7 +493,7 @@ def test_readings_of_another_place_do_not_count_in_a_mean(journal, capsys, monke
     assert [("1,2 3" in line, "50,60" in line) for line in table[2:]] == [(True, False), (False, True), (True, False)]
     assert wall.startswith("patch 1,2 3 × 4: 2 readings")
     assert wall.endswith("mean 0.3015, standard deviation 0.0021 W·sr⁻¹·m⁻² (0.7 %)")
-    assert lamp.startswith("patch 50,60 7 × 8: 1 readings")
+    assert lamp.startswith("patch 50,60 7 × 8: 1 reading,")
 
 
 def test_each_place_is_a_line_of_its_own_in_the_picture(journal, tmp_path):

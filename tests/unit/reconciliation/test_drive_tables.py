@@ -134,7 +134,10 @@ def test_commands_speak_json_and_write_a_page(tmp_path: Path, capsys: pytest.Cap
     law = json.loads(capsys.readouterr().out)["channels"]["blue"]["drive_law"]
     assert law["droop"]["u"] > 0
     assert run(["reconcile", str(file), "--report", str(tmp_path / "r.html")]) == 0
-    assert "led_droop" in (tmp_path / "r.html").read_text()
+    page = (tmp_path / "r.html").read_text()
+    assert "led_droop" in page
+    assert "The missing effect was found" in page
+    assert "effects_found" not in page  # a word for programs
 
 
 @pytest.mark.parametrize(
