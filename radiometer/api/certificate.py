@@ -86,8 +86,8 @@ class Certificate(Result):
 
     def __str__(self) -> str:
         """Return number, item and first result in one line."""
-        name, one, k = self.content.results[0]
-        return f"{self.content.identifier}: {self.content.item.name} {self.content.item.serial}, {name} {one.text(k)}"
+        (name, one, k), item = self.content.results[0], self.content.item
+        return f"{self.content.identifier}: {item.name} {item.serial}, {name} {one.text(k)} (k = {k:.3g})"
 
 
 def certificate(

@@ -65,7 +65,9 @@ class MeterReconciled:
         head = ("source", "luminance in cd·m⁻²", "f-number", "time in s", "K as printed", "K of exact stops")
         parts = [*(paragraph(text) for text in self.result.extra.get("remarks", [])), table(head, rows)]
         origin = Origin("", further=(("table", self.origin),))
-        write_text_atomic(path, page("Readings of a light meter", self.result.sentence, parts, kind="reconcile", origin=origin))
+        write_text_atomic(
+            path, page("Readings of a light meter", self.result.sentence, parts, kind="reconcile", origin=origin)
+        )
         return str(path)
 
     def write_plan(self, path: Path) -> bool:

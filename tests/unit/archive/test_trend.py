@@ -296,7 +296,8 @@ def test_a_change_that_a_season_may_be_is_no_drift_and_no_silence():
     trend = _history("lamp", 0.005, months=6.0)
     text = outcome([trend])
     assert re.match(
-        r"lamp changes, \(\+?0\.[45]\d* ± [\d.]+\) % per month of the mean, k = 2, if on a straight line. A season", text
+        r"lamp changes, \(\+?0\.[45]\d* ± [\d.]+\) % per month of the mean, k = 2, if on a straight line. A season",
+        text,
     )
     assert "lamp: measure until 2025-05-15" in advice([trend])[0]  # 1.5 years from 2023-11-14
     page = trend_report([trend], "t")
