@@ -22,6 +22,16 @@ _PREFIXES: Final = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "c": 1
 
 # Half-stop dials print these, rounded so far that a third of a stop is as near. Some third-stop dials do as well.
 _HALF_STOPS_S: Final = (1.5, 3.0, 1.0 / 3.0)
+# What third-stop and half-stop shutter dials print, as times or as the denominators of 1/x.
+DIAL_DENOMINATORS: Final = (
+    1, 1.3, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 40, 50, 60, 80, 100, 125, 160, 200, 250, 320,
+    45, 90, 180, 350, 750, 1500, 3000, 6000,
+    400, 500, 640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000, 5000, 6400, 8000, 10000, 12800, 16000, 32000,
+)  # fmt: skip
+_DIAL_TIMES: Final = (
+    0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1, 1.3, 1.5, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 60,
+)  # fmt: skip
+LONGEST_OF_DIAL_S: Final = 60.0  # longer ones are by hand (bulb)
 _SAME_PRINT_REL: Final = 1e-3
 _TELLING: Final = 0.02  # in ln of the time: dials print to 6 %, and where only one prints a time the other is 8 % off
 
@@ -57,11 +67,18 @@ def exact_exposure_s(nominal_s: float) -> float:
     return min(thirds, halves, key=lambda exact: abs(math.log(exact / nominal_s)))
 
 
+def is_dial_time(seconds: float) -> bool:
+    """Return whether a time in s is one that a camera's dial prints."""
+    close = (abs(seconds * d - 1.0) < 0.005 for d in DIAL_DENOMINATORS)
+    return any(close) or any(abs(seconds / t - 1.0) < 0.005 for t in _DIAL_TIMES)
+
+
 def exact_exposures_s(nominal_s: Sequence[float]) -> list[float]:
     """Return the exact exposure times in s behind those that one camera printed.
 
     Its dial runs in thirds or in halves of a stop. A time that both print (1/3 s, 1/6 s) is what the others show:
     with 1/5 s it is a third, with 1/90 s a half. Where they show neither, or both, it is as in `exact_exposure_s`.
+    Times of which one is on no dial are no stops, and those beyond a minute are by hand: both are as printed.
 
     Args:
         nominal_s: Printed exposure times in s, above 0.
@@ -75,8 +92,10 @@ def exact_exposures_s(nominal_s: Sequence[float]) -> list[float]:
     ]
     shown = {3 if by > 0.0 else 2 for by in nearer if abs(by) > _TELLING}
     dial = shown.pop() if len(shown) == 1 else None
+    if not all(is_dial_time(one) for one in nominal_s if one <= LONGEST_OF_DIAL_S):
+        return list(nominal_s)
     return [
-        exact_exposure_s(one) if dial is None or abs(by) > _TELLING else way[dial]
+        one if one > LONGEST_OF_DIAL_S else exact_exposure_s(one) if dial is None or abs(by) > _TELLING else way[dial]
         for one, by, way in zip(nominal_s, nearer, ways, strict=True)
     ]
 

@@ -25,8 +25,7 @@ from radiometer.errors import (
     required_library,
 )
 from radiometer.importing.photograph_pixels import Photograph, read_photograph
-from radiometer.importing.photograph_times import is_dial_time
-from radiometer.units import exact_exposure_s, exact_f_number
+from radiometer.units import exact_exposure_s, exact_f_number, is_dial_time
 
 # Names of the makers' settings in libgphoto2; the first that a camera has is taken.
 _SHUTTERS: Final = ("shutterspeed", "shutterspeed2")

@@ -39,6 +39,7 @@ from radiometer.data import (
     Bracket,
     Calibration,
     CameraDescription,
+    CaptureSet,
     FlatField,
     LensDescription,
     Patch,
@@ -229,7 +230,8 @@ def calibrate(
         exposure_s: Exposure time of the reference photograph in s.
         iso: Its ISO speed: as really measured, or stated (with `measured_iso`); of photographs that state none, theirs.
         measured_iso: Real ISO speed by stated one.
-        channel: Of colour photographs: "luminance", "red", "green" or "blue".
+        channel: Of colour photographs and colour cameras: "luminance", "red", "green" or "blue"; of the mosaic of a
+            capture set "luminance" is green.
         pattern: Displayed pattern of a capture set that holds several.
         align: Photographs from the hand: "auto" (where they moved), "on", or "off".
         reference_dn: Pixel value of the metered surface; half of full scale by default.
@@ -284,7 +286,7 @@ def calibrate(
     base, of_black = _base(seen, curve, settings, preset, spectrum or "equal_energy", black_level, validity_days)
     base = _with_statements(base, seen, preset, stated, model, spectral_response, spectrum_stated=spectrum is not None)
     if flat is not None:
-        base = replace(base, flat_field=_flat_field(Path(flat), base, flat_u_rel))
+        base = replace(base, flat_field=_flat_field(open_capture(Path(flat)).in_colour(channel), base, flat_u_rel))
     scales, meter = list[Scale](), None
     if source is not None and seen is not None and seen.patch is not None:
         found = make.scale_by_source(base, seen.bracket, seen.patch, source)
@@ -379,7 +381,8 @@ def _seen(
         bracket = taken.without_absent()
         return _Seen(bracket, where, *stated_camera(bracket), photographs=taken)
     if capture is not None:
-        return _seen_in_capture(Path(capture), patch, pattern, taps, needed=needed)
+        opened = open_capture(Path(capture)).in_colour(channel)
+        return _seen_in_capture(opened, patch, pattern, taps, needed=needed)
     if camera is not None or bench is not None:
         with open_instrument(Path(bench) if bench else None, camera, _numbers(patch), uncalibrated=True) as instrument:
             device = instrument.camera
@@ -396,9 +399,9 @@ def _numbers(patch: PatchLike | str | None) -> Patch | None:
 
 
 def _seen_in_capture(
-    path: Path, patch: PatchLike | str | None, pattern: str | None, taps: str | None, *, needed: bool
+    capture: CaptureSet, patch: PatchLike | str | None, pattern: str | None, taps: str | None, *, needed: bool
 ) -> _Seen:
-    capture = open_capture(path)
+    path = capture.path
     notes = tuple(f"{path.name}: {line}" for line in imported_of(capture).lines()) if capture.store is not None else ()
     header = capture.header
     named = {entry.name: entry for entry in header.patches}
@@ -562,7 +565,7 @@ def _with_statements(
 ) -> Calibration:
     """Return the calibration with what is stated or found of the camera besides its response."""
     base = replace(base, uncertainties=_uncertainties(stated, preset))
-    if seen is not None and seen.photographs is not None:
+    if seen is not None:
         require_channel(base, seen.bracket.light[0])
     if model is not None:
         shape = seen.bracket.shape if seen is not None else None
@@ -590,13 +593,12 @@ def _with_u(base: Calibration, **figures: float) -> Calibration:
     return replace(base, uncertainties=base.uncertainties.model_copy(update=figures))
 
 
-def _flat_field(path: Path, base: Calibration, source_u_rel: float) -> FlatField:
+def _flat_field(capture: CaptureSet, base: Calibration, source_u_rel: float) -> FlatField:
     """Return the flat field in a capture set. Raises CalibrationError if it is of another camera, lens or focus."""
-    capture = open_capture(path)
     try:
         require_flat_field(base, capture.header.camera, capture.header.lens)
     except CalibrationError as error:
-        raise CalibrationError(f"flat field {path}: {error}") from error
+        raise CalibrationError(f"flat field {capture.path}: {error}") from error
     # Without its cos⁴ the lens leaves all of the fall-off to the flat field.
     uncorrected = base.lens.model_copy(update={"vignetting": "none", "focal_length_mm": None})
     bracket = capture.lit_bracket()

@@ -13,7 +13,14 @@ import numpy as np
 
 from radiometer.argument_types import with_checked_methods
 from radiometer.bench.sources import Source, open_source
-from radiometer.data import Bracket, CameraDescription, LensDescription, PatchDescription, SourceDescription
+from radiometer.data import (
+    Bracket,
+    CameraDescription,
+    FrameSettings,
+    LensDescription,
+    PatchDescription,
+    SourceDescription,
+)
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.capture_set import refuse_inputs as refuse_inputs
 from radiometer.data.drawing import new_axes, picture
@@ -191,10 +198,11 @@ def stack_of(found: Source, origin: str) -> Stack:
         found: As read.
         origin: As the user named it.
     """
-    brackets = {_name(one): one for one in found.brackets}
     header = found.header
     if header is None:
+        brackets = {str(one.light[0].extra["channel"]): one for one in found.brackets}
         return Stack(brackets, *stated_camera(found.brackets[0]), origin, photographs=True, listed=found.listed)
+    brackets = {_name(one.light[0].settings): one for one in found.brackets}
     return Stack(
         brackets, header.camera, header.lens, origin, header.source, tuple(header.patches), notes=found.doubts,
         taken=header.taken,
@@ -229,8 +237,5 @@ def _thinned(dn: DigitalNumbers) -> DigitalNumbers:
     return dn[::step, ::step]
 
 
-def _name(bracket: Bracket) -> str:
-    settings, extra = bracket.light[0].settings, bracket.light[0].extra
-    if "channel" in extra:
-        return str(extra["channel"])
+def _name(settings: FrameSettings) -> str:
     return settings.pattern if settings.source_level == 1.0 else f"{settings.pattern} at {settings.source_level:g}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from radiometer.analysis.calibration.shared import require_camera, require_lens
+from radiometer.analysis.calibration.shared import require_camera, require_channel, require_lens
 from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, fit_drive_law
 from radiometer.analysis.flux.estimate import led_flux
 from radiometer.analysis.flux.report import Emitter, FluxReport
@@ -133,7 +133,8 @@ def flux(
         distance_u: Its standard uncertainty in mm.
         f_number_u_rel: Relative standard uncertainty of the f-number.
         datasheet_mw: Flux that the datasheet states in mW.
-        channel: Of colour photographs: "luminance", "red", "green" or "blue".
+        channel: Of colour photographs and colour cameras: "luminance", "red", "green" or "blue"; of the mosaic of a
+            capture set "luminance" is green.
         measured_iso: Of photographs: real ISO speed by stated one.
         drive_table: Table of the diode's light over its drive, as for `light_law`: gives the flux at another drive.
         led: Its channel in that table; the only one by default.
@@ -217,10 +218,11 @@ def _taken(
         require_lens(calibration, lens)
         notes = (*ready.notes, *require_camera(calibration, camera))
         return _Taken(frames, Setup(calibration.camera, calibration.lens, spectrum=None), notes)
-    capture = open_capture(path)
+    capture = open_capture(path).in_colour(channel)
     chosen = capture.pattern_of()
     frames = tuple(one for one in capture.frames() if one.settings.is_dark or one.settings.pattern == chosen)
     notes = tuple(f"{path.name}: {line}" for line in imported_of(capture).lines()) if capture.store is not None else ()
+    notes += require_channel(calibration, frames[0]) if calibration is not None else ()
     header = capture.header
     return _Taken(frames, Setup(header.camera, header.lens, None, header.source, None, header.taken), notes)
 

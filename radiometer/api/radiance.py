@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.calibration.shared import channel_of
 from radiometer.analysis.characterise.taps import camera_with_taps
 from radiometer.analysis.exports.curves import read_curves
 from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
@@ -349,8 +350,8 @@ def merge(
         response: The camera's response, for relative values.
         calibration: Calibration, or its file: values in W·sr⁻¹·m⁻².
         channel: Of a folder of colour photographs: "luminance", "red", "green", "blue" or "each"; by default each
-            where no calibration and no response of one channel is given, else luminance. Of a capture set of a colour
-            camera: "red", "green", "blue" or "each"; by default each where no calibration is given, else green.
+            where no calibration and no response of one channel is given, else the calibration's, else luminance. Of a
+            capture set of a colour camera the same, with green for luminance.
         pattern: Displayed pattern of a capture set that holds several.
         measured_iso: Of photographs: real ISO speed by stated one.
         iso: ISO speed of photographs that state none.
@@ -452,7 +453,7 @@ def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress 
         if asked.taps is not None:
             raise UsageError("--taps belongs to capture sets; photographs are read as pictures")
         by_colour = asked.calibration is None and not set(asked.curves(8)) - {"red", "green", "blue"}
-        channel = asked.channel or ("each" if by_colour else "luminance")
+        channel = asked.channel or ("each" if by_colour else channel_of(asked.calibration) or "luminance")
         report = counted(progress, "reading")
         read = open_source(path, channel, report=report, interpolated=asked.demosaic)
         return _of_photographs(stack_of(read, str(path)).as_photographs(), asked, progress or unseen)
@@ -485,11 +486,10 @@ def _planes(capture: CaptureSet, asked: _Asked) -> Iterator[tuple[str, CaptureSe
     if capture.header.camera.mosaic is None:
         yield "mono", capture
         return
-    chosen = asked.channel or ("each" if asked.calibration is None else "green")
-    if chosen not in (*COLOURS, "each"):
-        raise UsageError(f"--channel {chosen}: of a mosaic of colours choose {', '.join(COLOURS)} or each")
+    chosen = asked.channel or ("each" if asked.calibration is None else channel_of(asked.calibration) or "luminance")
     for name in COLOURS if chosen == "each" else (chosen,):
-        yield name, replace(capture, colour=name)
+        plane = capture.in_colour(name)
+        yield plane.colour, plane
 
 
 def _streamed(capture: CaptureSet, indices: Sequence[int], report: Callable[[int, int], None]) -> Iterator[Frame]:

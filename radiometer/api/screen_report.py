@@ -88,8 +88,7 @@ class DisplayReport(Result):
                     *(paragraph(note, "flag") for note in one.notes),
                 )
             )
-        measured = [one for one in self.sections if one.figures]
-        ordered = sorted(measured, key=lambda one: one.method == "warm_up")  # warming up is no result
+        ordered = sorted(self.sections, key=lambda one: one.method == "warm_up")  # warming up is no result
         main = [f"{_in_words(one.method)} {one.figures[0].text}" for one in ordered]
         outcome = f"{', '.join(main[:3])}{', …' if len(main) > 3 else ''} (k = 2)"
         known = self.measured_with
@@ -104,14 +103,14 @@ class DisplayReport(Result):
         """Return every figure and note in plain lines."""
         found = list[str]()
         for one in self.sections:
-            found.append(f"{one.title}  (± by k = 2)" if one.figures else one.title)
+            found.append(f"{one.title}  (± by k = 2)")
             found += [f"  {_in_words(each.name):<28} {each.text}" for each in one.figures]
             found += [f"  note: {note}" for note in one.notes]
         return found
 
     def __str__(self) -> str:
         """Return the main figure of every method."""
-        shown = [f"{one.method} {one.figures[0].text}" for one in self.sections if one.figures]
+        shown = [f"{one.method} {one.figures[0].text}" for one in self.sections]
         return f"{self.screen}: {', '.join(shown)} (k = 2)"
 
 
@@ -196,7 +195,7 @@ def screen_report(
         raise UsageError(f"geometry {geometry!r} is unknown; choose {', '.join(GEOMETRIES)}")
     known = GEOMETRIES[geometry]
     turned = tuple(known.angles_deg if angles is None else angles)
-    chosen = methods_of(methods, turned=bool(turned))
+    chosen = methods_of(methods, turned=any(turned))
     _refuse(points, checkers, turned)
     if display not in SIMULATED_DISPLAYS and area is None:
         raise UsageError("where does the camera see the whole screen? Say --area X,Y,W,H in pixels of its picture")

@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from radiometer.analysis.calibration.shared import channel_of
 from radiometer.data import Bracket, Calibration, CaptureSet, Frame, Patch, RadianceMap
 from radiometer.data.json_text import json_text
 from radiometer.data.provenance import source_hash
@@ -128,8 +129,8 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     from radiometer.analysis.reading.reading import read_patch
 
     header = capture_set.header
-    calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
-    frames = _lit(capture_set)
+    calibration = _calibration(settings)
+    frames = _lit(capture_set, calibration)
     rows: list[Row] = []
     for name, patch in _patches(capture_set, settings, frames[0].shape):
         setup = Setup(header.camera, header.lens, calibration, header.source, None, header.taken)
@@ -141,9 +142,19 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     return rows
 
 
-def _lit(capture_set: CaptureSet) -> list[Frame]:
-    """Return the frames with the source on, and dark ones. Raises CaptureError where the source never is."""
-    frames = [one for one in capture_set.frames() if one.settings.is_dark or one.settings.source_level > 0]
+def _calibration(settings: JobSettings) -> Calibration | None:
+    return Calibration.read(Path(settings.calibration)) if settings.calibration else None
+
+
+def _lit(capture_set: CaptureSet, calibration: Calibration | None) -> list[Frame]:
+    """Return the frames with the source on, and dark ones, in the calibration's colour.
+
+    Raises:
+        CaptureError: If the source is never on.
+        UsageError: If a mosaic has no such colour.
+    """
+    taken = capture_set.in_colour(channel_of(calibration) or "luminance").frames()
+    frames = [one for one in taken if one.settings.is_dark or one.settings.source_level > 0]
     if all(one.settings.is_dark for one in frames):
         raise CaptureError(f"{capture_set.path}: holds no frame with the shutter open and the source on")
     return frames
@@ -176,8 +187,8 @@ def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     from radiometer.analysis.merge.bracket import merge as merge_frames
 
     header = capture_set.header
-    calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
-    bracket = Bracket.from_frames(_lit(capture_set), origin=str(capture_set.path))
+    calibration = _calibration(settings)
+    bracket = Bracket.from_frames(_lit(capture_set, calibration), origin=str(capture_set.path))
     spectrum = header.source.spectrum or AS_CALIBRATED
     setup = Setup(header.camera, header.lens, calibration, header.source, spectrum, header.taken)
     merged = merge_frames(bracket, setup)

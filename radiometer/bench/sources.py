@@ -9,8 +9,7 @@ from pathlib import Path
 from radiometer.data import Bracket, CaptureHeader, CaptureSet, Frame
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.iso_speeds import IsoSpeeds
-from radiometer.data.mosaic import COLOURS
-from radiometer.errors import CaptureError, UsageError
+from radiometer.errors import CaptureError
 from radiometer.importing import imported_of, is_foreign, open_capture
 from radiometer.importing.photograph_times import find_list
 from radiometer.photographs.folder import image_files, read_photographs
@@ -68,14 +67,14 @@ def open_source(
     """
     if is_foreign(path):
         (speeds or IsoSpeeds()).refuse_unstated(str(path), set())
-        return _of_capture(path, open_capture(path), report)
+        return _of_capture(path, open_capture(path).in_colour(channel), report)
     if not path.exists():
         raise CaptureError(f"{path} does not exist; give a capture set or a folder of photographs")
     if not path.is_dir():
         raise CaptureError(f"{path} is not a folder; give a capture set or a folder of photographs")
     if (path / HEADER_NAME).exists():
         (speeds or IsoSpeeds()).refuse_unstated(str(path), set())
-        return _of_capture(path, _in_colour(CaptureSet.read(path), channel), report)
+        return _of_capture(path, CaptureSet.read(path).in_colour(channel), report)
     if (path / "frames").is_dir() and not image_files(path):
         CaptureSet.read(path)  # raises: the capture was not finished
     if not any(path.iterdir()):
@@ -95,16 +94,6 @@ def _of_capture(path: Path, capture: CaptureSet, report: Callable[[int, int], No
         lines = [*lines, f"a mosaic of colours ({mosaic}): its {capture.colour} pixels are read"]
     doubts = tuple(f"{path.name}: {line}" for line in lines)
     return Source(path, _capture_brackets(capture, report), capture.header, doubts=doubts)
-
-
-def _in_colour(capture: CaptureSet, channel: str) -> CaptureSet:
-    """Return a capture set whose frames are read in a colour. Raises UsageError for several or an unknown one."""
-    if capture.header.camera.mosaic is None:
-        return capture
-    colour = "green" if channel == "luminance" else channel
-    if colour not in COLOURS:
-        raise UsageError(f"{capture.path}: channel {channel}: of a mosaic of colours choose {', '.join(COLOURS)}")
-    return replace(capture, colour=colour)
 
 
 def _capture_brackets(capture: CaptureSet, report: Callable[[int, int], None] | None) -> list[Bracket]:

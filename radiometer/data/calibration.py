@@ -42,7 +42,7 @@ class ScaleConditions(ConfigSection):
     surround: float = Field(1.0, ge=0)  # mean radiance of the whole picture over that of the patch
     polarised: bool | None = None  # whether the source was polarised; None where unknown
     tap: str | None = None  # name of the tap that read the patch; None where the camera has one, or several read it
-    channel: str | None = None  # colour of photographs that it was read in, such as "green"; None where there is none
+    channel: str | None = None  # colour that it was read in, such as "green"; None where there is none
 
 
 class Scale(ConfigSection):

@@ -27,7 +27,7 @@ from radiometer.data.capture_header import (
 from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
-from radiometer.data.mosaic import in_planes, plane_of
+from radiometer.data.mosaic import COLOURS, in_planes, plane_of
 from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import bounded_reader
@@ -209,6 +209,19 @@ class CaptureSet:
             )
         return cls(path, _in_planes(header, path))
 
+    def in_colour(self, channel: str) -> CaptureSet:
+        """Return the capture set with its frames read in a colour, green for "luminance"; itself without a mosaic.
+
+        Raises:
+            UsageError: If there is no such colour, or "each" is asked for.
+        """
+        if self.header.camera.mosaic is None:
+            return self
+        colour = "green" if channel == "luminance" else channel
+        if colour not in COLOURS:
+            raise UsageError(f"{self.path}: --channel {channel}: of a mosaic of colours choose {', '.join(COLOURS)}")
+        return replace(self, colour=colour)
+
     def __len__(self) -> int:
         return len(self.header.frames)
 
@@ -229,6 +242,8 @@ class CaptureSet:
             )
         masked = (entry.model_extra or {}).get(MASKED_PIXELS)
         extra = {} if masked is None else {MASKED_PIXELS: masked}
+        if self.header.camera.mosaic is not None:
+            extra["channel"] = self.colour
         settings = replace(entry.settings, white_level=self.header.camera.white_level)
         frame = Frame(dn, bit_depth, settings, frame_id=index, extra=extra)
         highest = int(dn.max(initial=0))

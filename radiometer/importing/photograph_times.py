@@ -15,7 +15,15 @@ from radiometer.data.storage import read_text
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing.exif import camera_of, exposure_of, f_number_of, iso_of, read_exif_header
 from radiometer.plausible import PLAUSIBLE
-from radiometer.units import exact_exposures_s, exact_f_number, heading_parts, read_number, unit_of
+from radiometer.units import (
+    DIAL_DENOMINATORS,
+    LONGEST_OF_DIAL_S,
+    exact_exposures_s,
+    exact_f_number,
+    heading_parts,
+    read_number,
+    unit_of,
+)
 
 _LONGEST_NAME: Final = 1_000  # characters; no file system has names of so many
 _GAP: Final = re.compile(r"[,;\s]+")
@@ -38,17 +46,6 @@ _FRACTION_WITH_BLANKS: Final = re.compile(r"(?<=\d)\s*/\s*(?=\d)")
 
 LIST_NAMES: Final = ("exposures.txt", "exposures.csv", "image_list.txt")
 
-# What third-stop and half-stop shutter dials print, as times or as the denominators of 1/x.
-_DIAL_DENOMINATORS: Final = (
-    1, 1.3, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 40, 50, 60, 80, 100, 125, 160, 200, 250, 320,
-    45, 90, 180, 350, 750, 1500, 3000, 6000,
-    400, 500, 640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000, 5000, 6400, 8000, 10000, 12800, 16000, 32000,
-)  # fmt: skip
-_DIAL_TIMES: Final = (
-    0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1, 1.3, 1.5, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 60,
-)  # fmt: skip
-LONGEST_OF_DIAL_S: Final = 60.0  # longer ones are by hand (bulb)
-
 
 @dataclass(frozen=True, slots=True)
 class PhotographSettings:
@@ -61,12 +58,6 @@ class PhotographSettings:
     gain_db: float = 0.0  # gain in addition to the ISO speed in dB of amplitude
     iso_doubt: str = ""  # why no speed is known though a tag states one; "" where that is not so
     camera: Mapping[str, str | float] = field(default_factory=dict)  # camera, lens, development: as of `camera_of`
-
-
-def is_dial_time(seconds: float) -> bool:
-    """Return whether a time in s is one that a camera's dial prints."""
-    close = (abs(seconds * d - 1.0) < 0.005 for d in _DIAL_DENOMINATORS)
-    return any(close) or any(abs(seconds / t - 1.0) < 0.005 for t in _DIAL_TIMES)
 
 
 @bounded_reader()
@@ -92,14 +83,12 @@ def read_exif(path: Path) -> PhotographSettings | None:
 def with_exact_times(settings: Mapping[str, PhotographSettings]) -> dict[str, PhotographSettings]:
     """Return photographs of one camera with the exact stops behind their printed times (2⁻⁶ s behind 1/60 s).
 
-    Only where every time is printed on a dial, or is longer and so set by hand: other cameras' times are no stops.
+    Other cameras' times are no stops, and are as printed.
     """
-    dial = [name for name, one in settings.items() if one.nominal_exposure_s <= LONGEST_OF_DIAL_S]
-    printed = [settings[name].nominal_exposure_s for name in dial]
-    if not all(map(is_dial_time, printed)):
-        return dict(settings)
-    exact = zip(dial, exact_exposures_s(printed), strict=True)
-    return {**settings, **{name: replace(settings[name], exposure_s=seconds) for name, seconds in exact}}
+    exact = exact_exposures_s([one.nominal_exposure_s for one in settings.values()])
+    return {
+        name: replace(one, exposure_s=seconds) for (name, one), seconds in zip(settings.items(), exact, strict=True)
+    }
 
 
 def find_list(folder: Path) -> Path | None:
@@ -152,7 +141,7 @@ def _refuse_denominators(path: Path, found: Mapping[str, PhotographSettings], ba
         CaptureError: If all are, and beyond the times of a dial.
     """
     numbers = [one.nominal_exposure_s for one in found.values()]
-    if bare and len(numbers) > 1 and min(numbers) > LONGEST_OF_DIAL_S / 2 and set(numbers) <= set(_DIAL_DENOMINATORS):
+    if bare and len(numbers) > 1 and min(numbers) > LONGEST_OF_DIAL_S / 2 and set(numbers) <= set(DIAL_DENOMINATORS):
         raise CaptureError(
             f"{path}: {numbers[0]:g} and the others without a unit may be s, or 1/{numbers[0]:g} s as on a dial; write "
             f"{numbers[0]:g}s or 1/{numbers[0]:g}"

@@ -220,15 +220,13 @@ def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
 
     L(t) = L_end·(1 + a·e^(−t/τ)) is fitted where readings and their scatter allow it.
     """
-    watched = outcome.readings
-    times = np.array([one.time_s - watched[0].time_s for one in watched])
-    values = np.array([one.radiance for one in watched])
-    own_u = np.array([one.u_independent for one in watched])
+    times, values, own_u = np.array([(one.time_s, one.radiance, one.u_independent) for one in outcome.readings]).T
+    times = times - times[0]
     u_excess = math.hypot(own_u[0] / values[0], own_u[-1] / values[-1])
     excess, notes = Quantity(float(values[0] / values[-1] - 1.0), u_excess, "1"), list[str]()
-    fitted = _relaxation(times, values, own_u) if abs(excess.value) > 3.0 * u_excess else None
-    figures = _times(*fitted) if fitted else [relative("excess_at_start", excess)]
-    if fitted is None:
+    figures = _relaxation(times, values, own_u) if abs(excess.value) > 3.0 * u_excess else []
+    if not figures:
+        figures = [relative("excess_at_start", excess)]
         notes.append("the change is too small, or was watched for too short, for the time constant")
     drift = Quantity(outcome.drift_rel, u_excess, "1").scaled(100.0, f"% in {outcome.drift_s:.0f} s")
     figures.append(Figure("drift_at_end", drift))
@@ -244,10 +242,13 @@ def warm_up_section(outcome: WarmUp, examined: Examined) -> Section:
     )  # fmt: skip
 
 
-def _relaxation(times: Array, values: Array, own_u: Array) -> tuple[Array, Array] | None:
-    """Return amplitude and time constant in s, and their covariance; None where the data do not hold them."""
+def _relaxation(times: Array, values: Array, own_u: Array) -> list[Figure]:
+    """Return amplitude, time constant, and when luminance is within each limit of the final one: τ·ln(|a|/limit).
+
+    None are returned where the data do not hold them.
+    """
     if times.size < 4:
-        return None
+        return []
     start = (float(values[-1]), float(values[0] / values[-1] - 1.0), float(times[-1]) / 2.0)
 
     def law(t: Array, end: float, size: float, tau: float) -> Array:
@@ -256,23 +257,20 @@ def _relaxation(times: Array, values: Array, own_u: Array) -> tuple[Array, Array
     try:
         found, spread = curve_fit(law, times, values, start, np.maximum(own_u, 1e-9 * values), absolute_sigma=True)
     except RuntimeError:  # no convergence: the change is no single exponential
-        return None
+        return []
     gap = (values - law(times, *found)) / np.maximum(own_u, 1e-9 * values)
     spread = spread * max(1.0, float(np.sum(gap**2)) / (times.size - 3))
-    return (found[1:], spread[1:, 1:]) if found[2] > 0.0 and math.sqrt(spread[2, 2]) <= 0.5 * found[2] else None
-
-
-def _times(found: Array, covariance: Array) -> list[Figure]:
-    """Return amplitude, time constant, and when luminance is within each limit of the final one: τ·ln(|a|/limit)."""
-    (size, tau), (u_size, u_tau) = found.tolist(), np.sqrt(np.diag(covariance)).tolist()
+    (_, size, tau), (_, u_size, u_tau) = found.tolist(), np.sqrt(np.diag(spread)).tolist()
+    if not (tau > 0.0 and u_tau <= 0.5 * tau):
+        return []
     figures = [
         relative("excess_at_start", Quantity(size, u_size, "1")),
         Figure("time_constant", Quantity(tau, u_tau, "s")),
     ]
     for limit in _LIMITS:
         ratio = max(abs(size) / limit, 1.0)
-        slope = np.array([tau / size, math.log(ratio)]) if ratio > 1.0 else np.zeros(2)
-        u = math.sqrt(max(float(slope @ covariance @ slope), 0.0))
+        slope = np.array([0.0, tau / size, math.log(ratio)]) if ratio > 1.0 else np.zeros(3)
+        u = math.sqrt(max(float(slope @ spread @ slope), 0.0))
         figures.append(Figure(f"warm_up_time_{100 * limit:g}_percent", Quantity(tau * math.log(ratio), u, "s")))
     return figures
 
@@ -602,8 +600,8 @@ def examine(
     methods: Sequence[str],
     *,
     warm_up_limit_s: float,
-    waiting: Callable[[float, float], None] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    waiting: Callable[[float, float], None],
+    progress: Callable[[int, int], None],
 ) -> tuple[Section, ...]:
     """Return the sections of a report.
 
@@ -631,8 +629,7 @@ def examine(
             found.append(warm_up_section(outcome, settled))
         else:
             found.append(METHODS[name](settled) if outcome.steady else _while_drifting(name, settled))
-        if progress is not None:
-            progress(number + 1, len(methods))
+        progress(number + 1, len(methods))
     return tuple(found)
 
 

@@ -24,7 +24,7 @@ _AUTOMATIC_BALANCE: Final = (
     "set it by hand"
 )
 _UNBINNED: Final = "1"  # so usual that a calibration which states none of it raises no doubt
-# Colours that photographs are read in; numbers of a grey frame are of no colour.
+# Colours that frames are read in; numbers of a grey frame are of no colour.
 _COLOURS: Final = frozenset({"red", "green", "blue", "luminance"})
 
 
@@ -198,12 +198,16 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     "channel": {
         State.EQUAL: _KEPT,
         State.DIFFERENT: _refused(
-            "the calibration's response is of {there}, the photographs would be read in {here}: give "
-            "--channel {there}, or a calibration of {here}",
+            "the calibration is of {there}, the frames would be read in {here}: give --channel {there}, or a "
+            "calibration of {here}",
             UsageError,
         ),
         State.READING_SILENT: _NOT_COMPARED,
-        State.CALIBRATION_SILENT: _NOT_COMPARED,
+        State.CALIBRATION_SILENT: Rule(
+            Handling.ASSUMED,
+            "colour channel {here} at calibration too: the calibration does not state it, and another may change the "
+            "numbers by any factor",
+        ),
         State.BOTH_SILENT: _NOT_COMPARED,
     },
     "spectrum": {
@@ -416,17 +420,22 @@ def require_photograph(calibration: Calibration, frame: Frame) -> str | None:
     return _assumed("ISO speed", there, here)
 
 
-def require_channel(calibration: Calibration, frame: Frame) -> None:
-    """Refuse a photograph in another colour than a calibration's, or than the response that is to get a scale.
+def require_channel(calibration: Calibration, frame: Frame) -> tuple[str, ...]:
+    """Refuse a frame in another colour than a calibration's, or than the response that is to get a scale.
+
+    Returns what is assumed of the calibration's colour.
 
     Raises:
         UsageError: If colours differ.
     """
-    settle("channel", channel_of(calibration), _colour(frame.extra.get("channel")))
+    assumed = _assumed("channel", channel_of(calibration), _colour(frame.extra.get("channel")))
+    return (assumed,) if assumed else ()
 
 
-def channel_of(calibration: Calibration) -> str | None:
-    """Return the colour that a calibration holds for; None where it is of a grey camera or not stated."""
+def channel_of(calibration: Calibration | None) -> str | None:
+    """Return the colour that a calibration holds for; None of none, of a grey camera, or where it is not stated."""
+    if calibration is None:
+        return None
     of_scale = _colour(calibration.scale.conditions.channel)
     return of_scale or (_colour(calibration.response.channel) if calibration.response is not None else None)
 

@@ -293,21 +293,12 @@ def fit_matrix(training: Training, white: str | None = None) -> Fit:
         noise = known + np.mean((training.u_signal / total) ** 2 @ (matrix**2).T, axis=1)
         found = np.average(np.mean(left_out**2, axis=1) - noise, weights=weight)
         error_2 = max(float(found), _LEAST_ERROR**2)
-    # What is wrong with the white is wrong with all that is like it.
-    spread = spread + noise[exact] / error_2 * along @ along.T
     error = _covering(np.delete(left_out * np.sqrt(weight)[:, None], exact, axis=0), count - channels)
     # The coefficients hold the lights' own u, though these agree better by chance.
-    spread = spread * max(1.0, 3.0 * float(np.mean(noise) / np.trace(error)))
+    noise *= 3.0 / np.trace(error)  # as `spread` counts it
+    # What is wrong with the white is wrong with all that is like it.
+    spread = spread * max(1.0, float(np.mean(noise))) + noise[exact] * along @ along.T
     return Fit(matrix=matrix, spread=spread, error=error, hull=target[ConvexHull(target[:, :2]).vertices, :2])
-
-
-def plausible_training(responsivities: Array) -> Training:
-    """Return plausible lights as a camera of these responsivities, shape (channels, wavelengths), reads them."""
-    lights = plausible_lights()
-    kinds = tuple(kind for kind, powers in lights.items() for _ in powers)
-    powers = np.vstack(list(lights.values()))
-    signal, none = _signal(powers, responsivities), np.zeros(len(powers))
-    return Training(kinds, kinds, signal, np.zeros(signal.shape), _normal(tristimulus_of(powers)), none)
 
 
 def _covering(off: Array, freedom: int) -> Array:
@@ -460,12 +451,15 @@ def train_on_responsivities(
 
     Raises CalibrationError if the responsivities determine no matrix, or a known light has no reading.
     """
-    responsivities = known.responsivities
+    responsivities, plausible = known.responsivities, plausible_lights()
     if responsivities is None:
         raise CalibrationError("a matrix from plausible lights needs the camera's responsivities")
-    fits, of_displays, lights = dict[str, Fit](), dict[str, Array](), plausible_training(responsivities)
+    kinds, powers = tuple(kind for kind, one in plausible.items() for _ in one), np.vstack(list(plausible.values()))
+    signal, none = _signal(powers, responsivities), np.zeros(len(powers))
+    lights = Training(kinds, kinds, signal, np.zeros(signal.shape), _normal(tristimulus_of(powers)), none)
+    fits, of_displays = dict[str, Fit](), dict[str, Array]()
     if per_kind:
-        for kind in plausible_lights():
+        for kind in plausible:
             try:
                 fits[kind] = fit_matrix(lights.of_kind(kind))
             except CalibrationError:
@@ -473,7 +467,6 @@ def train_on_responsivities(
         errors = {kind: fit.error for kind, fit in fits.items()}
     else:
         fits[ALL] = fit_matrix(lights)
-        powers = np.vstack(list(plausible_lights().values()))
         errors, of_displays = errors_of_other_lights(fits[ALL].matrix, lights, powers, responsivities)
     unit, assumed, u_scale = RELATIVE_UNIT, ["X, Y, Z are relative: no light of known luminance took part"], 0.0
     if scale is not None:
@@ -485,7 +478,7 @@ def train_on_responsivities(
         unit, assumed = LUMINANCE_UNIT, ["the scale is that of the known lights"]
     origin = Provenance("plausible lights through responsivities", known.inputs, tuple(assumed), {"per_kind": per_kind})
     u_all = math.hypot(u_rel, u_scale)
-    trained = tuple(fits) if per_kind else tuple(plausible_lights())
+    trained = tuple(fits) if per_kind else tuple(plausible)
     return ColourCalibration(
         channels=known.channels, camera=known.camera, lens=known.lens, conditions=known.conditions, iso=known.iso,
         unit=unit, matrices=fits, errors=errors, trained=trained,

@@ -517,6 +517,7 @@ class StreamingMerge:
 
     def _refuse_misfit(self, frame: Frame) -> None:
         if self._shape is None:
+            self._situation = situation_of(self._situation.setup, frame)
             self._shape, self._taps = frame.shape, ReadOut.of(self._situation.setup, frame.shape)
         if frame.shape != self._shape:
             raise MeasurementError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import replace
@@ -114,9 +115,10 @@ def patch_situation(
         CalibrationError: If the calibration is of another camera or lens.
         MeasurementError: If the patch is outside the frame, or there is no light frame.
     """
-    settled, calibration, camera = situation_of(setup), setup.calibration, setup.camera
-    copies = Copies()
-    frames = copies.left_out(frames.every_frame if isinstance(frames, Bracket) else frames)
+    listed = iter(frames.every_frame if isinstance(frames, Bracket) else frames)
+    first, copies = next(listed, None), Copies()
+    settled, calibration, camera = situation_of(setup, first), setup.calibration, setup.camera
+    frames = copies.left_out(itertools.chain([] if first is None else [first], listed))
     if calibration is not None:
         frames = corrected_frames(frames, calibration.found, settled.black.dn)
     levelled, taps = levelled_frames(frames, setup)

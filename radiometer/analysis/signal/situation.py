@@ -7,7 +7,13 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.calibration.shared import require_camera, require_lens, require_place, require_response
+from radiometer.analysis.calibration.shared import (
+    require_camera,
+    require_channel,
+    require_lens,
+    require_place,
+    require_response,
+)
 from radiometer.analysis.photometry.photometry import (
     spectral_mismatch_factor,
     spectrum,
@@ -18,6 +24,7 @@ from radiometer.data import (
     BlackLevel,
     Calibration,
     FlatField,
+    Frame,
     LensDescription,
     SensorNoise,
     StatedUncertainties,
@@ -47,14 +54,16 @@ class Situation:
         return self.setup.calibration
 
 
-def situation_of(setup: Setup) -> Situation:
+def situation_of(setup: Setup, frame: Frame | None = None) -> Situation:
     """Return what a measurement with a setup rests on.
 
     Args:
         setup: Without a calibration the sensor counts as linear, and as typical where it is unknown.
+        frame: One of the frames that are read, with the colour that it is of; None where there is none yet.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
+        UsageError: If it is of another colour.
     """
     calibration, camera, lens = setup.calibration, setup.camera, setup.lens
     if calibration is None:
@@ -64,8 +73,8 @@ def situation_of(setup: Setup) -> Situation:
         assumed = ("response taken as linear", *noise.assumptions)
         return Situation(setup, model, black, stated, 1.0, lens, assumed)
     settings, of_curve = require_camera(calibration, camera), require_response(calibration.response, camera)
-    if calibration.absolute:
-        of_curve = ()  # that of the calibration's camera
+    if calibration.absolute:  # then the curve is that of the calibration's camera
+        of_curve = require_channel(calibration, frame) if frame is not None else ()
     require_lens(calibration, lens)
     if calibration.flat_field is not None:
         require_place(calibration, lens)

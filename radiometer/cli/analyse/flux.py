@@ -36,7 +36,7 @@ def command(
     distance_u: Annotated[Uncertainty, typer.Option(help="Its standard uncertainty in mm.")] = 0.5,
     f_number_u_rel: Annotated[float, relative_option("--f-number-u-rel", "Relative u (k = 1) of the f-number")] = 0.02,
     datasheet_mw: Annotated[Positive | None, typer.Option(help="Flux that the datasheet states, in mW.")] = None,
-    channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
+    channel: Annotated[str, typer.Option(help="Of colour frames: luminance, red, green or blue.")] = "luminance",
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
     drive_table: Annotated[
         Path | None, typer.Option(help="CSV of the diode's light over drive, for the flux at another drive.")

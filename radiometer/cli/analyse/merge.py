@@ -31,7 +31,7 @@ def command(
     ] = None,
     channel: Annotated[
         str | None,
-        typer.Option(help="Of colour photographs: luminance, red, green, blue or each (the default without curves)."),
+        typer.Option(help="Of colour frames: luminance, red, green, blue or each (the default without curves)."),
     ] = None,
     pattern: Annotated[str | None, typer.Option(help="Displayed pattern of a capture set that holds several.")] = None,
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,

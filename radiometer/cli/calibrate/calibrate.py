@@ -62,7 +62,7 @@ def command(
         Iso | None, typer.Option(help="Its ISO speed: as really measured, or stated (--measured-iso).")
     ] = None,
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
-    channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
+    channel: Annotated[str, typer.Option(help="Of colour frames: luminance, red, green or blue.")] = "luminance",
     pattern: Annotated[str | None, typer.Option(help="Pattern of a capture set that holds several.")] = None,
     align: Annotated[
         str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")

@@ -29,7 +29,7 @@ def command(
     uncalibrated: UncalibratedOption = False,
     bench: BenchOption = None,
     photographs: Annotated[Path | None, typer.Option(help="Folder of photographs to read instead of a camera.")] = None,
-    channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
+    channel: Annotated[str, typer.Option(help="Of colour frames: luminance, red, green or blue.")] = "luminance",
     align: Annotated[
         str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
     ] = "auto",

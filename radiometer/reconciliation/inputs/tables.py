@@ -130,7 +130,7 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
         gap_after=effects[0].gap_after if effects else printed,
         limits={"nominal_settings": Limit(_COINCIDENCE, "share", "1"), "fnumber_tstop_error": of_stops},
         captures=len(rows),
-        assumptions=("times run in thirds of a stop, f-numbers in thirds or halves",),
+        assumptions=(_times_in_words(rows),),
         gap_unit=_GAP_UNIT,
         extra=extra,
     )
@@ -156,6 +156,12 @@ def _rounding_in_words(before: float, after: float, left_out: float | None) -> s
         f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were treated as exact; "
         f"with the exact stops behind them (1/60 s is 1/64 s, f/5.6 is f/5.657) by {100 * after:.2f} %."
     )
+
+
+def _times_in_words(rows: Sequence[MeterRow]) -> str:
+    if all(row.exact_time_s == row.time_s for row in rows):
+        return "times are as written, for one is on no dial; f-numbers run in thirds or halves of a stop"
+    return "times and f-numbers run in thirds or halves of a stop"
 
 
 def _rest_in_words(rest: float, widest: float) -> str:

@@ -1,7 +1,9 @@
 """What differs between a capture and its calibration does the same to a radiance, a colour and a flux."""
 
+import csv
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,10 @@ from radiometer.data import (
     FrameSettings,
     LensDescription,
     Scale,
+    ScaleConditions,
     SensorNoise,
 )
-from radiometer.errors import CalibrationError
+from radiometer.errors import CalibrationError, UsageError
 from testing.colour_bench import capture_colours, place, write_colour_bench, write_colour_chart
 
 Change = Callable[[dict[str, Any]], None]
@@ -170,3 +173,25 @@ def test_a_mosaic_of_another_order_is_refused(bench: Bench) -> None:
     """Red and blue would change places."""
     with pytest.raises(CalibrationError, match="mosaic"):
         bench.colour(of_camera(mosaic="BGGR"))
+
+
+def test_a_calibration_of_one_colour_of_a_mosaic_reads_that_colour_alone(bench: Bench) -> None:
+    """Red's scale reads red by itself, and refuses green; one that states no colour is doubted. A file states it."""
+    capture, where, file = bench.with_header("colours", CHANGES["nothing"]), place("white"), bench.folder / "red.yaml"
+    known = rm.calibrate(capture, patch=where, radiance=2.0, u_rel=0.01, channel="red", out=file).calibration
+    maps = rm.merge(capture, calibration=file).maps
+    assert list(maps) == ["red"]
+    assert np.mean(maps["red"].radiance[rm.Patch(*where).slices]) == pytest.approx(2.0, rel=0.01)
+    table = rm.batch(capture, output=bench.folder / "rows.csv", calibration=file, patch=where).table
+    rows = csv.DictReader(table.read_text().splitlines())
+    assert float(next(one["value"] for one in rows if one["quantity"] == "radiance")) == pytest.approx(2.0, rel=0.01)
+    with pytest.raises(UsageError, match="calibration is of red"):
+        rm.merge(capture, calibration=file, channel="green")
+    with pytest.raises(UsageError, match="calibration is of red"):
+        rm.flux(capture, calibration=file, channel="blue")
+    with pytest.raises(UsageError, match="calibration is of red"):
+        rm.measure_photographs(capture, where, calibration=file, channel="green")
+    silent = replace(known, scale=known.scale.model_copy(update={"conditions": ScaleConditions()}))
+    assert any(
+        "red at calibration too" in one for one in rm.merge(capture, calibration=silent, channel="red").assumptions
+    )

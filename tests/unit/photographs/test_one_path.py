@@ -181,9 +181,9 @@ def test_a_calibration_of_one_colour_reads_no_other(tmp_path, curve):
     found = rm.calibrate(known, response=green, channel="green", patch=patch, radiance=0.5, u_rel=0.01)
     stack = rm.read_photographs(known)
     for channel in ("red", "blue"):
-        with pytest.raises(UsageError, match="response is of green"):
+        with pytest.raises(UsageError, match="calibration is of green"):
             rm.merge(stack[channel], calibration=found.calibration)
-    with pytest.raises(UsageError, match="response is of green"):
+    with pytest.raises(UsageError, match="calibration is of green"):
         rm.measure_photographs(known, patch, calibration=found.calibration)
     assert np.median(rm.merge(stack["green"], calibration=found.calibration).value) == pytest.approx(0.5, rel=0.02)
 

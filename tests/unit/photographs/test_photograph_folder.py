@@ -9,8 +9,9 @@ import pytest
 from PIL import Image
 
 from radiometer.errors import CaptureError, UsageError
-from radiometer.importing.photograph_times import is_dial_time, read_list
+from radiometer.importing.photograph_times import read_list
 from radiometer.photographs.folder import read_photographs
+from radiometer.units import is_dial_time
 
 
 def _grey(folder: Path, name: str, level: int, dtype=np.uint8, shape=(24, 32)) -> None:

@@ -51,7 +51,7 @@ def test_thesis_constants_scatter_by_rounding(tmp_path: Path) -> None:
 
 def test_a_time_of_two_dials_is_that_of_the_dial_of_the_other_rows(tmp_path: Path) -> None:
     """1/3 s is on dials of thirds and of halves; 1/25 s and 1/50 s show the dial of thirds: K is one number."""
-    rows = "source,luminance,f_number,time,iso\na,25,8,1/3,100\na,25,4,1/12,100\na,25,2.8,1/25,100\na,50,2.8,1/50,100\n"
+    rows = "source,luminance,f_number,time,iso\na,25,8,1/3,100\na,25,4,1/13,100\na,25,2.8,1/25,100\na,50,2.8,1/50,100\n"
     (effect,) = reconcile_meter_table(_table(tmp_path, rows)).result.effects
     assert (effect.name, effect.gap_after < 1e-9) == ("nominal_settings", True)
 
@@ -63,6 +63,16 @@ def test_rest_at_full_aperture_is_not_guessed(tmp_path: Path, capsys: pytest.Cap
     assert printed["rest"]["stops"] == pytest.approx(1 / 6, abs=1e-6)
     assert "fnumber_tstop_error" in printed["rest"]["alternatives"]
     assert "cannot be separated from light lost at full aperture" in " ".join(printed["remarks"])
+
+
+def test_times_on_no_dial_are_as_written(tmp_path: Path) -> None:
+    """A time of 8 % more, 85.769 ms, is no printed stop: no row is rounded to a stop, and K is that of the rows."""
+    times = (0.010006, 0.019969, 0.039950, 0.085769)
+    rows = "".join(f"A,100,{n},{t},100\n" for n, t in zip((2.8, 4, 5.6, 8), times, strict=True))
+    done = reconcile_meter_table(_table(tmp_path, "source,luminance,f_number,time,iso\n" + rows))
+    assert done.result.verdict is Verdict.UNNAMED
+    assert [row.k_exact * 2 ** round(2 * np.log2(row.f_number)) / 1e4 for row in done.rows] == pytest.approx(times)
+    assert "times are as written" in done.result.assumptions[0]
 
 
 def test_constant_meter_agrees(tmp_path: Path) -> None:
