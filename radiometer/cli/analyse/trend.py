@@ -52,6 +52,6 @@ def _sentence(trend: Trend) -> str:
     drift = with_u(100 * trend.drift_per_month, 200 * trend.u_drift_per_month, "% per month of the mean", k=2)
     outliers = f", {int(trend.outlier.sum())} outliers" if trend.outlier.any() else ""
     return (
-        f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: {drift} over {trend.time_s.size} readings{outliers}"
-        + "".join(f"\n  {count} rows take no part: {reason}" for reason, count in trend.left_out.items())
+        f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: {drift} over {trend.time_s.size} readings"
+        f"{outliers}" + "".join(f"\n  {count} rows take no part: {reason}" for reason, count in trend.left_out.items())
     )
