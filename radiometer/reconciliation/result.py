@@ -82,10 +82,10 @@ class LawCurve:
         return {"along": along, "factor": list(self.factor), "u": list(self.u)}
 
 
-def _believed(probability: float) -> str:
-    """Return a probability with three decimals, and in a word."""
+def _believed(probability: float, *, alone: bool = True) -> str:
+    """Return a probability with three decimals, and in a word; beside names that explain as much none is certain."""
     limited = "below 0.001" if probability < _SHOWN else "above 0.999" if probability > 1.0 - _SHOWN else ""
-    word = "almost certain" if probability >= SURE else "likely" if probability >= _LIKELY else "possible"
+    word = "almost certain" if alone and probability >= SURE else "likely" if probability >= _LIKELY else "possible"
     return f"probability {limited or f'{probability:.3f}'}, {word}"
 
 
@@ -118,7 +118,8 @@ class FoundEffect:
     @property
     def evidence(self) -> str:
         """Return in words how certain it is: its probability, or the nats where no models were compared."""
-        return f"{self.gain_nats:.0f} nats" if self.probability is None else _believed(self.probability)
+        alone = not self.alternatives
+        return f"{self.gain_nats:.0f} nats" if self.probability is None else _believed(self.probability, alone=alone)
 
     @property
     def evidence_of_any(self) -> str:

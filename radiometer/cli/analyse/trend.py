@@ -49,9 +49,10 @@ _VERDICTS: Final = {
 
 
 def _sentence(trend: Trend) -> str:
-    drift = with_u(100 * trend.drift_per_month, 200 * trend.u_drift_per_month, "% per month of the mean", k=2)
+    drift, u = 100 * trend.drift_per_month, 100 * trend.u_drift_per_month
     outliers = f", {int(trend.outlier.sum())} outliers" if trend.outlier.any() else ""
     return (
-        f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: {drift} over {trend.time_s.size} readings"
-        f"{outliers}" + "".join(f"\n  {count} rows take no part: {reason}" for reason, count in trend.left_out.items())
+        f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: "
+        f"{with_u(drift, 2 * u, '% per month of the mean', k=2)} over {trend.time_s.size} readings{outliers}"
+        + "".join(f"\n  {count} rows take no part: {reason}" for reason, count in trend.left_out.items())
     )

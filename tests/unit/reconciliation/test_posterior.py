@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -80,9 +81,13 @@ def test_uncertainties_contain_the_choice_among_models() -> None:
     ],
 )
 def test_people_read_a_probability_with_a_word(probability: float | None, words: str) -> None:
-    """Almost certain from 0.95, likely from two thirds; photographs and logs, which compare no models, give nats."""
+    """Almost certain from 0.95, likely from two thirds; photographs and logs, which compare no models, give nats.
+
+    Beside a name that these data cannot separate from it none is certain.
+    """
     found = FoundEffect("crosstalk", {}, "signal", 1.2, 1.0, gain_nats=12.0, probability=probability)
     assert found.evidence == words
+    assert replace(found, alternatives=("ghost",)).evidence == words.replace("almost certain", "likely")
 
 
 @given(st.lists(st.floats(-50.0, 50.0), min_size=2, max_size=6))

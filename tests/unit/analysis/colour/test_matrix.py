@@ -61,7 +61,7 @@ def reflectances() -> Array:
 
 
 def test_a_camera_that_is_a_mixture_of_the_matching_functions_has_its_matrix():
-    """By Luther the matrix is the inverse of the mixture, for lights of any kind; the white's u is that of the table."""
+    """By Luther the matrix is the inverse of the mixture, for lights of any kind; the white's u is the table's."""
     rng = np.random.default_rng(46_021)
     mixture = np.array([[0.9, 0.2, 0.1], [0.2, 1.1, 0.0], [0.0, 0.1, 0.8]])
     powers = np.vstack([plausible_lights()["surfaces"][::9], plausible_lights()["coloured_leds"][::5]])
@@ -76,7 +76,9 @@ def test_a_camera_that_is_a_mixture_of_the_matching_functions_has_its_matrix():
     names = ("white", *[""] * (len(powers) - 1))
     kept = fit_matrix(Training(names, names, signal, 0.0 * signal, xyz, none + 0.02), "white")
     own = kept.leverage(signal[0]) * np.trace(kept.error) * np.sum(xyz[0]) ** 2
-    assert own == pytest.approx(0.02**2 * np.sum(xyz[0] ** 2), rel=1e-6)  # the white is known to 2 %, and so is its like
+    assert own == pytest.approx(
+        0.02**2 * np.sum(xyz[0] ** 2), rel=1e-6
+    )  # the white is known to 2 %, and so is its like
 
 
 def trained(powers: Array, rng: np.random.Generator, kind: str = "surfaces", **more: Any) -> ColourCalibration:
