@@ -69,7 +69,7 @@ class Certificate(Result):
             section(
                 "Result, ± its expanded uncertainty (95.45 %)", table(("quantity", "value", "k"), results, words=(0,))
             ),
-            section("Certificate", table(("", ""), parties, words=(0, 1))),
+            section("Certificate", table(("", ""), parties, words=(1,))),
             section("Method", listed(content.method)),
             section("Uncertainty budget", table(("contribution", "type", "u (k = 1)"), budget, words=(0,))),
         ]
@@ -86,8 +86,8 @@ class Certificate(Result):
 
     def __str__(self) -> str:
         """Return number, item and first result in one line."""
-        name, one, k = self.content.results[0]
-        return f"{self.content.identifier}: {self.content.item.name} {self.content.item.serial}, {name} {one.text(k)}"
+        (name, one, k), item = self.content.results[0], self.content.item
+        return f"{self.content.identifier}: {item.name} {item.serial}, {name} {one.text(k)} (k = {k:.3g})"
 
 
 def certificate(
@@ -227,7 +227,7 @@ def _of_calibration(calibration: Calibration, identifier: str) -> Certified:
     budget = (Contribution(name, u_rel, "A" if name in OBSERVED else "B") for name, u_rel in scale.budget.items())
     return Certified(
         identifier=identifier, title="radiometric calibration of a camera", date=calibration.created[:10],
-        method=(calibration.provenance.method, f"The scale is by {scale.method.replace('_', ' ')}."), item=item,
+        method=(f"The scale is by {scale.method.replace('_', ' ')}.",), item=item,
         equipment=(("reference", scale.reference),) if scale.reference else (), conditions=tuple(conditions),
         results=(("exposure per unit of the linear signal", exposure, 2.0),), budget=tuple(budget),
         version=radiometer.__version__,

@@ -162,7 +162,7 @@ class ColourReading(Drawn):
         parts = [
             picture(self.plot, f"{self.source}: CIE 1931 chromaticity, ellipse at 95 %"),
             section("Colour, k = 2", table(("quantity", "value"), self.rows())),
-            section("Raw readings, k = 2", table(("channel", "signal"), raw)),
+            section("Raw readings, k = 2", table(("channel", "signal, relative"), raw)),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
         known = {**self.origin, "calibration": f"of colours, {moment(self.calibration.created.isoformat())}"}

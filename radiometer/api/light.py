@@ -626,7 +626,7 @@ class EngineLaws(Drawn):
                 shown = [law.light_over(each, one.drive[-1]).value * one.drive[-1] / each for each in at.tolist()]
                 where.plot(at, shown, color=points.get_color(), linewidth=1.0)
         where.set(xlabel="drive over full drive", ylabel="light over drive, over that at full drive")
-        where.legend(fontsize="small", loc="lower right")
+        where.legend(fontsize="small")
         return where
 
     def lines(self) -> list[str]:

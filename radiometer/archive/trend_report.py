@@ -53,14 +53,13 @@ def trend_report(trends: Sequence[Trend], source: str) -> str:
             t.patch,
             str(t.time_s.size),
             str(int(t.outlier.sum())),
-            f"{100 * t.drift_per_month:+.3f} %",
-            f"{200 * t.u_drift_per_month:.3f} %",
-            f"{100 * _claimed_from(t):.3f} %",
+            with_u(100 * t.drift_per_month, 200 * t.u_drift_per_month, "%"),
+            f"{100 * _claimed_from(t):.2g} %",
             _VERDICTS[t.verdict],
         )
         for t in trends
     ]
-    head = ("patch", "readings", "outliers", "drift per month", "U (k = 2)", "claimed from", "verdict")
+    head = ("patch", "readings", "outliers", "drift per month (k = 2)", "claimed from", "verdict")
     return page(
         f"Trends of {len(trends)} {'patch' if len(trends) == 1 else 'patches'}",
         outcome(ordered),
@@ -69,7 +68,7 @@ def trend_report(trends: Sequence[Trend], source: str) -> str:
             _picture(ordered[:_OPENING]),
             section("What to do", listed(advice(ordered))),
             *(_section(trend, drawn=number < _OPENING) for number, trend in enumerate(ordered)),
-            section("Figures", table(head, rows, words=(6,))),
+            section("Figures", table(head, rows, words=(5,))),
             folded("What was assumed", listed(_assumptions(ordered))),
         ],
         kind="Trends",

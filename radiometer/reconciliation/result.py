@@ -83,7 +83,7 @@ class LawCurve:
 
 
 def _believed(probability: float, *, alone: bool = True) -> str:
-    """Return a probability with three decimals, and in a word; beside names that explain as much none is certain."""
+    """Return a probability with three decimals, and in a word; next to names that explain as much none is certain."""
     limited = "below 0.001" if probability < _SHOWN else "above 0.999" if probability > 1.0 - _SHOWN else ""
     word = "almost certain" if alone and probability >= SURE else "likely" if probability >= _LIKELY else "possible"
     return f"probability {limited or f'{probability:.3f}'}, {word}"

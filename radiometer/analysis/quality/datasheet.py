@@ -65,8 +65,7 @@ def _sentence(measured: list[Index], total: int) -> str:
     assert worst.figure is not None
     value, expanded = shown(worst.figure)
     k = coverage_factor(worst.figure.degrees_of_freedom)
-    title, symbol = worst.procedure.title, worst.procedure.symbol
-    named = title if symbol == title else f"{title} ({symbol})"
+    named = worst.procedure.called
     return f"{len(measured)} of {total} indices measured; the largest is {named}: {value} ± {expanded} (k = {k:.3g})."
 
 
@@ -74,7 +73,6 @@ def _measured(one: Index) -> str:
     assert one.figure is not None
     value, expanded = shown(one.figure)
     procedure = one.procedure
-    name = "" if procedure.symbol == procedure.title else f" ({procedure.symbol})"
     remarks = "; ".join(one.figure.remarks)
     steps = f"Captures: {', '.join(one.steps)}." if one.steps else ""
     scale, unit = _SCALES[one.figure.unit]
@@ -82,7 +80,7 @@ def _measured(one: Index) -> str:
     return "\n".join(
         part
         for part in (
-            heading(f"{procedure.title[:1].upper()}{procedure.title[1:]}{name}"),
+            heading(f"{procedure.called[:1].upper()}{procedure.called[1:]}"),
             paragraph(f"{value} ± {expanded} (95.45 %)", "what"),
             paragraph(" ".join(f"{procedure.definition} ({procedure.source}). {steps} {remarks}".split()), "small"),
             folded("Step by step", table((), rows)) if rows else "",
@@ -93,7 +91,7 @@ def _measured(one: Index) -> str:
 
 def _asked(one: Index) -> str:
     """Return what is missing of an index, and what to capture for it."""
-    name = f"{one.procedure.title} ({one.procedure.symbol}): {one.reason}"
+    name = f"{one.procedure.called}: {one.reason}"
     steps = "; ".join(f"{step.name}: {step.ask}" for step in one.procedure.steps)
     return f"{name}. To capture: {steps}" if steps else name
 

@@ -142,9 +142,9 @@ def polarisation(signals: Mapping[float, StepSignal], source_u_rel: float) -> Fi
         Deviation(f"{angle:g}°", float(y) / mean - 1.0, float(u_y) / mean)
         for angle, y, u_y in zip(sorted(signals), values, u, strict=True)
     )
-    return Figure(
-        value, spread, details=details, remarks=(f"largest at {axis:.0f}°; amplitude before noise {amplitude:.2g}",)
-    )
+    # An amplitude that noise alone gives has no axis.
+    remark = f"largest at {axis:.0f}°; amplitude before noise {100.0 * amplitude:.2g} %"
+    return Figure(value, spread, details=details, remarks=(remark,) if value > 0.0 else ())
 
 
 def glare_index(white: StepSignal, black: StepSignal, source_u_rel: float) -> Figure:

@@ -40,6 +40,11 @@ class Procedure:
     # ladder and beyond, so that the patch clips
     exposures: Exposures = "patch"
 
+    @property
+    def called(self) -> str:
+        """Return what it measures and, where it has one, its symbol."""
+        return self.title if self.symbol == self.title else f"{self.title} ({self.symbol})"
+
 
 PROCEDURES: Final = (
     Procedure(

@@ -109,7 +109,7 @@ def _show(found: rm.QualityReport) -> None:
     console().print(table)
     for one in found.datasheet.indices:
         if one.figure is None:
-            note(f"not measured: {one.procedure.symbol}, {one.procedure.title}: {one.reason}")
+            note(f"not measured: {one.procedure.called}: {one.reason}")
         for remark in one.figure.remarks if one.figure else ():
             note(f"{one.procedure.symbol}: {remark}")
     for assumption in found.datasheet.assumptions:

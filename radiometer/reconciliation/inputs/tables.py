@@ -306,7 +306,7 @@ class DriveFit:
         parts = [
             section("What was found", listed(found)),
             section("Laws of the channels", table(("channel", "law"), rows, words=(1,))),
-            section("Assumptions", listed([*self.data.taken, *self.result.assumptions])),
+            section("Assumptions", listed(self.result.assumptions)),
         ]
         origin = Origin(further=(("table", self.origin),))
         write_text_atomic(path, page(self.origin, self.result.sentence, parts, kind="light engine", origin=origin))
