@@ -59,11 +59,10 @@ class _Images:
     """Names the images of a descriptor; writes the part that was looked at where that is not the whole frame."""
 
     def __init__(self, subject: Subject, path: Path) -> None:
-        self.region = largest_region(subject)[0]
         self._path = path
         self._written: dict[Path, Path] = {}
         height, width = subject.groups[0].reader(subject.groups[0].files[0]).shape
-        self.region = self.region or Patch(0, 0, width, height)
+        self.region = largest_region(subject)[0] or Patch(0, 0, width, height)
         self.height, self.width = self.region.height, self.region.width
         self._whole = (height, width) == (self.height, self.width)
 
