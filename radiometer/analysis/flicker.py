@@ -629,7 +629,7 @@ def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeM
         return []
     outcome = "modulation depth, flicker index and SVM are lower bounds"
     if kept >= _LEAST_KEPT and not shape.hidden:
-        outcome = "modulation depth and flicker index are lower bounds, SVM is corrected for it"
+        outcome = "modulation depth is a lower bound, flicker index and SVM are corrected for it"
         if shape.is_series:
             outcome = "modulation depth, flicker index and SVM are corrected for it, but faster light may be hidden"
     return [
@@ -664,14 +664,15 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
     whole, parts = _folds(waveform, period)
     orders = _supported_orders(whole)
     averaged_periods = period.frequency_hz * waveform.averaged_s
-    kept = _kept(averaged_periods, orders[1] if orders else 1)
-    lost = np.abs(np.sinc(averaged_periods * np.arange(1, orders[0] + 1))) < _LEAST_KEPT if orders else np.zeros(1)
-    hidden = bool(np.any(lost))
-    if hidden:  # without one of its harmonics the light would have another shape
-        kept = np.ones_like(kept)
+    enough, order = orders or (0, 0)
+    kept = np.sinc(averaged_periods * np.arange(order + 1))  # numpy's sinc holds the π
+    hidden = bool(np.any(np.abs(kept[: enough + 1]) < _LEAST_KEPT))
+    orders = None if hidden else orders  # without one of its harmonics the light would have another shape
+    kept[np.abs(kept) < _LEAST_KEPT] = 1.0
+    kept = np.concatenate([kept, kept[1:]])  # of mean, cosines and sines
 
     def of(fold: _Fold) -> tuple[Array, Array]:
-        return _of_series(fold, *orders, kept) if orders else _of_phases(fold)
+        return _of_series(fold, *orders, kept) if orders else _of_phases(fold, averaged_periods)
 
     values, own_u = of(whole)
     if orders:
@@ -684,10 +685,22 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
         near = (replace(period, frequency_hz=period.frequency_hz + one * u_hz) for one in (-1.0, 0.0, 1.0))
         found, found_u = np.array([of(_folds(waveform, one)[0]) for one in near]).swapaxes(0, 1)
         own_u = np.hypot(np.abs(found - values).max(axis=0), found_u.max(axis=0))
-    if not orders or hidden:  # averaged edges of a square take so much of the area above its mean
-        own_u[1] = math.hypot(own_u[1], values[1] * averaged_periods / math.sqrt(3.0))
+        again = _taken_once_more(phase, light, averaged_periods)
+        values[1] += 2.0 * again
+        own_u[1] = math.hypot(own_u[1], again / math.sqrt(3.0))
     u = np.maximum(own_u, jackknife_u([of(part)[0] for part in parts]))
-    return ShapeMeasures(values, u, len(parts), bool(orders) and not hidden, phase, light, hidden, u_hz)
+    return ShapeMeasures(values, u, len(parts), bool(orders), phase, light, hidden, u_hz)
+
+
+def _taken_once_more(phase: Array, light: Array, averaged_periods: float) -> float:
+    """Return what averaging once more takes of the flicker index; the first time took one to three times as much.
+
+    Edges between long levels lose three times as much at first where their middle is the mean light, bends once.
+    """
+    once = np.interp(np.arange(_GRID) / _GRID, phase, light, period=1.0)
+    twice = uniform_filter1d(once, max(1, round(min(averaged_periods, 1.0) * _GRID)), mode="wrap")
+    above = [np.maximum(one - once.mean(), 0.0).mean() for one in (once, twice)]
+    return float((above[0] - above[1]) / once.mean())
 
 
 def measure_record(waveform: Waveform) -> ShapeMeasures:
@@ -706,22 +719,16 @@ def _line_noise(amplitude: Array, samples: int) -> float:
     return math.sqrt(float(np.median(amplitude**2)) / math.log(2.0) * samples / 6.0)
 
 
-def other_line(
-    waveform: Waveform, period: Period | None = None, shape: ShapeMeasures | None = None
-) -> tuple[float, float] | None:
+def other_line(waveform: Waveform, period: Period, shape: ShapeMeasures) -> tuple[float, float] | None:
     """Return frequency in Hz and amplitude of the strongest line below 2 kHz that no period explains; None in noise."""
-    left = waveform.light
-    if period is not None and shape is not None:
-        phase = np.arange(left.size) * period.frequency_hz / waveform.rate_hz % 1.0
-        left = left - np.interp(phase, shape.phase, shape.light, period=1.0)
+    cycles = np.arange(waveform.light.size) * period.frequency_hz / waveform.rate_hz
+    left = waveform.light - np.interp(cycles, shape.phase, shape.light, period=1.0)
     frequency_hz, amplitude = spectrum(left, waveform.rate_hz)
     looked_at = (frequency_hz * waveform.duration_s >= 1.5) & (frequency_hz <= _SVM_BAND_HZ[1])
-    least = 0.0
-    if period is not None and shape is not None:
-        cycles = frequency_hz / period.frequency_hz
-        # A Hann window spreads a line over two bins on either side.
-        looked_at &= np.abs(cycles - np.round(cycles)) * period.frequency_hz * waveform.duration_s > 2.5
-        least = float(np.ptp(shape.light)) * _NOISELESS
+    lines = frequency_hz / period.frequency_hz
+    # A Hann window spreads a line over two bins on either side.
+    looked_at &= np.abs(lines - np.round(lines)) * period.frequency_hz * waveform.duration_s > 2.5
+    least = float(np.ptp(shape.light)) * _NOISELESS
     if not looked_at.any():
         return None
     power = amplitude[looked_at] ** 2
@@ -821,13 +828,6 @@ def _is_unstructured(residual: Array, negligible: float) -> bool:
     return (1.0 - ratio) * math.sqrt(residual.size) < _STRUCTURED_SIGMAS
 
 
-def _kept(averaged_periods: float, order: int) -> Array:
-    """Return by how much an exposure scales each factor of a series; 1 where the loss cannot be corrected."""
-    kept = np.sinc(averaged_periods * np.arange(1, order + 1))  # numpy's sinc holds the π
-    kept[np.abs(kept) < _LEAST_KEPT] = 1.0
-    return np.concatenate([[1.0], kept, kept])
-
-
 def _of_series(fold: _Fold, enough: int, order: int, kept: Array) -> tuple[Array, Array]:
     """Return modulation depth and flicker index of a series, and their standard uncertainties.
 
@@ -857,13 +857,13 @@ def _of_series(fold: _Fold, enough: int, order: int, kept: Array) -> tuple[Array
     return np.array([depth, index]), np.hypot(np.hypot(u, abs(depth) * between + left), [missing, 0.0])
 
 
-def _of_phases(fold: _Fold) -> tuple[Array, Array]:
+def _of_phases(fold: _Fold, averaged_periods: float) -> tuple[Array, Array]:
     """Return modulation depth and flicker index of a period in steps, and their standard uncertainties."""
     sigma = _noise(fold)
     wide = max(1, round(fold.phase.size * _WINDOW)) if sigma > _NOISELESS * float(np.ptp(fold.light)) else 1
-    # Phases of few periods may be bunched: a mean reaches from bunch to bunch.
-    bunch = float(np.diff(fold.phase, append=fold.phase[0] + 1.0).max()) * fold.phase.size
-    return _of_neighbours(fold, sigma, wide, 2 * (wide - 1) + round(3.0 * bunch))
+    # Phases of few periods may be bunched: a mean reaches from bunch to bunch. An exposure took its mean before.
+    reach = 3.0 * float(np.diff(fold.phase, append=fold.phase[0] + 1.0).max()) + averaged_periods
+    return _of_neighbours(fold, sigma, wide, 2 * (wide - 1) + round(reach * fold.phase.size))
 
 
 def _of_neighbours(fold: _Fold, sigma: float, wide: int, wider: int) -> tuple[Array, Array]:

@@ -35,6 +35,7 @@ from radiometer.bench.config import BenchConfig
 from radiometer.bench.instrument import central_patch
 from radiometer.data import CaptureSetWriter, LensDescription, Patch, PatchDescription, Quantity
 from radiometer.data.drawing import new_axes, picture
+from radiometer.data.mosaic import in_cells
 from radiometer.data.storage import check_new_folder, write_text_atomic, write_yaml_atomic
 from radiometer.devices import Camera, CameraCapabilities
 from radiometer.errors import UsageError
@@ -148,6 +149,7 @@ def characterise(
     path: PathLike | None = None,
     patch: PatchLike | None = None,
     *,
+    channel: str = "green",
     camera: str | None = None,
     bench: PathLike | None = None,
     radiance: KnownRadiance | None = None,
@@ -169,6 +171,7 @@ def characterise(
     Args:
         path: Capture set, or EMVA 1288 descriptor; or else `camera`.
         patch: Look at (x, y, width, height) only.
+        channel: Of the mosaic of a colour camera: "red", "green" or "blue".
         camera: Drive this camera: "sim", or its id, serial number or address.
         bench: Bench file of that camera; the simulated bench by default.
         radiance: Known radiance of the region in W·sr⁻¹·m⁻², for the quantum efficiency.
@@ -182,7 +185,7 @@ def characterise(
         progress: Called after every frame.
 
     Raises:
-        UsageError: If neither or both of path and camera are named.
+        UsageError: If neither or both of path and camera are named, or a mosaic has no such colour.
         OutputRefused: If a descriptor's folder of images holds files.
         CaptureError: If the frames are missing or inconsistent.
         MeasurementError: If they do not determine the figures.
@@ -198,7 +201,7 @@ def characterise(
         if path is None:
             limits = _take(folder, camera, Path(bench) if bench else None, region, steps, ask, progress)
             region = None  # only it was kept
-        subject = read_subject(folder, region)
+        subject = read_subject(folder, region, channel)
         if radiance is not None:
             capture = open_capture(folder)
             shape = capture.read_frame(0).shape
@@ -239,6 +242,8 @@ def _take(
     """Write the frames of the ladder and return the camera's limits; only the region of each frame is kept."""
     with open_bench_camera(bench, name) as (config, camera):
         where = region or (config.patch.patch if config.patch else central_patch(camera))
+        if camera.description.mosaic is not None:
+            where = in_cells(where)
         request = LadderRequest(where, steps)
         shutter = None if camera.capabilities.has_shutter else shutter_by_hand(camera, ask)
         with _writer(folder, camera, config, where) as writer:

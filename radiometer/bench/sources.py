@@ -90,9 +90,7 @@ def open_source(
 
 def _of_capture(path: Path, capture: CaptureSet, report: Callable[[int, int], None] | None) -> Source:
     lines = imported_of(capture).lines() if capture.store is not None else []
-    if mosaic := capture.header.camera.mosaic:
-        lines = [*lines, f"a mosaic of colours ({mosaic}): its {capture.colour} pixels are read"]
-    doubts = tuple(f"{path.name}: {line}" for line in lines)
+    doubts = tuple(f"{path.name}: {line}" for line in (*lines, *capture.mosaic_notes))
     return Source(path, _capture_brackets(capture, report), capture.header, doubts=doubts)
 
 

@@ -222,6 +222,12 @@ class CaptureSet:
             raise UsageError(f"{self.path}: --channel {channel}: of a mosaic of colours choose {', '.join(COLOURS)}")
         return replace(self, colour=colour)
 
+    @property
+    def mosaic_notes(self) -> tuple[str, ...]:
+        """Return in a line which pixels of a mosaic of colours are read; none without a mosaic."""
+        mosaic = self.header.camera.mosaic
+        return (f"a mosaic of colours ({mosaic}): its {self.colour} pixels are read",) if mosaic else ()
+
     def __len__(self) -> int:
         return len(self.header.frames)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.capture_header import CameraDescription, LensDescription, PatchDescription
+from radiometer.data.reading import Patch
 
 COLOURS: Final = ("red", "green", "blue")
 _SIDE: Final = 2  # pixels of a cell in each direction
@@ -18,6 +19,13 @@ def plane_of(numbers: NDArray[np.uint8] | NDArray[np.uint16], mosaic: str, colou
     row, column = divmod(mosaic.index(colour[0].upper()), _SIDE)
     height, width = (size // _SIDE * _SIDE for size in numbers.shape)
     return np.ascontiguousarray(numbers[row:height:_SIDE, column:width:_SIDE])
+
+
+def in_cells(patch: Patch) -> Patch:
+    """Return a patch of the sensor grown to whole cells of a mosaic."""
+    x, y = (start // _SIDE * _SIDE for start in (patch.x, patch.y))
+    right, bottom = (-(-end // _SIDE) * _SIDE for end in (patch.x + patch.width, patch.y + patch.height))
+    return Patch(x, y, right - x, bottom - y)
 
 
 def in_planes(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -84,7 +86,7 @@ def lensfun_flat_field(record: LensRecord, shape: tuple[int, int]) -> tuple[Flat
         shape: (height, width) of the frames: the whole picture of the camera, at any scale.
 
     Raises:
-        InputError: If the database knows no such camera or lens, or no fall-off of it.
+        InputError: If the database knows no such camera or lens, several of that name, or no fall-off of it.
         MissingLibrary: If lensfunpy is not installed.
 
     Source: lensfun's model "pa", relative illumination 1 + k₁r² + k₂r⁴ + k₃r⁶, r = 1 in the corner of the sensor
@@ -102,8 +104,7 @@ def lensfun_flat_field(record: LensRecord, shape: tuple[int, int]) -> tuple[Flat
             f"lensfun's database has no lens {record.lens!r} for the {record.camera}; name it with --lens as the "
             "database does, or use a flat field of your own"
         )
-    # A lens may be there several times, measured on sensors of several sizes.
-    same = [one for one in lenses if _plain(one.model) == _plain(record.lens)] or lenses[:1]
+    same = _of_one_name(lenses, record.lens)
     settings = record.focal_length_mm, record.f_number, record.distance_m or _FAR_M
     known = [(one, found) for one in same if (found := one.interpolate_vignetting(*settings)) is not None]
     lens, found = known[0] if known else (same[0], None)
@@ -141,9 +142,24 @@ def _database() -> Any:
     return lensfunpy.Database()
 
 
-def _plain(name: str) -> str:
-    """Return a lens's name without what makers and databases write in different ways."""
-    return "".join(name.lower().split())
+def _of_one_name(lenses: Sequence[Any], name: str) -> list[Any]:
+    """Return the entries of the one lens that a name fits; a lens may be there several times, on sensors of all sizes.
+
+    Raises:
+        InputError: If the name is that of none and a part of several.
+    """
+    same = [one for one in lenses if _plain(one.model, one.maker) == _plain(name, one.maker)] or list(lenses)
+    models = sorted({one.model for one in same})
+    if len({_plain(model) for model in models}) > 1:
+        raise InputError(
+            f"lensfun's database has several lenses for the name {name!r}: {', '.join(models)}; name one with --lens"
+        )
+    return same
+
+
+def _plain(name: str, maker: str = "") -> str:
+    """Return a lens's name without its maker and what makers and databases write in different ways."""
+    return re.sub(r"[\s/|]", "", name.lower().removeprefix(maker.lower()))
 
 
 def _number(value: object) -> float | None:

@@ -22,8 +22,8 @@ def export_descriptor(subject: Subject, result: Characterisation, path: Path) ->
 
     Exposures are in ns, light in photons per pixel. Every setting is written as a pair (its first two frames), and
     the bright and dark setting with most frames at one exposure once more as the stack for the spatial figures. The
-    form knows no regions: where only part of the frame was looked at, that part is written to separate images, into a
-    folder next to the file.
+    form knows neither regions nor colours: where only part of the pixels was looked at, that part is written to
+    separate images, into a folder next to the file.
 
     Args:
         subject: The frames, whose photons must be known.
@@ -61,24 +61,23 @@ class _Images:
     def __init__(self, subject: Subject, path: Path) -> None:
         self.region = largest_region(subject)[0]
         self._path = path
-        self._written: set[Path] = set()
-        whole = read_digital_numbers(subject.groups[0].files[0])
-        self.height, self.width = whole.shape if self.region is None else (self.region.height, self.region.width)
-        if self.region is not None and whole.shape == (self.height, self.width):
-            self.region = None
+        self._written: dict[Path, Path] = {}
+        height, width = subject.groups[0].reader(subject.groups[0].files[0]).shape
+        self.region = self.region or Patch(0, 0, width, height)
+        self.height, self.width = self.region.height, self.region.width
+        self._whole = (height, width) == (self.height, self.width)
 
-    def name(self, file: Path) -> str:
+    def name(self, group: FrameGroup, file: Path) -> str:
         """Return the image's name relative to the descriptor, with backslashes; writes it where it is a part."""
-        if self.region is None:
+        if self._whole and group.reader is read_digital_numbers:
             return os.path.relpath(file, self._path.parent).replace("/", "\\")
         folder = images_folder(self._path)
         make_folder(folder)
-        target = folder / f"{file.stem}.png"
-        if target not in self._written:
-            part = np.ascontiguousarray(read_digital_numbers(file)[self.region.slices])
+        if file not in self._written:
+            self._written[file] = target = folder / f"{len(self._written):04d}.png"
+            part = np.ascontiguousarray(group.reader(file)[self.region.slices])
             write_bytes_atomic(target, cv2.imencode(".png", part)[1].tobytes())
-            self._written.add(target)
-        return f"{folder.name}\\{target.name}"
+        return f"{folder.name}\\{self._written[file].name}"
 
 
 def images_folder(descriptor: Path) -> Path:
@@ -127,7 +126,7 @@ def _photons(subject: Subject, group: FrameGroup) -> float:
 def _entry(subject: Subject, group: FrameGroup, images: _Images, count: int) -> list[str]:
     exposure_ns = f"{group.settings.exposure_s * 1e9:.3f}"
     head = f"d {exposure_ns}" if group.settings.is_dark else f"b {exposure_ns} {_photons(subject, group):.6f}"
-    return [head, *(f"i {images.name(file)}" for file in group.files[:count])]
+    return [head, *(f"i {images.name(group, file)}" for file in group.files[:count])]
 
 
 def _stack(bright: Sequence[FrameGroup], dark: dict[float, FrameGroup]) -> tuple[FrameGroup, ...]:

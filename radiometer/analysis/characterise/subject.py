@@ -42,7 +42,8 @@ class FrameGroup:
     settings: FrameSettings  # the setting; temperature and time are those of the first frame
     files: tuple[Path, ...]  # their files
     photons: float | None = None  # mean photons per pixel where a descriptor states them; None elsewhere
-    reader: Callable[[Path], DigitalNumbers] = read_digital_numbers  # returns the digital numbers of a file
+    # Returns the digital numbers of a file, where they are not all of it
+    reader: Callable[[Path], DigitalNumbers] = read_digital_numbers
 
     def read(self, full_scale_dn: int) -> Iterator[DigitalNumbers]:
         """Yield the frames' digital numbers.
@@ -82,10 +83,11 @@ def _group(capture: CaptureSet, settings: list[FrameSettings], members: list[int
     mean = float(np.mean(temperatures)) if temperatures else None
     entries = [capture.header.frames[i] for i in members]
     first = replace(settings[members[0]], temperature_c=mean)
-    if capture.store is None:
-        return FrameGroup(first, tuple(capture.path / entry.file for entry in entries), entries[0].photons)
-    names = {Path(entry.file): entry.file for entry in entries}
-    return FrameGroup(first, tuple(names), entries[0].photons, lambda file: capture.read_numbers(names[file]))
+    folder = capture.path if capture.store is None else Path()
+    names = {folder / entry.file: entry.file for entry in entries}
+    are_whole = capture.store is None and capture.header.camera.mosaic is None
+    read = read_digital_numbers if are_whole else lambda file: capture.read_numbers(names[file])
+    return FrameGroup(first, tuple(folder / entry.file for entry in entries), entries[0].photons, read)
 
 
 def _temperature_plateaus(temperatures: list[float | None]) -> list[int]:
@@ -236,15 +238,17 @@ class Subject:
         return replace(one, photons=flux.photons(one.settings))
 
 
-def read_subject(path: Path, region: Patch | None = None) -> Subject:
+def read_subject(path: Path, region: Patch | None = None, channel: str = "green") -> Subject:
     """Return what a capture set, an EMVA 1288 descriptor, files of a laboratory or a table of statistics holds.
 
     Args:
         path: A capture set, a descriptor file or a folder with `EMVA1288_Data.txt`, FITS or raw TIFF files, a table.
         region: Where to look; the patches of the capture set, else the whole frame, where None.
+        channel: Colour of a mosaic whose pixels are read.
 
     Raises:
         InputError: If it is neither, or unfinished or inconsistent.
+        UsageError: If a mosaic has no such colour.
     """
     header = statistics_of(path) if path.exists() else None
     if header is not None:
@@ -254,7 +258,7 @@ def read_subject(path: Path, region: Patch | None = None) -> Subject:
         return _of_descriptor(descriptor, region)
     if path.is_file() and path.suffix.lower() == ".txt" and not is_foreign(path):
         return _of_descriptor(path, region)  # which says what line is not understood
-    return subject_of_capture(open_capture(path), region)
+    return subject_of_capture(open_capture(path).in_colour(channel), region)
 
 
 def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subject:
@@ -288,7 +292,7 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
         tuple(kept),
         tuple(p.patch for p in patches) or (None,),
         tuple(fluxes) or (None,),
-        (*notes, *more, *white),
+        (*capture.mosaic_notes, *notes, *more, *white),
         masked_dn=tuple(
             float(entry.model_extra["masked_rows_dn"])
             for entry in header.frames

@@ -21,6 +21,7 @@ from scipy.spatial import ConvexHull
 
 from radiometer.analysis.photometry.displays import GRID_NM, display_primaries, on_grid, tristimulus_of
 from radiometer.analysis.photometry.photometry import DISPLAY_TYPES, FLUORESCENT, KINDS, spectrum
+from radiometer.analysis.photometry.responses import colour_cameras
 from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data import Calibration, CameraDescription, LensDescription, Provenance, Scale, ScaleConditions
 from radiometer.data.mosaic import COLOURS
@@ -43,14 +44,6 @@ _BUMPS_NM: Final = (450.0, 500.0, 550.0, 600.0)
 _BUMP_NM: Final = 45.0  # standard deviation of a blue, green or purple pigment's band
 _DARK, _BRIGHT = 0.05, 0.75  # reflectances of coloured surfaces
 _DRIVES: Final = (0.0, 0.3, 1.0)  # of a display's primaries in mixtures
-# Colour cameras: peaks of the quantum efficiency in nm, full widths at half maximum, and what leaks through a filter
-# elsewhere. Source: data sheets of Sony Pregius colour sensors; Jiang et al. 2013, IEEE WACV, 168 (28 cameras).
-_PEAKS_NM: Final = (605.0, 535.0, 460.0)
-_WIDTHS_NM: Final = (85.0, 95.0, 80.0)
-_LEAK: Final = 0.04
-_SHIFTS_NM: Final = (-10.0, 0.0, 10.0)
-_WIDER: Final = (0.75, 0.85, 1.0)
-_CUT_NM, _CUT_WIDTH_NM = 670.0, 8.0  # infrared filter
 FORMAT: Final = "radiometer-colour/1"
 ALL: Final = "all"  # name of the matrix that serves every kind of light
 _SURELY: Final = 2.0  # standard uncertainties beyond the hull of the training set
@@ -357,7 +350,7 @@ def errors_of_other_lights(
         pairs = [(matrix, scale * responsivities)]
     else:
         target = _normal(tristimulus_of(powers))
-        pairs = [(solve(_signal(powers, camera), target).T, camera) for camera in plausible_cameras()]
+        pairs = [(solve(_signal(powers, camera), target).T, camera) for camera in colour_cameras(GRID_NM)]
     found = {}
     for kind, one in lights.items():
         shares = _normal(tristimulus_of(one))
@@ -562,17 +555,3 @@ def _reflectances() -> Array:
     bumps = [np.exp(-0.5 * ((GRID_NM - centre) / _BUMP_NM) ** 2) for centre in _BUMPS_NM]
     shapes = np.stack([*edges, *bumps, *(1.0 - one for one in bumps), np.full(GRID_NM.size, 0.5)])
     return _DARK + (_BRIGHT - _DARK) * shapes
-
-
-@cache
-def plausible_cameras() -> Array:
-    """Return responsivities per watt of colour cameras over `GRID_NM`, shape (cameras, 3, wavelengths)."""
-    cut = 1.0 / (1.0 + np.exp((GRID_NM - _CUT_NM) / _CUT_WIDTH_NM))
-    found = []
-    for shift, wider in itertools.product(_SHIFTS_NM, _WIDER):
-        bells = [
-            np.exp(-4.0 * math.log(2.0) * ((GRID_NM - peak - shift) / (wider * width)) ** 2)
-            for peak, width in zip(_PEAKS_NM, _WIDTHS_NM, strict=True)
-        ]
-        found.append(GRID_NM * cut * (_LEAK + (1.0 - _LEAK) * np.stack(bells)))
-    return np.stack(found)

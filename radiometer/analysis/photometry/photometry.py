@@ -20,7 +20,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data import Quantity, SpectralResponse
+from radiometer.data import Quantity
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
@@ -84,8 +84,6 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
         f"display:{kind}:{primary}" for kind in ("oled", "led_lcd") for primary in ("red", "green", "blue")
     ),
 }
-_PEAKS_NM: Final = (500.0, 550.0, 600.0)  # assumed: silicon behind a lens and an infrared filter peaks between these
-_HALF_WIDTH_NM: Final = 150.0  # assumed distance from the peak to half of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -514,54 +512,3 @@ def spectral_mismatch_factor(
         raise InputError("the camera's spectral response is zero over one of the spectra; extend its table")
     ratio = source.integral(*weighting) / signal
     return ratio * signal_calibration / calibration_source.integral(*weighting)
-
-
-def plausible_responses() -> tuple[Array, tuple[Array, ...]]:
-    """Return wavelengths in nm, and responses per watt that a silicon sensor behind a lens may have.
-
-    They count photons with a quantum efficiency that is flat, or falls by a half to 400 and to 700 nm from a peak.
-    The peak is at 500, 550 or 600 nm, as EMVA 1288 data sheets of monochrome sensors show.
-    """
-    wavelength = np.arange(200.0, 1101.0, 5.0)
-    bells = (np.exp(-math.log(2.0) * ((wavelength - peak) / _HALF_WIDTH_NM) ** 2) for peak in _PEAKS_NM)
-    return wavelength, (wavelength, *(wavelength * bell for bell in bells))
-
-
-def unstated_light_u_rel(assumed: str, response: SpectralResponse | None, observer: Observer | None = None) -> float:
-    """Return the relative standard uncertainty of a reading whose light is treated as `assumed` and may be any kind.
-
-    It is the root of the mean square of F − 1, where F is the factor that would correct the reading. The mean is over
-    the kinds of light, and over plausible responses where the camera's is not known.
-
-    Args:
-        assumed: Name of the spectrum that the reading is made for.
-        response: The camera's spectral response; None where unknown.
-        observer: For a luminance, the observer; None for a radiance.
-    """
-    if response is None:
-        return _spread(assumed, None, observer)
-    known = (response.wavelength_nm, response.relative)
-    if spectrum(assumed).integral(np.array(known[0]), np.array(known[1])) <= 0.0:
-        return _spread(assumed, None, observer)  # the table ends before this light: it says nothing of it
-    return math.hypot(_spread(assumed, known, observer), response.u_rel)
-
-
-@cache
-def _spread(
-    assumed: str, known: tuple[tuple[float, ...], tuple[float, ...]] | None, observer: Observer | None
-) -> float:
-    wavelength, responses = plausible_responses()
-    if known is not None:
-        wavelength, responses = np.array(known[0]), (np.array(known[1]),)
-    reference = spectrum(assumed)
-    of_kinds = [
-        np.mean(
-            [
-                (spectral_mismatch_factor(spectrum(name), reference, wavelength, response, observer) - 1.0) ** 2
-                for name in names
-                for response in responses
-            ]
-        )
-        for names in KINDS.values()
-    ]
-    return float(np.sqrt(np.mean(of_kinds)))

@@ -16,15 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from radiometer.analysis.calibration.shared import Handling, settle
-from radiometer.analysis.photometry.photometry import (
-    KINDS,
-    Observer,
-    plausible_responses,
-    spectral_mismatch_factor,
-    spectrum,
-    unstated_light_u_rel,
-)
+from radiometer.analysis.calibration.shared import Handling, channel_of, settle
+from radiometer.analysis.photometry.photometry import KINDS, Observer
+from radiometer.analysis.photometry.responses import unknown_mismatch_u_rel, unstated_light_u_rel
 from radiometer.analysis.reading.estimate import PatchEstimate
 from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr
 from radiometer.analysis.signal.model import DarkLevel, PatchFrame, SignalModel
@@ -42,6 +36,7 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.mosaic import COLOURS
 from radiometer.data.reading import CLIPPING
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
@@ -795,7 +790,8 @@ def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties, *, spe
     of_light = stated.spectral_u_rel if spectrum_stated else unstated_u_rel(calibration, stated)
     if of_scale == calibration.spectrum or not calibration.absolute:
         return math.hypot(of_light, efficacy)
-    response, unknown = calibration.spectral_response, unknown_mismatch_u_rel(calibration.spectrum, of_scale)
+    unknown = unknown_mismatch_u_rel(calibration.spectrum, of_scale, _colours(calibration))
+    response = calibration.spectral_response
     own = min(response.u_rel, unknown) if response else unknown
     return math.hypot(of_light, efficacy, own)
 
@@ -810,20 +806,14 @@ def unstated_u_rel(calibration: Calibration, stated: StatedUncertainties, observ
     """
     if stated.spectral_u_rel > 0.0 or not calibration.absolute:
         return stated.spectral_u_rel
-    return unstated_light_u_rel(calibration.spectrum, calibration.spectral_response, observer)
+    known = calibration.spectral_response
+    return unstated_light_u_rel(calibration.spectrum, known, observer, _colours(calibration))
 
 
-def unknown_mismatch_u_rel(source: str, of_scale: str) -> float:
-    """Return the root of the mean square of ln F over plausible responses of silicon behind a lens.
-
-    Args:
-        source: Name of the spectrum that is read.
-        of_scale: Name of the spectrum of the calibration.
-    """
-    wavelength, responses = plausible_responses()
-    light, reference = spectrum(source), spectrum(of_scale)
-    factors = [spectral_mismatch_factor(light, reference, wavelength, response) for response in responses]
-    return float(np.sqrt(np.mean(np.log(factors) ** 2)))
+def _colours(calibration: Calibration) -> tuple[str, ...]:
+    """Return the colours that its pixels may be of: its own; of a mosaic any; none of a sensor without filters."""
+    own = channel_of(calibration)
+    return (own,) if own in COLOURS else COLOURS if calibration.camera.mosaic is not None else ()
 
 
 def f_number_u_rel(

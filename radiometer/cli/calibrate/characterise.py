@@ -30,6 +30,7 @@ def command(
     ] = None,
     bench: BenchOption = None,
     patch: Annotated[str | None, typer.Option(help="Look at this region X,Y,W,H only.")] = None,
+    channel: Annotated[str, typer.Option(help="Of colour cameras: red, green or blue.")] = "green",
     radiance: Annotated[
         KnownRadiance | None,
         typer.Option(help="Known radiance of the region in W/(sr m2), for the quantum efficiency."),
@@ -51,7 +52,7 @@ def command(
     """
     with progress(shown=not json) as shown:
         found = rm.characterise(
-            capture, parse_patch(patch), camera=camera, bench=bench, radiance=radiance,
+            capture, parse_patch(patch), channel=channel, camera=camera, bench=bench, radiance=radiance,
             radiance_u_rel=radiance_u_rel, steps=steps, keep=keep,
             emva_descriptor=emva_descriptor, taps=taps, ask=asker(), progress=shown,
         )  # fmt: skip

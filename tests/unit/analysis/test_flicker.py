@@ -217,14 +217,23 @@ def test_a_harmonic_that_the_exposure_hides_leaves_lower_bounds(exposure_s, hidd
     assert hidden or found.modulation_depth.value == pytest.approx(truth, rel=1e-3)
 
 
-def test_edges_that_a_short_exposure_averages_are_in_the_flicker_index():
-    """Light of 1.4 and 0.6 in halves of 4 ms has 0.2; 0.2 ms take a twentieth of it, which u holds and a line says."""
-    t, rng = light_at(50_000.0, 0.4), np.random.default_rng(3)
-    square = np.where(250.0 * t % 1.0 < 0.5, 1.4, 0.6)
-    light = np.convolve(square, np.full(10, 0.1), "same")[10:-10] + rng.normal(0.0, 0.01, t.size - 20)
-    found = measure_flicker(Waveform(light, 50_000.0, "rows", 0.0, 2e-4))
-    assert abs(found.flicker_index.value - 0.2) <= 2.0 * found.flicker_index.u < 0.03
-    assert any("flicker index are lower bounds" in line for line in found.warnings)
+@pytest.mark.parametrize("exposure_s", [2e-4, 6e-4])
+@pytest.mark.parametrize(
+    "levels",
+    [np.repeat([1.4, 0.6], 100), np.repeat([1.0, 0.2, 1.0, 0.2], [30, 30, 60, 80]), 0.3 + np.arange(200) / 200],
+)
+def test_edges_that_an_exposure_averages_are_corrected_in_the_flicker_index(levels, exposure_s):
+    """Halves, two pulses and a sawtooth of 4 ms: edges lose area, which is given back; a sawtooth loses depth."""
+    at, window = np.arange(6000) * 1.0137, 50_000.0 * exposure_s
+    sums = np.concatenate([[0.0], np.cumsum(np.tile(levels, 32))])
+    ends, starts = (np.interp(one, np.arange(sums.size), sums) for one in (at + window, at))
+    light = (ends - starts) / window + np.random.default_rng(3).normal(0.0, 0.01, at.size)
+    found = measure_flicker(Waveform(light, 50_000.0 / 1.0137, "rows", 0.0, exposure_s))
+    mean = levels.mean()
+    truth = np.ptp(levels) / (levels.max() + levels.min()), np.maximum(levels - mean, 0.0).mean() / mean
+    for one, true in zip((found.modulation_depth, found.flicker_index), truth, strict=True):
+        assert abs(one.value - true) <= found.coverage_factor * one.u < 0.4 * true
+    assert any("modulation depth" in line and "lower bound" in line for line in found.warnings)
 
 
 def test_darkness_scales_every_modulation_and_counts_in_u():

@@ -17,6 +17,7 @@ from radiometer.analysis.calibration.calibrate import (
     unscaled_calibration,
 )
 from radiometer.analysis.photometry.photometry import spectrum
+from radiometer.analysis.photometry.responses import unknown_mismatch_u_rel
 from radiometer.analysis.reading import budget
 from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
@@ -99,7 +100,7 @@ def test_a_camera_that_sees_a_colour_better_needs_less_of_it(used, factor):
 def test_what_a_spectral_correction_is_doubted_by():
     """The response's own 2 %; unknown as much as cameras differ there; next to what is stated, in squares."""
     stated = NOTHING.model_copy(update={"spectral_u_rel": 0.03, "efficacy_u_rel": 0.04})
-    unknown = budget.unknown_mismatch_u_rel("line:650", "line:450")
+    unknown = unknown_mismatch_u_rel("line:650", "line:450")
     assert unknown > 0.1
     shown = [
         budget.spectral_u_rel(spectral(*names, response, **more), stated)
@@ -114,13 +115,39 @@ def test_what_a_spectral_correction_is_doubted_by():
 
 
 def test_cameras_of_unknown_colour_differ_as_four_kinds_do():
-    """Photons alone, and through bells of 300 nm around 500, 550 and 600 nm: the root mean square of the logarithms."""
-    logs = []
+    """Photons alone, and through bells of 300 nm around 500, 550 and 600 nm: the root mean square of F − 1."""
+    off = []
     for peak in (None, 500.0, 550.0, 600.0):
         red, blue = (w * (1.0 if peak is None else 2.0 ** -(((w - peak) / 150.0) ** 2)) for w in (650.0, 450.0))
-        logs.append(math.log(blue / red))
-    expected = math.sqrt(sum(one**2 for one in logs) / 4)
-    assert budget.unknown_mismatch_u_rel("line:650", "line:450") == pytest.approx(expected, rel=1e-6)
+        off.append(blue / red - 1.0)
+    expected = math.sqrt(sum(one**2 for one in off) / 4)
+    assert unknown_mismatch_u_rel("line:650", "line:450") == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("mosaic", "channel", "read_nm"),
+    [
+        ("RGGB", "green", 620.0),
+        ("RGGB", "green", 470.0),
+        (None, "red", 540.0),
+        (None, "blue", 520.0),
+        ("RGGB", None, 620.0),
+    ],
+)
+def test_pixels_under_a_filter_may_pass_far_less_of_another_light(mosaic, channel, read_nm):
+    """Filters at 600, 540 and 455 nm: what a reading is wrong by is within 2 u, and not within 2 u of silicon."""
+    peak_nm, width_nm = {"red": (600.0, 80.0), "blue": (455.0, 70.0)}.get(channel, (540.0, 90.0))
+    passed = [w * 2.0 ** -((2.0 * (w - peak_nm) / width_nm) ** 2) for w in (peak_nm, read_nm)]
+    known = spectral(f"line:{peak_nm:g}", f"line:{read_nm:g}", None)
+    conditions = known.scale.conditions.model_copy(update={"channel": channel})
+    known = replace(
+        known,
+        camera=known.camera.model_copy(update={"mosaic": mosaic}),
+        scale=known.scale.model_copy(update={"conditions": conditions}),
+    )
+    off = passed[0] / passed[1] - 1.0
+    assert off > 2.0 * unknown_mismatch_u_rel(f"line:{read_nm:g}", f"line:{peak_nm:g}")
+    assert off < 2.0 * budget.spectral_u_rel(known, NOTHING)
 
 
 @pytest.mark.parametrize(("m", "p", "near"), [(0.0, 1.0, 1.0), (1.0, 1.0, 4.0), (0.5, 2.0, 1.5625), (0.5, 0.5, 4.0)])
