@@ -224,7 +224,9 @@ def adapt_run(
             notice(remark)
     table_file = Path(csv) if csv else journal.with_suffix(".csv")
     if journal.exists() and not resumed:
-        raise OutputRefused(f"{journal} exists already, and a journal is never replaced; name another with -o")
+        raise OutputRefused(
+            f"{journal} exists already, of a finished or another run; leave --visit out, or name another with -o"
+        )
     check_outputs(None if resumed else journal, table_file, force=force or resumed)
     refuse_inputs([table_file], [one for one in (known, presets, screens, benches) if one is not None])
     with (

@@ -152,9 +152,10 @@ class MapAnalysis(Drawn):
         tall = min(2.0, max(0.5, self.map.shape[0] / self.map.shape[1]))
         inches = (8.0, 6.5 * tall), (4.0, 3.4 * tall)
         further = [f"{name}: {one.text()}" for name, one in self.of_picture.items()]
+        caption = f"{self.origin}: {quantity}; white pixels are saturated or below the noise"
         regions = table(("region", *_FIGURES), self.region_rows(), words=(0,))
         parts = [
-            picture(lambda figure, _: self.plot(figure.subplots()), f"{self.origin}: {quantity}", *inches),
+            picture(lambda figure, _: self.plot(figure.subplots()), caption, *inches),
             section(f"Regions: {quantity}, {self.coverage}", regions),
             self._profile_section(quantity),
             section("Further figures, k = 2", listed(further)),

@@ -164,7 +164,7 @@ def _passport(camera: tuple[str, ...], sessions: Sequence[Session]) -> Passport:
     if law is not None and len({point[0] for point in law.points}) > 1:
         verdict = "one law" if law.is_one else "no one law"
         off = law.relative_offset
-        apart = "" if off is None else f", {law.offset_session} {100 * off.value:+.1f} ± {100 * off.u:.1f} % from it"
+        apart = "" if off is None else f", {law.offset_session} {off.scaled(100.0, '%').text(with_k=True)} from it"
         what = f"{verdict} over {len(law.points)} temperatures of {len({p[0] for p in law.points})} sessions{apart}"
         changes.append(Change("dark current", not law.is_one, what))
     unchanged = not any(change.changed for change in changes if change.quantity in ("K", "dark current"))

@@ -28,6 +28,7 @@ from radiometer.analysis.characterise.steps import SignalStep, make_steps
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
+from radiometer.numbers import with_u
 from radiometer.statistics.model_choice import THREE_SIGMA, is_supported
 from radiometer.units import gain_factor
 
@@ -117,8 +118,8 @@ def disagreeing_gains(K: Quantity | None, K_dark: Quantity) -> list[str]:
     distance = abs(K.value - K_dark.value) / math.hypot(K.u, K_dark.u)
     word = "differs from" if is_supported(distance**2, THREE_SIGMA) else "agrees with"
     return [
-        f"the gain from dark frames, {K_dark.value:.4g} ± {K_dark.u:.2g} DN/e⁻, {word} that from light, "
-        f"{K.value:.4g} ± {K.u:.2g} DN/e⁻ ({distance:.1f} u)"
+        f"the gain from dark frames, {K_dark.text(with_k=True)}, {word} that from light, "
+        f"{K.text(with_k=True)} ({distance:.1f} u)"
     ]
 
 
@@ -131,8 +132,8 @@ def stated_gain_doubt(stated_e_per_dn: float | None, K: Quantity, gain_db: float
         return []
     off = 100.0 * (stated_e_per_dn / measured - 1.0)
     return [
-        f"conversion_gain_error: stated are {stated_e_per_dn:.4g} e⁻/DN, the noise says {measured:.4g} ± {u:.2g}: the "
-        f"statement is off by {off:+.1f} %"
+        f"conversion_gain_error: stated are {stated_e_per_dn:.4g} e⁻/DN, the noise says "
+        f"{with_u(measured, 2.0 * u, k=2)}: the statement is off by {off:+.1f} %"
     ]
 
 

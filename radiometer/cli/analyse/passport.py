@@ -46,7 +46,7 @@ def _show(passport: Passport) -> None:
     law = passport.dark_law
     if law is not None:
         out.print(
-            f"dark current doubles per ({law.doubling_k.value:.2f} ± {2 * law.doubling_k.u:.2f}) K (k = 2) from "
+            f"dark current doubles per {law.doubling_k.text(with_k=True)} from "
             f"{law.between_c[0]:.0f} to {law.between_c[1]:.0f} °C, {law.rate_at_0.value:.3g} DN/s at 0 °C; "
             f"points scatter {law.birge_ratio:.1f} times their u: "
             f"{'one law fits all' if law.is_one else 'no single law fits'}"
@@ -54,14 +54,12 @@ def _show(passport: Passport) -> None:
         share = law.generation_share
         if share is not None:
             out.print(
-                f"  ({100 * share.value:.0f} ± {200 * share.u:.0f}) % of it (k = 2) are generation, the rest "
-                "diffusion: the colder, the slower it doubles"
+                f"  {share.scaled(100.0, '%').text(with_k=True)} of it are generation, the rest diffusion: the colder, "
+                "the slower it doubles"
             )
         for one in law.doublings:
-            out.print(
-                f"  {one.session} by itself: ({one.measured_k.value:.2f} ± {2 * one.measured_k.u:.2f}) K (k = 2), "
-                f"by the law {one.expected_k:.2f} K there"
-            )
+            measured = one.measured_k.text(with_k=True)
+            out.print(f"  {one.session} by itself: {measured}, by the law {one.expected_k:.2f} K there")
         if law.doublings_apart_u is not None:
             out.print(f"  these differ as the law predicts, within {law.doublings_apart_u:.1f} u")
         for name, temperature_c, rate, distance in law.points:

@@ -62,7 +62,14 @@ class MeterReconciled:
              f"{row.k_exact:.4f}")
             for row in self.rows
         ]  # fmt: skip
-        head = ("source", "luminance in cd·m⁻²", "f-number", "time in s", "K as printed", "K of exact stops")
+        head = (
+            "source",
+            "luminance in cd·m⁻²",
+            "f-number",
+            "time in s",
+            "K as printed in cd·s·m⁻²",
+            "K of exact stops",
+        )
         parts = [*(paragraph(text) for text in self.result.extra.get("remarks", [])), table(head, rows)]
         origin = Origin("", further=(("table", self.origin),))
         write_text_atomic(

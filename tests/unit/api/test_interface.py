@@ -1,5 +1,8 @@
 """The Python interface, as a notebook uses it, and the names that `import radiometer` offers."""
 
+import ast
+import importlib
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -194,7 +197,18 @@ def test_a_response_is_recovered_drawn_and_written(tmp_path):
     assert (tmp_path / "curve.csv").read_text().startswith("dn,log_exposure,u_log_exposure\n")
     axes = response.plot()
     assert axes.get_xlabel() == "digital number M (DN)"
+    from matplotlib import pyplot
+
+    drawn = response.plot()
+    assert pyplot.gca() in drawn.figure.axes  # what `plt.savefig` writes
+    pyplot.close(drawn.figure)
     assert response._repr_html_().startswith('<figure><img alt="&lt;Response by linear_spline')
+
+
+def test_a_response_of_a_sphere_says_how_few_stops_its_data_cover():
+    """Light that is nearly even at times close together: what lies outside of the data is extrapolated."""
+    found = rm.recover_response(_gradient(32_000.0, (0.01, 0.011, 0.012, 0.014)), method="linear_spline")
+    assert any("stops only: readings outside them are extrapolated" in one for one in found.estimate.notes)
 
 
 def test_a_sensor_reports_its_figures_with_unit_and_uncertainty(stack, capture):
@@ -209,14 +223,14 @@ def test_a_sensor_reports_its_figures_with_unit_and_uncertainty(stack, capture):
     assert "<td>mu_y_dark</td><td>64.0" in sensor._repr_html_()
 
 
-def _gradient() -> rm.Stack:
+def _gradient(dimmest: float = 40.0, times: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32)) -> rm.Stack:
     """Return frames of a ramp of light by a linear 12-bit camera with noise, made here."""
     from radiometer.data import Bracket, CameraDescription, Frame, FrameSettings, LensDescription
 
     rng = np.random.default_rng(8)
-    light = np.geomspace(40.0, 40000.0, 120)[None, :] * np.ones((60, 1))
+    light = np.geomspace(dimmest, 40000.0, 120)[None, :] * np.ones((60, 1))
     frames = []
-    for exposure_s in (0.01, 0.02, 0.04, 0.08, 0.16, 0.32):
+    for exposure_s in times:
         electrons = rng.poisson(light * exposure_s * 10.0)
         dn = np.clip(np.round(electrons / 2.6 + 64.0 + rng.normal(0, 1.0, light.shape)), 0, 4095).astype(np.uint16)
         frames.append(Frame(dn, 12, FrameSettings(exposure_s=exposure_s, black_level_dn=64.0)))
@@ -259,6 +273,20 @@ def test_all_names_can_be_had_and_are_listed():
     for name in rm.__all__:
         assert getattr(rm, name).__doc__
     assert set(rm.__all__) <= set(dir(rm))
+
+
+def test_every_name_of_a_page_is_there(project_root):
+    """What the programs of README and docs import, and what they take from `rm`, exists."""
+    used = set()
+    for page in (project_root / "README.md", *sorted((project_root / "docs").rglob("*.md"))):
+        for program in re.findall(r"^```py[^\n]*\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S):
+            for node in ast.walk(ast.parse(program)):
+                if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] in ("radiometer", "simulators"):
+                    used |= {(str(node.module), one.name) for one in node.names}
+                elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "rm":
+                    used.add(("radiometer", node.attr))
+    assert ("radiometer.adapters.psychopy", "RadiometerPhotometer") in used
+    assert [one for one in sorted(used) if not hasattr(importlib.import_module(one[0]), one[1])] == []
 
 
 def test_what_is_not_listed_is_private():

@@ -75,13 +75,16 @@ def test_ti3_is_read_like_a_file_of_dispreads(screen, shared_data):
     assert white == pytest.approx(screen.channel().at(255, LUMINANCE).value)
 
 
-def test_csv_has_one_row_per_level_with_uncertainty(screen):
-    """Luminance and its u stand in every row."""
+def test_csv_has_one_row_per_level_with_uncertainty(screen, tmp_path):
+    """Luminance and its u stand in every row, and `screen import` reads them."""
     header, *rows = to_csv(screen).splitlines()
     last = dict(zip(header.split(","), rows[-1].split(","), strict=True))
     assert len(rows) == 17
     assert float(last["luminance_cd_m2"]) == pytest.approx(224.032)
     assert float(last["u_luminance_cd_m2"]) == pytest.approx(224.032 * 0.01005, rel=1e-2)
+    (tmp_path / "own.csv").write_text(to_csv(screen), encoding="utf-8")
+    again = rm.screen_import(tmp_path / "own.csv").calibration
+    assert again.channel().at(255, LUMINANCE).value == pytest.approx(224.032)
 
 
 @pytest.mark.slow
