@@ -19,7 +19,7 @@ from scipy.special import stdtr
 
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.result import FittedParameter, Repeats, Series
-from radiometer.reconciliation.thresholds import SIGNIFICANCE
+from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
 from radiometer.statistics.chances import chi2_beyond, chi2_quantile
 from radiometer.statistics.least_squares import solve
 from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
@@ -316,7 +316,7 @@ def _standing_out(series: Series, total: float, freedom: int) -> tuple[int, ...]
         own = apart**2 * (n - 1.0) / n
         left = max(total - own, 1e-30) / max(freedom - 1, 1)
         t = abs(apart) / np.sqrt(left * n / (n - 1.0))
-        if freedom > _FEWEST and 2.0 * float(stdtr(freedom - 1, -t)) * (freedom + 1) < SIGNIFICANCE:
+        if freedom > _FEWEST and 2.0 * float(stdtr(freedom - 1, -t)) * (freedom + 1) < FRAME_SIGNIFICANCE:
             found.append(position)
     return tuple(found)
 

@@ -46,8 +46,16 @@ SIGNIFICANCE: Final = _row(
     "SIGNIFICANCE",
     0.005,
     "chance",
-    "a false alarm among all tests of one pass, among the few in a name's own place, and among the frames of a session",
+    "a false alarm among all tests of one pass, and among the few in a name's own place",
     _NULL,
+)
+FRAME_SIGNIFICANCE: Final = _row(
+    "FRAME_SIGNIFICANCE",
+    0.001,
+    "chance",
+    "a period among frames that scatter at random, one of equal frames reported as an outlier by chance",
+    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py), series drawn at random "
+    "(tests/unit/reconciliation/test_repeats.py): none",
 )
 SCATTER_SIGMAS: Final = _row(
     "SCATTER_SIGMAS", 5.0, "sigma", "scatter without any trend, which no test along a covariate sees", _NULL
