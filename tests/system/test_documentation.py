@@ -52,17 +52,12 @@ def _opens_a_camera(page: Path) -> bool:
     return re.search(rf"^\$ radiometer ({commands})\b", page.read_text(encoding="utf-8"), re.MULTILINE) is not None
 
 
-def _slow_on_the_wire(page: Path) -> list[pytest.MarkDecorator]:
-    """Return the mark of pages whose captures of hundreds of frames take many minutes on the wire."""
-    return [pytest.mark.soak] if page.stem in ("tutorial", "find-a-missing-effect") else []
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("page", "program"),
     [
         *(pytest.param(page, "radiometer", id=page.stem) for page in FOLLOWED),
-        *(pytest.param(page, "testing.wire_program", id=f"{page.stem}-on-the-wire", marks=_slow_on_the_wire(page))
+        *(pytest.param(page, "testing.wire_program", id=f"{page.stem}-on-the-wire")
           for page in FOLLOWED if _opens_a_camera(page)),
     ],
 )  # fmt: skip
