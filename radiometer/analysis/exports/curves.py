@@ -220,6 +220,7 @@ def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
     check_plot_name(path)
     figure = Figure(figsize=(7.2, 6.4), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    least = np.inf
     for estimate in estimates:
         curve = estimate.curve
         low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
@@ -230,10 +231,12 @@ def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
         (line,) = upper.plot(dn, g, label=label, color=colour, linewidth=1.2)
         upper.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
         lower.semilogy(dn[u > 0], u[u > 0], color=line.get_color(), linewidth=1.0)
+        least = min(least, 0.1 * float(np.median(u)))
     absolute = any(estimate.curve.absolute for estimate in estimates)
     upper.set_ylabel("ln H  (J·m⁻²)" if absolute else "ln H, relative to the middle value")
     upper.legend(frameon=False)
-    lower.set_ylim(top=min(1.0, lower.get_ylim()[1]))  # beyond a factor of e a curve says nothing
+    # Beyond a factor of e a curve says nothing; at the digital number that the curve is relative to, u is 0.
+    lower.set_ylim(max(least, lower.get_ylim()[0]), min(1.0, lower.get_ylim()[1]))
     lower.set_ylabel("u(ln H), k = 1")
     lower.set_xlabel("digital number M (DN)")
     for axes in (upper, lower):
