@@ -425,7 +425,7 @@ def _uniformity(examined: Examined) -> Section:
         ties = int(np.sum(np.abs(values - values[i]) < 2.0 * np.hypot(own, own[i])))
         expected = max(0.0, float(ndtri((ties - 0.375) / (ties + 0.25))))  # largest of n draws over σ: Blom 1958
         off += own[i] / values[i] * expected / 2.0
-    value = ratio.value * (1.0 + off)
+    value = min(ratio.value * (1.0 + off), 1.0)
     u = math.hypot(ratio.u, value * off / math.sqrt(3.0))
     centre = places.index(CENTRE)
     rows = tuple(
