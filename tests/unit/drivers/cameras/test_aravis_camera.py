@@ -70,6 +70,8 @@ def test_only_one_module_imports_each_library(project_root):
             for node in ast.walk(tree):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
                 names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                if isinstance(node, ast.Call) and ast.unparse(node.func) == "required_library":
+                    names += [ast.literal_eval(node.args[0])]
                 for library in {name.split(".")[0] for name in names} & OWNERS.keys():
                     assert node not in tree.body, "imported when the module is"
                     importers[library].add(path.relative_to(project_root).as_posix())
