@@ -753,7 +753,7 @@ class StreamingMerge:
         if off < _REPORTED_REL:
             return ()
         shortest = min(terms.settings.exposure_s for terms in self._terms)
-        text = f"the exposure of {1e6 * shortest:.3g} µs may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
+        text = f"the exposure of {1e3 * shortest:.3g} ms may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
         return (f"{text}, which u holds",)
 
     def _brightest_off(self) -> float:
