@@ -36,6 +36,12 @@ def of_sensor(camera: CameraDescription) -> CameraDescription:
     return camera.model_copy(update={"pixel_spacing_um": spacing_um / _SIDE})
 
 
+def of_colour(camera: CameraDescription, colour: str) -> CameraDescription:
+    """Return the camera of the pixels of a colour, without a quantum efficiency that is not stated for them."""
+    known = {} if camera.channel == colour else {"quantum_efficiency": None}
+    return camera.model_copy(update={"channel": colour, **known})
+
+
 def in_planes(
     camera: CameraDescription, lens: LensDescription, patches: tuple[PatchDescription, ...]
 ) -> tuple[CameraDescription, LensDescription, tuple[PatchDescription, ...]]:
