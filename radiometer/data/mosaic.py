@@ -11,6 +11,7 @@ from radiometer.data.capture_header import CameraDescription, LensDescription, P
 from radiometer.data.reading import Patch
 
 COLOURS: Final = ("red", "green", "blue")
+LUMA: Final = (0.299, 0.587, 0.114)  # of them in the luminance of a photograph: ITU-R BT.601
 _SIDE: Final = 2  # pixels of a cell in each direction
 
 
