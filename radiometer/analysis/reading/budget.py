@@ -816,7 +816,7 @@ def unstated_u_rel(calibration: Calibration, stated: StatedUncertainties, observ
 def _colours(calibration: Calibration) -> tuple[str, ...]:
     """Return the colours that its pixels may be of: its own; of a mosaic any; none of a sensor without filters."""
     own = channel_of(calibration)
-    return (own,) if own in COLOURS else COLOURS if calibration.camera.mosaic is not None else ()
+    return (own,) if own is not None else COLOURS if calibration.camera.mosaic is not None else ()
 
 
 def f_number_u_rel(
