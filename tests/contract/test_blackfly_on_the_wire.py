@@ -32,7 +32,7 @@ def opened():
     return open_camera(LOOPBACK, lens=LensDescription(focal_length_mm=16, f_number=4.0))
 
 
-def position_code(request) -> np.ndarray:
+def position_code(request):
     """Return a picture in which every pixel says where it is."""
     columns = np.arange(request.x, request.x + request.width)
     rows = np.arange(request.y, request.y + request.height)
@@ -220,7 +220,7 @@ def test_requests_are_answered_while_a_picture_is_made(aravis_installed, gige_po
     """A camera answers while the sensor is at a picture that takes until all answers are there."""
     asked, answered, pictures = threading.Event(), threading.Event(), itertools.count()
 
-    def slow(request) -> np.ndarray:
+    def slow(request):
         if next(pictures):
             asked.set()
             answered.wait(within(20.0))

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("pixel_format", ["BayerRG12", "BayerRG8"])
-def test_a_mosaic_comes_through_the_driver(aravis_installed, gige_port, pixel_format: str) -> None:
+def test_a_mosaic_comes_through_the_driver(aravis_installed, gige_port, pixel_format):
     """Of monochromatic light each plane is as bright as its filter lets through."""
     preset = CameraPreset.shipped("BFS-U3-19S4C")
     limits = replace(preset.require_limits("").capabilities(has_shutter=False), width=160, height=120)

@@ -431,7 +431,6 @@ def test_rods_alone_have_no_break(seed):
     )
     assert not found.has_break
     assert found.evidence.deviance < LEAST_DEVIANCE
-    assert found.evidence.earliest_visible_min is not None
     assert f"a break earlier than {found.evidence.earliest_visible_min:.1f} min cannot be seen" in found.verdict
 
 
@@ -471,7 +470,7 @@ def _fit(*, rods=True, facts=None, **request):
         else -4.0 + 3.0 * np.exp(-REPORTED_MIN / 6.0)
     )
     series = ThresholdSeries(REPORTED_MIN, curve + noise, None, facts or {}, ("minutes were taken from seconds",))
-    asked = FitRequest(bootstrap_draws=20, **request)  # type: ignore[arg-type]
+    asked = FitRequest(bootstrap_draws=20, **request)
     return fit_adaptation(series, asked, np.random.default_rng(0))
 
 
@@ -491,10 +490,8 @@ def test_the_break_is_reported_with_its_interval(broken):
         r"log₁₀ units per min \(95\u00a0% intervals\)\.",
         page,
     )
-    assert text is not None
     time, half, slope, half_slope = map(float, text.groups())
     interval = broken.estimates["break_min"].profile
-    assert interval is not None
     assert half == pytest.approx((interval.high - interval.low) / 2, rel=0.05)
     assert abs(time - TRUE_BREAK_MIN) < 1.5 * half
     assert abs(slope + TRUE_S2) < 1.5 * half_slope

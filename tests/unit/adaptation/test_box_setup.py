@@ -140,7 +140,7 @@ def test_bleach_longer_than_the_firmware_allows_is_refused_before_it_begins():
 def test_bleach_beyond_the_exposure_limit_is_refused(quick):
     """With a ten-thousandth of the limit allowed, the flash (3.4e-4 of it) is refused by IEC 62471's name."""
     with open_box_stage(before_box(quick)) as (stage, checks):
-        stage.box.ledger.allowed_fraction = 1e-4  # type: ignore[attr-defined]
+        stage.box.ledger.allowed_fraction = 1e-4
         refused = checks[0]().refusal
     assert isinstance(refused, UnsafeStimulus)
     assert "IEC 62471" in str(refused)
@@ -209,7 +209,6 @@ def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick):
 
 def test_light_in_the_blind_spot_beyond_the_channel_is_refused(quick):
     """10⁻⁹ cd/m² is below what the red LED can be dimmed to: the message names the protocol's key."""
-    assert quick.fixation_check is not None
     dim = quick.model_copy(update={"fixation_check": quick.fixation_check.model_copy(update={"luminance_cd_m2": 1e-9})})
     assert "fixation_check.luminance_cd_m2" in str(refusal(dim))
 
@@ -283,9 +282,9 @@ class RecordingBox:
     """A box that notes what it is asked and hands out presses that were laid down."""
 
     def __init__(self):
-        self.asked: list[tuple[object, ...]] = []
-        self.presses: list[float] = []
-        self.held: list[tuple[float, float]] = []
+        self.asked = []
+        self.presses = []
+        self.held = []
         self.time = 100.0
         self.level = 1000
 
@@ -323,7 +322,7 @@ def stage(box):
         box.time += seconds
 
     lights = BoxLights(read_protocol("led-only"), 300.0, 600.0, 900.0, fixation_w_sr_m2=1e-4)
-    return BoxStage(box, lights, lambda: box.time, sleep)  # type: ignore[arg-type]
+    return BoxStage(box, lights, lambda: box.time, sleep)
 
 
 def test_bleach_is_the_protocols_light_and_then_the_mark(stage, box):
@@ -338,7 +337,7 @@ def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage, 
 
     def sleep(seconds):
         box.time += seconds
-        box.switched_off = box.time >= 102.0  # type: ignore[attr-defined]
+        box.switched_off = box.time >= 102.0
 
     stage.sleep, stage.wall_clock = sleep, lambda: 1.7e9
     stage.bleach(stage.lights.protocol)

@@ -12,13 +12,7 @@ import radiometer as rm
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.methods import Ascent, QuestPlusSearch, Staircase
 from radiometer.adaptation.outcome import Verdict
-from radiometer.adaptation.protocol import (
-    LimitsMethod,
-    QuestPlusMethod,
-    Spot,
-    StaircaseMethod,
-    read_protocol,
-)
+from radiometer.adaptation.protocol import LimitsMethod, QuestPlusMethod, Spot, StaircaseMethod, read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.errors import DeviceLost, MissingLibrary
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach
@@ -90,7 +84,6 @@ def test_break_is_that_of_the_eye_after_the_protocols_bleach(classic):
     """9,000 cd/m² for 180 s through 7 mm: the fit finds the break of that eye, within 1 min (95 % of a run: 0.8)."""
     found = rm.adapt_fit(classic.with_suffix(".csv"), bootstrap=0).fit.estimates["break_min"].value
     expected = eye_after_bleach(Eye(pupil_mm=7.0), 9000.0, 180.0).break_min(505.0)
-    assert expected is not None
     assert found == pytest.approx(expected, abs=1.0)
 
 
@@ -129,8 +122,6 @@ def test_threshold_lies_within_its_stated_uncertainty():
         search = QuestPlusSearch(QUEST_SPOT, METHOD, last=-3.0)
         while search.threshold is None and not search.exhausted:
             search.answer(seen=rng.random() < seen_probability(search.level, alpha))
-        assert search.threshold is not None
-        assert search.u_log10 is not None
         assert search.u_log10 <= METHOD.stop_sd_log10
         squares.append(((search.threshold - alpha) / search.u_log10) ** 2)
     assert chi2.ppf(0.001, 24) < sum(squares) < chi2.ppf(0.999, 24)

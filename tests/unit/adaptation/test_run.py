@@ -542,7 +542,7 @@ def test_damage_in_the_middle_is_refused_with_its_line(tmp_path, damage):
 
 def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path, monkeypatch):
     """Without a word each event waits for the disk; one that need not last only leaves the program."""
-    synced: list[int] = []
+    synced = []
     monkeypatch.setattr(os, "fsync", synced.append)
     with RunJournal(tmp_path / "j") as journal:
         journal.write("start", 0.0)

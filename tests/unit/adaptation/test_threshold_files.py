@@ -4,7 +4,6 @@ import bz2
 import gzip
 import math
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -163,37 +162,37 @@ def test_two_thresholds_of_one_minute_are_both_kept():
 NIL = "254"
 
 
-def _symbol(name: str) -> list[str]:
+def _symbol(name):
     return ["1", "262153", str(len(name)), name]
 
 
-def _reals(values: list[float]) -> list[str]:
+def _reals(values):
     return ["14", str(len(values)), *map(repr, values)]
 
 
-def _strings(values: list[str]) -> list[str]:
+def _strings(values):
     return ["16", str(len(values)), *(word for value in values for word in ("262153", str(len(value)), value))]
 
 
-def _dark(time: list[float], thrs: list[float], names: tuple[str, str] = ("time", "thrs")) -> list[str]:
+def _dark(time, thrs, names=("time", "thrs")):
     """Return a list of class "dark" as R serialises it: R Internals, section 1.8 (a list with attributes: 787)."""
     attributes = ["1026", *_symbol("names"), *_strings([*names])]
     attributes += ["1026", *_symbol("class"), *_strings(["dark"]), NIL]
     return ["787", "2", *_reals(time), *_reals(thrs), *attributes]
 
 
-def _rds(words: list[str]) -> bytes:
+def _rds(words):
     """Return what `saveRDS(ascii = TRUE, version = 2)` writes."""
     return "\n".join(["A", "2", "197888", "131840", *words, ""]).encode()
 
 
-def _rda(named: dict[str, list[str]]) -> bytes:
+def _rda(named):
     """Return what `save(ascii = TRUE, version = 2)` writes: a pairlist of named objects."""
     pairs = [word for name, words in named.items() for word in ("1026", *_symbol(name), *words)]
     return b"RDA2\n" + _rds([*pairs, NIL])
 
 
-PACKED: dict[str, Callable[[bytes], bytes]] = {"plain": lambda raw: raw, "gzip": gzip.compress, "bzip2": bz2.compress}
+PACKED = {"plain": lambda raw: raw, "gzip": gzip.compress, "bzip2": bz2.compress}
 
 
 @pytest.mark.parametrize("packed", PACKED)
@@ -246,7 +245,7 @@ def test_without_its_reader_the_line_for_r_is_reported(tmp_path, monkeypatch):
         read_table(tmp_path / "x.rds")
 
 
-def _trials(threshold_db: float, *, reaction: bool = True) -> str:
+def _trials(threshold_db, *, reaction=True):
     """Return three ascents of an OPI session: 2 dB brighter per trial until seen, from 6 dB dimmer."""
     head = '"onset_s","level","seen",' + ('"time"' if reaction else '"x"')
     rows, onset_s = [], 30.0

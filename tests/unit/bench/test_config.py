@@ -79,7 +79,6 @@ def test_without_the_library_the_simulated_camera_is_still_listed_and_works(hidd
     """A missing library is reported next to the cameras that can be opened, not instead of them."""
     found, reason = list_cameras(*read_bench())
     assert [camera.device_id for camera in found] == ["sim"]
-    assert reason is not None
     assert "PyGObject" in reason
     with make_camera(*read_bench(), "sim") as camera:
         assert len(camera.capture(1)) == 1

@@ -48,7 +48,7 @@ async def test_lights_go_off_while_busy_clients_hold_every_place(http):
     head = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
     writers = [await _open(http, head) for _ in range(_LIMITS.http_connections)]
 
-    async def poll() -> None:
+    async def poll():
         while True:
             await asyncio.sleep(0.3)
             for writer in writers:
@@ -89,7 +89,7 @@ async def test_listeners_that_do_not_read_hold_little_however_long_the_journal_i
         head = "GET /readings/stream?after=0 HTTP/1.1\r\nHost: localhost\r\n\r\n"
         writers = [await _open(http, head) for _ in range(_LIMITS.listeners)]
         for writer in writers:
-            writer.transport.pause_reading()  # type: ignore[attr-defined]
+            writer.transport.pause_reading()
         await asyncio.sleep(1.0)
         held_bytes = tracemalloc.get_traced_memory()[1]
     finally:

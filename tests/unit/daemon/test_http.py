@@ -4,7 +4,7 @@ import asyncio
 import json
 import logging
 from logging.handlers import BufferingHandler
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ async def test_history_filters(http, station):
     for _ in range(5):
         await station.acquisition.measure()
 
-    async def numbers(query: str) -> list[int]:
+    async def numbers(query):
         reply = await http.get(f"/readings?{query}")
         return [reading["sequence"] for reading in reply.json()]
 
@@ -114,9 +114,9 @@ async def test_wrong_bodies_are_refused_and_change_nothing(http, station, body, 
     assert station.shown.latest is None
 
 
-def _numbers(model: type[BaseModel]) -> dict[str, Any]:
+def _numbers(model):
     """Return the fields of a body that take numbers and no text, with those of its parts, as the body's keys."""
-    found: dict[str, Any] = {}
+    found = {}
     for name, field in model.model_fields.items():
         kinds = get_args(field.annotation) or (field.annotation,)
         parts = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
@@ -142,7 +142,7 @@ async def test_the_stream_replays_and_follows_without_gap(http, station):
     station.set_every(0.005)
     while station.shown.latest is None or station.shown.latest.sequence < 10:
         await asyncio.sleep(0.01)
-    numbers: list[int] = []
+    numbers = []
     async with http.session.get("/readings/stream", headers={"Last-Event-ID": "3"}) as reply:
         assert reply.content_type == "text/event-stream"
         async for raw in reply.content:
@@ -171,7 +171,6 @@ async def test_the_stream_as_json_lines(http, station, asked):
     await station.acquisition.measure()
     async with http.session.get("/readings/stream?after=0", **asked) as reply:
         line = await asyncio.wait_for(reply.content.readline(), within(20.0))
-    assert station.shown.latest is not None
     assert json.loads(line) == station.shown.latest.to_mapping()
 
 
@@ -291,7 +290,7 @@ async def test_rates_and_connections_are_limited(serve):
 
 async def test_the_end_with_a_silent_client_is_no_error(station):
     """A connection without a request is ended with the daemon; nothing is reported when its time is over."""
-    errors: list[dict[str, Any]] = []
+    errors = []
     asyncio.get_running_loop().set_exception_handler(lambda loop, context: errors.append(context))
     server = HttpServer(station, limits=Limits(head_s=0.2))
     reader, writer = await asyncio.open_connection("127.0.0.1", await server.listen("127.0.0.1", 0))

@@ -25,10 +25,10 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_stat
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump
 from radiometer.daemon.journal import SCHEMA_VERSION, Journal, JournalError, JournalSizeError, default_journal_path
-from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, TrendPoint, to_csv
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time, now_us, parse_moment
-from radiometer.data import Contribution, Flag, Patch, Quantity, Reading
+from radiometer.data import Contribution, Flag, Patch, Quantity
 from radiometer.errors import InputError, OutputError, UsageError
 from testing.watched_sqlite import refusing
 
@@ -114,7 +114,7 @@ def test_every_cell_of_a_row_is_what_its_heading_says(tmp_path, make_reading):
 def test_a_full_journal_refuses_and_loses_nothing(tmp_path, make_reading):
     """At the size limit appending raises, what was committed stays, and the numbers go on once there is room."""
     path = tmp_path / "j.sqlite"
-    committed: list[Reading] = []
+    committed = []
 
     def fill(journal):
         while True:
@@ -573,7 +573,7 @@ def written(path, given):
 
 def day(reader, stream, minutes):
     """Return value, u, lowest, highest, count and count of flagged of every so many minutes of a day."""
-    points: list[TrendPoint] = reader.trend(stream, BASE_US, BASE_US + DAY_US, 1440 // minutes)
+    points = reader.trend(stream, BASE_US, BASE_US + DAY_US, 1440 // minutes)
     return [(p.value, p.u, p.low, p.high, p.count, p.flagged) for p in points]
 
 
@@ -860,7 +860,7 @@ def test_a_start_states_that_the_run_before_had_no_stop(tmp_path):
 
 async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path, make_reading):
     """Three that wait fill room for three; once they are committed there is room again, in the order they came."""
-    given: list[tuple[int, float]] = []
+    given = []
 
     def on_commit(reading, origin, seconds):
         given.append((reading.sequence, reading.radiance.value))
@@ -1023,7 +1023,7 @@ def in_another_program(statement, *arguments):
     subprocess.run(command, check=True)
 
 
-HARMS: dict[str, str] = {
+HARMS = {
     "emptied": "open(sys.argv[1], 'w').close()",
     "halved": "os.truncate(sys.argv[1], os.stat(sys.argv[1]).st_size // 2)",
     "older copy": "shutil.copyfile(sys.argv[2], sys.argv[1])",
@@ -1110,7 +1110,7 @@ async def test_readings_wait_where_an_overwritten_journal_cannot_be_read(harm, t
     assert numbers(path) == list(range(1, 3003))
 
 
-OTHERS: dict[str, str] = {
+OTHERS = {
     "reader": "sqlite3.connect(f'file:{sys.argv[1]}?mode=ro', uri=True).execute('SELECT * FROM readings').fetchall()",
     "backup": "sqlite3.connect(sys.argv[1]).backup(sqlite3.connect(sys.argv[2]))",
     "checkpoint": "sqlite3.connect(sys.argv[1]).execute('PRAGMA wal_checkpoint(PASSIVE)').fetchall()",

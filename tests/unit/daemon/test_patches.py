@@ -5,7 +5,6 @@ import json
 import logging
 import math
 import sqlite3
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +27,6 @@ from radiometer.daemon.timestamps import iso_time, microseconds
 from radiometer.data import Flag, Patch, Quantity
 from radiometer.errors import UsageError
 
-Eventually = Callable[..., Awaitable[None]]
 LAMP = Patch(5, 6, 7, 8)  # the fake instrument's radiance is 1 + x
 WATT = "W sr-1 m-2"
 START_US = microseconds("2026-06-01T00:00:00Z")
@@ -294,7 +292,6 @@ def test_an_alarm_names_the_limit_that_was_passed(make_reading, value, text):
     for _ in range(2):
         watch.take(make_reading(radiance=Quantity(value, 0.01, "W sr-1 m-2")))
     assert text in watch.message("lamp")
-    assert watch.latest is not None
     assert str(watch.latest) in watch.message("lamp")
     watch.limit(watch.limits)
     assert watch.breached == ""
@@ -648,7 +645,7 @@ def test_a_flood_is_ten_lines_a_minute_and_a_count(library):
     """61 000 equal lines in a minute become 20 and a count; each different line is written."""
     now = [0.0]
     throttle = LogThrottle(clock=lambda: now[0])
-    lines: list[str] = []
+    lines = []
 
     def say(text):
         if library:

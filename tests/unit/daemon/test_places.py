@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
 
@@ -11,15 +10,13 @@ from radiometer.daemon.places import Places
 from testing.fake_station import HttpClient
 from testing.patience import within
 
-Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
-
 
 @pytest.fixture
-async def opened() -> AsyncIterator[Callable[[int], Awaitable[Stream]]]:
+async def opened():
     """Return an opener of raw connections that are closed at the end."""
-    streams: list[Stream] = []
+    streams = []
 
-    async def open_one(port: int) -> Stream:
+    async def open_one(port):
         streams.append(await asyncio.open_connection("127.0.0.1", port))
         return streams[-1]
 
@@ -30,7 +27,7 @@ async def opened() -> AsyncIterator[Callable[[int], Awaitable[Stream]]]:
             await writer.wait_closed()
 
 
-def _made(limit: int, now: list[float]) -> Places[str]:
+def _made(limit, now):
     return Places(limit, patience_s=1.0, idle_s=2.0, clock=lambda: now[0])
 
 

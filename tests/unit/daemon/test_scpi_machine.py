@@ -1,7 +1,6 @@
 """Random sequences of SCPI messages: the daemon lives through all of them."""
 
 import logging
-from collections.abc import Iterator
 
 import pytest
 import structlog
@@ -11,7 +10,7 @@ from testing.scpi_machine import ScpiMachine, machine_settings
 
 
 @pytest.fixture(autouse=True)
-def _quiet() -> Iterator[None]:
+def _quiet():
     """Keep a thousand warnings about lost devices out of the report."""
     before = structlog.get_config()
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
@@ -20,6 +19,6 @@ def _quiet() -> Iterator[None]:
 
 
 @pytest.mark.slow
-def test_no_sequence_of_messages_ends_the_daemon() -> None:
+def test_no_sequence_of_messages_ends_the_daemon():
     """All commands, right and wrong, of three sessions, while camera and light box fail and come back."""
     run_state_machine_as_test(ScpiMachine, settings=machine_settings(25))

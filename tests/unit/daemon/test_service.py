@@ -11,10 +11,8 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Awaitable, Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,8 +32,6 @@ from radiometer.daemon.timestamps import iso_time, microseconds
 from radiometer.errors import CalibrationError, OutputError, RadiometerError
 from testing.fake_station import QUICK, FakeBox, FakeInstrument
 from testing.patience import within
-
-Eventually = Callable[..., Awaitable[None]]
 
 
 class Told:
@@ -78,7 +74,7 @@ def fresh(tmp_path, **options):
     instrument, announced, systemd = FakeInstrument(), list[str](), Told()
     station = Station(instrument, Journal(tmp_path / "journal.sqlite"), box=FakeBox(), times=QUICK)
     chosen = ServiceOptions(**{"scpi_port": 0, "http_port": 0, **options})
-    return Daemon(Service(station, chosen, announced.append, systemd), station, instrument, announced, systemd)  # type: ignore[arg-type]
+    return Daemon(Service(station, chosen, announced.append, systemd), station, instrument, announced, systemd)
 
 
 async def ended(running):
@@ -171,12 +167,12 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path, event
     def broken():
         raise CalibrationError("calibration.yaml: no scale")
 
-    instrument.reload_calibration = broken  # type: ignore[method-assign]
+    instrument.reload_calibration = broken
     os.kill(os.getpid(), signal.SIGHUP)
     await eventually(lambda: len(announced) == 6)
     assert announced[5] == "calibration not reloaded: calibration.yaml: no scale"
     await eventually(lambda: systemd.lines[-1].startswith("ready alarm: calibration not reloaded, the old one stays"))
-    instrument.reload_calibration = lambda: "again"  # type: ignore[method-assign]
+    instrument.reload_calibration = lambda: "again"
     await one.station.reload_calibration()
     one.station.set_every(50.0)
     await eventually(lambda: systemd.lines[-1] == "status measuring")
@@ -257,7 +253,7 @@ def test_the_daemon_starts_without_what_it_does_not_need():
 
 async def test_no_descriptors_are_one_alarm_and_a_few_tries_a_second():
     """Fifty clients knock while none can be taken: nothing floods, and all are served afterwards."""
-    changes: list[str] = []
+    changes = []
     descriptors = Descriptors(Alarms(lambda kind, name, message: changes.append(f"{kind} {name}")))
     loop, tries, served = asyncio.get_running_loop(), 0, 0
 
@@ -529,7 +525,7 @@ async def test_old_readings_go_at_the_start_and_every_hour(tmp_path, monkeypatch
     monkeypatch.setattr(journal_writer, "time", Steady)
     journal = Journal(tmp_path / "j.sqlite")
     writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None, keep_days=keep_days)
-    dropped: list[float] = []
+    dropped = []
 
     monkeypatch.setattr(journal, "drop_older", lambda before_us: dropped.append(Steady.s) or 0)
     await writer.open()
@@ -555,9 +551,9 @@ async def test_a_jump_before_a_restart_is_remembered(tmp_path, make_reading, mon
 
 async def test_a_journal_error_is_told_not_swallowed(tmp_path, make_reading, eventually):
     """While appending fails nothing is handed out and the alarm is up; afterwards each reading comes exactly once."""
-    given: list[int] = []
+    given = []
     alarms = Alarms(lambda *_: None)
-    journal: Any = Journal(tmp_path / "j.sqlite")
+    journal = Journal(tmp_path / "j.sqlite")
     writer = JournalWriter(journal, alarms, lambda reading, *_: given.append(reading.sequence), retry_s=0.01)
     await writer.open()
     whole = journal.append

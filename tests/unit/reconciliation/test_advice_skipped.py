@@ -1,10 +1,6 @@
 """Limits and next captures are advice: whatever happens to them, the answer stands."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,10 +17,10 @@ PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] 
 
 
 @pytest.mark.long
-def test_answer_stands_where_advice_fails(make_capture: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_answer_stands_where_advice_fails(make_capture, monkeypatch):
     """An error in the limits and in the next capture is reported among the assumptions; the name is still found."""
 
-    def broken(*given: object) -> None:
+    def broken(*given):
         raise IndexError("index 7 is out of bounds for axis 1 with size 7")
 
     captured = make_capture(seed=31, plan=PLAN, extra_dn=lambda s: 3.0)
@@ -36,7 +32,7 @@ def test_answer_stands_where_advice_fails(make_capture: Callable[..., Any], monk
     assert any(text.startswith("the limits could not be computed (IndexError: index 7") for text in after.assumptions)
 
 
-def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_capture: Callable[..., Any]) -> None:
+def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_capture):
     """A ceiling's spread goes to zero, where the ceiling is sharp and has one parameter less; the veil stays held."""
     captured = make_capture(seed=32, plan=PLAN)
     start = start_of(captured)

@@ -1,7 +1,5 @@
 """The linearised fit against the whole system at once, whatever its columns; what scores and covariances come to."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

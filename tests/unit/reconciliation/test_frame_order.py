@@ -1,10 +1,6 @@
 """What comes back every so many frames, and what is left without a name as one entry with its size."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from itertools import count
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,16 +8,14 @@ import pytest
 from radiometer.data import Frame, FrameEntry, FrameSettings
 from radiometer.reconciliation.engine import examine
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic
+from radiometer.reconciliation.measure.frame_order import FrameLight, periodic
 from testing.reconciled import reconcile
 
 EXPOSURES = [{"t": float(t)} for t in np.geomspace(2e-4, 5e-3, 7)]
 DARKS = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2)]
 
 
-def _seen(
-    make_capture: Callable[..., Any], light: Callable[[int], float], frames: int = 4, darks: int = 0
-) -> Periodic | None:
+def _seen(make_capture, light, frames=4, darks=0):
     """Return what is found in frames of a hundred electrons of noise, the light of each as stated.
 
     Where the last captures are darks, the settings before are twice as long as these.
@@ -48,18 +42,17 @@ def _seen(
 
 
 @pytest.mark.parametrize("period", [3, 5, 7])
-def test_every_nth_frame_that_is_dim_is_found(make_capture: Callable[..., Any], period: int) -> None:
+def test_every_nth_frame_that_is_dim_is_found(make_capture, period):
     """A loss of 4 % in each n-th frame is found with its period and its depth to a tenth, wandering lamp or not."""
     rng = np.random.default_rng(period)
     found = _seen(make_capture, lambda n: (0.96 if n % period == 1 else 1.0) * (1.0 + 1e-3 * rng.standard_normal()))
-    assert found is not None
     assert found.period == period
     assert found.depth == pytest.approx(0.04, abs=0.004)
     assert found.rms == pytest.approx(0.04 * np.sqrt(period - 1) / period, rel=0.1)
 
 
 @pytest.mark.slow
-def test_lamp_that_wanders_at_random_has_no_period(make_capture: Callable[..., Any]) -> None:
+def test_lamp_that_wanders_at_random_has_no_period(make_capture):
     """Of 40 lamps that wander by 2 % from frame to frame none has a period, at a chance of 0.1 % each."""
     found = []
     for seed in range(40):
@@ -68,7 +61,7 @@ def test_lamp_that_wanders_at_random_has_no_period(make_capture: Callable[..., A
     assert [entry for entry in found if entry is not None] == []
 
 
-def test_first_frames_and_drifts_within_a_setting_have_no_period(make_capture: Callable[..., Any]) -> None:
+def test_first_frames_and_drifts_within_a_setting_have_no_period(make_capture):
     """What goes with the place in the series is another matter, also at twice the length of a series."""
     assert _seen(make_capture, lambda n: 0.95 if n % 4 == 0 else 1.0) is None
     assert _seen(make_capture, lambda n: 1.0 - 0.01 * (n % 4)) is None
@@ -76,7 +69,7 @@ def test_first_frames_and_drifts_within_a_setting_have_no_period(make_capture: C
 
 
 @pytest.mark.slow
-def test_every_fifth_frame_dim_does_not_agree(make_capture: Callable[..., Any]) -> None:
+def test_every_fifth_frame_dim_does_not_agree(make_capture):
     """Of a source about which nothing is stated: the period is reported and no flicker next to it."""
     frames = count()
     captured = make_capture(
@@ -95,7 +88,7 @@ def test_every_fifth_frame_dim_does_not_agree(make_capture: Callable[..., Any]) 
 
 
 @pytest.mark.long
-def test_rest_is_one_entry_with_its_size(make_capture: Callable[..., Any]) -> None:
+def test_rest_is_one_entry_with_its_size(make_capture):
     """A scatter of captures by an unknown cause is one entry; its root mean square is that of what was added."""
     plan = [*EXPOSURES, *EXPOSURES, *EXPOSURES, *EXPOSURES, *DARKS]
     number = count()
@@ -109,5 +102,4 @@ def test_rest_is_one_entry_with_its_size(make_capture: Callable[..., Any]) -> No
     e_per_dn = 2.6
     ratio = unnamed[0].parameters["rms_e"].value / unnamed[0].parameters["rms_dn"].value
     assert ratio == pytest.approx(e_per_dn, rel=0.01)
-    assert done.result.global_p is not None
     assert done.result.global_p[0] < 1e-6

@@ -1,16 +1,11 @@
 """A free law for one name: where its knots lie, and when it stands in place of what was found."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.descent import refit, scatter_of
-from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.result import FittedParameter, LawCurve
 from radiometer.reconciliation.search.outcome import worth
 from radiometer.reconciliation.search.screening import best_start
@@ -28,13 +23,13 @@ PLAN = [{"t": float(t)} for t in TIMES for _ in range(2)] + [{"t": t, "shutter":
 
 
 @pytest.fixture(scope="module")
-def late(make_capture: Callable[..., Any]) -> FitState:
+def late(make_capture):
     """Return the ideal camera fitted to exposures that are too long by 8 µs, and by five times that from 1 ms on."""
     captured = make_capture(seed=81, plan=PLAN, exposure=lambda t: t + (8e-6 if t < 1e-3 else 40e-6))
     return start_of(captured)
 
 
-def test_knots_lie_where_the_effect_does_something(late: FitState) -> None:
+def test_knots_lie_where_the_effect_does_something(late):
     """Five and nine of them, from the shortest to the longest exposure with light; the dark second holds none."""
     forms = free_forms(late, ExposureTimeOffset(8e-6))
     assert [len(form.law) for form in forms] == [5, 9]
@@ -44,7 +39,7 @@ def test_knots_lie_where_the_effect_does_something(late: FitState) -> None:
         assert set(form.law) == {1.0}
 
 
-def test_no_law_is_free_where_nothing_varies(late: FitState) -> None:
+def test_no_law_is_free_where_nothing_varies(late):
     """One stop and one gain give no curve along them; a table along radius and stop needs both."""
     assert free_forms(late, FnumberTstopError(0.01)) == ()
     assert free_forms(late, GainStepError(0.01)) == ()
@@ -52,10 +47,9 @@ def test_no_law_is_free_where_nothing_varies(late: FitState) -> None:
 
 
 @pytest.mark.slow
-def test_one_name_by_its_own_law_replaces_nothing_at_all(late: FitState) -> None:
+def test_one_name_by_its_own_law_replaces_nothing_at_all(late):
     """Of two entries the exposure's error predicts best by a curve that is five times as high at the end."""
     found = by_a_free_law(late, late, [ExposureTimeOffset(8e-6), GammaEnabled(1.001)])
-    assert found is not None
     assert found.name == "exposure_time_offset"
     assert worth(found.state) > worth(late) + 60.0
     (form,) = found.state.effects
@@ -65,37 +59,34 @@ def test_one_name_by_its_own_law_replaces_nothing_at_all(late: FitState) -> None
     assert scatter_of(found.state) == 1.0
 
 
-def test_starts_are_sized_about_where_they_do_nothing(late: FitState) -> None:
+def test_starts_are_sized_about_where_they_do_nothing(late):
     """A gamma of 1.02 that must be ten times as strong starts at 1.2, not at 10."""
     captured = best_start(late, (GammaEnabled(1.02),))
-    assert captured is not None
     assert all(abs(start.gamma - 1.0) < 0.5 for start in (captured.effect, *captured.others))
 
 
-def test_a_curve_stands_in_json_with_its_band(late: FitState) -> None:
+def test_a_curve_stands_in_json_with_its_band(late):
     """Knots by covariate, factors and their u; a plain effect has none."""
     form = free_forms(late, ExposureTimeOffset(8e-6))[0]
     fitted = {name: FittedParameter(1.5, 0.1, "1") for name in form.law_names()}
     curve = LawCurve.of(form, fitted)
-    assert curve is not None
     mapping = curve.to_mapping()
     assert list(mapping["along"]) == ["exposure_s"]
     assert (mapping["factor"], mapping["u"]) == ([1.5] * 5, [0.1] * 5)
     assert LawCurve.of(ExposureTimeOffset(8e-6), {}) is None
 
 
-def test_the_size_of_another_law_is_reported_with_its_u(late: FitState) -> None:
+def test_the_size_of_another_law_is_reported_with_its_u(late):
     """Exposures 8 to 24 µs too long: a law about 12 µs gives these, as uncertain as the own equation's size is off."""
     form = free_forms(late, ExposureTimeOffset(12e-6))[0]
     reported = sizes_by_own_law(with_effects(late, [form]), form)["offset_s"]
     plain = refit(with_effects(late, [ExposureTimeOffset(12e-6)])).effects[0]
     assert isinstance(plain, ExposureTimeOffset)
     assert reported.value == 12e-6
-    assert reported.u is not None
     assert abs(plain.offset_s - 12e-6) <= reported.u < 16e-6
 
 
-def test_a_variant_far_off_speaks_for_the_others(late: FitState) -> None:
+def test_a_variant_far_off_speaks_for_the_others(late):
     """A gamma above the black level and one of all codes are two; the likelier alone is fitted where it leaves more."""
     starts = (GammaEnabled(1.02), GammaEnabled(1.02, above_black=1.0))
     candidate = Candidate(starts[0], 0.0, 1, others=starts[1:])

@@ -1,13 +1,7 @@
 """The pass over a frame's tiles against sums by numpy, compiled and as it is written."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from radiometer.reconciliation.measure.reduce import add_tiles, coarse_cells
 
@@ -15,18 +9,18 @@ TOP, LEFT, HEIGHT, WIDTH = np.array([0, 2]), np.array([1, 5]), 4, 3
 FULL = 40.0
 
 
-def _written(function: Callable[..., Any]) -> Callable[..., Any]:
+def _written(function):
     """Return a compiled function as its source says it."""
     return getattr(function, "py_func", function)
 
 
-def _sums() -> dict[str, NDArray[Any]]:
+def _sums():
     tiles = {name: np.zeros((2, HEIGHT, WIDTH)) for name in ("total", "square", "highest", "pair_x", "pair_y")}
     return {**tiles, "histogram": np.zeros(64), "occurring": np.zeros(64, np.bool_)}
 
 
 @pytest.fixture
-def frame() -> NDArray[np.uint16]:
+def frame():
     """Return a frame whose first tile holds a 0 and a clipped value, the second neither."""
     dn = np.random.default_rng(4).integers(10, 30, (7, 9)).astype(np.uint16)
     dn[1, 2], dn[3, 1] = 0, 41
@@ -37,7 +31,7 @@ BOTH = pytest.mark.parametrize("form", [lambda function: function, _written], id
 
 
 @BOTH
-def test_sums_of_tiles_are_those_of_their_pixels(frame: NDArray[np.uint16], form: Any) -> None:
+def test_sums_of_tiles_are_those_of_their_pixels(frame, form):
     """Mean over good pixels, shares at 0 and clipped, deviations, squares, products with neighbours, row sums."""
     good = np.ones(frame.shape, np.bool_)
     good[3, 5] = False
@@ -61,7 +55,7 @@ def test_sums_of_tiles_are_those_of_their_pixels(frame: NDArray[np.uint16], form
 
 
 @BOTH
-def test_a_second_frame_is_added(frame: NDArray[np.uint16], form: Any) -> None:
+def test_a_second_frame_is_added(frame, form):
     """Sums of the same frame twice are twice those of once."""
     once, twice, good = _sums(), _sums(), np.ones(frame.shape, np.bool_)
     form(add_tiles)(frame, good, TOP, LEFT, FULL, 0.0, *once.values())
@@ -72,7 +66,7 @@ def test_a_second_frame_is_added(frame: NDArray[np.uint16], form: Any) -> None:
 
 
 @BOTH
-def test_numbers_are_counted_where_a_tile_is_whole_and_wide(frame: NDArray[np.uint16], form: Any) -> None:
+def test_numbers_are_counted_where_a_tile_is_whole_and_wide(frame, form):
     """Every number occurs; only the tile without clipped pixels, wider than the comb's limit, enters the histogram."""
     good = np.ones(frame.shape, np.bool_)
     wide, narrow = _sums(), _sums()
@@ -85,7 +79,7 @@ def test_numbers_are_counted_where_a_tile_is_whole_and_wide(frame: NDArray[np.ui
 
 
 @BOTH
-def test_a_tile_without_a_good_pixel_has_no_mean(frame: NDArray[np.uint16], form: Any) -> None:
+def test_a_tile_without_a_good_pixel_has_no_mean(frame, form):
     """No number stands where none was measured."""
     sums = _sums()
     mean, *_ = form(add_tiles)(frame, np.zeros(frame.shape, np.bool_), TOP, LEFT, FULL, 0.0, *sums.values())
@@ -93,7 +87,7 @@ def test_a_tile_without_a_good_pixel_has_no_mean(frame: NDArray[np.uint16], form
 
 
 @BOTH
-def test_cells_hold_mean_and_largest_value(frame: NDArray[np.uint16], form: Any) -> None:
+def test_cells_hold_mean_and_largest_value(frame, form):
     """Two by two pixels each; what is beyond the last whole cell is left out."""
     mean, largest = form(coarse_cells)(frame, 2, 3, 4)
     cells = frame[:6, :8].reshape(3, 2, 4, 2)

@@ -1,7 +1,5 @@
 """What noise reports and what counts, by laws and at exact bounds: black levels, scatter of light, scores of names."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,7 +10,7 @@ from radiometer.reconciliation.search.localise import Covariate
 from radiometer.reconciliation.statistics import Given, Scale, family_of, named
 
 
-def test_the_light_of_a_capture_is_the_weighted_mean_of_its_tiles() -> None:
+def test_the_light_of_a_capture_is_the_weighted_mean_of_its_tiles():
     """Each deviation over its sensitivity, by the information of its own noise; the same without it is infinite."""
     rng = np.random.default_rng(3)
     sensitivity, deviation = rng.uniform(50.0, 500.0, (3, 8)), rng.uniform(0.5, 2.0, (3, 8))
@@ -26,7 +24,7 @@ def test_the_light_of_a_capture_is_the_weighted_mean_of_its_tiles() -> None:
     assert 1.0 / variance[1] == pytest.approx(np.sum((sensitivity[1, 1::2] / deviation[1, 1::2]) ** 2))
 
 
-def test_rows_of_the_table_are_found_by_their_kind() -> None:
+def test_rows_of_the_table_are_found_by_their_kind():
     """Both slopes are of one family; kinds of rows part the table."""
     assert {family_of(name) for name in ("slope_x", "slope_y")} == {"slope"}
     assert family_of("mean") == "mean"
@@ -35,7 +33,7 @@ def test_rows_of_the_table_are_found_by_their_kind() -> None:
 
 
 @pytest.mark.parametrize(("levels", "terms"), [(1, 0), (2, 1), (8, 7), (9, 4)])
-def test_few_levels_are_taken_one_by_one_and_many_by_a_smooth_curve(levels: int, terms: int) -> None:
+def test_few_levels_are_taken_one_by_one_and_many_by_a_smooth_curve(levels, terms):
     """Up to eight each but the first has a column of its own; beyond, four polynomials of mean nought; gains to 16."""
     value = np.repeat(np.arange(float(levels)), 3).reshape(levels, 3)
     found = Covariate("exposure_s", value, per_capture=True).basis()

@@ -1,10 +1,6 @@
 """Where the search for a flicker begins, and what charge that neighbours exchange does to the means of lines."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,18 +14,17 @@ from radiometer.reconciliation.shared_errors import mixing_of_bands, mixing_of_l
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.brighter_fatter import push_of
 from simulators.effects.catalogue import Scaling
-from simulators.effects.context import ExposureContext
 from simulators.effects.missing_codes import MissingCodes
 from simulators.effects.pwm_flicker import PwmFlicker
 from testing.reduced import start_of
 
 
 @pytest.mark.slow
-def test_search_for_a_flicker_begins_near_it(make_capture: Callable[..., Any]) -> None:
+def test_search_for_a_flicker_begins_near_it(make_capture):
     """A sine of 9 % at 480 Hz, up to three periods in an exposure, is met within a hundredth of its frequency."""
     rng = np.random.default_rng(11)
 
-    def flickering(image: Any, setting: Any) -> Any:
+    def flickering(image, setting):
         wave = 0.09 * np.sinc(480.0 * setting["t"]) * np.cos(2 * np.pi * rng.random())
         return image * (1.0 + wave)
 
@@ -43,9 +38,7 @@ def test_search_for_a_flicker_begins_near_it(make_capture: Callable[..., Any]) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("step", "possible"), [(2, {2.0}), (4, {2.0**power for power in range(1, 9)})])
-def test_codes_that_occur_rule_out_a_coarser_step(
-    make_capture: Callable[..., Any], step: int, possible: set[float]
-) -> None:
+def test_codes_that_occur_rule_out_a_coarser_step(make_capture, step, possible):
     """Of all steps only those remain that leave no code empty which occurs, as far as periods up to 5 tell."""
     captured = make_capture(7)
     coarse = [replace(frame, dn=frame.dn - frame.dn % step) for frame in captured.frames]
@@ -55,7 +48,7 @@ def test_codes_that_occur_rule_out_a_coarser_step(
 
 
 @pytest.mark.slow
-def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_capture: Callable[..., Any]) -> None:
+def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_capture):
     """Means of lines of mixed noise scatter as predicted, over what the mixed pixels' own variance would give."""
     state = start_of(make_capture(6))
     height, width = state.design.tiles[0].height, state.design.tiles[0].width
@@ -81,7 +74,7 @@ def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_captur
 
 
 @pytest.mark.slow
-def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Callable[..., Any]) -> None:
+def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture):
     """Flats with covariances of many lags: rows, columns, bands of rows and tiles scatter as told, to 4 sigma."""
     state = start_of(make_capture(6))
     height, width = state.design.tiles[0].height, state.design.tiles[0].width
@@ -95,11 +88,7 @@ def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Cal
     noise = np.fft.irfft2(white * np.sqrt(power), s=shape)
     whole = np.fft.irfft2(power, s=shape)  # covariance by lag
     variance, x, y = (float(whole[at]) for at in ((0, 0), (0, 1), (1, 0)))
-    sums = {
-        "beyond_x": whole[0, 2:20].sum(),
-        "beyond_y": whole[2:20, 0].sum(),
-        "beyond_rows": whole[1:20].sum() - y,
-    }
+    sums = {"beyond_x": whole[0, 2:20].sum(), "beyond_y": whole[2:20, 0].sum(), "beyond_rows": whole[1:20].sum() - y}
     ones = np.ones_like(state.prediction.variance)
     figures = {name: value / variance * ones for name, value in ({"mixed_x": x, "mixed_y": y} | sums).items()}
     mixed = replace(state.prediction, **figures)
@@ -122,7 +111,7 @@ def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Cal
 
 
 @pytest.mark.slow
-def test_captures_of_one_setting_tell_its_own_pattern_once(make_capture: Callable[..., Any]) -> None:
+def test_captures_of_one_setting_tell_its_own_pattern_once(make_capture):
     """Means scatter by the pattern over the root of their pixels; m captures of one setting by √m of that each."""
     state = start_of(make_capture(8))
     assert renewed_patterns(state.design, state.seen, state.prediction) == {}
@@ -148,14 +137,14 @@ class _Impossible(Scaling):
     fitted = ("size",)
     size: float = parameter(0.0, "1", -1.0, 1.0, source="a test")
 
-    def factor(self, context: ExposureContext) -> Any:
+    def factor(self, context):
         """Return the root of a negative number."""
         with np.errstate(invalid="ignore"):
             return np.sqrt(-abs(self.size) * np.ones_like(context.settings.exposure_s))
 
 
 @pytest.mark.slow
-def test_effect_that_cannot_be_is_refused_by_name(make_capture: Callable[..., Any]) -> None:
+def test_effect_that_cannot_be_is_refused_by_name(make_capture):
     """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
     state = start_of(make_capture(6))
     with pytest.raises(UnfitError, match="impossible"):

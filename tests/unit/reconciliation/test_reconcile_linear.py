@@ -1,7 +1,5 @@
 """Least squares of reconcile against textbook algebra, and its chances against SciPy's distributions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2, rankdata
@@ -22,7 +20,7 @@ from radiometer.statistics.chances import (
 )
 
 
-def test_parameters_take_up_their_projection_of_many_changes_at_once() -> None:
+def test_parameters_take_up_their_projection_of_many_changes_at_once():
     """Followers move by F·(NᵀN)⁻¹·Nᵀ·v, also in rows that N has too; what J takes up is the projection on it."""
     rng = np.random.default_rng(9)
     nuisances, followers, effects = (rng.standard_normal((40, n)) for n in (5, 5, 2))
@@ -39,7 +37,7 @@ def test_parameters_take_up_their_projection_of_many_changes_at_once() -> None:
     assert np.sum(half**2, axis=0) == pytest.approx(np.sum(taken**2, axis=0), rel=1e-9)
 
 
-def test_a_fit_within_some_rows_is_that_of_vectors_which_are_zero_elsewhere() -> None:
+def test_a_fit_within_some_rows_is_that_of_vectors_which_are_zero_elsewhere():
     """Rows in another order, those of the followers among them: what follows and what is taken up is the same."""
     rng = np.random.default_rng(11)
     nuisances, followers, effects = (rng.standard_normal((40, n)) for n in (5, 5, 2))
@@ -60,7 +58,7 @@ def test_a_fit_within_some_rows_is_that_of_vectors_which_are_zero_elsewhere() ->
 
 
 @pytest.mark.parametrize("freedom", [1, 2, 7])
-def test_chances_of_chi2(freedom: int) -> None:
+def test_chances_of_chi2(freedom):
     """Tail and quantile are those of SciPy's χ² distribution, far out too."""
     for value in (0.0, 0.3, 5.0, 400.0):
         assert chi2_beyond(value, freedom) == pytest.approx(chi2.sf(value, freedom), rel=1e-12)
@@ -68,7 +66,7 @@ def test_chances_of_chi2(freedom: int) -> None:
         assert chi2_quantile(chance, freedom) == pytest.approx(chi2.ppf(chance, freedom), rel=1e-12)
 
 
-def test_equal_values_share_their_mean_rank() -> None:
+def test_equal_values_share_their_mean_rank():
     """Ranks with ties are SciPy's."""
     values = np.array([3.0, 1.0, 3.0, 2.0, 1.0, 1.0])
     assert ranks(values).tolist() == rankdata(values).tolist()

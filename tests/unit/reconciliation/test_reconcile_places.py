@@ -1,10 +1,6 @@
 """Where measured and simulated disagree, without any idea of why: places, steps in time and space, repeatability."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,17 +8,12 @@ import pytest
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.repeatability import estimate_tau
-from radiometer.reconciliation.search.localise import (
-    axis_of,
-    global_p_value,
-    localise,
-    places,
-)
+from radiometer.reconciliation.search.localise import axis_of, global_p_value, localise, places
 from radiometer.reconciliation.thresholds import SIGNIFICANCE
 from testing.reduced import start_of
 
 
-def _design(times_s: list[float], warm_c: list[float]) -> Design:
+def _design(times_s, warm_c):
     """Return captures of two frames each, two exposures in turn."""
     frames = tuple(
         FrameEntry(
@@ -36,7 +27,7 @@ def _design(times_s: list[float], warm_c: list[float]) -> Design:
     return Design.of(CaptureHeader(camera=CameraDescription(bit_depth=12), frames=frames), (32, 48))
 
 
-def test_swinging_lamp_is_not_taken_for_poor_repeatability() -> None:
+def test_swinging_lamp_is_not_taken_for_poor_repeatability():
     """A swing of 0.6 % within 13 minutes leaves τ near the 0.1 % by which neighbouring captures differ."""
     rng = np.random.default_rng(5)
     captures = 120
@@ -50,7 +41,7 @@ def test_swinging_lamp_is_not_taken_for_poor_repeatability() -> None:
     assert still <= estimate_tau(design, steady + swing, noise) < 2.0 * still
 
 
-def test_one_wrong_capture_is_no_poor_repeatability() -> None:
+def test_one_wrong_capture_is_no_poor_repeatability():
     """A capture that is 26 % brighter than its repeats leaves τ at the 0.1 % of the others, to its uncertainty."""
     rng = np.random.default_rng(6)
     captures = 60
@@ -63,7 +54,7 @@ def test_one_wrong_capture_is_no_poor_repeatability() -> None:
     assert estimate_tau(design, scale, np.full(captures, 1e-10)) < 3 * found
 
 
-def test_setting_repeats_whatever_the_rounding_of_its_temperature() -> None:
+def test_setting_repeats_whatever_the_rounding_of_its_temperature():
     """34.7 to 35.3 °C is one temperature although 35 lies on the edge of an even step of 2 K; 45 °C is another."""
     warm = [34.7, 34.9, 35.1, 35.3, 34.8, 35.2, 44.9, 45.1]
     ids = _design(list(np.arange(8) * 25.0), warm).setting_id
@@ -71,7 +62,7 @@ def test_setting_repeats_whatever_the_rounding_of_its_temperature() -> None:
 
 
 @pytest.mark.slow
-def test_one_cause_is_one_place(make_capture: Callable[..., Any]) -> None:
+def test_one_cause_is_one_place(make_capture):
     """A black level 0.5 DN too high differs along a dozen covariates; the list names it once, and no echo."""
     state = start_of(make_capture(seed=3, extra_dn=lambda setting: 0.5))
     tests = localise(state)
@@ -83,7 +74,7 @@ def test_one_cause_is_one_place(make_capture: Callable[..., Any]) -> None:
 
 
 @pytest.mark.slow
-def test_stronger_half_is_a_step_in_the_picture(make_capture: Callable[..., Any]) -> None:
+def test_stronger_half_is_a_step_in_the_picture(make_capture):
     """A right half that is 2 % stronger is placed along the width of the picture, as a step of halves."""
     state = start_of(
         make_capture(seed=4, picture=lambda image, setting: image * (1 + 0.02 * (np.arange(image.shape[1]) >= 48)))
@@ -93,11 +84,11 @@ def test_stronger_half_is_a_step_in_the_picture(make_capture: Callable[..., Any]
 
 
 @pytest.mark.slow
-def test_swinging_lamp_is_placed_along_time(make_capture: Callable[..., Any]) -> None:
+def test_swinging_lamp_is_placed_along_time(make_capture):
     """A lamp that swings by 1 % three times in the session is placed along time."""
     clock = iter(range(10_000))
 
-    def swing(image: Any, setting: dict[str, Any]) -> Any:
+    def swing(image, setting):
         return image * (1 + 0.01 * np.sin(2 * np.pi * (next(clock) // 4) / 20.0))
 
     first = places(start_of(make_capture(seed=5, picture=swing)), 1)[0]
@@ -105,7 +96,7 @@ def test_swinging_lamp_is_placed_along_time(make_capture: Callable[..., Any]) ->
 
 
 @pytest.mark.slow
-def test_global_p_lies_within_what_overlapping_tests_allow(make_capture: Callable[..., Any]) -> None:
+def test_global_p_lies_within_what_overlapping_tests_allow(make_capture):
     """Of tests that overlap the global p lies below Bonferroni's n·p, but not by more than their number of kinds."""
     state = start_of(make_capture(seed=5))
     tests = localise(state)

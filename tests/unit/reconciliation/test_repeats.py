@@ -1,23 +1,18 @@
 """What equal frames differ by is reported: how far they scatter, which first frames and which frames stick out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.repeatability import repeats_of
-from radiometer.reconciliation.result import Repeats
 
 SIZE = (48, 72)
 TILE_DN = 0.02  # scatter of a tile's mean by its pixels
 SERIES, FRAMES = 6, 5
 
 
-def _reported(
-    apart_dn: np.ndarray, *, light_dn: float = 0.0, seed: int = 1, tiles: int | None = None, first_dn: float = 0.0
-) -> tuple[Repeats, ...]:
+def _reported(apart_dn, *, light_dn=0.0, seed=1, tiles=None, first_dn=0.0):
     """Return what is reported of series of frames that lie so far from 1000 DN (dark) or from a light, each.
 
     Args:
@@ -30,8 +25,7 @@ def _reported(
     lit = light_dn > 0.0
     entries = tuple(
         FrameEntry.of(
-            f"{n}.tif",
-            FrameSettings(1.0 + n // FRAMES, timestamp_s=10.0 * n, shutter="open" if lit else "closed"),
+            f"{n}.tif", FrameSettings(1.0 + n // FRAMES, timestamp_s=10.0 * n, shutter="open" if lit else "closed")
         )
         for n in range(apart_dn.size)
     )
@@ -44,7 +38,7 @@ def _reported(
     return repeats_of(design, lambda f: means[list(f)], usable, sensitivity, np.full(shape, first_dn), (0.1, 0.1))
 
 
-def test_the_scatter_of_dark_frames_is_reported_in_dn() -> None:
+def test_the_scatter_of_dark_frames_is_reported_in_dn():
     """Frames of 0.4 DN scatter are reported 0.4 DN within three of the u that 24 degrees of freedom give."""
     (dark,) = _reported(np.random.default_rng(2).normal(0.0, 0.4, (SERIES, FRAMES)))
     assert dark.scatter.u == pytest.approx(dark.scatter.value / np.sqrt(2 * SERIES * (FRAMES - 1)), rel=0.01)
@@ -52,14 +46,14 @@ def test_the_scatter_of_dark_frames_is_reported_in_dn() -> None:
     assert (dark.kind, dark.scatter.unit) == ("dark", "DN")
 
 
-def test_the_scatter_of_a_lamp_is_reported_relative_to_its_light() -> None:
+def test_the_scatter_of_a_lamp_is_reported_relative_to_its_light():
     """Frames that differ by 8 DN of 4000 DN of light differ by 0.2 %."""
     (lit,) = _reported(np.random.default_rng(3).normal(0.0, 8.0, (SERIES, FRAMES)), light_dn=4000.0)
     assert lit.scatter.value == pytest.approx(0.002, abs=3 * float(lit.scatter.u or 0))
     assert "%" in lit.sentences()[0]
 
 
-def test_a_first_frame_is_reported_with_the_scatter_of_its_tiles() -> None:
+def test_a_first_frame_is_reported_with_the_scatter_of_its_tiles():
     """A first frame 3 DN above the others is reported so, within three u; u is the tiles' scatter over √24."""
     apart = np.zeros((SERIES, FRAMES))
     apart[2, 0] = 3.0
@@ -72,7 +66,7 @@ def test_a_first_frame_is_reported_with_the_scatter_of_its_tiles() -> None:
     assert "first frame of a series" in dark.sentences()[1]
 
 
-def test_equal_frames_seldom_stand_out() -> None:
+def test_equal_frames_seldom_stand_out():
     """Of 200 sets without an odd frame at most 0.1 % and three of its sigmas name one."""
     rng, sets = np.random.default_rng(4), 200
     reported = [_reported(rng.normal(0.0, 0.4, (SERIES, FRAMES)), seed=n)[0] for n in range(sets)]
@@ -80,7 +74,7 @@ def test_equal_frames_seldom_stand_out() -> None:
     assert named <= 0.001 * sets + 3 * np.sqrt(0.001 * sets)
 
 
-def test_what_tiles_scatter_by_is_no_wander() -> None:
+def test_what_tiles_scatter_by_is_no_wander():
     """Frames that differ by their pixels alone: no scatter beyond two u in nine of ten sets, and nothing stated."""
     reported = [_reported(np.zeros((SERIES, FRAMES)), seed=n)[0] for n in range(40)]
     printed = [dark for dark in reported if dark.scatter.value > 2.0 * float(dark.scatter.u or 0.0)]
@@ -91,7 +85,7 @@ def test_what_tiles_scatter_by_is_no_wander() -> None:
     )
 
 
-def test_single_frames_tell_nothing() -> None:
+def test_single_frames_tell_nothing():
     """Without repeats nothing is stated."""
     entries = tuple(FrameEntry.of(f"{n}.tif", FrameSettings(1.0 + n, shutter="closed")) for n in range(4))
     design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=16), frames=entries), SIZE)
@@ -100,7 +94,7 @@ def test_single_frames_tell_nothing() -> None:
     assert repeats_of(design, lambda f: np.zeros((len(f), shape[1])), usable, nothing, nothing, (0.0, 0.0)) == ()
 
 
-def test_what_is_reported_stands_in_json() -> None:
+def test_what_is_reported_stands_in_json():
     """Scatter, what was fitted aside, each frame of each series, and the words."""
     (dark,) = _reported(np.random.default_rng(5).normal(0.0, 0.4, (SERIES, FRAMES)))
     mapping = dark.to_mapping()
@@ -110,13 +104,13 @@ def test_what_is_reported_stands_in_json() -> None:
 
 
 @pytest.mark.parametrize("tiles", [1, 3])
-def test_frames_of_too_few_tiles_tell_nothing(tiles: int) -> None:
+def test_frames_of_too_few_tiles_tell_nothing(tiles):
     """One tile has no scatter to say how well a frame's offset is known: nothing is stated, and never ± 0."""
     apart = np.random.default_rng(4).normal(0.0, 0.4, (SERIES, FRAMES))
     assert _reported(apart, tiles=tiles) == ()
 
 
-def test_four_tiles_tell_a_frame_with_a_u() -> None:
+def test_four_tiles_tell_a_frame_with_a_u():
     """Of four tiles a frame 3 DN off is reported within five of its u, and the u is that of tiles of 0.02 DN."""
     apart = np.zeros((SERIES, FRAMES))
     apart[2, 0] = 3.0
@@ -128,7 +122,7 @@ def test_four_tiles_tell_a_frame_with_a_u() -> None:
 
 
 @pytest.mark.parametrize("light_dn", [0.0, 400.0])
-def test_what_the_model_says_of_first_frames_is_taken_off(light_dn: float) -> None:
+def test_what_the_model_says_of_first_frames_is_taken_off(light_dn):
     """First frames 3 DN above the others stick out of no series where an effect of 3 DN is named for it."""
     apart = np.zeros((SERIES, FRAMES))
     apart[:, 0] = 3.0

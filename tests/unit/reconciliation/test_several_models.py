@@ -1,17 +1,12 @@
 """Models that walk the rest of a chain together expect what each of them does alone."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 import pytest
 
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.statistics import Prediction
+from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.tile_model import predict_several
 from simulators.effects.brighter_fatter import BrighterFatter
 from simulators.effects.dark_current import DarkCurrent
@@ -27,14 +22,14 @@ NOT_COMPARED = {"unrounded"}
 
 
 @pytest.fixture(scope="module")
-def named(make_capture: Callable[..., Any]) -> FitState:
+def named(make_capture):
     """A camera with an effect at either end of the chain."""
     captured = make_capture(5, plan=PLAN)
     plain = start_of(captured)
     return with_effects(plain, (ExposureTimeOffset(4e-6), ResponseNonlinearity(0.01), BrighterFatter(0.005)))
 
 
-def differing(expected: Prediction, row: int, alone: Prediction) -> list[str]:
+def differing(expected, row, alone):
     """Return the statistics that one of several models expects otherwise than alone."""
     found = []
     for name in {entry.name for entry in fields(alone)} - NOT_COMPARED:
@@ -46,7 +41,7 @@ def differing(expected: Prediction, row: int, alone: Prediction) -> list[str]:
 
 
 @pytest.mark.parametrize("name", sorted(whole_catalogue()))
-def test_every_entry_expects_the_same_next_to_others(named: FitState, name: str) -> None:
+def test_every_entry_expects_the_same_next_to_others(named, name):
     """The starts of an entry behind one another, next to effects that the chain holds, and the entry itself changed."""
     kind, context = whole_catalogue()[name], named.model.context
     starts = (*kind.starts(context)[:3], *kind.covers(context)[:1])
@@ -64,7 +59,7 @@ def test_every_entry_expects_the_same_next_to_others(named: FitState, name: str)
         assert sorted(seen) == list(range(len(sets)))
 
 
-def test_models_of_other_light_other_links_and_other_effects_go_together(named: FitState) -> None:
+def test_models_of_other_light_other_links_and_other_effects_go_together(named):
     """Each joins where its own steps end: at the scene, behind the converter, behind an effect; one is as the known."""
     known = named.trace.nuisance
     brighter = named.layout.unpack(named.design, named.values + 0.01)

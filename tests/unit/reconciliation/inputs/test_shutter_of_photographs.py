@@ -1,13 +1,9 @@
 """Photographs whose shutter exposes longer by one time: reported, written and drawn; labels are held against both."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, outcome, reconcile_photographs
+from radiometer.reconciliation.inputs.photographs import outcome, reconcile_photographs
 from radiometer.reconciliation.result import Verdict
 from testing.brackets_of_a_shutter import LABELS_S, photographed
 
@@ -15,19 +11,18 @@ OFFSET_S = 25e-6
 
 
 @pytest.fixture(scope="module")
-def done() -> PhotographsReconciled:
+def done():
     return reconcile_photographs(photographed(OFFSET_S).light)
 
 
 @pytest.mark.slow
-def test_the_offset_is_an_effect_with_its_u(done: PhotographsReconciled) -> None:
+def test_the_offset_is_an_effect_with_its_u(done):
     """Named as in the catalogue, in s, with sentences for people that say how much."""
     assert done.result.verdict is Verdict.EFFECTS_FOUND
     (effect,) = done.result.effects
     assert (effect.name, effect.where) == ("exposure_time_offset", "exposure_s")
     found = effect.parameters["offset_s"]
     assert found.unit == "s"
-    assert found.u is not None
     assert found.value == pytest.approx(OFFSET_S, abs=1e-6)
     assert effect.gain_nats == pytest.approx(0.5 * (found.value / found.u) ** 2)
     assert effect.gap_before > 1.2
@@ -38,7 +33,7 @@ def test_the_offset_is_an_effect_with_its_u(done: PhotographsReconciled) -> None
 
 
 @pytest.mark.slow
-def test_exposures_are_label_and_offset(done: PhotographsReconciled) -> None:
+def test_exposures_are_label_and_offset(done):
     """As they are written, and by how much they are known; every photograph agrees with that."""
     (effect,) = done.result.effects
     found = effect.parameters["offset_s"]
@@ -56,7 +51,7 @@ def test_exposures_are_label_and_offset(done: PhotographsReconciled) -> None:
 
 
 @pytest.mark.slow
-def test_the_report_says_it_and_what_to_do(done: PhotographsReconciled, tmp_path: Any) -> None:
+def test_the_report_says_it_and_what_to_do(done, tmp_path):
     """With the line that photographs lie about, and how the exposures come to other commands."""
     page = (tmp_path / "report.html", done.write_report(tmp_path / "report.html"))[0].read_text()
     assert "(the shutter&#x27;s offset)" in page or "(the shutter's offset)" in page
@@ -65,7 +60,7 @@ def test_the_report_says_it_and_what_to_do(done: PhotographsReconciled, tmp_path
 
 
 @pytest.mark.slow
-def test_exposures_as_labelled_have_none() -> None:
+def test_exposures_as_labelled_have_none():
     """They agree, exactly as printed."""
     found = reconcile_photographs(photographed(0.0).light)
     assert found.result.verdict is Verdict.AGREES

@@ -1,7 +1,5 @@
 """Names are held to laws of no entry: on both sides of what they must bring, and on a session that hides a glow."""
 
-from __future__ import annotations
-
 import pytest
 
 from radiometer.reconciliation.propose.search import own_covariates

@@ -1,7 +1,5 @@
 """Laws are found in sessions of the outside generators: stage, covariates, size, and what is written of them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ from testing.outside import two
 from testing.outside.two_hidden import HIDDEN
 
 
-def state_of(folder: Path, seed, name, plan, given=(), **more):
+def state_of(folder, seed, name, plan, given=(), **more):
     """Return the starting camera fitted to a session that hides something."""
     session = two.make(seed, HIDDEN.get(name), plan, **more)
     captured = CaptureSet.read(session.write(folder))
