@@ -538,17 +538,6 @@ async def test_old_readings_go_at_the_start_and_every_hour(tmp_path, monkeypatch
     assert dropped == expected_s
 
 
-async def test_a_jump_before_a_restart_is_remembered(tmp_path, make_reading, monkeypatch):
-    """The clock jumped, readings were stamped with it, the daemon was started anew: still nothing young goes."""
-    path, wall = tmp_path / "j.sqlite", START_US + 10 * DAY_US
-    with Journal(path) as journal:
-        journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (9, 6, 1)])
-        journal.note_jump(10 * DAY_US)
-        journal.append([make_reading(time=iso_time(wall))])
-    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (lambda: wall, lambda: 0))
-    assert await kept_after_start(path, 7.0, make_reading(time=iso_time(wall))) == [2, 3, 4]
-
-
 async def test_a_journal_error_is_told_not_swallowed(tmp_path, make_reading, eventually):
     """While appending fails nothing is handed out and the alarm is up; afterwards each reading comes exactly once."""
     given = []
@@ -576,27 +565,6 @@ async def test_a_journal_error_is_told_not_swallowed(tmp_path, make_reading, eve
     with suppress(asyncio.CancelledError):
         await running
     await writer.close()
-
-
-async def test_a_clock_that_stays_wrong_over_several_starts_deletes_nothing(tmp_path, make_reading, monkeypatch):
-    """The clock jumps by 400 days between two runs and stays: readings of a minute ago stay, too."""
-    path, ahead = tmp_path / "j.sqlite", START_US + 400 * DAY_US
-    with Journal(path) as journal:
-        journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (31, 0)])
-    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (lambda: ahead, lambda: 0))
-    for first in ([2], [2, 3, 4], [2, 3, 4, 5, 6]):
-        assert await kept_after_start(path, 30.0, make_reading(time=iso_time(ahead))) == first
-
-
-def test_a_clock_that_was_wrong_first_and_is_again_deletes_nothing_young(tmp_path, make_reading):
-    """Ahead by 400 days when the journal was made, right for 31 days, then ahead again while no daemon runs."""
-    now_us = START_US + 31 * DAY_US
-    with Journal(tmp_path / "j.sqlite") as journal:
-        journal.append([make_reading(time=iso_time(START_US + 400 * DAY_US))] * 2)
-        journal.note_jump(-400 * DAY_US)
-        journal.append([make_reading(time=iso_time(now_us))] * 3)
-        journal.note_opening(now_us + 400 * DAY_US)
-        assert journal.drop_older(now_us + 400 * DAY_US - 30 * DAY_US) == 2
 
 
 def test_pauses_do_not_add_up(tmp_path, make_reading):
