@@ -1,16 +1,20 @@
 """The SCPI server: parsing, errors, status, and every example of the manual."""
 
 import json
+import logging
 import socket
 import threading
 
 import pytest
+import structlog
+from hypothesis.stateful import run_state_machine_as_test
 
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.scpi.document import manual
 from radiometer.daemon.scpi.server import ScpiServer, is_other_protocol
 from radiometer.daemon.scpi.table import command_table
 from radiometer.errors import OutputError
+from testing.scpi_machine import ScpiMachine, machine_settings
 
 TABLE = command_table()
 
@@ -174,3 +178,22 @@ async def test_what_another_program_uses_is_never_removed(station, tmp_path):
     ours.write_text("another's")
     await server.close()
     assert (file.read_text(), ours.read_text()) == ("precious", "another's")
+
+
+# Random sequences of SCPI messages: the daemon lives through all of them.
+
+
+@pytest.fixture
+def quiet():
+    """Keep a thousand warnings about lost devices out of the report."""
+    before = structlog.get_config()
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+    yield
+    structlog.configure(**before)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quiet")
+def test_no_sequence_of_messages_ends_the_daemon():
+    """All commands, right and wrong, of three sessions, while camera and light box fail and come back."""
+    run_state_machine_as_test(ScpiMachine, settings=machine_settings(25))
