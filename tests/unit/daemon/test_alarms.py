@@ -219,7 +219,7 @@ async def test_clients_that_do_not_read_delay_no_reading(station, scpi, serve, i
         writer.write(request_bytes)
         deaf.append(writer)
     begun = station.shown.latest.sequence if station.shown.latest else 0
-    await eventually(lambda: station.shown.latest and station.shown.latest.sequence > begun + 300)
+    await eventually(lambda: station.shown.latest and station.shown.latest.sequence > begun + 60)
     assert station.troubles() == []
     for writer in deaf:
         writer.transport.abort()
@@ -447,11 +447,11 @@ async def test_darkness_comes_before_all_light_that_waits(way, station, box, ask
 
 @pytest.fixture
 def asked(box):
-    """Let the fake box take 30 ms for a level, and return the levels that it is asked for."""
+    """Let the fake box take 10 ms for a level, and return the levels that it is asked for."""
     levels = []
 
     def slow(channel, level):
-        time.sleep(0.03)
+        time.sleep(0.01)
         levels.append(level)
         box.levels[channel] = level
         return level

@@ -240,51 +240,32 @@ def test_no_more_than_rate_and_burst_is_let_through(per_s, pauses):
     assert bucket.take() > 0.0
 
 
-# What each setting does to the next measurement: message, field, value.
-SETTINGS = [
-    ("SENS:EXP 4 MS", "exposure_s", 0.004),
-    ("SENS:EXP:TIME 20 US", "exposure_s", 2e-5),
-    ("SENS:EXP MAX", "exposure_s", 30.0),
-    ("SENS:EXP DEF", "exposure_s", 0.01),
-    ("SENS:EXP 1;EXP:AUTO ON", "auto_exposure", True),
-    ("SENS:EXP 1", "auto_exposure", False),
-    ("SENS:GAIN 6", "gain_db", 6.0),
-    ("SENS:GAIN 12DB", "gain_db", 12.0),
-    ("SENS:GAIN 3;GAIN DEF", "gain_db", 0.0),
-    ("SENS:PATC 7,8,9,10", "patch", Patch(7, 8, 9, 10)),
-    ("SENS:PATC 1,2,3,4;PATC CENT", "patch", None),
-    ("SENS:CORR:WAV 0.55 UM", "wavelength_nm", 550.0),
-    ("SENS:CORR:WAV 5e-7 M", "wavelength_nm", 500.0),
-    ("SENS:CORR:WAV 550;WAV NONE", "wavelength_nm", None),
-    ("SENS:CORR:WAV DEF", "wavelength_nm", 550.0),
-]
-
-
-@pytest.mark.parametrize(("message", "name", "value"), SETTINGS, ids=[entry[0] for entry in SETTINGS])
-async def test_a_setting_is_that_of_the_next_measurement(session, station, message, name, value):
-    """In s, dB, pixels and nm; the query gives it back."""
-    assert session.execute(message) is None
+async def test_a_setting_is_that_of_the_next_measurement(session, station):
+    """In s, dB, pixels and nm, one by one; what is not set stays; MIN, MAX and DEF are of what the camera can do."""
+    for message, name, value in (
+        ("SENS:EXP 4 MS", "exposure_s", 0.004), ("SENS:EXP:TIME 20 US", "exposure_s", 2e-5),
+        ("SENS:EXP MIN", "exposure_s", 1e-5), ("SENS:EXP MAX", "exposure_s", 30.0),
+        ("SENS:EXP DEF", "exposure_s", 0.01),
+        ("SENS:EXP 1;EXP:AUTO ON", "auto_exposure", True), ("SENS:EXP 1", "auto_exposure", False),
+        ("SENS:GAIN 6", "gain_db", 6.0), ("SENS:GAIN 12DB", "gain_db", 12.0), ("SENS:GAIN MAX", "gain_db", 48.0),
+        ("SENS:GAIN 3;GAIN DEF", "gain_db", 0.0), ("SENS:GAIN 3;GAIN MIN", "gain_db", 0.0),
+        ("SENS:PATC 7,8,9,10", "patch", Patch(7, 8, 9, 10)), ("SENS:PATC 1,2,3,4;PATC CENT", "patch", None),
+        ("SENS:CORR:WAV 0.55 UM", "wavelength_nm", 550.0), ("SENS:CORR:WAV 5e-7 M", "wavelength_nm", 500.0),
+        ("SENS:CORR:WAV 550;WAV NONE", "wavelength_nm", None), ("SENS:CORR:WAV DEF", "wavelength_nm", 550.0),
+    ):  # fmt: skip
+        assert session.execute(message) is None
+        found = getattr(station.settings, name)
+        assert found == (pytest.approx(value, rel=1e-12) if isinstance(value, float) else value), message
+        untouched = replace(station.settings, **{name: getattr(MeasurementSettings(), name)})
+        assert name in ("exposure_s", "auto_exposure") or untouched == MeasurementSettings(), message
+        session.execute("*RST")
+        assert station.settings == MeasurementSettings()
     assert session.status.error_count == 0
-    found = getattr(station.settings, name)
-    assert found == (pytest.approx(value, rel=1e-12) if isinstance(value, float) else value)
-    untouched = replace(station.settings, **{name: getattr(MeasurementSettings(), name)})
-    assert name == "exposure_s" or name == "auto_exposure" or untouched == MeasurementSettings()
-    session.execute("*RST")
-    assert station.settings == MeasurementSettings()
-
-
-@pytest.mark.parametrize(
-    ("query", "low", "high", "default"),
-    [("SENS:EXP?", 1e-5, 30.0, 0.01), ("SENS:GAIN?", 0.0, 48.0, 0.0), ("SENS:CORR:WAV?", 300.0, 1200.0, 550.0)],
-)
-async def test_limits_are_the_camera_s(session, query, low, high, default):
-    """MIN, MAX and DEF of what the camera can do."""
-    found = [float(session.execute(f"{query} {word}")) for word in ("MIN", "MAX", "DEF")]
-    if "WAV" in query:
-        assert found[0] < 400.0 < 700.0 < found[1]
-        assert found[2] == default
-    else:
-        assert found == pytest.approx([low, high, default])
+    for query, ends in (("EXP", (1e-5, 30.0, 0.01)), ("GAIN", (0.0, 48.0, 0.0))):
+        found = [float(session.execute(f"SENS:{query}? {word}")) for word in ("MIN", "MAX", "DEF")]
+        assert found == pytest.approx(ends)
+    low, high = (float(session.execute(f"SENS:CORR:WAV? {word}")) for word in ("MIN", "MAX"))
+    assert low < 400.0 < 700.0 < high
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -321,9 +302,9 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(session):
 _PLACES_BETWEEN_PIXELS = ("1.5,2,3,4", "1,1.5,3,4", "1,2,1.5,4", "1,2,3,15E-1", "1,2,3,1.5")
 
 
-@pytest.mark.parametrize(
-    ("message", "number", "text"),
-    [
+async def test_what_is_wrong_is_named_by_the_standard_s_number(session):
+    """SCPI-99, 21.8: separators, missing and unknown parameters, a suffix of a header beyond the channels, no data."""
+    for message, number, text in (
         ("NO:SUCH?", -113, ""), ("*IDN", -113, ""), ("SENS:EXP4", -113, ""), ("SENSITIVITYOFX:EXP 1", -113, ""),
         ("SENSITIVITYOFXYZ:EXP 1", -112, ""), ("SENS:EXP:TIME", -109, ""), ("SENS:PATC 1,2", -109, ""),
         ("SENS:EXP 1,2", -108, ""), ("SENS:EXP 100", -222, ""), ("SENS:EXP 1e400", -222, ""),
@@ -350,15 +331,12 @@ _PLACES_BETWEEN_PIXELS = ("1.5,2,3,4", "1,1.5,3,4", "1,2,1.5,4", "1,2,3,15E-1", 
         ('FETC:PATC? "lamp"', -222, "there is no patch 'lamp'; there are: main"),
         ('FETC:PATC? "main"', -230, "no reading of patch main yet"),
         ("FETC?", -230, "READ? makes one"),
-    ],
-)  # fmt: skip
-async def test_what_is_wrong_is_named_by_the_standard_s_number(session, message, number, text):
-    """SCPI-99, 21.8: separators, missing and unknown parameters, a suffix of a header beyond the channels, no data."""
-    reply = session.execute(message)
-    assert (await reply if asyncio.iscoroutine(reply) else reply) is None
-    entry = session.status.next_error()
-    assert (int(entry.split(",")[0]), text in entry) == (number, True), entry
-    assert session.status.error_count == 0
+    ):  # fmt: skip
+        reply = session.execute(message)
+        assert (await reply if asyncio.iscoroutine(reply) else reply) is None, message
+        entry = session.status.next_error()
+        assert (int(entry.split(",")[0]), text in entry) == (number, True), entry
+        assert session.status.error_count == 0, message
 
 
 @pytest.mark.parametrize(
@@ -639,22 +617,22 @@ async def test_what_is_aborted_does_not_go_on(session, command):
         await task
 
 
-@pytest.mark.parametrize("place", ["60,0,5,5", "0,44,5,5", "0,0,0,5"])
-async def test_a_patch_beyond_the_picture_is_refused_when_it_is_chosen(session, instrument, place):
+async def test_a_patch_beyond_the_picture_is_refused_when_it_is_chosen(session, instrument):
     """64 by 48 pixels: a patch over the edge, or of no size, is −222 at once and nothing is measured with it."""
-    await ask(session, f"CONF:RAD {place}")
-    assert await errors(session) == ["-222"]
-    assert session.own_patch is None
-    assert not instrument.measured
+    for place in ("60,0,5,5", "0,44,5,5", "0,0,0,5"):
+        await ask(session, f"CONF:RAD {place}")
+        assert await errors(session) == ["-222"], place
+        assert session.own_patch is None, place
+        assert not instrument.measured, place
 
 
-@pytest.mark.parametrize("quantity", ["RAD", "LUM"])
-async def test_a_quantity_is_chosen_with_its_patch_or_without(session, quantity):
+async def test_a_quantity_is_chosen_with_its_patch_or_without(session):
     """CONFigure alone takes the patch that is measured for all."""
-    await ask(session, f"CONF:{quantity} 5,6,7,8")
-    await ask(session, f"CONF:{quantity}")
-    assert (session.own_patch, await ask(session, "CONF?")) == (None, f'"{quantity}"')
-    assert await errors(session) == ["0"]
+    for quantity in ("RAD", "LUM"):
+        await ask(session, f"CONF:{quantity} 5,6,7,8")
+        await ask(session, f"CONF:{quantity}")
+        assert (session.own_patch, await ask(session, "CONF?")) == (None, f'"{quantity}"'), quantity
+        assert await errors(session) == ["0"], quantity
 
 
 async def test_who_waits_for_a_measurement_that_is_given_up_is_reported(session):
