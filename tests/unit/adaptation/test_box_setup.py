@@ -260,14 +260,23 @@ def test_classic_is_the_test_of_the_literature():
         ("kind: limits", "kind: guess", "method"),
         ("end: {", "ende: {", "unknown key 'ende'"),
         ("duration_min: 40", "duration_min: 40, criterion_log10: -9", "outside the spot's levels"),
+        # Place and size of the light in the blind spot are those of the optic disc.
+        *(("share: 0.06", wrong, wrong.split(":")[0]) for wrong in ("temporal_deg: 10", "below_deg: 8", "size_deg: 5")),
+        # The journal's file carries the name: it leads to no other folder.
+        *(("name: classic", f"name: '{name}'", "name") for name in ("../../x", "a/b", "", ".hidden")),
+        # A time or level far beyond any test is a slip of the pen, and would run without end.
+        ("on_s: 0.2", "on_s: 1.0e6", "on_s"), ("highest_log10: 0.15", "highest_log10: 300", "highest_log10"),
+        ("pause_between_s: 0.5", "pause_between_s: 1.0e9", "pause_between_s"),
+        ("watch: {", "watch: {most_blinks: 1000000, ", "most_blinks"),
+        ("end: {", "safety: {calibration_days: 1.0e9}\nend: {", "calibration_days"),
     ],
-)
+)  # fmt: skip
 def test_wrong_protocols_are_refused(tmp_path, project_root, old, new, message):
     """The error names what is wrong."""
     text = (project_root / "configs" / "protocols" / "classic.yaml").read_text()
     assert old in text
     file = tmp_path / "p.yaml"
-    file.write_text(text.replace(old, new))
+    file.write_text(text.replace(old, new, 1))
     with pytest.raises(ConfigurationError, match=message):
         read_protocol(file)
 

@@ -150,15 +150,6 @@ def test_answers_of_one_kind_only_are_no_threshold(seen):
     assert search.threshold is None
 
 
-def test_same_answers_give_the_same_levels():
-    """A search that is lived through again after a crash goes on at the level where it was."""
-    first, second = QuestPlusSearch(QUEST_SPOT, METHOD, last=-2.0), QuestPlusSearch(QUEST_SPOT, METHOD, last=-2.0)
-    for seen in (True, False, True):
-        assert first.level == second.level
-        first.answer(seen=seen)
-        second.answer(seen=seen)
-
-
 def test_absent_library_is_named_with_the_way_to_get_it(monkeypatch):
     """`questplus` is an extra; without it the protocol says so instead of failing at the first threshold."""
     monkeypatch.setitem(sys.modules, "questplus", None)

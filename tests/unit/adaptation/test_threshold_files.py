@@ -136,22 +136,6 @@ def test_what_cannot_be_taken_is_named(text, message, tmp_path):
     assert message in str(refused.value)
 
 
-@pytest.mark.slow
-def test_fit_reads_seconds_and_decibels_and_finds_the_break(tmp_path, capsys):
-    """An attenuation table in seconds gives break and S2 of the curve: 9 min, −0.24."""
-    times = np.arange(0.5, 22.0, 0.5)
-    curve = -1 + 2 * np.exp(-np.minimum(times, 9) / 1.6) - 0.24 * np.maximum(times - 9, 0)
-    curve += np.random.default_rng(3).normal(0, 0.03, times.size)
-    file = tmp_path / "people.csv"
-    rows = [f"{60 * t:.1f};{str(round(40 - 10 * y, 3)).replace('.', ',')}" for t, y in zip(times, curve, strict=True)]
-    file.write_text("# from a perimeter\nTime (s);Attenuation (dB)\n" + "\n".join(rows) + "\n")
-    assert run(["adapt", "fit", str(file), "--bootstrap", "0"]) == 0
-    printed = capsys.readouterr()
-    assert "rod–cone break at 9." in printed.out or "rod–cone break at 8.9" in printed.out
-    assert "S2 slope -0.24" in printed.out or "S2 slope -0.23" in printed.out
-    assert "dB attenuation" in printed.err
-
-
 def test_two_thresholds_of_one_minute_are_both_kept():
     """Both stand in the series; a time that goes back is refused."""
     assert ThresholdSeries(np.array([1.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.4])).time_min.tolist() == [1.0, 2.0, 2.0]
