@@ -55,13 +55,6 @@ class Talker:
         """Return the duty at a channel's pin."""
         return self.avr.duty(channel) if self.avr is not None else self.twin.duty(channel)
 
-    def button(self, pressed):
-        """Press or release the button now."""
-        if self.avr is not None:
-            self.avr.press(pressed=pressed)
-        else:
-            self.twin.press(self.twin.time_s, pressed=pressed)
-
 
 def built(project_root, build, *options):
     """Build the firmware; skip where the compiler is absent."""
@@ -95,9 +88,3 @@ def talker(request):
         yield Talker(AvrBox(request.getfixturevalue("light_box_hex"), serial=SERIAL))
     except MissingLibrary as missing:
         pytest.skip(str(missing))
-
-
-@pytest.fixture
-def twin():
-    """Return a freshly powered twin, for what would take the simulated firmware minutes."""
-    return Talker(None)

@@ -19,7 +19,6 @@ from radiometer.errors import (
     DeviceInUse,
     DeviceLost,
     SettingOutOfRange,
-    UnsafeStimulus,
     UsageError,
 )
 from testing.patience import within
@@ -72,13 +71,6 @@ def test_box_itself_refuses_what_the_host_lets_through(rig):
         rig.box.link.request("SL 3 H 20001")
     assert rig.box.read_channel("fixation").mode is ChannelMode.OFF
     assert rig.duty("fixation") == 0
-
-
-def test_box_itself_refuses_too_much_energy(rig):
-    """A pulse above the energy budget is refused by the firmware and stays dark."""
-    with pytest.raises(UnsafeStimulus, match="energy budget"):
-        rig.box.link.request("PU 0 H 60000 600000")
-    assert rig.duty("bleach") == 0
 
 
 def test_pulse_ends_by_itself(rig):
@@ -164,14 +156,6 @@ def test_radiance_needs_a_calibration(rig):
     """Without a calibration a radiance cannot be set, and the message names the way out."""
     with pytest.raises(CalibrationError, match="light calibrate"):
         rig.box.set_level("spot", Radiance(0.01))
-
-
-def test_unsafe_stimulus_is_refused_before_it_starts(rig):
-    """What would use up too much of the retinal limit never reaches the box."""
-    rig.box.ledger.allowed_fraction = 0.001
-    with pytest.raises(UnsafeStimulus, match="IEC 62471"):
-        rig.box.set_level("spot", DriveLevel(60000))
-    assert rig.duty("spot") == 0
 
 
 def test_second_program_is_refused_because_the_box_is_in_use(rig):
