@@ -82,7 +82,7 @@ class Flux(Result):
         """Return the documented JSON form."""
         return {
             **self.report.to_mapping(),
-            "notes": [*self.report.contradictions, *self.notes],
+            "notes": [*self.report.warnings, *self.notes],
             "at_drive": None if self.driven is None else self.driven.to_mapping(),
         }
 
