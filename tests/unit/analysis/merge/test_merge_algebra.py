@@ -608,21 +608,6 @@ def test_below_the_curve_s_data_the_longest_frame_stands_alone():
         assert found.mask[0, 0] & PixelMask.EXTRAPOLATED
 
 
-def test_a_wide_ladder_of_dim_frames_is_weighed_as_it_should_be():
-    """30 electrons a second for 1 to 30 s next to 5 of reading: scatter and u are those of the best weights."""
-    rng = np.random.default_rng(9)
-    times, several = (1.0, 3.0, 30.0), []
-    for time in times:
-        electrons = rng.poisson(30.0 * time, (150, 150)) + 5.0 * rng.standard_normal((150, 150))
-        several.append(Frame(np.round(electrons / 2.5 + BLACK).astype(np.uint16), 12, FrameSettings(time)))
-    found = merge(iter(several), Setup(CAMERA, LENS, CALIBRATION))
-    c = 25.0 / 6.25 + 1.0 / 12.0
-    information = sum(t**2 / (12.0 * t / 2.5 + c) for t in times)
-    unit = float(np.mean(found.radiance)) / 12.0
-    assert found.radiance.std() / unit == pytest.approx(information**-0.5, rel=0.03)
-    assert np.median(found.u_radiance) / unit == pytest.approx(information**-0.5, rel=0.02)
-
-
 def test_bounds_of_pixels_that_no_frame_shows():
     """Clipped everywhere: at least where the shortest frame clips; black: at most one number of the longest."""
     situation = situation_of(Setup(CAMERA, LENS, CALIBRATION))

@@ -73,7 +73,7 @@ def line(reading, name):
 
 @pytest.mark.parametrize("years", [-2.0, 2.0])
 def test_a_year_since_calibration_counts(rig, years):
-    """1 % per year: 2 % two years after or before, nothing at once; flagged where nothing else is as large; a later one is stale."""
+    """1 % per year: 2 % two years after or before, nothing at once; flagged where nothing else is as large."""
     calibration = calibrated(rig, uncertainties=only(drift_u_rel_per_year=0.01), validity_days=3650.0)
     assert line(read(rig, calibration), "drift") == 0.0
     other = read(rig, calibration, now=NOON + dt.timedelta(days=years * 365.25))

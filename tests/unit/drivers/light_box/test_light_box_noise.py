@@ -220,7 +220,7 @@ def test_parser_takes_any_bytes(line):
     assert found is None or isinstance(found, Reply | Event)
 
 
-@pytest.mark.slow
+@settings(max_examples=20)
 @given(st.lists(st.text(max_size=12), max_size=6).map(tuple), st.integers(0, 255))
 def test_fields_take_any_text(fields, number):
     """Fields that are not times or events are None; what is one has three times, or the number asked for."""
