@@ -185,14 +185,6 @@ def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_curve_s_own_uncertainty_is_in_every_pixel():
-    """3 % of the curve, next to rounding of some per mille."""
-    for u, expected in ((1e-6, 0.0), (0.03, 0.03)):
-        camera, calibration = behind_a_curve(u)
-        found = merge([Frame(np.full((4, 4), 200, np.uint8), 8, FrameSettings(1.0))], Setup(camera, LENS, calibration))
-        assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(expected, abs=4e-3)
-
-
 def test_white_and_black_behind_a_curve_are_distinguished():
     """255 in every frame is SATURATED, with the least that it can be; 0 is BELOW_NOISE."""
     camera, calibration = behind_a_curve()

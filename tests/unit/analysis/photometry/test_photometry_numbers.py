@@ -264,13 +264,6 @@ def test_the_gaussian_has_the_area_of_the_thesis():
     assert float(tabulated.sum()) == pytest.approx(106.856917, abs=1e-5)
 
 
-def test_the_scotopic_table_is_the_published_one():
-    """∫V′ dλ is 97.0713 nm and the peak lies at 507 nm."""
-    wavelength, scotopic = photometry.luminous_efficiency("scotopic")
-    assert float(scotopic.sum()) == pytest.approx(97.071317, abs=1e-5)
-    assert abs(wavelength[np.argmax(scotopic)] - 507) <= 1
-
-
 def test_the_thesis_conversion_is_the_radiance_of_one_micrometre():
     """Times the 0.4 µm of the band it is the equal-energy radiance: (2.10) is per µm."""
     right = photometry.radiance_w_sr_m2(3882.3529, spectrum("equal_energy"))

@@ -178,17 +178,6 @@ def test_the_end_gauge():
     assert factor * combined_u(terms) == pytest.approx(gum.END_GAUGE_U99_NM, abs=1.0)
 
 
-def test_the_end_gauge_s_smaller_contributions():
-    """H.1: the comparator's 9.7 nm with 25.6 degrees of freedom; expansion 2.9 nm and temperature 16.6 nm."""
-    parts = [Term(str(n), u, degrees_of_freedom=freedom) for n, (u, freedom) in enumerate(gum.COMPARATOR)]
-    (_, (comparator, freedom), (expansion, _), (temperature, _)) = gum.END_GAUGE
-    assert round(combined_u(parts), 1) == comparator
-    rounded_first = (comparator / combined_u(parts)) ** 4  # as the Guide does
-    assert round(effective_degrees_of_freedom(parts) * rounded_first, 1) == freedom
-    assert pytest.approx(expansion, abs=0.05) == gum.GAUGE_NM * gum.U_EXPANSION_PER_K * gum.DEVIATION_K
-    assert pytest.approx(temperature, abs=0.05) == gum.GAUGE_NM * gum.EXPANSION_PER_K * gum.U_DIFFERENCE_K
-
-
 def test_the_impedance_of_correlated_voltage_and_current():
     """H.2: V/I of means that five simultaneous observations correlate by −0.36 is 254.260 Ω with u = 0.236 Ω."""
     values = np.array([gum.VOLTAGE, gum.CURRENT_MA])
@@ -369,31 +358,6 @@ def test_an_exposure_offset_that_calibration_and_reading_share(rig):
     signal = noise_of(rig, frames, calibration) * 1e-3
     scale_of_true_time = rig.true_scale * (4e-3 + offset) / 4e-3
     agrees(found, scale_of_true_time * signal / ((1e-3 + offset) * lens_sr()))
-
-
-def test_a_temperature_coefficient_that_both_share(rig):
-    """Reading at 25 °C under a calibration at 13 °C, the coefficient 0 ± 0.1 %/K in both responsivities."""
-    stated = only(temperature_u_rel_per_k=1e-3)
-    calibration = calibrated(rig, stated, ScaleConditions(temperature_c=13.0), u_rel=0.004)
-    frames = frames_of(rig)
-    found = read_patch(frames, PATCH, Setup(rig.description, rig.lens, calibration), now=NOON)
-    slope, value = GTC.ureal(0.0, 1e-3), rig.true_scale
-    scale = GTC.ureal(value, 0.004 * value) * (1.0 + slope * 13.0)
-    agrees(found, scale * noise_of(rig, frames, calibration) / (lens_sr() * (1.0 + slope * 25.0)))
-
-
-def test_veiling_glare_that_both_share(rig):
-    """A surround four times the patch, 2 times at calibration: L = m − g·(S − S₀·L) with the same g in both."""
-    scene = np.full((48, 48), 0.8 * rig.radiance_of_full_scale(1e-3))
-    scene[16:32, 16:32] /= 4.0
-    frames = rig.frames(scene, np.random.default_rng(3), (1e-3,) * 5)
-    calibration = calibrated(rig, only(glare_u=0.01), ScaleConditions(temperature_c=25.0, surround=2.0))
-    found = read_patch(frames, Patch(19, 19, 10, 10), Setup(rig.description, rig.lens, calibration), now=NOON)
-    glare, patch = GTC.ureal(0.0, 0.01), float(scene[24, 24])
-    seen = found.radiance.value
-    expected = seen - glare * (float(scene.mean()) / patch * seen - 2.0 * seen)
-    noise = next(line.u_rel for line in found.budget if line.name == "repeatability") * seen
-    assert found.radiance.u == pytest.approx(math.hypot(expected.u, noise), rel=0.01)
 
 
 def test_a_ratio_of_readings_that_share_their_scale(rig):
