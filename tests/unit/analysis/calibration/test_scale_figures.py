@@ -20,7 +20,7 @@ from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.analysis.photometry.responses import unknown_mismatch_u_rel
 from radiometer.analysis.reading import budget
 from radiometer.analysis.signal import situation
-from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
+from radiometer.analysis.signal.lens import lens_in_use, relative_sensitivity
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -119,15 +119,6 @@ def test_pixels_under_a_filter_may_pass_far_less_of_another_light(mosaic, channe
     off = passed[0] / passed[1] - 1.0
     assert off > 2.0 * unknown_mismatch_u_rel(f"line:{read_nm:g}", f"line:{peak_nm:g}")
     assert off < 2.0 * budget.spectral_u_rel(known, NOTHING)
-
-
-@pytest.mark.parametrize(("m", "p", "near"), [(0.0, 1.0, 1.0), (1.0, 1.0, 4.0), (0.5, 2.0, 1.5625), (0.5, 0.5, 4.0)])
-def test_close_focus_costs_light_by_the_pupil_s_magnification(m, p, near):
-    """(1 + m/p)²: at life size with a symmetrical lens four times less; π·τ/4N² before it."""
-    lens = LensDescription(f_number=2.0, magnification=m, pupil_magnification=p, transmittance=0.8)
-    assert lens_factor_sr(lens, 4.0) == pytest.approx(math.pi * 0.8 / 64.0 / near)
-    assert lens_factor_sr(lens, None) == pytest.approx(math.pi * 0.8 / 16.0 / near)
-    assert lens_factor_sr(LensDescription(), None) == 1.0
 
 
 def test_what_the_lens_in_use_brings_to_the_budget(rig):
