@@ -15,7 +15,6 @@ from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,
     Bracket,
-    Calibration,
     CameraDescription,
     FlatField,
     FoundEffects,
@@ -31,6 +30,7 @@ from radiometer.data import (
 )
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
+from testing.relative_scale import relative_calibration
 
 BLACK, GAIN_E, READ_E = 100.0, 2.5, 5.0
 
@@ -40,14 +40,7 @@ LENS = LensDescription()
 
 NOISE = SensorNoise(conversion_gain_e_per_dn=GAIN_E, read_noise_e=READ_E, full_well_e=20_000.0)
 
-CALIBRATION = Calibration(
-    camera=CAMERA,
-    lens=LENS,
-    scale=Scale(value=1.0, u_rel=0.0, method="relative"),
-    response=None,
-    noise=NOISE,
-    black_level=BlackLevel(dn=BLACK, u_dn=0.0),
-)
+CALIBRATION = relative_calibration(CAMERA, NOISE, black_level=BlackLevel(dn=BLACK, u_dn=0.0))
 
 
 def frame(dn, exposure_s=1.0, gain_db=0.0, shape=(4, 4), **more):
@@ -168,8 +161,7 @@ def behind_a_curve(u=1e-6, valid=(2, 254), read_e=0.01):
         curve = ResponseCurve(np.log(FULL * (dn / FULL) ** 2.2), np.full(FULL + 1, u), absolute=True, valid_dn=valid)
     camera = CameraDescription(bit_depth=8, black_level_dn=0.0)
     noise = SensorNoise(conversion_gain_e_per_dn=1e7, read_noise_e=read_e, full_well_e=1e12)
-    scale = Scale(value=1.0, u_rel=0.0, method="relative")
-    return camera, Calibration(camera, LENS, scale, curve, noise, BlackLevel(dn=0.0, u_dn=0.0))
+    return camera, relative_calibration(camera, noise, response=curve)
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 12.0])
@@ -253,8 +245,7 @@ def _calibration(bits, *, curve=None, dark_e_per_s=0.0):
         dark_current_e_per_s=dark_e_per_s,
         post_curve_dn2=AFTER_DN2,
     )
-    scale = Scale(value=1.0, u_rel=0.0, method="relative")
-    return Calibration(CameraDescription(bit_depth=bits), SUMS_LENS, scale, curve, noise, BlackLevel(dn=0.0, u_dn=0.0))
+    return relative_calibration(CameraDescription(bit_depth=bits), noise, response=curve)
 
 
 def _behind_a_curve(**more):

@@ -25,12 +25,12 @@ from radiometer.data import (
     Patch,
     PixelMask,
     ResponseCurve,
-    Scale,
     SensorNoise,
     StatedUncertainties,
 )
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
+from testing.relative_scale import relative_calibration
 
 EXACT = {
     "uncertainties": StatedUncertainties(exposure_u_rel=0, exposure_u_s=0, linearity_u_rel=0, prnu_u_rel=0),
@@ -510,15 +510,8 @@ TIMES = 0.01 * 2.0 ** np.arange(6)
 
 
 def _calibration(flat=None):
-    return Calibration(
-        camera=CAMERA,
-        lens=LENS,
-        scale=Scale(value=1.0, u_rel=0.0, method="relative"),
-        response=None,
-        noise=SensorNoise.of(CAMERA),
-        black_level=BlackLevel(dn=BLACK, u_dn=0.0, dark_u_rel=0.0),
-        flat_field=flat,
-    )
+    black = BlackLevel(dn=BLACK, u_dn=0.0, dark_u_rel=0.0)
+    return relative_calibration(CAMERA, SensorNoise.of(CAMERA), lens=LENS, black_level=black, flat_field=flat)
 
 
 def _frame(rng, electrons_per_s, seconds):

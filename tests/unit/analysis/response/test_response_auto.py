@@ -21,7 +21,6 @@ from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.settle import Choices, fit_with
 from radiometer.analysis.response.wrong_labels import (
-    WrongLabel,
     find_wrong_labels,
     freed_one_by_one,
     smallest_label_error,
@@ -398,7 +397,7 @@ def church(wrong: int | None, ratio: float, seed: int = 5) -> Plane:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("wrong", "ratio"), [(1, 1.6), (1, 0.6), (5, 1.35)])
+@pytest.mark.parametrize(("wrong", "ratio"), [(1, 1.6), (5, 1.35)])
 def test_the_label_of_a_frame_that_shows_one_corner_is_reported(wrong: int, ratio: float) -> None:
     """By its own rows and by its size, however little it adds to the error of all frames; and it alone."""
     plane = church(wrong, ratio)
@@ -521,29 +520,6 @@ def test_a_linear_camera_stays_linear_beyond_its_brightest_value() -> None:
     assert (estimate.curve.valid_dn or (0, 255))[1] < 90
     g = estimate.curve.log_exposure
     assert g[242] - g[40] == pytest.approx(np.log(242 / 40), abs=0.25)
-
-
-def relabelled(bracket: Bracket, index: int, factor: float) -> Bracket:
-    frames = list(bracket.light)
-    settings = replace(frames[index].settings, exposure_s=factor * frames[index].settings.exposure_s)
-    frames[index] = replace(frames[index], settings=settings)
-    return Bracket.from_frames(frames)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("index", "stops"), [(1, 1 / 3), (4, -1 / 3)])
-def test_a_label_wrong_by_a_third_of_a_stop_is_found_in_moved_photographs(index: int, stops: float) -> None:
-    """The frame is named with its real exposure within 2 u, and no other; with right labels none is."""
-    bracket = photographs(HAND_HELD_S, (0, 1, -1, 2, 0, -2, 1))
-    found = _wrong(relabelled(bracket, index, 2.0**stops))
-    assert [one.frame for one in found] == [index]
-    assert found[0].ratio == pytest.approx(2.0**-stops, abs=2.0 * found[0].u_ratio)
-    assert _wrong(bracket) == ()
-
-
-def _wrong(bracket: Bracket) -> tuple[WrongLabel, ...]:
-    samples = gather_samples(bracket)
-    return find_wrong_labels([Plane(samples, curve_debevec1997(samples).log_exposure)])
 
 
 @pytest.mark.slow
