@@ -4,6 +4,7 @@ import datetime as dt
 import math
 import tracemalloc
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -43,6 +44,7 @@ LADDER_S = tuple(20e-6 * 2.0**k for k in range(14))
 def four_decades():
     """Return a function that merges a ramp over four decades: truth by column, the map, and the noise limit."""
 
+    @cache
     def make(rig, rows=150, columns=1200):
         top = 0.8 * rig.radiance_of_full_scale(LADDER_S[0])
         truth = np.geomspace(top, top * 1e-4, columns)
