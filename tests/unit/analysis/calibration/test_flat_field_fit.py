@@ -222,17 +222,6 @@ def test_coefficients_are_reported_at_half_the_diagonal(rig):
     assert flat.coefficients == pytest.approx((-0.18, -0.05, 0.0), abs=3e-3)
 
 
-def test_a_picture_on_its_side_has_its_falloff_on_its_side(rig):
-    """Rows and columns exchanged exchange the coordinates of the axis, and nothing else."""
-    camera, lens = wide(rig)
-    across = even_map(falloff())
-    upright = RadianceMap(across.radiance.T.copy(), across.u_radiance.T.copy(), across.mask.T.copy(), across.unit)
-    flat = fit_flat_field(upright, camera, lens)
-    assert np.hypot(flat.principal_point_px[1] - CENTRE[0], flat.principal_point_px[0] - CENTRE[1]) < 1.5
-    y, x = np.mgrid[: SHAPE[1], : SHAPE[0]].astype(float)
-    np.testing.assert_allclose(flat.at(x, y), falloff().T, atol=1e-3)
-
-
 @pytest.mark.parametrize("stated", [None, (50.0, 60.0)])
 def test_a_point_that_is_not_fitted_is_the_lens_s_or_the_middle_pixel(rig, stated):
     """Of 160 × 120 pixels, counted from 0, the middle lies at 79.5 and 59.5."""

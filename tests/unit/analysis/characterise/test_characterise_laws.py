@@ -423,29 +423,19 @@ def test_the_outcome_names_the_capacity_where_it_is_known(full, ends):
     assert ends in outcome(replace(result, figures=figures)).replace("\u202f", "").replace("\u00a0", " ")
 
 
-def test_variances_of_few_lines_scatter_by_their_stated_uncertainty():
+@pytest.mark.parametrize("turned", [False, True])
+def test_variances_of_few_lines_scatter_by_their_stated_uncertainty(turned):
     """Of 4 rows, or 4 columns, of their own offsets: over 1500 pictures the scatter of s² is the mean of its u, to 8 %.
 
     Three degrees of freedom of a normal distribution: σ(s²) = s²·√(2/3), which 1500 draws determine to 3 %.
     """
     rng = np.random.default_rng(31)
-    quiet = NoiseLeft(0.0, 0.0, 0.0)
-    splits = [
-        split_spatial_variance(
-            3.0 * rng.standard_normal((4, 1)) + 0.1 * rng.standard_normal((4, 40)), quiet
-        ) for _ in range(1500)
-    ]  # fmt: skip
-    for turned in (False, True):
-        if turned:
-            splits = [
-                split_spatial_variance(
-                    3.0 * rng.standard_normal((1, 4)) + 0.1 * rng.standard_normal((40, 4)), quiet
-                ) for _ in range(1500)
-            ]  # fmt: skip
-        values = [one.column_dn2 if turned else one.row_dn2 for one in splits]
-        reported = [one.u_column_dn2 if turned else one.u_row_dn2 for one in splits]
-        assert np.mean(values) == pytest.approx(9.0, rel=0.08)
-        assert np.mean(reported) == pytest.approx(np.std(values), rel=0.08)
+    quiet, part = NoiseLeft(0.0, 0.0, 0.0), "column_dn2" if turned else "row_dn2"
+    pictures = [3.0 * rng.standard_normal((4, 1)) + 0.1 * rng.standard_normal((4, 40)) for _ in range(1500)]
+    splits = [split_spatial_variance(one.T if turned else one, quiet) for one in pictures]
+    values, reported = ([getattr(one, name) for one in splits] for name in (part, f"u_{part}"))
+    assert np.mean(values) == pytest.approx(9.0, rel=0.08)
+    assert np.mean(reported) == pytest.approx(np.std(values), rel=0.08)
 
 
 @pytest.mark.parametrize(

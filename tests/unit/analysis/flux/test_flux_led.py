@@ -196,12 +196,11 @@ def test_without_an_emitter_only_the_flux_on_the_sensor_is_given() -> None:
     assert any("taken as known to 3 %" in note for note in report.assumptions)
 
 
-@pytest.mark.slow
 def test_stated_intervals_hold_the_true_flux_in_random_set_ups() -> None:
-    """In 100 random set-ups, all figures off by their stated uncertainty, k = 2 holds the flux in 93 % or more."""
+    """In 30 random set-ups, all figures off by their stated u, k = 2 holds the flux in 28; half of it in some 20."""
     rng = np.random.default_rng(515)
     hits = 0
-    for number in range(100):
+    for number in range(30):
         true = Setup(
             flux_mW=float(rng.uniform(1, 20)),
             half_angle_deg=float(rng.uniform(10, 60)),
@@ -225,7 +224,7 @@ def test_stated_intervals_hold_the_true_flux_in_random_set_ups() -> None:
         scale = flux_scale(measuring.Setup(believed, lens, None, true.scene().source))
         result = led_flux(frames, scale, emitter, f_number_u_rel=0.02).result
         hits += abs(result.value - true.flux_mW * 1e-3) <= 2 * result.u
-    assert hits >= 93
+    assert hits >= 28
 
 
 def test_saturated_brackets_and_missing_figures_are_refused() -> None:

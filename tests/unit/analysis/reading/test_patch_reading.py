@@ -194,24 +194,15 @@ def test_a_flat_field_is_divided_out(rig):
     assert u_rel_of(result, "flat field") == pytest.approx(0.003)
 
 
-def test_a_patch_outside_the_frame_is_refused(rig):
-    """The message gives the patch and the size of the frame."""
-    frames = rig.frames(uniform(1.0), np.random.default_rng(1), (1e-3,))
+def test_what_a_reading_cannot_be_made_of_is_refused(rig):
+    """A patch beyond the frame, with its size; no light; the calibration of a camera of another serial number."""
+    rng = np.random.default_rng(1)
+    frames, dark = [rig.frame(uniform(1.0), 1e-3, rng)], [rig.frame(uniform(0.0), 1e-3, rng, shutter="closed")]
+    setup, other = Setup(rig.description, rig.lens), rig.description.model_copy(update={"serial": "2"})
     with pytest.raises(MeasurementError, match="12 × 12"):
-        read(rig, frames, None, Patch(10, 10, 5, 5))
-
-
-def test_dark_frames_alone_are_refused(rig):
-    """There must be light."""
-    dark = rig.frame(uniform(0.0), 1e-3, np.random.default_rng(1), shutter="closed")
+        read_patch(frames, Patch(10, 10, 5, 5), setup)
     with pytest.raises(MeasurementError, match="shutter open"):
-        read_patch([dark], Patch(0, 0, 2, 2), Setup(rig.description, rig.lens))
-
-
-def test_the_calibration_of_another_camera_is_refused(rig):
-    """The serial number decides."""
-    frames = rig.frames(uniform(1.0), np.random.default_rng(1), (1e-3,))
-    other = rig.description.model_copy(update={"serial": "2"})
+        read_patch(dark, Patch(0, 0, 2, 2), setup)
     with pytest.raises(CalibrationError, match="serial"):
         read_patch(frames, Patch(0, 0, 2, 2), Setup(other, rig.lens, rig.calibration()))
 

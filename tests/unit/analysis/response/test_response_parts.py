@@ -38,13 +38,6 @@ def test_saturation_below_full_scale_is_found(make_stack):
     assert find_limits([Bracket.from_frames(frames)]).saturated_dn == 3500
 
 
-def test_unclipped_frames_keep_full_scale():
-    """Where nothing piles up, saturation is full scale."""
-    ramp = np.arange(40, 200, dtype=np.uint8)[None, :].repeat(50, axis=0)
-    frames = [Frame(ramp, 8, FrameSettings(t)) for t in (1.0, 2.0)]
-    assert find_limits([Bracket.from_frames(frames)]).saturated_dn == 255
-
-
 def _noisy_behind_the_clipping(sigma_dn, seed=5):
     """Return frames of a linear sensor that clips at black and white before noise of `sigma_dn` is added to it."""
     rng = np.random.default_rng(seed)
@@ -108,18 +101,6 @@ def test_noise_parameters_are_found_again():
     found = fit_log_noise(residual, np.zeros(4000), g, slope, pixels)
     expected = truth.variance(g, slope, pixels)
     assert found.variance(g, slope, pixels) == pytest.approx(expected, rel=0.1)
-
-
-def test_mean_behind_a_gamma_curve_is_moved_to_the_mean_exposure(make_stack):
-    """Mean M of noisy exposures through a gamma of 1/2.2 becomes the M of their mean, to a tenth of the shift."""
-    rng = np.random.default_rng(8)
-    exposure = 0.02 + 0.004 * rng.standard_normal(400_000)
-    numbers = 4095 * np.clip(exposure, 0, 1) ** (1 / 2.2)
-    g = 2.2 * np.log(np.maximum(np.arange(4096), 0.5) / 4095)
-    mean, variance = numbers.mean(), numbers.var() + 1 / 12
-    predicted = 4095 * exposure.mean() ** (1 / 2.2)
-    found = mean_exposure_dn(np.array([mean]), np.array([variance]), g, find_limits([make_stack("gamma")]))[0]
-    assert abs(found - predicted) < 0.1 * abs(mean - predicted)
 
 
 def _film(rng, fog, knee, times):
