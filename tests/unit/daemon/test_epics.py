@@ -10,7 +10,7 @@ import pytest
 
 from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.patches import MAIN, PatchLimits
-from radiometer.data import Flag, Patch
+from radiometer.data import Flag
 from radiometer.errors import UsageError
 from testing.patience import within
 
@@ -53,18 +53,6 @@ async def test_client_reads_the_reading(served, station, eventually):
     luminance = await _read(client, "luminance")
     assert (luminance.value, luminance.display.units) == (100.0, "cd m-2")
     assert (await _read(client, "u_luminance")).value == 2.0
-
-
-async def test_a_moved_patch_has_no_value(served, station, eventually):
-    """After a change of the place the value is invalid until the next measurement, as before the first."""
-    _, client = served
-    await station.acquisition.measure()
-    await eventually(lambda: station.shown.latest is not None)
-    assert (await _read(client, "radiance")).value == 17.0
-    station.configure(patch=Patch(1, 1, 2, 3))
-    found = await _read(client, "radiance")
-    assert math.isnan(found.value)
-    assert (found.alarm.severity, found.alarm.message) == (3, "no reading yet")
 
 
 async def test_alarms_and_limits_are_epics_own(served, station, instrument, eventually):

@@ -331,17 +331,6 @@ def test_a_jump_is_reported_in_the_largest_unit_it_holds_twice(by_us, message):
     assert f"{message}, from 2026-06-01T00:00:00Z" in str(Jump(START_US, START_US + by_us))
 
 
-def test_what_a_time_service_does_is_no_jump():
-    """Half a second per hour, for a day, is followed without a word."""
-    clocks, reported = Clocks(), list[Jump]()
-    watch = ClockWatch(reported.append, *clocks.both)
-    for _ in range(24):
-        clocks.go(HOUR_US)
-        clocks.wall += 500_000
-        watch.look()
-    assert reported == []
-
-
 @pytest.mark.parametrize(
     ("by_us", "reported"), [(4_900_000, False), (5_000_000, True), (-4_900_000, False), (-5_000_000, True)]
 )
