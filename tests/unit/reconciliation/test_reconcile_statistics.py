@@ -225,12 +225,12 @@ def test_frames_of_another_size_are_refused(make_capture):
 
 
 @pytest.mark.slow
-def test_repeatability_is_found(make_capture):
+def test_repeatability_is_found(declared):
     """τ comes out at the 0.1 % that the lamp has, within the 99 % interval of 50 captures."""
-    assert start_of(make_capture(seed=6)).tau == pytest.approx(1e-3, rel=0.3)
+    assert declared.tau == pytest.approx(1e-3, rel=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_null_tests_are_calibrated(make_capture):
     """Under the null the share of p < 0.05 over four seeds is 0.05 (about 50 independent tests in each)."""
     p = [test.p_value for seed in range(4) for test in localise(start_of(make_capture(seed=seed)))]
@@ -329,9 +329,9 @@ def test_blur_that_moves_nothing_stands_still(make_capture):
 
 
 @pytest.mark.slow
-def test_no_number_of_captures_shows_a_blur_that_borders_feign(make_capture):
+def test_no_number_of_captures_shows_a_blur_that_borders_feign(declared):
     """What makes borders unsharp by 0.05 % is the same in all pictures: five times that is the least that shows."""
-    limit = limits(start_of(make_capture()), {"psf_blur": PsfBlur})["psf_blur"].amplitude
+    limit = limits(declared, {"psf_blur": PsfBlur})["psf_blur"].amplitude
     assert 5.0 * 5e-4 * 0.95 < np.exp(-0.5 / limit**2) < 5.0 * 5e-4 * 4.0
 
 

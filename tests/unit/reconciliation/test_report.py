@@ -14,7 +14,6 @@ from radiometer.reporting.origin import Origin
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.crosstalk import Crosstalk
 from testing.generator.session import make_session
-from testing.reduced import start_of
 from testing.report_checks import HOSTILE, assert_reports_hold
 
 
@@ -118,19 +117,12 @@ def test_every_entry_has_words_for_where_it_shows(kind):
     assert axis_label(kind.where)[0]
 
 
-@pytest.fixture(scope="module")
-def lit_and_dark(make_capture):
-    """Return the fitted start of a session with patches of many levels, gains, temperatures and dark frames."""
-    captured = make_capture(9)
-    return start_of(captured)
-
-
 @pytest.mark.parametrize("kind", [Crosstalk, BlackLevelOffset])
 @pytest.mark.slow
-def test_what_an_entry_does_is_drawn_with_and_without_a_band(lit_and_dark, kind):
+def test_what_an_entry_does_is_drawn_with_and_without_a_band(declared, kind):
     """Also of an entry that shows in two directions at once, such as charge that goes to neighbours."""
     effect = kind()
-    state = with_effects(lit_and_dark, [effect])
+    state = with_effects(declared, [effect])
     assert "residual without it" in plot_along(state, effect.where, effect.block, effect, 0.1)
     assert plot_along(state, "signal", kind.block)
     assert not plot_along(state, "signal", "no such statistic")

@@ -145,17 +145,6 @@ def test_truthful_labels_agree():
 
 
 @pytest.mark.slow
-def test_label_that_lies_is_named_with_its_ratio():
-    """One photograph labelled a stop too short: its label and the factor 2 come out."""
-    printed = [*EXACT[:3], EXACT[3] * 1.9, *EXACT[4:]]
-    done = reconcile_photographs(_photographs(printed, EXACT))
-    (effect,) = done.result.effects
-    assert effect.name == "exposure_label_error"
-    assert effect.parameters["label_s"].value == pytest.approx(EXACT[3] * 1.9)
-    assert math.log(effect.parameters["ratio"].value) == pytest.approx(-math.log(1.9), abs=0.03)
-
-
-@pytest.mark.slow
 def test_light_that_fell_on_one_photograph_is_no_wrong_label():
     """A corner glows in the shortest exposures but one; the rest of the picture is in order, and so is the label."""
     frames = _photographs(EXACT, EXACT)
