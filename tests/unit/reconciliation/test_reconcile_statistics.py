@@ -41,9 +41,13 @@ def test_interleaved_single_frames_are_gathered_by_setting():
     assert [capture.frames for capture in captures] == [(0, 2), (1, 3)]
 
 
-def test_patch_outside_the_frame_is_refused(make_capture):
-    """A patch that does not fit the frames names itself and its place."""
+def test_a_patch_keeps_a_margin_and_lies_in_the_frame(make_capture):
+    """From eight pixels on a tile is a pixel smaller on each side; a patch that does not fit names itself."""
     captured = make_capture(plan=[{"t": 1e-3}], frames=1)
+    for side, kept in ((7, 7), (8, 6), (9, 7)):
+        small = captured.header.patches[0].model_copy(update={"width": side, "height": side})
+        header = captured.header.model_copy(update={"patches": (small,)})
+        assert Design.of(header, captured.frames[0].shape).tiles[0].width == kept
     with pytest.raises(CaptureError, match=r"patch 'p05' .* is outside"):
         Design.of(captured.header, (64, 90))
 

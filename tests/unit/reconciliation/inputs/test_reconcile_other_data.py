@@ -44,7 +44,9 @@ def test_thesis_constants_scatter_by_rounding(tmp_path):
     """K at f/16 and f/5.6 agrees once exact stops are used; the printed values are those of the thesis."""
     done = reconcile_meter_table(_table(tmp_path, THESIS))
     assert [effect.name for effect in done.result.effects] == ["nominal_settings"]
-    assert done.result.effects[0].gap_after < 1e-9
+    (effect,) = done.result.effects
+    assert effect.gap_after < 1e-9
+    assert effect.gain_nats == pytest.approx(10.0 * math.log(effect.gap_before / 1e-6))  # K is read to 1e-6 at best
     assert [round(row.k_printed, 4) for row in done.rows] == [16.6016, 18.0697, 18.3824, 14.3029, 15.1786, 16.4706]
 
 
