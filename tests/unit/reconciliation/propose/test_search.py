@@ -110,7 +110,7 @@ def test_the_law_holds_in_another_session(glow, tmp_path):
     assert after.gap - 1.0 < 0.1 * (before.gap - 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_amplifiers_are_distinguished_from_shading_by_their_noise(tmp_path):
     """A step of the gain at a row scales charge and its noise: the stage is the readout, not the optics."""
     state, session = state_of(tmp_path / "set", 2, "row_gain_step", "bracket")
