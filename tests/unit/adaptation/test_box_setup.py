@@ -261,7 +261,7 @@ def test_classic_is_the_test_of_the_literature():
         ("end: {", "ende: {", "unknown key 'ende'"),
         ("duration_min: 40", "duration_min: 40, criterion_log10: -9", "outside the spot's levels"),
         # Place and size of the light in the blind spot are those of the optic disc.
-        *(("share: 0.06", wrong, wrong.split(":")[0]) for wrong in ("temporal_deg: 10", "below_deg: 8", "size_deg: 5")),
+        *(("share: 0.06", bad, bad.split(":")[0]) for bad in ("temporal_deg: 10", "below_deg: 8", "size_deg: 2.1")),
         # The journal's file carries the name: it leads to no other folder.
         *(("name: classic", f"name: '{name}'", "name") for name in ("../../x", "a/b", "", ".hidden")),
         # A time or level far beyond any test is a slip of the pen, and would run without end.

@@ -47,24 +47,6 @@ async def test_continuous_measurement_keeps_its_period(station, eventually):
     assert time.monotonic() - begun > 8.5 * 0.05
 
 
-async def test_a_lost_camera_is_reported_and_reopened(station, instrument, eventually):
-    """Loss puts the alarm up and fails requests at once; the return clears it, and measuring goes on; both are kept."""
-    station.set_every(0.01)
-    await eventually(lambda: station.shown.latest)
-    instrument.unplugged = True
-    await eventually(lambda: station.camera.state is DeviceState.LOST)
-    assert [alarm.name for alarm in station.alarms.active] == ["camera"]
-    with pytest.raises(DeviceError, match="unplugged"):
-        await station.acquisition.measure()
-    instrument.unplugged = False
-    await eventually(lambda: not station.alarms.active)
-    last = station.shown.latest.sequence
-    await eventually(lambda: station.shown.latest is not None and station.shown.latest.sequence > last)
-    assert station.camera.losses == 1
-    reader = JournalReader(station.journal_path)
-    await eventually(lambda: [event["kind"] for event in reader.events()] == ["alarm", "cleared"])
-
-
 async def test_a_camera_that_does_not_return_is_reported_before_it_gives_up(station, instrument, eventually):
     """While a call hangs the alarm is up; once answers come in time again it goes, and no loss is counted."""
     instrument.let_go, instrument.late_at = threading.Event(), time.monotonic() + 0.2

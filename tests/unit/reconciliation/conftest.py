@@ -15,6 +15,7 @@ from radiometer.data import (
     PatchDescription,
     SourceDescription,
 )
+from testing.reduced import start_of
 
 HEIGHT, WIDTH, ROWS, COLUMNS = 64, 96, 4, 6
 FULL_WELL_E, E_PER_DN, READ_E, BLACK_DN = 10_500.0, 2.6, 2.4, 64.0
@@ -92,6 +93,12 @@ def make_capture():
         return Synthetic(_header(patterns, tuple(entries), known=known), taken)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def declared(make_capture):
+    """Return the fit that a search starts from where nothing is hidden: levels, gains, temperatures and darks."""
+    return start_of(make_capture(6))
 
 
 def _header(patterns, entries, *, known):
