@@ -589,29 +589,6 @@ def test_page_and_json_name_methods_conditions_and_figures(tmp_path: Path, capsy
     assert run([*words, "-o", str(page)]) == 2  # the page exists
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--display", "plasma"],
-        ["--display", "lcd", "--methods", "smell"],
-        ["--display", "lcd", "--methods", "viewing_angle"],
-        ["--display", "lcd", "--geometry", "sideways"],
-        ["--display", "lcd", "--points", "12"],
-        ["--display", "lcd", "--checkers", "4"],
-        ["--display", "lcd", "--checkers", "3x3"],
-        ["--display", "lcd", "--angles", "left"],
-        ["--display", "lcd", "--angles=-90,90"],
-        ["--display", "lcd", "--levels", "few"],
-        ["--camera", "22500001"],
-    ],
-)
-def test_misuse_is_one_line(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A wrong word is refused before anything is measured: exit code 2, one line, no page."""
-    assert run(["screen", "report", *words, "-o", str(tmp_path / "x.html")]) == 2
-    assert capsys.readouterr().err.startswith("error:")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_screen_too_small_in_the_picture_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A screen of 20 pixels has no measuring field; the message says to move the camera."""
     words = ["--display", "oled", "--area", "0,0,30,20", "--warm-up", "0", "--methods", "white"]
