@@ -122,6 +122,7 @@ MISUSE = [
             ("lcd --geometry sideways", "sideways"), ("lcd --points 12", "--points"), ("lcd --checkers 4", "4"),
             ("lcd --checkers 3x3", "3x3"), ("lcd --angles left", "left"), ("lcd --angles=-90,90", "90"),
             ("lcd --levels few", "few"),
+            ("oled --area 0,0,30,20 --warm-up 0 --methods white", "move the camera closer"),
         )
     ),
     ("screen report --camera 22500001 -o x.html", 2, "--display"),
