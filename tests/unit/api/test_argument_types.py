@@ -13,9 +13,6 @@ import pytest
 
 import radiometer as rm
 from radiometer.argument_types import range_of
-from radiometer.cli.commands import COMMANDS
-from radiometer.cli.main import run
-from radiometer.cli.tree import application
 
 FUNCTIONS = [name for name in rm.__all__ if inspect.isfunction(getattr(rm, name))]
 WRONG = (["text", {}], [], {"text": []}, math.nan)
@@ -132,41 +129,6 @@ def test_no_uncertainty_is_negative_and_no_relative_one_above_one(name, argument
     bounds = (None, None) if allowed is None else (allowed.low, allowed.high)
     assert "u" not in words or bounds[0] == 0.0
     assert "u_rel" not in argument or bounds == (0.0, 1.0)
-
-
-def bounded_options() -> list[tuple[tuple[str, ...], str, object]]:
-    """Return (words of the command, option, its limits) of every option with a range."""
-    found = []
-
-    def walk(command: typing.Any, path: tuple[str, ...]) -> None:
-        for one in command.params:
-            limits = one.type_descriptor.parameter_info
-            if one.param_type_name == "option" and (limits.min, limits.max) != (None, None):
-                found.append((path, max(one.opts, key=len), limits))
-        for name, inner in getattr(command, "commands", {}).items():
-            walk(inner, (*path, name))
-
-    for name in COMMANDS:
-        walk(application(name), (name,))
-    return found
-
-
-@pytest.mark.parametrize(("words", "option", "limits"), bounded_options())
-def test_a_command_refuses_the_same_numbers(words, option, limits, capsys):
-    """What is outside the range, NaN and infinity: exit code 2, and the option is named."""
-    outside = ["nan", "inf", *([] if limits.min is None else [f"{limits.min - 1}"])]
-    outside += [] if limits.max is None else [f"{limits.max * 2}"]
-    for value in outside:
-        assert run([*words, f"{option}={value}"]) == 2
-        assert option in capsys.readouterr().err
-
-
-def test_the_options_of_a_command_have_the_ranges_of_its_function():
-    """Those of the bleach and of a photograph's reference, as examples of each way in which commands are made."""
-    ranges = {(words, option): (limits.min, limits.max) for words, option, limits in bounded_options()}
-    assert ranges[("adapt", "bleach"), "--pupil"] == (1.0, 9.0)
-    assert ranges[("alpha-opic",), "--wavelength-u"] == (0.0, 50.0)
-    assert ranges[("calibrate",), "--luminance-meter-k"] == (5.0, 30.0)
 
 
 def assert_works_or_says(call: Callable[[], object]) -> None:

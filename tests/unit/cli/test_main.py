@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 import pytest
 import structlog
-import typer
 
 import radiometer as rm
 from radiometer.bench.boxes import calibration_file
@@ -116,6 +115,21 @@ MISUSE = [
     ("screen calibrate -o x.yaml --display oled --export xlsx", 2, "xlsx"),
     ("screen calibrate -o x.yaml --display oled --channels gray", 2, "gray"),
     ("screen calibrate -o x.yaml", 2, "--camera"),
+    *(
+        (f"screen report --display {words} -o x.html", 2, message)
+        for words, message in (
+            ("plasma", "plasma"), ("lcd --methods smell", "smell"), ("lcd --methods viewing_angle", "viewing_angle"),
+            ("lcd --geometry sideways", "sideways"), ("lcd --points 12", "--points"), ("lcd --checkers 4", "4"),
+            ("lcd --checkers 3x3", "3x3"), ("lcd --angles left", "left"), ("lcd --angles=-90,90", "90"),
+            ("lcd --levels few", "few"),
+            ("oled --area 0,0,30,20 --warm-up 0 --methods white", "move the camera closer"),
+        )
+    ),
+    ("screen report --camera 22500001 -o x.html", 2, "--display"),
+    ("measure --linear", 2, "--linear"),
+    ("measure --linear --photographs . --calibration none.yaml", 2, "--linear"),
+    ("merge . --linear --response c.csv -o a.exr", 2, "leave --response out"),
+    ("light set spot --level 9 --box sim --eye both", 2, "--eye"),
     ("adapt run nothing --subject A --simulate steady", 2, "nothing"),
     ("adapt run classic --subject A --simulate asleep", 2, "asleep"),
     ("adapt run classic --subject A --simulate steady --box LB000001", 2, "--box"),
@@ -254,27 +268,62 @@ class _Terminal(io.StringIO):
         return True
 
 
-def _given_options(command, *path):
+def _options(command, *path):
     """Yield each option of a command and of those below it, after the words of its command."""
     for option in command.params:
         if option.param_type_name == "option" and option.name != "help":
             yield path, option
     for name, inner in getattr(command, "commands", {}).items():
-        yield from _given_options(inner, *path, name)
+        yield from _options(inner, *path, name)
+
+
+def _senseless(option):
+    """Yield values that an option cannot take, each with what the message holds besides the option."""
+    long, limits = max(option.opts, key=len), option.type_descriptor.parameter_info
+    if option.type_descriptor.annotation is float or (limits.min, limits.max) != (None, None):
+        yield from (("nan", ""), ("inf", ""))
+    if limits.min is not None:
+        yield f"{limits.min - 1}", ""
+    if limits.max is not None:
+        yield f"{limits.max * 2}", ""
+    if long.endswith("-u-rel"):  # 500 % or 5 %?
+        yield "5", f"{long} 5: is 500 %; write 5%"
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_an_option_of_one_value_is_not_given_twice(name, tmp_path, monkeypatch, capsys):
-    """The last value would win without a word; `--no-x` after `--x` likewise. Whatever the values, nothing happens."""
+def test_an_option_takes_one_sensible_value(name, tmp_path, monkeypatch, capsys):
+    """No number outside its range, no NaN, no infinity, no share that may be per cent, and none twice.
+
+    The last of two would win without a word; `--no-x` after `--x` likewise. Whatever the values, nothing happens.
+    """
     monkeypatch.chdir(tmp_path)
-    for path, option in _given_options(application(name), name):
-        value = [] if option.is_flag else ["1"]
-        words = [*path, option.opts[0], *value, (option.secondary_opts or option.opts)[0], *value]
-        if option.multiple or (option.is_flag and not option.secondary_opts):
-            continue
-        assert run(words) == 2, words
-        assert capsys.readouterr().err == f"error: {max(option.opts, key=len)} is given twice; give it once\n"
+    for path, option in _options(application(name), name):
+        long = max(option.opts, key=len)
+        for value, message in _senseless(option):
+            assert run([*path, f"{long}={value}"]) == 2, (path, long, value)
+            printed = " ".join(capsys.readouterr().err.split())
+            assert long in printed
+            assert message in printed
+        if not option.multiple and (not option.is_flag or option.secondary_opts):
+            value = [] if option.is_flag else ["1"]
+            words = [*path, option.opts[0], *value, (option.secondary_opts or option.opts)[0], *value]
+            assert run(words) == 2, words
+            assert capsys.readouterr().err == f"error: {long} is given twice; give it once\n"
     assert not list(tmp_path.iterdir())
+
+
+def test_the_options_of_a_command_have_the_ranges_of_its_function():
+    """Those of the bleach and of a photograph's reference, as examples of each way in which commands are made."""
+    for words, name, low, high in (
+        (("adapt", "bleach"), "--pupil", 1.0, 9.0),
+        (("alpha-opic",), "--wavelength-u", 0.0, 50.0),
+        (("calibrate",), "--luminance-meter-k", 5.0, 30.0),
+    ):
+        (option,) = (
+            one for path, one in _options(application(words[0]), words[0]) if path == words and name in one.opts
+        )
+        limits = option.type_descriptor.parameter_info
+        assert (limits.min, limits.max) == (low, high)
 
 
 def _documented_with_an_option_twice():
@@ -331,24 +380,6 @@ def test_each_bound_is_taken_and_one_step_beyond_is_misuse(parse, taken, refused
     for text in refused:
         with pytest.raises(UsageError):
             parse(text, *option)
-
-
-def _options(command, *path):
-    """Yield each option of a command and of those below it, after the words of its command."""
-    yield from ((*path, option.opts[0]) for option in command.params)
-    for name, inner in getattr(command, "commands", {}).items():
-        yield from _options(inner, *path, name)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_relative_quantity_of_five_is_misuse(name, capsys, tmp_path, monkeypatch):
-    """5 may be 500 % or 5 %: whatever the command, the message says what to write."""
-    monkeypatch.chdir(tmp_path)
-    for words in _options(application(name), name):
-        if words[-1].endswith("-u-rel"):
-            assert run([*words, "5"]) == 2, words
-            assert f"{words[-1]} 5: is 500 %; write 5%" in " ".join(capsys.readouterr().err.split())
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture
@@ -469,24 +500,6 @@ def test_who_asks_for_everything_gets_the_traceback_without_its_variables(capsys
     assert "49999" not in printed
 
 
-def _numbers(command, *path):
-    """Yield each option of a command and of those below it that takes a number, after the words of its command."""
-    for option in command.params:
-        if option.param_type_name == "option" and option.type_descriptor.annotation is float:
-            yield (*path, option.opts[0])
-    for name, inner in getattr(command, "commands", {}).items():
-        yield from _numbers(inner, *path, name)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_no_option_takes_what_is_no_number(name, tmp_path, monkeypatch):
-    """A limit lets nan pass, and without one infinity passes, too; each is refused before anything happens."""
-    monkeypatch.chdir(tmp_path)
-    for words in _numbers(application(name), name):
-        assert [run([*words, value]) for value in ("nan", "inf")] == [2, 2], words
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_log_that_cannot_be_written_ends_no_program(monkeypatch):
     """A full disk, or a pipe whose reader has ended: the daemon goes on, and its alarms are on every interface."""
     reader, writer = os.pipe()
@@ -577,18 +590,7 @@ def _leaves(path, found):
         yield from _leaves((*path, name), single)
 
 
-def _commands():
-    for name, entry in COMMANDS.items():
-        module = importlib.import_module(entry.module)
-        if hasattr(module, "command"):
-            app = typer.Typer()
-            app.command(name=name)(module.command)
-            yield (name,), typer.main.get_command(app)
-        elif isinstance(module.app, typer.Typer):
-            yield from _leaves((name,), typer.main.get_command(module.app))
-
-
-_ALL = list(_commands())
+_ALL = [leaf for name in COMMANDS for leaf in _leaves((name,), application(name))]
 _OUTPUTS = [
     pytest.param(path, command, name, id=f"{'-'.join(path)}-{name}")
     for path, command in _ALL

@@ -144,13 +144,6 @@ def test_jpeg_files_that_cannot_tell_are_reported(tmp_path, capsys):
     assert "cameras write JPEG through a curve" in capsys.readouterr().err
 
 
-def test_linear_photographs_take_no_response(tmp_path, capsys):
-    """--linear next to --response is misuse, stated in one line."""
-    words = ["merge", str(tmp_path), "--linear", "--response", "c.csv", "-o", str(tmp_path / "a.exr")]
-    assert run(words) == 2
-    assert "leave --response out" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_raw_files_are_filled_in_for_pictures(tmp_path, capsys):
     """--demosaic gives the map at full size, in proportion to the light of each colour."""

@@ -86,11 +86,9 @@ def test_a_focal_length_fits_within_a_hundredth(calibration, focal_mm, taken):
     require_lens(replace(calibration, lens=LensDescription()), lens)
 
 
-def test_it_goes_stale_after_its_validity(calibration):
-    """The day of expiry itself still counts as valid."""
-    made = dt.datetime(2026, 1, 2, 3, 4, 5, tzinfo=dt.UTC)
-    assert not calibration.is_stale(made + dt.timedelta(days=365))
-    assert calibration.is_stale(made + dt.timedelta(days=365, seconds=1))
+def test_it_is_valid_for_a_year(calibration):
+    """Unless its file says for how long."""
+    assert calibration.validity_days == 365.0
 
 
 @pytest.mark.parametrize(
