@@ -155,9 +155,9 @@ def adapt_run(
     """Run a dark-adaptation test; an unfinished run of the same visit is taken up where it ends.
 
     Each visit has its own journal, with date and time in its name. A finished run is never taken up. Calibration age,
-    safety and, with a camera or bench, the dark room are checked before the bleach. Every event is in the journal before
-    the next one happens. At a terminal p pauses and goes on, q ends the test; a press of the button that is held for 2 s
-    pauses too.
+    safety and, with a camera or bench, the dark room are checked before the bleach. Every event is in the journal
+    before the next one happens. At a terminal p pauses and goes on, q ends the test; a press of the button that is held
+    for 2 s pauses too.
 
     Examples:
         >>> import radiometer as rm

@@ -58,7 +58,7 @@ def command_of(
     name: str,
     show: Callable[..., None] | None = None,
     *,
-    files: Sequence[str] = (),
+    files: Sequence[str] | None = None,
     folder: str | None = None,
     results: Sequence[str] = (),
     defaults: Mapping[str, Any] | None = None,
@@ -158,7 +158,7 @@ def command_of(
         for one, file in written.items():
             if file is not None:
                 getattr(found, _WRITERS.get(one, f"write_{one}"))(file)
-        for named in (*(given[one] for one in files), *written.values()):
+        for named in (*(given[one] for one in files or ()), *written.values()):
             for file in named if isinstance(named, list) else filter(None, [named]):
                 note(f"wrote {file}")
         if not reports:
@@ -168,7 +168,9 @@ def command_of(
     command.__doc__ = text
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in parameters}
-    return writes(*files, *results, folder=folder)(command) if files or results or folder else command
+    if files is None and not results and folder is None:
+        return command
+    return writes(*(files or ()), *results, folder=folder)(command)
 
 
 def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any, bool]]]:
@@ -189,13 +191,17 @@ def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any
         one.arg: (ast.unparse(one.annotation) if one.annotation else "", value, place < len(required))
         for place, (one, value) in enumerate(zip((*plain, *named), values, strict=True))
     }
-    options = {f"`{one}`": f"--{one.replace('_', '-')}" for one in taken}  # as the command line names them
+    options = {f"`{one}`": _NAMES.get(one, _plain_names(one))[0] for one in taken}
 
     def spoken(words: str) -> str:
         return re.sub(r"`\w+`", lambda it: options.get(it[0], it[0]), words)
 
     helps = {one: spoken(" ".join(words.split())) for one, words in arguments}
     return spoken(re.split(r"\n\n[A-Z]\w+:\n", doc)[0]), helps, taken
+
+
+def _plain_names(name: str) -> tuple[str, ...]:
+    return (f"--{name.removesuffix('_s').replace('_', '-')}",)
 
 
 def _value(default: ast.expr | None) -> Any:
@@ -211,8 +217,8 @@ def _annotation(name: str, kind: str, default: Any, is_argument: bool, stated: A
     names = re.findall(r"\w+", kind)
     named = info.param_decls or isinstance(info.default, str)  # where typer keeps a name that stands alone
     if isinstance(info, OptionInfo) and not named:
-        plain = f"--{name.removesuffix('_s').replace('_', '-')}"
-        info.param_decls = (f"--no{plain[1:]}",) if default is True else _NAMES.get(name, (plain,))
+        plain = _NAMES.get(name, _plain_names(name))
+        info.param_decls = (f"--no{plain[0][1:]}",) if default is True else plain
     info.help = info.help or text
     if whole:
         return Annotated[(*get_args(stated)[:-1], info)]

@@ -138,7 +138,7 @@ for name, made in {
     "bleach": command_of("adapt_bleach", _show_bleach),
     "fit": command_of("adapt_fit", _show_fit, results=("report", "csv"), criterion=typer.Option()),
     "instructions": command_of("adapt_instructions", _show_instructions),
-    "visits": command_of("adapt_visits", _show_visits, files=("report",), visits=typer.Argument(metavar="FILES...")),
+    "visits": command_of("adapt_visits", _show_visits, files=("report",), visits=typer.Argument(metavar="FILES")),
     "retest": command_of("adapt_retest", _show_retest, like="adapt_fit"),
 }.items():  # fmt: skip
     app.command(name)(made)
