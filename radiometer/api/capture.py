@@ -45,7 +45,6 @@ class BracketReport(Result):
     cut_short: bool = False
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "capture": str(self.capture),
             "frames": self.frames,

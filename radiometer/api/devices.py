@@ -39,7 +39,6 @@ class Devices(Result):
     note: str | None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "cameras": [{**asdict(one), "serial_also": other_notation(one.serial)} for one in self.cameras],
             "light_boxes": [asdict(one) for one in self.light_boxes],
@@ -105,7 +104,6 @@ class Diagnosis(Result):
         return not any(one.health is Health.FAULT for one in self.findings)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"sound": self.sound, "findings": [one.to_mapping() for one in self.findings]}
 
     def __str__(self) -> str:

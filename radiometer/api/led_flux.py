@@ -79,7 +79,6 @@ class Flux(Result):
         return self.report.result
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             **self.report.to_mapping(),
             "notes": [*self.report.contradictions, *self.notes],

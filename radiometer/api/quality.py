@@ -56,7 +56,6 @@ class QualityReport(Result):
     datasheet: Datasheet
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return self.datasheet.to_mapping()
 
     def write(self, path: PathLike) -> None:
