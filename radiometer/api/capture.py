@@ -91,7 +91,7 @@ def bracket(
 
     Args:
         out: Folder to create.
-        camera: "sim", or a camera's id, serial number or address; the bench's own by default.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:; the bench's own by default.
         bench: Bench file; the simulated bench by default.
         patch: Choose the exposures for this region only.
         stops: Fixed ladder: distance of the exposures in stops; 1 by default.

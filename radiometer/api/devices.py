@@ -121,7 +121,7 @@ def doctor(camera: str | None = None, bench: PathLike | None = None) -> Diagnosi
         True
 
     Args:
-        camera: "sim", or a camera's id, serial number or address; the computer alone by default.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:; the computer alone by default.
         bench: Bench file; the simulated bench by default.
 
     Raises:

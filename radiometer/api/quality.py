@@ -113,7 +113,7 @@ def quality_take(
         session: Folder of the session; made where it is missing.
         procedure: Index to capture for, of those that `quality_plan` lists.
         steps: Steps to take; all by default.
-        camera: "sim", or a camera's id, serial number or address; the bench's own by default.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:; the bench's own by default.
         bench: Bench file; the simulated bench by default.
         patch: Region to read; the bench's by default.
         repeat: Frames of every exposure.

@@ -39,7 +39,7 @@ _KINDS: Final = {
 _PARSERS: Final[dict[str, tuple[Callable[[str, str], Any], str]]] = {
     "PatchLike": (lambda text, _: parse_patch(text), "X,Y,W,H"),
     "Patch": (lambda text, _: parse_patch(text), "X,Y,W,H"),
-    "RelativeUncertainty": (parse_relative, "FRACTION"),
+    "RelativeUncertainty": (parse_relative, "0.01|1%"),
     "FNumber": (parse_f_number, "N"),
     "Exposure": (parse_exposure, "TIME"),
 }
@@ -105,14 +105,14 @@ def command_of(
     served = {"notice": note, "progress": None, "ask": None, "announce": None, reports: None, **serves(False)}
     taken |= {one: (taken[one][0], default, False) for one, default in (defaults or {}).items()}
     negated = [one for one, (_, default, _) in taken.items() if default is True and one not in options]
-    opens = "announce" in taken and "announce" not in serves(False)
     kinds = {
         one: (False if one in negated else default, _annotation(one, kind, default, place, options.get(one), helps))
         for one, (kind, default, place) in taken.items()
         if one not in served
     }
     kinds |= {one: (None, _annotation(one, "PathLike", None, False, options.get(one), _DRAWN)) for one in results}
-    kinds |= {**(shown or {}), **({"open_browser": (False, _OPEN)} if opens else {})}
+    kinds |= dict(shown or {})
+    kinds |= {"open_browser": (False, _OPEN)} if "announce" in taken.keys() - serves(False).keys() else {}
     kinds |= {"json": (False, JsonOption)} if json and show else {}
     parameters = [
         inspect.Parameter(one, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
@@ -122,13 +122,7 @@ def command_of(
 
     def command(*, json: bool = False, open_browser: bool = False, **given: Any) -> int:
         written, told = {one: given.pop(one) for one in results}, {one: given.pop(one) for one in shown or ()}
-
-        def present(found: Any) -> None:
-            if json:
-                print(found.to_json(), flush=True)
-            elif show is not None:
-                show(found, **told)
-
+        present = _print_json if json else functools.partial(show or _print_nothing, **told)
         with progress(shown="progress" in taken and not json) as bar:
             announce = functools.partial(_announce, page, open_browser)
             hand = {"notice": note, "progress": bar, "announce": announce, reports: present, **serves(json)}
@@ -160,6 +154,14 @@ def command_of(
     if files is None and not results and folder is None:
         return command
     return writes(*(files or ()), *results, folder=folder)(command)
+
+
+def _print_json(found: Any) -> None:
+    print(found.to_json(), flush=True)
+
+
+def _print_nothing(found: Any) -> None:
+    """Print nothing: what the function does is all that is asked for."""
 
 
 def _announce(page: str, open_browser: bool, url: str) -> None:
