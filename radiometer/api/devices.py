@@ -19,6 +19,7 @@ from radiometer.bench.served_box import serve_box, served_box
 from radiometer.bench.served_camera import Faults, serve, served_camera
 from radiometer.data.serials import other_notation, serial_shown
 from radiometer.devices import CameraIdentity, Finding, Health, LightBoxIdentity
+from radiometer.errors import UsageError
 from radiometer.plausible import AnyCount, Duration, FilterDensity, FNumber, PerMille, Positive, Seed, Share
 
 
@@ -249,10 +250,12 @@ def simulate_box(
         entered: Waits so many seconds and returns whether the button is to be pressed.
 
     Raises:
-        UsageError: If the serial number or the subject is not possible.
+        UsageError: If the serial number or the subject is not possible, or firmware runs with another clock or resets.
         OutputError: If the link cannot be made.
         MissingLibrary: If simavr is asked for and not installed.
     """
+    if firmware is not None and (clock_ppm or reset_every_s):
+        raise UsageError("--clock-ppm and --reset-every are of the simulated box, not of its firmware: leave them out")
     known_link, known_firmware = (Path(one) if one else None for one in (link, firmware))
     made = served_box(
         serial, known_link, firmware=known_firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed,

@@ -221,7 +221,7 @@ def _annotation(name: str, kind: str, default: Any, is_argument: bool, stated: A
         return Annotated[(*get_args(stated)[:-1], info)]
     info.metavar = info.metavar or _METAVARS.get(name)
     if {"Sequence", "Mapping", "StatementMap"} & set(names) and not info.parser:
-        several = list[Path] if "PathLike" in names else list[str]
+        several = list[Path] if {"Sequence", "PathLike"} <= set(names) else list[str]
         return Annotated[several | None if default is None else several, info]
     parse, metavar = next((_PARSERS[one] for one in names if one in _PARSERS), (None, ""))
     if parse is not None and not info.parser:
