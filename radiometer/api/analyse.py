@@ -102,7 +102,8 @@ class MapAnalysis(Drawn):
             texts = {"deviation": one.deviation.text(_COVERAGE, bare=True)}
             texts |= self._texts({"mean": one.mean, "median": one.median})
             texts |= self._texts({"lowest": one.lowest, "highest": one.highest}, side_by_side=True)
-            texts["uniformity"] = _or_limit(one.uniformity, one.uniformity.u)
+            known = math.isfinite(one.uniformity.value)  # of pixels that are all 0 it is not
+            texts["uniformity"] = _or_limit(one.uniformity, one.uniformity.u) if known else "unknown"
             rows.append((one.name, *(texts[name] for name in names)))
         return rows
 

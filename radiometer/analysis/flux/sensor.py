@@ -88,9 +88,10 @@ def flux_scale(
         return _of_calibration(setup, settings, area_m2)
     eta, c, pitch_um = camera.quantum_efficiency, camera.conversion_gain_e_per_dn, camera.pixel_pitch_um
     if eta is None or c is None or pitch_um is None or wavelength_nm is None:
+        of_colour = "" if camera.channel is None else f" of {camera.channel} pixels (camera.channel)"
         raise CalibrationError(
-            "no calibration, and the capture does not state quantum_efficiency, conversion_gain_e_per_dn, "
-            "pixel_pitch_um and source.wavelength_nm: give --calibration, or add them"
+            f"no calibration, and the capture does not state quantum_efficiency{of_colour}, conversion_gain_e_per_dn, "
+            "pixel_pitch_um and source.wavelength_nm: give --calibration, add them, or give --camera-file"
         )
     black = BlackLevel(dn=camera.black_level_dn or 0.0)
     joule = c * photon_energy_j(wavelength_nm) / (eta * (pitch_um * 1e-6) ** 2)

@@ -20,8 +20,8 @@ from radiometer.analysis.merge.displaced import (
     relative_shift,
     with_shift,
 )
-from radiometer.analysis.merge.finish import AtLevels, finish, merge_tables
-from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_excess, with_taps
+from radiometer.analysis.merge.finish import AtLevels, MergeTables, finish, finish_moved, merge_tables
+from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_excess, with_own_ends, with_taps
 from radiometer.analysis.merge.sums import (
     MANY,
     Images,
@@ -34,8 +34,10 @@ from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, doubted_gains, fluctuation
 from radiometer.analysis.signal.lens import (
+    doubtful_loss,
     falloff_known,
     flat_doubt,
+    is_as_scaled,
     known_f_number,
     lens_factor_sr,
     relative_sensitivity,
@@ -108,6 +110,30 @@ def blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
     step = block_size(width)
     for begin in range(start, stop, step):
         yield begin, min(begin + step, stop)
+
+
+def finish_sums(
+    sums: MergeSums, terms: Sequence[FrameTerms], kept: tuple[Any, ...], tables: MergeTables, factor: Any, begin: int
+) -> None:
+    """Turn sums into radiance, standard uncertainty and mask, in place.
+
+    Args:
+        sums: Of a run of pixels; they make room for the result.
+        terms: Of all frames, in the order of their bits.
+        kept: As of `MergeTables.kept`.
+        tables: Of these frames.
+        factor: Radiance per rate, of every pixel or of all (size 1), float32.
+        begin: First of the pixels in the picture that dark signals are of.
+    """
+    summed = sums.first, sums.second, sums.squares, sums.patterns(), sums.mask
+    pixels, lower = with_own_ends(terms, summed[3], begin)
+    own = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size, np.uint8)
+    if pixels.size:
+        finish_moved(summed, kept, *tables.arguments, pixels, lower, own)
+    finish(summed, kept, *tables.arguments, (factor, sums.first, sums.second))
+    if pixels.size:
+        scale = factor[pixels] if factor.size > 1 else factor
+        sums.first[pixels], sums.second[pixels], sums.mask[pixels] = own[0] * scale, np.sqrt(own[1]) * scale, own[2]
 
 
 def repair_defects(
@@ -315,10 +341,7 @@ class StreamingMerge:
                 part = room.part(begin, end)
                 part.add(passes, begin)
                 part.take_lowest(self._terms)
-                # The sums make room for the result.
-                image = self._factor(begin, end - begin), part.first, part.second
-                summed = part.first, part.second, part.squares, part.patterns(), part.mask
-                finish(summed, kept, *tables.arguments, image)
+                finish_sums(part, self._terms, kept, tables, self._factor(begin, end - begin), begin)
             idle.append(kept)
 
         on_all_cores((height, width), work)
@@ -445,9 +468,7 @@ class StreamingMerge:
         tables = merge_tables(terms, self._model)
         place = self._factor_at(pixels)
         place = place * np.float32(self._terms[0].exposure / terms[0].exposure)
-        image = place, sums.first, sums.second
-        summed = sums.first, sums.second, sums.squares, sums.patterns(), sums.mask
-        finish(summed, tables.kept(), *tables.arguments, image)
+        finish_sums(sums, terms, tables.kept(), tables, place, 0)
         images[0][pixels], images[1][pixels], images[2][pixels] = sums.first, sums.second, sums.mask
 
     def _corrected(self, frame: Frame) -> Frame:
@@ -624,17 +645,20 @@ class StreamingMerge:
         if calibration is None:
             return False
         flat = calibration.flat_field
-        if flat is None:
-            stated = calibration.uncertainties
-            of_known = {"cos4": stated.cos4_u_rel, "assumed": stated.falloff_u_rel}
-            part = of_known.get(falloff_known(self._camera, lens), 0.0)
-        else:
-            part = flat_doubt(calibration, lens, self._numbers())
+        known = "flat_field" if flat else falloff_known(self._camera, lens)
+        stated, numbers = calibration.uncertainties, self._numbers()
+        part = {
+            "flat_field": flat_doubt(calibration, lens, numbers) if flat else 0.0,
+            "cos4": stated.cos4_u_rel,
+            "assumed": stated.falloff_u_rel,
+        }.get(known, 0.0)
         if part == 0.0:
             return False
         rows, columns = np.ogrid[: radiance.shape[0], : radiance.shape[1]]
         place = relative_sensitivity(self._camera, lens, flat, (radiance.shape[0], radiance.shape[1]), columns, rows)
-        lost = np.abs(place - calibration.scale.conditions.sensitivity) / place if flat is None else np.abs(1.0 - place)
+        same = known == "cos4" or is_as_scaled(calibration, lens, numbers)
+        scaled = 1.0 / calibration.scale.conditions.sensitivity - 1.0
+        lost = np.abs(1.0 - place) if flat else doubtful_loss(1.0 / place - 1.0, scaled, same=same)
         doubt = part * lost * radiance
         np.hypot(shared, doubt.astype(np.float32), out=shared)
         return True
@@ -753,7 +777,7 @@ class StreamingMerge:
         if off < _REPORTED_REL:
             return ()
         shortest = min(terms.settings.exposure_s for terms in self._terms)
-        text = f"the exposure of {1e6 * shortest:.3g} µs may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
+        text = f"the exposure of {shortest:.3g} s may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
         return (f"{text}, which u holds",)
 
     def _brightest_off(self) -> float:

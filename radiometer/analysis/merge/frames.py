@@ -18,6 +18,8 @@ from radiometer.units import gain_factor
 
 # Below this many sigma of read noise above zero the black level cuts noise off, and the number 0 says little.
 _BLACK_HEADROOM_SIGMA = 4.0
+# An end of a frame that is off by less than this of its noise moves a pixel by less than its own noise.
+_MOVED_SIGMA = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +40,7 @@ class FrameTerms:
     u_dark: float  # uncertainty of the dark signal that all frames share
     black_dn: float  # black level in DN
     u_unstated: float = 0.0  # standard uncertainty of the signal of a dark current that nothing states
+    level: float = 0.0  # dark signal x that both ends are counted from: the whole frame's
 
 
 def frame_terms(
@@ -80,12 +83,40 @@ def frame_terms(
         math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)),
         model.black_of(settings),
         level.u_unstated,
+        level.signal,
     )
 
 
 def longest_of(terms: Sequence[FrameTerms]) -> int:
     """Return which frame has the longest exposure, the first of several: below a curve's data it counts as well."""
     return max(range(len(terms)), key=lambda k: terms[k].exposure)
+
+
+def with_own_ends(
+    terms: Sequence[FrameTerms], used: NDArray[np.uint16] | NDArray[np.uint64], begin: int
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the pixels whose own dark signal moves where their frames clip, and by how much.
+
+    Args:
+        terms: Of all frames, in the order of their bits.
+        used: Bits of the frames used in each pixel.
+        begin: First of these pixels in the picture.
+
+    Returns:
+        Places of the pixels; and x by which the ends of each frame are lower there, shape (pixels, frames).
+    """
+    uneven = [(k, one) for k, one in enumerate(terms) if one.dark.size > 1]
+    moved = np.zeros(used.size, bool)
+    for k, one in uneven:
+        off = np.abs(one.dark[begin : begin + used.size] - np.float32(one.level))
+        moved |= (off > _MOVED_SIGMA * one.sigma_clip) & (used >> used.dtype.type(k) & used.dtype.type(1) == 0)
+        if one.low_dn > 0:
+            moved |= off > _MOVED_SIGMA * one.sigma_cut
+    pixels = np.flatnonzero(moved)
+    lower = np.zeros((pixels.size, len(terms)))
+    for k, one in uneven:
+        lower[:, k] = one.dark[begin + pixels] - one.level
+    return pixels, lower
 
 
 def with_taps(terms: FrameTerms, frame: Frame, model: SignalModel) -> FrameTerms:
