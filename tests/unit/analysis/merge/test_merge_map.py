@@ -532,17 +532,19 @@ def test_a_falloff_without_a_flat_field_is_taken_out_and_doubted(rig, declared, 
     assert np.sqrt(u**2 - noise**2) == pytest.approx(share * (1.0 - 0.64) / 0.64, rel=0.01)
 
 
-@pytest.mark.parametrize("count", [1, 4])
-def test_the_noise_of_dark_frames_is_in_every_pixel(rig, count):
-    """Taken off pixel by pixel, the mean of n dark frames adds (σ_r² + K²/12)/n to the variance of each pixel."""
+@pytest.mark.parametrize(("count", "lights"), [(1, 1), (4, 1), (1, 9)])
+def test_the_noise_of_dark_frames_is_in_every_pixel(rig, count, lights):
+    """Taken off pixel by pixel, the mean of n dark frames adds (σ_r² + K²/12)/n to a pixel's variance, in any light."""
     light_dn, taken = 20, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0)
-    light = Frame(np.full((4, 4), 64 + light_dn, np.uint16), 12, taken)
+    light = [Frame(np.full((4, 4), 64 + light_dn, np.uint16), 12, taken) for _ in range(lights)]
+    for number, one in enumerate(light):
+        one.dn[3, 3] += number  # no copies
     dn = np.full((4, 4), 64, np.uint16)
     dn[1:] += np.array([0, 2, 0, 2], np.uint16)  # the noise that rounding needs
     darks = [Frame(dn, 12, replace(taken, shutter="closed"))] * count
-    found = merge(Bracket.from_frames([light, *darks]), Setup(rig.description, rig.lens, rig.calibration(**EXACT)))
+    found = merge(Bracket.from_frames([*light, *darks]), Setup(rig.description, rig.lens, rig.calibration(**EXACT)))
     light_e, readout = light_dn * rig.gain_e_per_dn, rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
-    expected = math.sqrt(light_e + readout + readout / count) / light_e
+    expected = math.sqrt((light_e + readout) / lights + readout / count) / light_e
     assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(expected, rel=2e-3)
 
 
