@@ -154,13 +154,18 @@ def adapt_run(
 ) -> AdaptationRun:
     """Run a dark-adaptation test; an unfinished run of the same visit is taken up where it ends.
 
+    Each visit has its own journal, with date and time in its name. A finished run is never taken up. Calibration age,
+    safety and, with a camera or bench, the dark room are checked before the bleach. Every event is in the journal
+    before the next one happens. At a terminal p pauses and goes on, q ends the test; a press of the button that is held
+    for 2 s pauses too.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.adapt_run("quick", "S1", "s1.jsonl", simulate="never")
         <AdaptationRun no_response: 0 thresholds in s1.jsonl>
 
     Args:
-        protocol: Protocol file, or the name of a shipped one.
+        protocol: Protocol file, or the name of a shipped one (`adapt protocols`).
         subject: Pseudonym of the subject.
         out: Journal; SUBJECT-PROTOCOL-EYE-DATETIME.jsonl in this folder by default.
         csv: Table of thresholds; next to the journal where they can be fitted.
@@ -172,10 +177,10 @@ def adapt_run(
         white: Spectrum of the bleaching light.
         fixation: Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance by default.
         simulate: Simulated subject: "steady", "never", "always", "leaves", "wanders", "healthy" or "amd".
-        room: NotNegative of the simulated box's room in cd·m⁻².
+        room: Luminance of the simulated box's room in cd·m⁻².
         slow_s: Real time in s per simulated trial, to watch it.
         seed: Seed of catches and of the simulated subject.
-        eye: "right" or "left".
+        eye: Eye that looks, "right" or "left": the blind spot is on its temporal side.
         age: Age of the subject in years, for the head of journal and table.
         pupil: Diameter of the pupil in mm as measured, for the same, and to warn where it is below the protocol's.
         practice: Three minutes without a bleach, to learn the task; nothing of it is fitted.
@@ -340,6 +345,9 @@ def adapt_fit(
 ) -> AdaptationCurve:
     """Fit cone and rod branches to thresholds: plateau, rod–cone break, S2, rod intercept, final threshold.
 
+    One branch, cones and S2 (5 parameters) or cones, S2 and S3 (7) are tried; the AICc decides among those that make
+    sense.
+
     Examples:
         >>> import radiometer as rm
         >>> curve = rm.adapt_fit("thresholds.csv", bootstrap=0)
@@ -407,6 +415,9 @@ class Retest(Result):
 
 def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[str] = ()) -> Retest:
     """Find how well repeated visits agree: differences of break, S2, rod intercept and plateau.
+
+    From three subjects on with limits of agreement (Bland and Altman), mean ± 1.96 standard deviations, and their 95 %
+    intervals.
 
     Examples:
         >>> import radiometer as rm
@@ -595,6 +606,8 @@ class Bleach(Result):
         cones_bleached: Share of the cones' pigment.
         rods_bleached_range: Its range over published constants.
         cones_bleached_range: The same of the cones.
+        scotopic_ratio: Scotopic over photopic luminance that the rods were counted with.
+        natural_pupil: Whether the pupil is the natural one, not a stated one.
     """
 
     pupil_mm: float
@@ -604,6 +617,8 @@ class Bleach(Result):
     cones_bleached: float
     rods_bleached_range: tuple[float, float]
     cones_bleached_range: tuple[float, float]
+    scotopic_ratio: float
+    natural_pupil: bool
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
@@ -654,4 +669,6 @@ def adapt_bleach(
         bleached_fraction(trolands, duration, "cones"),
         bleached_range(trolands * scotopic_ratio, duration, "rods"),
         bleached_range(trolands, duration, "cones"),
+        scotopic_ratio,
+        pupil is None,
     )

@@ -49,6 +49,19 @@ class Batch(Result):
         one = self.summary
         return f"{self.table}: {one.rows_in_table} rows; {one.done} done, {one.skipped} as before"
 
+    @property
+    def notes(self) -> list[str]:
+        """Return what was left out, what failed, how much was done, and whether it was stopped."""
+        return [
+            *(
+                f"left out: {path} holds frames but no capture.yaml (unfinished, or `radiometer import` it first)"
+                for path in self.unfinished
+            ),
+            *(f"failed: {row['capture']}: {row['error']}" for row in self.summary.failures),
+            str(self),
+            *(["stopped by the user; run the same words again to go on"] if self.summary.interrupted else []),
+        ]
+
 
 @dataclass(frozen=True, repr=False)
 class Trends(Result):
@@ -113,6 +126,9 @@ def batch(
 ) -> Batch:
     """Do one job on every capture set of an archive and write one table of results.
 
+    What the table holds already of the same captures, settings and code is not done again. A capture set that fails
+    becomes a row with its error and does not stop the rest. An interrupt leaves a usable table.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.batch("out/chart", "measure", "results.csv", patch=(8, 8, 16, 16))
@@ -156,6 +172,9 @@ def batch(
 def trend(results: PathLike, quantity: str = "radiance") -> Trends:
     """Find the drift of a source or of the instrument over months, with its uncertainty.
 
+    Neighbours may be correlated and seasons may cycle: both are in the model, and a drift is claimed only where chance
+    would show it in fewer than one archive in a hundred.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.trend("history.csv")
@@ -176,6 +195,9 @@ def trend(results: PathLike, quantity: str = "radiance") -> Trends:
 
 def passport(archive: PathLike, *, progress: Progress | None = None) -> Passports:
     """Compare the sessions of each camera in an archive: what changed, what did not, and what was the light.
+
+    Fits one law of the dark current to all sessions, compares the stated gain with the gain from light and from darks,
+    and lists the figures that changed. Changes of the light are listed separately from changes of the camera.
 
     Examples:
         >>> import radiometer as rm

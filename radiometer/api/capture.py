@@ -80,6 +80,9 @@ def bracket(
 ) -> BracketReport:
     """Capture a set of exposures of an unmoving scene into a new folder.
 
+    Meters the scene and takes the fewest and shortest exposures that expose every pixel well at least twice, or a fixed
+    ladder. The folder holds `capture.yaml`, finished or not at all.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.bracket("out/even", bench="bench.yaml", shortest_s=0.001, longest_s=0.004)

@@ -181,7 +181,11 @@ def simulate_camera(
     awkward: bool = False,
     ready: Callable[[str], None] = print,
 ) -> None:
-    """Serve a simulated Blackfly S over GigE Vision until an interrupt or a termination signal.
+    """Serve a simulated Blackfly S that any GenICam program can open, until Ctrl-C or a termination signal.
+
+    Its pictures come from the forward model: the bench's camera, lens and scene. As shipped, automatic exposure, gamma
+    and sharpening are on. Faults can also be set over the wire, by the features SimPacketLossPerMille, SimStall,
+    SimAnswerDelay and SimDisconnect.
 
     Args:
         scene: YAML file of a scene, a picture, or a kind of scene; the bench's by default.
@@ -189,13 +193,13 @@ def simulate_camera(
         bench: Bench file; the simulated bench by default.
         address: Address of a network interface of this computer.
         seed: Makes the noise; the bench's by default.
-        real_time: Frames take their exposure time.
+        real_time: Frames take their exposure time, or come as they are made.
         lose_per_mille: Packets lost of a thousand.
         answer_delay_s: Time in s by which frames and answers are late.
         stall_after: Stop sending after so many frames.
         drop_after: Fall silent after so many frames.
         frame_pool: Serve so many frames again and again; 0 makes every frame anew.
-        awkward: Be as awkward as a real camera.
+        awkward: As awkward as a real one: no Mono12, chunks, stale frames, locked features.
         ready: Called with one line once it is served.
 
     Raises:
@@ -226,7 +230,10 @@ def simulate_box(
     ready: Callable[[str], None] = print,
     entered: Callable[[float], bool] | None = None,
 ) -> None:
-    """Serve a simulated light box on a pseudo-terminal until an interrupt.
+    """Serve a simulated light box that any serial program can open, until stopped by Ctrl-C.
+
+    It is on a pseudo-terminal. The command's first line on standard output is the name of its port; on a terminal,
+    Enter presses the button for 0.2 s.
 
     Args:
         serial: Serial number: eight letters or digits.

@@ -53,6 +53,10 @@ def import_capture(
 ) -> Imported:
     """Turn frames and tables of any laboratory into capture sets.
 
+    Reports what was taken from where, what is missing, what is doubted and what of the files is not used. A number
+    without a known unit stops the import; `mapped` settles it. Frames of several cameras, bands or gains of unknown unit
+    become a capture set each, in folders of their names.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.import_capture("statistics.csv", "out/imported")

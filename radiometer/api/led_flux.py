@@ -115,6 +115,9 @@ def flux(
 ) -> Flux:
     """Find the radiant flux of a light-emitting diode.
 
+    Gives the flux through the sensor as the sum over unclipped pixels of one photograph, and what it lacks of the
+    emitted flux: clipped pixels, background, lens losses, and light that missed the lens.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.flux("out/chart", calibration="calibration.yaml")

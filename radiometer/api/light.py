@@ -130,7 +130,7 @@ def light_set(
         <LitChannel spot  steady  level 20000 of 65535, high current>
 
     Args:
-        channel: "bleach", "spot", "spot_red" or "fixation".
+        channel: "bleach", "field", "spot", "spot_green", "spot_red" or "fixation".
         radiance: Radiance in W·sr⁻¹·m⁻²; needs a calibrated channel.
         level: Raw level instead of a radiance, 0 to 65535.
         low: Raw level on the low current range.
@@ -181,11 +181,10 @@ def light_pulse(
         'spot'
 
     Args:
-        channel: As all further ones for `light_set`.
         duration_s: Length in s, at most 600.
 
     Raises:
-        RadiometerError: As `light_set`.
+        RadiometerError: As `light_set`, which has the other arguments.
     """
     drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     with _opened(box, calibration, preset, looks, notice) as opened:
@@ -222,14 +221,13 @@ def light_blink(
         'spot'
 
     Args:
-        channel: As all further ones for `light_set`.
         on_s: Bright time in s.
         off_s: Dark time in s.
         count: Number of blinks; 0 without end.
         hold_s: Stop after this time in s.
 
     Raises:
-        RadiometerError: As `light_set`.
+        RadiometerError: As `light_set`, which has the other arguments.
     """
     drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     lit_s = hold_s if hold_s is not None else (on_s + off_s) * count if count else None
@@ -271,7 +269,7 @@ def light_off(
 ) -> list[Darkness]:
     """Darken every box that can be reached, or one of them, or one channel; also while another program holds it.
 
-    A program that holds a box darkens all of it.
+    A program that holds a box, such as the daemon, darkens all of it. The button of the box does so too, held for 3 s.
 
     Examples:
         >>> import radiometer as rm
@@ -519,6 +517,9 @@ def light_calibrate(
     progress: Progress | None = None,
 ) -> CalibratedBox:
     """Measure the radiance of a box's channels over their levels with the camera, on both current ranges.
+
+    Levels come in random order, each after it has settled. The dark reading is subtracted; a reference level measured
+    in between determines the drift. With the file written, `radiometer light set spot --radiance 0.01` works.
 
     A journal next to the file keeps every level until it is written. After an interruption the same call goes on there.
 

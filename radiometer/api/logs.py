@@ -65,6 +65,10 @@ def log_fit(
 ) -> LogFinding:
     """Name the term that the log of a camera under automatic exposure lacks against a reference meter.
 
+    Candidates are a constant black, wrong gain steps, another passband than the reference's, temperature, dark current,
+    a late shutter and a nonlinear response. The candidate that predicts each night best from the other nights is named,
+    with its size.
+
     Examples:
         >>> import radiometer as rm
         >>> found = rm.log_fit("sky.csv", control=False)

@@ -98,7 +98,10 @@ def quality_take(
     ask: Ask | None = None,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Take the captures of one quality index that are missing, and return their folders.
+    """Take the captures of one quality index that are missing, asking for what each step needs; return their folders.
+
+    Without a terminal name one step at a time and arrange the bench yourself. A step named by a gain, such as 12dB, is
+    taken at that gain.
 
     Examples:
         >>> import radiometer as rm
@@ -109,7 +112,7 @@ def quality_take(
 
     Args:
         session: Folder of the session; made where it is missing.
-        procedure: Index to capture for.
+        procedure: Index to capture for, of those that `quality_plan` lists.
         steps: Steps to take; all by default.
         camera: "sim", or a camera's id, serial number or address; the bench's own by default.
         bench: Bench file; the simulated bench by default.

@@ -180,7 +180,7 @@ def screen_calibrate(
         <CalibratedScreen lcd: grey to 2... cd·m⁻²>
 
     Args:
-        out: Calibration file to write; none by default.
+        out: Calibration file to write.
         display: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
         name: Name of the screen; the display's by default.
         levels: "all", "quick", a count such as "33", or a list such as "0,16,255".
@@ -202,7 +202,7 @@ def screen_calibrate(
         export: Forms to write as well, such as "psychopy" or "ti3".
         plot: Picture of the curves to draw: .png, .pdf or .svg.
         seed: Seed of the random order.
-        force: Replace exports that exist.
+        force: Replace files that exist.
         announce: Called with the page's address.
         notice: Gets warnings of the page, and where patches are kept after an interruption.
         progress: Called after every patch.
@@ -345,6 +345,8 @@ def screen_verify(
 ) -> VerifiedScreen:
     """Measure some levels of a calibrated screen again, and find whether the calibration still holds.
 
+    `radiometer screen verify` ends with exit code 1 where it does not.
+
     Examples:
         >>> import radiometer as rm
         >>> screen = rm.screen_calibrate(display="lcd", quick=True).calibration
@@ -479,7 +481,7 @@ def screen_export(
     force: bool = False,
     notice: Notice = unheard,
 ) -> list[Path]:
-    """Write a screen calibration in the forms of other programs, and return the files.
+    """Write a screen calibration in the forms of other programs.
 
     Examples:
         >>> import radiometer as rm
@@ -531,7 +533,7 @@ def screen_import(
 
     Args:
         file: ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table of level and luminance in cd·m⁻².
-        out: Calibration file to write; none by default.
+        out: Calibration file to write.
         name: Name of the screen; the file's own by default.
         white: Spectrum assumed for grey.
         primaries: Spectra of red, green and blue: a display type, or a CSV of them.

@@ -44,21 +44,21 @@ def parse_patch(text: str | None) -> Patch | None:
 
 
 @overload
-def parse_seconds(text: str, option: str) -> float: ...
+def parse_seconds(text: str | float, option: str) -> float: ...
 
 
 @overload
-def parse_seconds(text: str | None, option: str) -> float | None: ...
+def parse_seconds(text: str | float | None, option: str) -> float | None: ...
 
 
-def parse_seconds(text: str | None, option: str) -> float | None:
+def parse_seconds(text: str | float | None, option: str) -> float | None:
     """Return a time in s from "0.008", "1/125" or "8ms" / "500us"; None where nothing is given.
 
     Raises:
         UsageError: If it is no time above 0.
     """
-    if not text:
-        return None
+    if not isinstance(text, str) or not text:
+        return text or None
     try:
         number, spelling = read_number(text)
     except ValueError as error:

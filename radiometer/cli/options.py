@@ -11,7 +11,7 @@ from typer.core import TyperCommand
 from typer.models import ParameterInfo
 
 from radiometer.argument_types import range_of
-from radiometer.cli.arguments import parse_f_number, parse_relative
+from radiometer.cli.arguments import parse_f_number, parse_relative, parse_seconds
 from radiometer.errors import UsageError
 from radiometer.plausible import LARGEST, Seed
 
@@ -21,6 +21,11 @@ def relative_option(name: str, text: str) -> Any:
     return typer.Option(
         name, parser=lambda word: parse_relative(word, name), metavar="FRACTION", help=f"{text}: 0.01 or 1%."
     )
+
+
+def time_option(name: str, text: str = "") -> Any:
+    """Return a typer option of a time such as 0.2, 200ms or 1/125."""
+    return typer.Option(name, parser=lambda words: parse_seconds(words, name), metavar="TIME", help=text or None)
 
 
 _CAMERA = "sim, a GenICam id, serial number or address, or v4l2:, picamera:, gphoto2:."

@@ -34,8 +34,10 @@ from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, doubted_gains, fluctuation
 from radiometer.analysis.signal.lens import (
+    doubtful_loss,
     falloff_known,
     flat_doubt,
+    is_as_scaled,
     known_f_number,
     lens_factor_sr,
     relative_sensitivity,
@@ -643,17 +645,20 @@ class StreamingMerge:
         if calibration is None:
             return False
         flat = calibration.flat_field
-        if flat is None:
-            stated = calibration.uncertainties
-            of_known = {"cos4": stated.cos4_u_rel, "assumed": stated.falloff_u_rel}
-            part = of_known.get(falloff_known(self._camera, lens), 0.0)
-        else:
-            part = flat_doubt(calibration, lens, self._numbers())
+        known = "flat_field" if flat else falloff_known(self._camera, lens)
+        stated, numbers = calibration.uncertainties, self._numbers()
+        part = {
+            "flat_field": flat_doubt(calibration, lens, numbers) if flat else 0.0,
+            "cos4": stated.cos4_u_rel,
+            "assumed": stated.falloff_u_rel,
+        }.get(known, 0.0)
         if part == 0.0:
             return False
         rows, columns = np.ogrid[: radiance.shape[0], : radiance.shape[1]]
         place = relative_sensitivity(self._camera, lens, flat, (radiance.shape[0], radiance.shape[1]), columns, rows)
-        lost = np.abs(place - calibration.scale.conditions.sensitivity) / place if flat is None else np.abs(1.0 - place)
+        same = known == "cos4" or is_as_scaled(calibration, lens, numbers)
+        scaled = 1.0 / calibration.scale.conditions.sensitivity - 1.0
+        lost = np.abs(1.0 - place) if flat else doubtful_loss(1.0 / place - 1.0, scaled, same=same)
         doubt = part * lost * radiance
         np.hypot(shared, doubt.astype(np.float32), out=shared)
         return True
@@ -772,7 +777,7 @@ class StreamingMerge:
         if off < _REPORTED_REL:
             return ()
         shortest = min(terms.settings.exposure_s for terms in self._terms)
-        text = f"the exposure of {1e6 * shortest:.3g} µs may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
+        text = f"the exposure of {shortest:.3g} s may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
         return (f"{text}, which u holds",)
 
     def _brightest_off(self) -> float:

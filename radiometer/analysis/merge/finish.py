@@ -31,6 +31,7 @@ from radiometer.analysis.merge.frames import FrameTerms, longest_of, with_shared
 from radiometer.analysis.signal.model import SignalModel
 from radiometer.compiled import compiled, compiled_apart, compiled_within
 from radiometer.data.radiance_map import PixelMask
+from radiometer.errors import MeasurementError
 from radiometer.typing import Array
 
 NOISE_FLOOR_SIGMA = 2.0
@@ -395,7 +396,14 @@ def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables
     Args:
         terms: The frames in the order of their bits; exposures are counted in units of the first.
         model: Signal model of the camera.
+
+    Raises:
+        MeasurementError: If the dark signal of every frame fills it.
     """
+    if all(one.clips_at <= 0.0 for one in terms):
+        raise MeasurementError(
+            "the dark signal of every frame is full scale, so that no light can be seen; expose shorter"
+        )
     reference = terms[0].exposure
     kappa = 1.0 / model.electrons_per_unit
     frames = np.array(

@@ -140,7 +140,7 @@ def test_bleach_longer_than_the_firmware_allows_is_refused_before_it_begins():
 def test_bleach_beyond_the_exposure_limit_is_refused(quick):
     """With a ten-thousandth of the limit allowed, the flash (3.4e-4 of it) is refused by IEC 62471's name."""
     with open_box_stage(before_box(quick)) as (stage, checks):
-        stage.box.ledger.allowed_fraction = 1e-4  # type: ignore[attr-defined]
+        stage.box.ledger.allowed_fraction = 1e-4
         refused = checks[0]().refusal
     assert isinstance(refused, UnsafeStimulus)
     assert "IEC 62471" in str(refused)
@@ -209,7 +209,6 @@ def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick):
 
 def test_light_in_the_blind_spot_beyond_the_channel_is_refused(quick):
     """10⁻⁹ cd/m² is below what the red LED can be dimmed to: the message names the protocol's key."""
-    assert quick.fixation_check is not None
     dim = quick.model_copy(update={"fixation_check": quick.fixation_check.model_copy(update={"luminance_cd_m2": 1e-9})})
     assert "fixation_check.luminance_cd_m2" in str(refusal(dim))
 
@@ -261,14 +260,23 @@ def test_classic_is_the_test_of_the_literature():
         ("kind: limits", "kind: guess", "method"),
         ("end: {", "ende: {", "unknown key 'ende'"),
         ("duration_min: 40", "duration_min: 40, criterion_log10: -9", "outside the spot's levels"),
+        # Place and size of the light in the blind spot are those of the optic disc.
+        *(("share: 0.06", wrong, wrong.split(":")[0]) for wrong in ("temporal_deg: 10", "below_deg: 8", "size_deg: 5")),
+        # The journal's file carries the name: it leads to no other folder.
+        *(("name: classic", f"name: '{name}'", "name") for name in ("../../x", "a/b", "", ".hidden")),
+        # A time or level far beyond any test is a slip of the pen, and would run without end.
+        ("on_s: 0.2", "on_s: 1.0e6", "on_s"), ("highest_log10: 0.15", "highest_log10: 300", "highest_log10"),
+        ("pause_between_s: 0.5", "pause_between_s: 1.0e9", "pause_between_s"),
+        ("watch: {", "watch: {most_blinks: 1000000, ", "most_blinks"),
+        ("end: {", "safety: {calibration_days: 1.0e9}\nend: {", "calibration_days"),
     ],
-)
+)  # fmt: skip
 def test_wrong_protocols_are_refused(tmp_path, project_root, old, new, message):
     """The error names what is wrong."""
     text = (project_root / "configs" / "protocols" / "classic.yaml").read_text()
     assert old in text
     file = tmp_path / "p.yaml"
-    file.write_text(text.replace(old, new))
+    file.write_text(text.replace(old, new, 1))
     with pytest.raises(ConfigurationError, match=message):
         read_protocol(file)
 
@@ -283,9 +291,9 @@ class RecordingBox:
     """A box that notes what it is asked and hands out presses that were laid down."""
 
     def __init__(self):
-        self.asked: list[tuple[object, ...]] = []
-        self.presses: list[float] = []
-        self.held: list[tuple[float, float]] = []
+        self.asked = []
+        self.presses = []
+        self.held = []
         self.time = 100.0
         self.level = 1000
 
@@ -323,7 +331,7 @@ def stage(box):
         box.time += seconds
 
     lights = BoxLights(read_protocol("led-only"), 300.0, 600.0, 900.0, fixation_w_sr_m2=1e-4)
-    return BoxStage(box, lights, lambda: box.time, sleep)  # type: ignore[arg-type]
+    return BoxStage(box, lights, lambda: box.time, sleep)
 
 
 def test_bleach_is_the_protocols_light_and_then_the_mark(stage, box):
@@ -338,7 +346,7 @@ def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage, 
 
     def sleep(seconds):
         box.time += seconds
-        box.switched_off = box.time >= 102.0  # type: ignore[attr-defined]
+        box.switched_off = box.time >= 102.0
 
     stage.sleep, stage.wall_clock = sleep, lambda: 1.7e9
     stage.bleach(stage.lights.protocol)

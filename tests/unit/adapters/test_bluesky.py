@@ -25,17 +25,17 @@ class Told:
 
     origin = "radiometer:stated"
 
-    def __init__(self, *readings: Reading | Exception) -> None:
+    def __init__(self, *readings):
         self._readings = list(readings)
 
-    def measure(self) -> Reading:
+    def measure(self):
         first = self._readings.pop(0)
         if isinstance(first, Exception):
             raise first
         return first
 
 
-def _reading(value: float, luminance: Quantity | None = None, unit: str = "W sr-1 m-2") -> Reading:
+def _reading(value, luminance=None, unit="W sr-1 m-2"):
     return Reading(Quantity(value, 0.01 * value, unit), Patch(0, 0, 4, 4), "stated", luminance)
 
 

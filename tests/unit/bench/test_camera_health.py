@@ -116,7 +116,7 @@ def test_dark_frames_take_the_data_sheet_s_doubt_away():
 
 def test_a_cap_is_asked_for_and_taken_off_again():
     """By hand, whatever the light: covered once, uncovered once, dark frames in the bracket."""
-    asked: list[bool] = []
+    asked = []
     taken = replace(instrument(BRIGHT, shutter=False), cover=asked.append).take_bracket()
     assert asked == [True, False]
     assert taken.dark

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import replace
 from fnmatch import fnmatch
@@ -13,7 +12,6 @@ from radiometer.daemon.mqtt import MqttPublisher, MqttTarget
 from radiometer.data import Patch
 
 pytest.importorskip("paho.mqtt.client")
-Eventually = Callable[..., Awaitable[None]]
 LAMP = Patch(5, 6, 7, 8)
 
 
@@ -21,11 +19,11 @@ class Broker:
     """As much of MQTT 3.1.1 as one publisher needs, on a loopback socket; deaf, it acknowledges nothing."""
 
     def __init__(self):
-        self.retained: dict[str, bytes] = {}
-        self.published: list[tuple[str, bytes]] = []
+        self.retained = {}
+        self.published = []
         self.deaf = False
-        self._writers: list[asyncio.StreamWriter] = []
-        self._unanswered: list[Callable[[], None]] = []
+        self._writers = []
+        self._unanswered = []
 
     def hear(self):
         """Acknowledge what was published while deaf, and all from now on."""

@@ -1,14 +1,9 @@
 """Synthetic capture sets for the reconcile tests, made per pixel with equations of their own."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from radiometer.data import (
     CameraDescription,
@@ -26,9 +21,6 @@ FULL_WELL_E, E_PER_DN, READ_E, BLACK_DN = 10_500.0, 2.6, 2.4, 64.0
 EXPOSURE_AT_FULL_WELL_S = 6e-3
 PATCH_U_REL, JITTER = 5e-3, 1e-3
 
-Setting = dict[str, Any]
-Image = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Synthetic:
@@ -36,7 +28,7 @@ class Synthetic:
     frames: list[Frame]
 
 
-def _plan() -> list[Setting]:
+def _plan():
     dark = [{"t": t, "g": g, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0) for g in (0.0, 12.0, 24.0)]
     off = [{"t": t, "d": 0.0} for t in (0.1, 1.0)]
     ladder = [{"t": float(t), "d": d} for d in (0.9, 0.25) for t in np.geomspace(4e-5, 6e-3, 8)]
@@ -49,31 +41,31 @@ def _plan() -> list[Setting]:
     return [*dark, *off, *ladder, *drives, *gains, *stops, *warm, *patterns, *repeats]
 
 
-def _patterns(rng: np.random.Generator) -> dict[str, Image]:
+def _patterns(rng):
     levels = np.geomspace(0.01, 1.0, ROWS * COLUMNS)[rng.permutation(ROWS * COLUMNS)]
     bright = np.where(np.arange(ROWS * COLUMNS) % 2, levels, 1.0)
     return {"chart": levels, "inverted": levels[::-1].copy(), "bright": bright}
 
 
-def _scene(levels: Image) -> Image:
+def _scene(levels):
     return np.kron(levels.reshape(ROWS, COLUMNS), np.ones((HEIGHT // ROWS, WIDTH // COLUMNS)))
 
 
 @pytest.fixture(scope="session")
-def make_capture() -> Callable[..., Synthetic]:
+def make_capture():
     """Return a maker of capture sets: seed, frames per capture, and hooks that hide something in the camera."""
 
     def make(
-        seed: int = 0,
-        frames: int = 4,
+        seed=0,
+        frames=4,
         *,
-        exposure: Callable[[float], float] = lambda t: t,
-        extra_e: Callable[[Setting], Any] = lambda setting: 0.0,
-        extra_dn: Callable[[Setting], Any] = lambda setting: 0.0,
-        picture: Callable[[Image, Setting], Image] = lambda image, setting: image,
-        plan: list[Setting] | None = None,
-        known: bool = True,
-    ) -> Synthetic:
+        exposure=lambda t: t,
+        extra_e=lambda setting: 0.0,
+        extra_dn=lambda setting: 0.0,
+        picture=lambda image, setting: image,
+        plan=None,
+        known=True,
+    ):
         rng = np.random.default_rng((seed, 20261121))
         settings = plan or _plan()
         settings = [settings[i] for i in rng.permutation(len(settings))]
@@ -81,7 +73,7 @@ def make_capture() -> Callable[..., Synthetic]:
         real = {n: v * (1 + PATCH_U_REL * rng.standard_normal(v.size)) for n, v in patterns.items()}
         taken, entries, now = [], [], 0.0
         for chosen in settings:
-            s: Setting = {"g": 0.0, "N": 4.0, "d": 0.9, "T": 35.0, "pattern": "chart", "shutter": "open"} | chosen
+            s = {"g": 0.0, "N": 4.0, "d": 0.9, "T": 35.0, "pattern": "chart", "shutter": "open"} | chosen
             warm = s["T"] + rng.normal(0, 0.1)
             light = s["d"] * (4.0 / s["N"]) ** 2 * (1 + JITTER * rng.standard_normal()) * (s["shutter"] == "open")
             for _ in range(frames):
@@ -102,7 +94,7 @@ def make_capture() -> Callable[..., Synthetic]:
     return make
 
 
-def _header(patterns: dict[str, Image], entries: tuple[FrameEntry, ...], *, known: bool) -> CaptureHeader:
+def _header(patterns, entries, *, known):
     height, width = HEIGHT // ROWS, WIDTH // COLUMNS
     patches = tuple(
         PatchDescription(

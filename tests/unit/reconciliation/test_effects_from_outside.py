@@ -1,13 +1,8 @@
 """Effects that a laboratory keeps for itself: installed as a package or given as a file, and found like any other."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -101,7 +96,7 @@ class DriverSteps(Scaling):
 NAMES = ("lamp_driver_noise", "display_ceiling", "driver_steps")
 
 
-def install(site: Path, text: str) -> None:
+def install(site, text):
     """Install a package of three effects: one that acts by its square, one that saturates, one that steps."""
     (site / "cellar_bench.py").write_text(text, encoding="utf-8")
     about = site / "cellar_bench-1.0.dist-info"
@@ -113,7 +108,7 @@ def install(site: Path, text: str) -> None:
 
 
 @pytest.fixture
-def untouched() -> Iterator[None]:
+def untouched():
     """Put the table of effects back as it was."""
     held = dict(EFFECTS)
     yield
@@ -123,14 +118,14 @@ def untouched() -> Iterator[None]:
         del sys.modules[module]
 
 
-def _noisy(setting: Any) -> Any:
+def _noisy(setting):
     key = [int(1e9 * setting["t"]), int(1e3 * setting["d"]), next(_DRAWN)]
     drive = setting["d"] * (setting["shutter"] == "open")  # the lamp is off for darks
     return 2.0 * drive * np.random.default_rng(key).standard_normal((64, 96))
 
 
 _DRAWN = iter(range(10_000))
-HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
+HIDDEN = {
     "lamp_driver_noise": ({"extra_dn": _noisy}, "amplitude_dn", 2.0),
     "display_ceiling": ({"picture": lambda i, s: np.minimum(i * s["d"], 0.6) / max(s["d"], 1e-9)}, "ceiling", 0.6),
     "driver_steps": ({"picture": lambda i, s: i * (0.08 * int(s["d"] / 0.08) / max(s["d"], 1e-9))}, "step", 0.08),
@@ -140,7 +135,7 @@ HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
 @pytest.mark.slow
 @pytest.mark.usefixtures("untouched")
 @pytest.mark.parametrize("name", [*(pytest.param(one, marks=pytest.mark.long) for one in NAMES[:2]), NAMES[2]])
-def test_own_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any], tmp_path: Path, name: str) -> None:
+def test_own_effect_is_found_where_it_is_hidden(make_capture, tmp_path, name):
     """A squared, a saturating and a stepwise effect of a file are named alone, of the size that was hidden."""
     (tmp_path / "cellar.py").write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
     register_file(tmp_path / "cellar.py")
@@ -151,7 +146,6 @@ def test_own_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any]
     found = result.effects[0].parameters[parameter]
     assert found.value == pytest.approx(hidden, abs=max(4.0 * (found.u or 0.0), 1e-9))
     limit = result.limits[name].amplitude
-    assert limit is not None
     assert limit < hidden if name == "lamp_driver_noise" else limit >= 0.95 * hidden
 
 
@@ -160,7 +154,7 @@ def test_own_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any]
     ("text", "printed"),
     [(EFFECTS_OF_A_LABORATORY, "step=0.1"), ("import nothing_of_the_kind\n", "repair or uninstall its package")],
 )
-def test_effects_of_an_installed_package_are_known_by_name(tmp_path: Path, text: str, printed: str) -> None:
+def test_effects_of_an_installed_package_are_known_by_name(tmp_path, text, printed):
     """They are made with parameters like those of the table; a package that cannot be loaded is refused."""
     install(tmp_path, text)
     program = "from simulators.effects.registry import make_effect as make; print(make('driver_steps', {'step': 0.1}))"
@@ -176,7 +170,7 @@ def test_effects_of_an_installed_package_are_known_by_name(tmp_path: Path, text:
 
 
 @pytest.mark.usefixtures("untouched")
-def test_file_is_taken_and_is_next_to_the_others(tmp_path: Path) -> None:
+def test_file_is_taken_and_is_next_to_the_others(tmp_path):
     """Its classes are known by name; the same file again changes nothing; a foreign name is refused with a way out."""
     path, taken = tmp_path / "own.py", tmp_path / "taken.py"
     path.write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
@@ -210,7 +204,7 @@ def test_file_is_taken_and_is_next_to_the_others(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.usefixtures("untouched")
-def test_file_that_cannot_be_taken_is_reported_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+def test_file_that_cannot_be_taken_is_reported_in_one_line(tmp_path, text, message):
     """What is wrong with it stands behind its name."""
     path = tmp_path / "broken.py"
     path.write_text(text, encoding="utf-8")
@@ -227,7 +221,7 @@ FAULTS = {
 
 @pytest.mark.usefixtures("untouched")
 @pytest.mark.parametrize(("body", "message"), FAULTS.values(), ids=FAULTS)
-def test_faults_of_an_effect_name_its_file(make_capture, tmp_path: Path, body: str, message: str) -> None:
+def test_faults_of_an_effect_name_its_file(make_capture, tmp_path, body, message):
     """The user's own code is at fault, whatever it does: the line names file, method and effect."""
     head, _, _ = EFFECTS_OF_A_LABORATORY.rpartition("        drive = ")
     path = tmp_path / "faulty.py"
@@ -239,8 +233,7 @@ def test_faults_of_an_effect_name_its_file(make_capture, tmp_path: Path, body: s
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
-    [("gone.py", "does not exist"), ("law.txt", "is no Python"), ("folder.py", "is no Python")],
+    ("name", "message"), [("gone.py", "does not exist"), ("law.txt", "is no Python"), ("folder.py", "is no Python")]
 )
 def test_a_file_that_cannot_hold_effects_is_refused_for_what_it_is(tmp_path, name, message):
     """One that is not there is not called no Python file."""

@@ -1,23 +1,14 @@
 """The report shows the story: verdict, gap by steps, each name with what it is and what shows it, the rest, tables."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
 import pytest
 
 from radiometer.numbers import rounded
-from radiometer.reconciliation.engine import Reconciled, examine, whole_catalogue
-from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.report_page import (
-    along,
-    axis_label,
-    outcome,
-    plot_along,
-    report_html,
-    seen_in,
-)
+from radiometer.reconciliation.engine import examine, whole_catalogue
+from radiometer.reconciliation.fit.state import with_effects
+from radiometer.reconciliation.report_page import along, axis_label, outcome, plot_along, report_html, seen_in
 from radiometer.reconciliation.result import FoundEffect, Verdict
 from radiometer.reporting.origin import Origin
 from simulators.effects.black_level_offset import BlackLevelOffset
@@ -28,7 +19,7 @@ from testing.report_checks import HOSTILE, assert_reports_hold
 
 
 @pytest.fixture(scope="module")
-def glaring() -> Reconciled:
+def glaring():
     """Return what is found of a session that hides a veil; few entries are tried, so that it is quick."""
     session = make_session("veiling_glare", camera_seed=424_201)
     frames = list(session.frames())
@@ -40,13 +31,7 @@ def glaring() -> Reconciled:
 def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
     """What was found, the opening picture, the name, the map of the rest, then the folded figures."""
     page = report_html(glaring, "session <1>", Origin())
-    marks = [
-        "session &lt;1&gt;",
-        "class='outcome'",
-        "<picture>",
-        "<h2>veiling_glare",
-        "Where the residual is",
-    ]
+    marks = ["session &lt;1&gt;", "class='outcome'", "<picture>", "<h2>veiling_glare", "Where the residual is"]
     places = [page.index(mark) for mark in marks]
     assert places == sorted(places)
     assert page.index("<details>") > places[-1]
@@ -134,7 +119,7 @@ def test_every_entry_has_words_for_where_it_shows(kind):
 
 
 @pytest.fixture(scope="module")
-def lit_and_dark(make_capture) -> FitState:
+def lit_and_dark(make_capture):
     """Return the fitted start of a session with patches of many levels, gains, temperatures and dark frames."""
     captured = make_capture(9)
     return start_of(captured)

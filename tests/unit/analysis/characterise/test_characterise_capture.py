@@ -320,7 +320,7 @@ def test_wrong_descriptors_are_refused_by_line(tmp_path, text, message):
         EmvaDescriptor.read(tmp_path / "d.txt")
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
 def test_the_report_opens_with_gain_noise_and_capacity(capture):
     """The sentence holds K, σ_d and the saturation with U (k = 2); a picture, the meaning, then the tables."""
     result = characterise(subject_of_capture(capture))
@@ -365,7 +365,7 @@ def test_without_a_gain_the_report_says_so_and_what_to_take(capture):
     assert "radiometer bracket --repeat 2 --darks 2" in page
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
 def test_no_name_of_a_camera_is_markup(capture):
     """A camera that calls itself a script, and a note with one, are shown as they are written."""
     result = characterise(subject_of_capture(capture))

@@ -883,23 +883,6 @@ def test_shares_at_both_ends_are_of_all_frames():
     assert (found.floor_share, found.clipped_share, found.frames, found.pixels) == (3 / 24, 4 / 24, 3, 8)
 
 
-def test_variances_of_a_stack_scatter_by_their_stated_uncertainty():
-    """150 stacks of four frames, noise of 3 DN and a pattern of 4 DN: both variances, to 25 % (sigma is 5.8 %)."""
-    rng = np.random.default_rng(20261126)
-    stacks = []
-    for _ in range(150):
-        pattern = 2000.0 + 4.0 * rng.standard_normal((24, 24))
-        frames = [np.rint(pattern + 3.0 * rng.standard_normal((24, 24))).astype(np.uint16) for _ in range(4)]
-        stacks += statistics_of_group(frames, FrameSettings(1e-3), (None,), 4095)
-    temporal, spatial = (
-        np.array([getattr(s, name) for s in stacks]) for name in ("variance_dn2", "spatial_variance_dn2")
-    )
-    assert temporal.std() == pytest.approx(np.mean([s.u_variance_dn2 for s in stacks]), rel=0.25)
-    assert spatial.std() == pytest.approx(np.mean([s.u_spatial_variance_dn2 for s in stacks]), rel=0.25)
-    assert temporal.mean() == pytest.approx(9.0 + 1 / 12, rel=0.02)
-    assert spatial.mean() == pytest.approx(16.0, rel=0.02)
-
-
 def test_a_track_of_a_cosmic_ray_is_within_the_uncertainty_of_the_noise():
     """One of five dark frames is hit along 20 pixels: the noise of 2 DN is over-estimated, and its U covers 2 DN."""
     rng = np.random.default_rng(7)

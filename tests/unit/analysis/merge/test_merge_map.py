@@ -366,7 +366,7 @@ def test_an_offset_of_all_exposures_is_in_the_uncertainty_as_in_that_of_a_readin
         frames = rig.frames(light, np.random.default_rng(2), (shortest, 1e-3))
         found, plain = (merge(frames, Setup(rig.description, rig.lens, one)) for one in (known, exact))
         shared, without = (one.radiance[0, 0] ** -1 * one.parts_of_u(np.s_[0, 0])[1] for one in (found, plain))
-        named = any(f"{1e6 * shortest:.3g} µs may be off" in one for one in found.provenance.assumptions)
+        named = any(f"{shortest:.3g} s may be off" in one for one in found.provenance.assumptions)
         assert named == (shortest < 1e-3)
         added.append(math.sqrt(shared**2 - without**2))
         reading = read_patch(frames, Patch(0, 0, 8, 8), Setup(rig.description, rig.lens, known))

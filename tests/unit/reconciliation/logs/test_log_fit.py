@@ -3,8 +3,6 @@
 The offline count of false alarms is in docs/benchmarks/reconcile.md.
 """
 
-from __future__ import annotations
-
 import json
 import math
 
