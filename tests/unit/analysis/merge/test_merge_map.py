@@ -536,9 +536,10 @@ def test_a_falloff_without_a_flat_field_is_taken_out_and_doubted(rig, declared, 
 def test_the_noise_of_dark_frames_is_in_every_pixel(rig, count, lights):
     """Taken off pixel by pixel, the mean of n dark frames adds (σ_r² + K²/12)/n to a pixel's variance, in any light."""
     light_dn, taken = 20, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0)
-    light = [Frame(np.full((4, 4), 64 + light_dn, np.uint16), 12, taken) for _ in range(lights)]
-    for number, one in enumerate(light):
-        one.dn[3, 3] += number  # no copies
+    each = [np.full((4, 4), 64 + light_dn, np.uint16) for _ in range(lights)]
+    for number, one in enumerate(each):
+        one[3, 3] += number  # no copies
+    light = [Frame(one, 12, taken) for one in each]
     dn = np.full((4, 4), 64, np.uint16)
     dn[1:] += np.array([0, 2, 0, 2], np.uint16)  # the noise that rounding needs
     darks = [Frame(dn, 12, replace(taken, shutter="closed"))] * count
