@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -224,21 +225,25 @@ def frame(frame_id: int, exposure_us: float | None = None, **others: float) -> R
 
 
 class Scripted:
-    """An acquisition that hands over given frames, and keeps how long it was to wait for each."""
+    """An acquisition that hands over frames or raises errors, then nothing; it keeps its starts and its deadlines."""
 
-    def __init__(self, frames: list[RawFrame]) -> None:
-        self.frames, self.deadlines = list(frames), []
+    def __init__(self, script: Sequence[RawFrame | Exception]) -> None:
+        self.script, self.deadlines, self.starts = list(script), list[float](), 0
 
     def __call__(self, *_arguments: object) -> Scripted:
         return self
 
-    def start(self) -> None: ...
+    def start(self) -> None:
+        self.starts += 1
 
     def stop(self, *, camera_is_there: bool) -> None: ...
 
-    def next_frame(self, deadline_s: float, _trigger: object) -> RawFrame:
+    def next_frame(self, deadline_s: float, _trigger: object) -> RawFrame | None:
         self.deadlines.append(deadline_s)
-        return self.frames.pop(0)
+        found = self.script.pop(0) if self.script else None
+        if isinstance(found, Exception):
+            raise found
+        return found
 
 
 @pytest.fixture
@@ -349,31 +354,13 @@ def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(monkey
     assert acquisition.deadlines == pytest.approx([0.11, 60.1, 0.11])
 
 
-class Lossy:
-    """An acquisition of which no frame comes whole before the camera is slowed down often enough."""
-
-    starts, needed = 0, 4
-
-    def __init__(self, *_arguments: object) -> None: ...
-
-    def start(self) -> None:
-        type(self).starts += 1
-
-    def stop(self, *, camera_is_there: bool) -> None: ...
-
-    def next_frame(self, _deadline_s: float, _trigger: object) -> RawFrame:
-        if self.starts < self.needed:
-            raise LossyLink("camera W1: 40 frames in a row came incomplete")
-        return frame(1, NEW)
-
-
 @pytest.mark.parametrize(
     ("possible", "starts"), [(5, 4), (2, 4), (1, 3)], ids=["slow enough in time", "at the last start", "never"]
 )
 def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, starts):
     """Each time that no frame comes whole it is slowed down and started anew, at its slowest once more."""
-    monkeypatch.setattr(fresh_frames, "FrameStream", Lossy)
-    monkeypatch.setattr(Lossy, "starts", 0)
+    lossy = Scripted([*[LossyLink("camera W1: 40 frames in a row came incomplete")] * 3, frame(1, NEW)])
+    monkeypatch.setattr(fresh_frames, "FrameStream", lossy)
     session, tally = wooden_session(0), Tally()
     frames = FreshFrames(SimpleNamespace(), session, LensDescription(), tally, 0.05)
     left = iter([True] * possible)
@@ -383,7 +370,7 @@ def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, star
             frames.next()
     else:
         assert frames.next().frame_id == 1
-    assert Lossy.starts == starts
+    assert lossy.starts == starts
     assert tally.snapshot().extra["restarts"] == (possible < 3)
 
 
@@ -399,19 +386,9 @@ def silent(answers: bool) -> tuple[FreshFrames, Tally]:
     return FreshFrames(SimpleNamespace(), wooden_session(0, answers), LensDescription(), tally, 0.05), tally
 
 
-class NothingComes:
-    def __init__(self, *_arguments: object) -> None: ...
-
-    def start(self) -> None: ...
-
-    def stop(self, *, camera_is_there: bool) -> None: ...
-
-    def next_frame(self, _deadline_s: float, _trigger: object) -> None: ...
-
-
 def test_an_acquisition_without_frames_is_restarted_then_given_up(monkeypatch):
     """A camera that answers but sends nothing is started again twice, then it is a timeout with the deadline."""
-    monkeypatch.setattr(fresh_frames, "FrameStream", NothingComes)
+    monkeypatch.setattr(fresh_frames, "FrameStream", Scripted([]))
     frames, tally = silent(answers=True)
     with pytest.raises(DeviceTimeout, match=r"no frame within 0\.1 s, 3 times over, though it answers"):
         frames.next()
@@ -420,7 +397,7 @@ def test_an_acquisition_without_frames_is_restarted_then_given_up(monkeypatch):
 
 def test_a_camera_without_an_answer_is_lost_at_once(monkeypatch):
     """A camera that sends nothing and does not answer is lost; it is not started again."""
-    monkeypatch.setattr(fresh_frames, "FrameStream", NothingComes)
+    monkeypatch.setattr(fresh_frames, "FrameStream", Scripted([]))
     frames, tally = silent(answers=False)
     with pytest.raises(DeviceLost):
         frames.next()

@@ -2,7 +2,6 @@
 
 from collections import deque
 from itertools import pairwise
-from zlib import crc32
 
 import numpy as np
 import pytest
@@ -11,15 +10,13 @@ from hypothesis import strategies as st
 
 from drivers.light_box.box import SerialLightBox
 from drivers.light_box.frames import Event, Reply, parse_event_fields, parse_line, parse_times, request_line
-from drivers.light_box.link import BoxLink
 from drivers.light_box.serial_line import ReceivedLine
 from radiometer.devices import CurrentRange, DriveLevel
-from radiometer.devices.exposure_account import MemoryStore
-from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, DeviceLost
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import LineFaults, VirtualLine
+from testing.box_on_a_line import driver_on, sealed
 
 CHANNELS = ("bleach", "spot", "spot_red", "fixation")
 OPTICS = {name: ChannelOptics(640.0, 18.0, 1.5, 1.0) for name in CHANNELS}
@@ -30,13 +27,7 @@ def bench(seed: int, **faults: float) -> tuple[SimulatedLightBox, VirtualLine, S
     rng = np.random.default_rng(seed)
     twin = SimulatedLightBox(SimulatedBoxSettings())
     line = VirtualLine(twin, LineFaults(**faults, rng=rng), latency_s=0.0003, rng=rng)
-    return (
-        twin,
-        line,
-        SerialLightBox(
-            BoxLink(line, _sequence=0), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False
-        ),
-    )
+    return twin, line, driver_on(line, OPTICS)
 
 
 @pytest.mark.long
@@ -125,9 +116,7 @@ def test_press_times_over_forty_minutes_with_a_fast_clock():
     rng = np.random.default_rng(18)
     twin = SimulatedLightBox(SimulatedBoxSettings(clock_ppm=200.0))
     line = VirtualLine(twin, latency_s=0.0008, least_latency_s=0.0002, rng=rng)
-    box = SerialLightBox(
-        BoxLink(line, _sequence=0), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False
-    )
+    box = driver_on(line, OPTICS)
     box.open()
     presses_s = line.now() + 1.0 + np.cumsum(rng.uniform(1.0, 7.0, 590))
     for press_s in presses_s:
@@ -150,11 +139,6 @@ def test_press_times_over_forty_minutes_with_a_fast_clock():
 
 FRAGMENTS = st.sampled_from([b"=", b"!", b"*", b"#", b" OK", b" ER 05", b"--", b"TM", b"1.000", b"\n", b"00", b"HI 1"])
 NOISE = st.lists(st.one_of(st.binary(max_size=20), FRAGMENTS), max_size=12).map(b"".join)
-
-
-def sealed(body: bytes) -> bytes:
-    """Return a line whose checksum is right, whatever it says."""
-    return body + f"*{crc32(body):08X}".encode()
 
 
 class BabblingLine:
@@ -221,7 +205,7 @@ def test_what_one_wrong_byte_makes_of_a_reply_is_never_another_reply(sequence, c
 def test_opening_on_a_babbling_line_ends_in_a_named_error(lines):
     """Whatever comes, opening ends with a DeviceError within its deadline."""
     line = BabblingLine(lines)
-    box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False)
+    box = driver_on(line, OPTICS)
     try:
         box.open()
     except DeviceError:
@@ -235,7 +219,7 @@ def test_opening_on_a_babbling_line_ends_in_a_named_error(lines):
 def test_open_box_on_babble_never_reports_what_was_not_sent(answers):
     """An open driver that gets undamaged nonsense raises a DeviceError or has read its own level back."""
     line = BabblingLine([])
-    box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False)
+    box = driver_on(line, OPTICS)
     twin = SimulatedLightBox()
     prepare(box, line, twin)
     line.lines.extend(sealed(f"={number:02X} {word} ".encode() + noise) for number, word, noise in answers)
