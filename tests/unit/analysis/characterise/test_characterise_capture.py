@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 import radiometer as rm
-from radiometer.analysis.characterise import (
-    EmvaDescriptor,
-    characterise,
-    read_subject,
-    subject_of_capture,
-)
+from radiometer.analysis.characterise import EmvaDescriptor, characterise, read_subject, subject_of_capture
 from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, meaning
 from radiometer.analysis.characterise.result import SYMBOLS

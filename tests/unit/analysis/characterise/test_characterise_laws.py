@@ -31,12 +31,7 @@ from radiometer.analysis.characterise.partial import bent, disagreeing_gains, st
 from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
 from radiometer.analysis.characterise.report import outcome
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.sensitivity import (
-    find_saturation,
-    propagated,
-    responsivity,
-    sensitivity_figures,
-)
+from radiometer.analysis.characterise.sensitivity import find_saturation, propagated, responsivity, sensitivity_figures
 from radiometer.analysis.characterise.steps import contradicting_darks, contradicting_steps, make_steps
 from radiometer.analysis.characterise.subject import PhotonFlux, Subject, photon_flux
 from radiometer.data import (

@@ -20,11 +20,7 @@ from radiometer.analysis.response.labels import exposure_labels, refuse_equal_th
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.settle import Choices, fit_with
-from radiometer.analysis.response.wrong_labels import (
-    find_wrong_labels,
-    freed_one_by_one,
-    smallest_label_error,
-)
+from radiometer.analysis.response.wrong_labels import find_wrong_labels, freed_one_by_one, smallest_label_error
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.errors import CaptureError, MeasurementError
@@ -137,8 +133,7 @@ def test_black_level_is_respected(make_stack):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("response", "bit_depth"),
-    [("gamma", 8), ("gamma", 16), pytest.param("linear", 16, marks=pytest.mark.long)],
+    ("response", "bit_depth"), [("gamma", 8), ("gamma", 16), pytest.param("linear", 16, marks=pytest.mark.long)]
 )
 def test_noise_behind_the_curve_is_borne_as_well(true_log_exposure, response, bit_depth):
     """With 1 DN of noise added behind the curve, close to white too, ln H over 5–95 % scatters under 0.3 %."""

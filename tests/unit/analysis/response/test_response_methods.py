@@ -317,10 +317,7 @@ def test_where_a_region_landed_counts(stretched):
 
 @pytest.mark.parametrize(
     ("points", "error", "message"),
-    [
-        ([], InputError, "at least one region"),
-        ([RangePoint(254, 1 / 30)], MeasurementError, "shorter time"),
-    ],
+    [([], InputError, "at least one region"), ([RangePoint(254, 1 / 30)], MeasurementError, "shorter time")],
 )
 def test_what_contradicts_the_procedure_is_refused(stretched, points, error, message):
     """The message says what does not fit and the way out."""

@@ -260,11 +260,7 @@ def test_jumping_pixels_are_counted_and_scatter_as_drawn_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    "effect",
-    [
-        HotPixels(share=0.05, rate_e_per_s=100.0),
-        DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=1.0),
-    ],
+    "effect", [HotPixels(share=0.05, rate_e_per_s=100.0), DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=1.0)]
 )
 def test_leaking_pixels_are_unsteady_by_their_shot_noise(effect: Any) -> None:
     """Charge that leaks into a pixel scatters by its root: where it is much more than the others', the pixel counts."""
