@@ -108,21 +108,6 @@ def test_a_steady_source_is_not_called_flickering(rig):
         assert Flag.FLICKER not in read(rig, frames, rig.calibration()).flags
 
 
-@pytest.mark.parametrize("dark_s", [(1e-3,) * 4, (1e-4, 1e-2)], ids=["of the same exposure", "of others"])
-def test_dark_frames_take_away_a_wrong_black_level(rig, dark_s):
-    """The believed black level is 3 DN off; dark frames of the same exposure, or of others, put it right."""
-    truth = 20.0 * rig.gain_e_per_dn / float(rig.electrons_per_s(1.0)) / 1e-3  # 20 DN of light
-    rng, wrong = np.random.default_rng(6), rig.but(black_dn=67.0)
-    made = [wrong.frame(uniform(truth), 1e-3, rng) for _ in range(4)]
-    made += [wrong.frame(uniform(0.0), seconds, rng, shutter="closed") for seconds in dark_s]
-    believed = [Frame(f.dn, 12, replace(f.settings, black_level_dn=64.0)) for f in made]
-    without, corrected = (read(rig, frames, rig.calibration()) for frames in (believed[:4], believed))
-    assert without.radiance.value > truth * 1.1
-    assert abs(corrected.radiance.value - truth) < 4.0 * corrected.radiance.u
-    note = line(corrected, "dark and black level").note
-    assert (note == "dark frames of other exposures") is (len(dark_s) == 2)
-
-
 def test_a_response_curve_replaces_the_straight_line(rig):
     """A camera that squares its signal is read right through its curve, and wrong without it."""
     dn = np.arange(4096.0)
