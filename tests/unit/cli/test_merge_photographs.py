@@ -189,7 +189,7 @@ def test_a_kept_response_is_taken_up_as_long_as_photographs_and_recovery_stay(fe
     assert recovered == [3]
     assert "recovered anew" not in capsys.readouterr().err
     picture = min(folder.glob("*.png"))
-    cv2.imwrite(str(picture), 255 - cv2.imread(str(picture)))
+    cv2.imwrite(str(picture), 255 - (255 - cv2.imread(str(picture))) // 2 * 2)
     assert run(words) == 0
     assert recovered == [3, 3]
     monkeypatch.setattr(provenance, "source_hash", lambda *_: "another")

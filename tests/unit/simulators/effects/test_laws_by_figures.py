@@ -245,6 +245,7 @@ def test_jumping_pixels_are_counted_and_scatter_as_drawn_ones() -> None:
     tiles: Any = _FourDarks(context.settings, context.geometry, CAMERA, LensDescription())
     before = replace(TileMoments.exactly(np.zeros((1, 1, 1))), variance=np.full((1, 1, 1), 9.0))
     predicted = effect.tile(before, before, tiles)
+    assert effect.variance(even, context) == pytest.approx(0.05 * 2.0 * 20.0**2 / 4.0)  # half a jump either way
     out = np.abs(frames.mean(axis=0)) > 6.0 * 1.5
     restless, unsteady = _restless(frames, ~out)
     scatter = frames.var(axis=0, ddof=1)[~out & ~restless]
