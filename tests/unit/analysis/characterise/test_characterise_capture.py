@@ -385,12 +385,6 @@ def test_figure_of_few_frames_agrees_within_its_uncertainty(ccd, name, value):
     assert abs(ccd.figures[name].value - value) < ccd.figures[name].u
 
 
-def test_scatter_beyond_noise_is_reported(ccd):
-    """The real photon transfer is not quite straight; the note says so and K's uncertainty holds it."""
-    assert any("scatters" in note for note in ccd.notes)
-    assert ccd.figures["K"].u_rel > 0.002
-
-
 def test_descriptor_with_backslashes_is_read(folder):
     """All images of the descriptor are found, bright and dark."""
     descriptor = EmvaDescriptor.read(folder / "EMVA1288_Data.txt")

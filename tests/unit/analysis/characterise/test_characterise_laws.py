@@ -73,14 +73,6 @@ def lit_groups(variances):
     return [group(BLACK_DN + s, v, s / 6000.0) for s, v in zip(SIGNALS, variances, strict=True)]
 
 
-def test_the_photon_transfer_ends_at_seventy_percent_of_saturation():
-    """Steps above, whose variance has begun to fall, change nothing."""
-    variances = np.where(SIGNALS <= 4200.0, 40.0 + 0.5 * SIGNALS, 20.0 + 0.25 * SIGNALS)
-    found = photon_transfer(steps_of(variances), 6000.0)
-    assert found.K.value == pytest.approx(0.5, rel=1e-9)
-    assert max(s.signal_dn for s in found.used) == SIGNALS[SIGNALS <= 4200.0].max()
-
-
 def test_the_stated_uncertainty_of_the_gain_is_its_scatter():
     """Over 400 draws of variances with the chance that so few pixels leave, K scatters by its mean u within 15 %."""
     rng, pixels = np.random.default_rng(4), 200
