@@ -277,49 +277,34 @@ OLD, NEW = 9000.0, 5000.0  # µs; the wooden session is set to the second
 BEFORE = CameraSettings(exposure_s=0.009, pixel_format="Mono8")
 
 
-def test_chunks_tell_how_many_frames_are_stale(fresh):
-    """Two frames of the old exposure are thrown away, and the first of the new one is taken: none is waited for."""
-    frames, tally = fresh(
-        [frame(1, NEW), frame(2, OLD), frame(3, OLD), frame(4, NEW), frame(5, NEW)], discard=2, shown=True
-    )
-    assert frames.next().frame_id == 1
-    frames.settings_changed(BEFORE)
-    assert frames.next().frame_id == 4
-    assert tally.extra["stale_discarded"] == 2
+BLACK_BEFORE = CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8")  # 2.0 per cent
 
 
-def test_a_new_exposure_of_30_s_is_not_waited_for_thrice(fresh):
-    """A first frame whose chunk has the exposure that was set is the answer: one exposure, not three."""
-    frames, tally = fresh([frame(1, NEW)], discard=2, shown=True)
-    frames.settings_changed(BEFORE)
-    assert frames.next().frame_id == 1
-    assert tally.extra["stale_discarded"] == 0
+def of_black(*levels: float) -> list[RawFrame]:
+    """Return frames of the new exposure whose chunks state these black levels in per cent."""
+    return [frame(n, NEW, BlackLevel=level) for n, level in enumerate(levels, start=1)]
 
 
-def test_a_change_that_no_chunk_states_is_waited_for_by_number(fresh):
-    """The black level has no chunk here: that the exposure's agrees says nothing of it."""
-    frames, tally = fresh([frame(n, NEW) for n in range(1, 5)], discard=2, shown=True)
-    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
-    assert frames.next().frame_id == 3
-    assert tally.extra["stale_discarded"] == 2
-
-
-@pytest.mark.parametrize(("percent", "taken"), [(0.0, 1), (7.0, 3)], ids=["confirmed", "another"])
-def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
-    """A chunk of the black level that was set ends the wait; one of another never makes it endless."""
-    frames, _ = fresh([frame(n, NEW, BlackLevel=percent) for n in range(1, 5)], discard=2, shown=True)
-    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
-    assert frames.next().frame_id == taken
-
-
-@pytest.mark.parametrize(("message", "taken"), [((2.0, 2.0, 2.0, 0.0), 4), ((2.0,) * 6, 5), ((7.0,) * 6, 3)])
-def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, message, taken):
-    """Three say the old level where two are known of: the fourth is taken. As many again at most, and what says it."""
-    frames, _ = fresh(
-        [frame(n, NEW, BlackLevel=level) for n, level in enumerate(message, start=1)], discard=2, shown=True
-    )
-    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))  # 2.0 percent
-    assert frames.next().frame_id == taken
+@pytest.mark.parametrize(
+    ("frames", "before", "taken"),
+    [
+        pytest.param([frame(1, OLD), frame(2, OLD), frame(3, NEW)], [BEFORE], 3, id="two of the old exposure"),
+        pytest.param([frame(1, NEW)], [BEFORE], 1, id="an exposure of 30 s is not waited for thrice"),
+        pytest.param([frame(n, NEW) for n in range(1, 5)], [BLACK_BEFORE], 3, id="no chunk states it: by number"),
+        pytest.param(of_black(0.0, 0.0), [BLACK_BEFORE], 1, id="its own chunk confirms it"),
+        pytest.param(of_black(*[7.0] * 6), [BLACK_BEFORE], 3, id="another chunk never makes it endless"),
+        pytest.param(of_black(2.0, 2.0, 2.0, 0.0), [BLACK_BEFORE], 4, id="a late frame states the level before"),
+        pytest.param(of_black(*[2.0] * 6), [BLACK_BEFORE], 5, id="as many again at most"),
+        pytest.param([frame(n, NEW) for n in range(1, 5)], [BLACK_BEFORE, BEFORE], 3, id="a change not yet shown"),
+    ],
+)
+def test_frames_of_the_settings_before_are_thrown_away(fresh, frames, before, taken):
+    """Two are known of; chunks that state what was changed say whether there are fewer, or more, of them."""
+    made, tally = fresh(frames, discard=2, shown=True)
+    for settings in before:
+        made.settings_changed(settings)
+    assert made.next().frame_id == taken
+    assert tally.extra["stale_discarded"] == taken - 1
 
 
 def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
@@ -332,14 +317,6 @@ def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
     frames, _ = fresh([*stale, frame(4, NEW)], discard=2)
     with pytest.raises(DeviceError, match="sent Mono10p where Mono8 was set"):
         frames.next()
-
-
-def test_a_change_that_no_frame_has_shown_is_not_forgotten(fresh):
-    """A second change before the first frame leaves the first one to be waited for too."""
-    frames, _ = fresh([frame(n, NEW) for n in range(1, 5)], discard=2, shown=True)
-    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
-    frames.settings_changed(BEFORE)
-    assert frames.next().frame_id == 3
 
 
 def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(monkeypatch):
