@@ -358,27 +358,23 @@ def test_a_camera_that_keeps_its_old_exposure_is_an_error(fresh):
         frames.next()
 
 
-def silent(answers: bool) -> tuple[FreshFrames, Tally]:
+@pytest.mark.parametrize(
+    ("answers", "error", "message", "restarts"),
+    [
+        (True, DeviceTimeout, r"no frame within 0\.1 s, 3 times over, though it answers", 3),
+        (False, DeviceLost, "stopped answering", 0),
+    ],
+)
+def test_an_acquisition_without_frames_is_restarted_where_the_camera_answers(
+    monkeypatch, answers, error, message, restarts
+):
+    """Twice, then it is a timeout with the deadline; a camera that does not answer is lost at once."""
+    monkeypatch.setattr(fresh_frames, "FrameStream", Scripted([]))
     tally = Tally()
-    return FreshFrames(SimpleNamespace(), wooden_session(0, answers), LensDescription(), tally, 0.05), tally
-
-
-def test_an_acquisition_without_frames_is_restarted_then_given_up(monkeypatch):
-    """A camera that answers but sends nothing is started again twice, then it is a timeout with the deadline."""
-    monkeypatch.setattr(fresh_frames, "FrameStream", Scripted([]))
-    frames, tally = silent(answers=True)
-    with pytest.raises(DeviceTimeout, match=r"no frame within 0\.1 s, 3 times over, though it answers"):
+    frames = FreshFrames(SimpleNamespace(), wooden_session(0, answers), LensDescription(), tally, 0.05)
+    with pytest.raises(error, match=message):
         frames.next()
-    assert tally.extra["restarts"] == 3
-
-
-def test_a_camera_without_an_answer_is_lost_at_once(monkeypatch):
-    """A camera that sends nothing and does not answer is lost; it is not started again."""
-    monkeypatch.setattr(fresh_frames, "FrameStream", Scripted([]))
-    frames, tally = silent(answers=False)
-    with pytest.raises(DeviceLost):
-        frames.next()
-    assert tally.extra["restarts"] == 0
+    assert tally.extra["restarts"] == restarts
 
 
 @pytest.mark.parametrize(
