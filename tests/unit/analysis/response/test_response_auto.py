@@ -99,7 +99,7 @@ def test_errors_of_smooth_responses_stay_within_the_uncertainty(make_stack, inne
 @pytest.mark.slow
 def test_wrong_time_is_found_and_taken_out(make_stack, inner_error):
     """A frame 3 % longer than its label is found, to within 5 u + 0.1 %, and does not bend the curve."""
-    estimate = recover_response_auto(make_stack("gamma", time_errors={4: 1.03}))
+    estimate = recover_response_auto(make_stack("gamma", time_errors=((4, 1.03),)))
     assert estimate.details["time_spread"] > 0
     true = np.full(8, 2.0) * [1, 1, 1, 1.03, 1 / 1.03, 1, 1, 1]
     # The exponent is fixed by the times on average, so the whole ladder may be stretched by its fit.
