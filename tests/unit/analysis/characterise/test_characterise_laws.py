@@ -31,12 +31,7 @@ from radiometer.analysis.characterise.partial import bent, disagreeing_gains, st
 from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
 from radiometer.analysis.characterise.report import outcome
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.sensitivity import (
-    find_saturation,
-    propagated,
-    responsivity,
-    sensitivity_figures,
-)
+from radiometer.analysis.characterise.sensitivity import find_saturation, propagated, responsivity, sensitivity_figures
 from radiometer.analysis.characterise.steps import contradicting_darks, contradicting_steps, make_steps
 from radiometer.analysis.characterise.subject import PhotonFlux, Subject, photon_flux
 from radiometer.data import (
@@ -76,14 +71,6 @@ def steps_of(variances, signals=SIGNALS, dark_variance=40.0, photons=None, pixel
 def lit_groups(variances):
     """Return lit groups of given variances whose signals are as their exposures of up to 1 s."""
     return [group(BLACK_DN + s, v, s / 6000.0) for s, v in zip(SIGNALS, variances, strict=True)]
-
-
-def test_the_photon_transfer_ends_at_seventy_percent_of_saturation():
-    """Steps above, whose variance has begun to fall, change nothing."""
-    variances = np.where(SIGNALS <= 4200.0, 40.0 + 0.5 * SIGNALS, 20.0 + 0.25 * SIGNALS)
-    found = photon_transfer(steps_of(variances), 6000.0)
-    assert found.K.value == pytest.approx(0.5, rel=1e-9)
-    assert max(s.signal_dn for s in found.used) == SIGNALS[SIGNALS <= 4200.0].max()
 
 
 def test_the_stated_uncertainty_of_the_gain_is_its_scatter():

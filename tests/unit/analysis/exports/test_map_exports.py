@@ -186,23 +186,6 @@ def test_the_command_merges_a_capture_set(capture, tmp_path, capsys):
     assert (tmp_path / "a.hdr").exists()
 
 
-@pytest.mark.slow
-def test_a_curve_s_black_level_is_that_of_the_frames(capture, rig, tmp_path):
-    """A curve of raw numbers with 64 DN of black gives what the straight line gives, where only frames state black."""
-    folder, _ = capture
-    header = (folder / "capture.yaml").read_text()
-    cut = header.split("frames:", 1)
-    silent = cut[0].replace("black_level_dn: 64.0", "vendor: x")
-    assert "black_level_dn" not in silent
-    (folder / "capture.yaml").write_text(silent + "frames:" + cut[1])
-    with np.errstate(divide="ignore"):
-        g = np.log(np.maximum(np.arange(4096.0) - 64.0, 0.0))
-    ResponseCurve(g - g[2048], np.full(4096, 1e-3), valid_dn=(70, 4090)).write(tmp_path / "curve.yaml")
-    assert run(["merge", str(folder), "--response", str(tmp_path / "curve.yaml"), "-o", str(tmp_path / "a.tiff")]) == 0
-    value = tifffile.imread(tmp_path / "a.tiff", key=0)
-    assert value.mean() == pytest.approx(0.4 * 4031 / 1984 / 1e-3, rel=0.003)
-
-
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [

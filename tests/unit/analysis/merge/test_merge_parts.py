@@ -188,15 +188,6 @@ def moved(picture, movement):
     return np.asarray(cv2.warpAffine(picture, movement, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT))
 
 
-@pytest.mark.parametrize("movement", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.0), (1.5, 0.7, 0.4), (-2.0, 1.0, -0.8)])
-def test_the_movement_that_was_made_is_found(movement):
-    """To two of the 32nd parts of a pixel that OpenCV moves pictures by."""
-    here, there = scene(), moved(scene(), place(*movement))
-    correlation, found = Climb(here, there, np.ones(here.shape, np.uint8)).climbed(STILL, 60)
-    assert found == pytest.approx(place(*movement), abs=0.0625)
-    assert correlation > 0.99
-
-
 @pytest.mark.parametrize("pedestal_dn", [0.0, 3000.0, 30000.0])
 @pytest.mark.parametrize("left_out", ["nothing", "a rim", "a patch"])
 def test_little_contrast_on_a_pedestal_is_climbed(pedestal_dn, left_out):

@@ -695,6 +695,10 @@ def test_a_line_excites_by_its_action_spectrum():
     found = rm.alpha_opic(3.0, "W/m2", spectrum="line:490")["melanopic"]
     assert found.quantity.value == pytest.approx(3.0 * at_490)
     assert at_490 == pytest.approx(1.0, abs=1e-3)  # its peak is at 490 nm
+    for receptor, column in columns.items():
+        last = np.flatnonzero(column)[-1]
+        found = rm.alpha_opic(1.0, "W/m2", spectrum=f"line:{wavelength[last]:g}")[receptor]
+        assert found.quantity.value == pytest.approx(column[last]), receptor
 
 
 def test_radiance_and_luminance_of_one_light_give_the_same():

@@ -87,7 +87,7 @@ def test_mitsunaga_recovers_ratios_from_one(make_stack, kind, bit_depth):
     """Stated times wrong by up to 15 %: within 0.5 % and 4 of the stated sigmas, where no polynomial fits too."""
     true = np.array([2.0, 1.8, 2.1, 2.0, 2.3, 2.0, 1.9, 2.0])
     factors = {i + 1: float(f) for i, f in enumerate(np.cumprod(true / 2.0))}
-    bracket = make_stack(kind, bit_depth=bit_depth, time_errors=factors)
+    bracket = make_stack(kind, bit_depth=bit_depth, time_errors=tuple(factors.items()))
     estimate = recover_response_mitsunaga1999(bracket, known_ratios={3: 2.0})
     assert estimate.exposure_ratios == pytest.approx(true, rel=0.005)
     unknown = np.arange(8) != 3
@@ -317,10 +317,7 @@ def test_where_a_region_landed_counts(stretched):
 
 @pytest.mark.parametrize(
     ("points", "error", "message"),
-    [
-        ([], InputError, "at least one region"),
-        ([RangePoint(254, 1 / 30)], MeasurementError, "shorter time"),
-    ],
+    [([], InputError, "at least one region"), ([RangePoint(254, 1 / 30)], MeasurementError, "shorter time")],
 )
 def test_what_contradicts_the_procedure_is_refused(stretched, points, error, message):
     """The message says what does not fit and the way out."""

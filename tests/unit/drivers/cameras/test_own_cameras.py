@@ -223,8 +223,8 @@ def test_green_pixels_are_taken_from_any_mosaic(mosaic, first):
 @pytest.mark.parametrize(
     ("text", "seconds"),
     [
-        ("1/250", 2.0**-8), ("1/60", 2.0**-6), ("30", 32.0), ("0.5", 0.5), ("0.4", 2.0 ** (-4 / 3)),
-        ("0.0037s", 0.0037), ("bulb", None), ("Auto", None), ("1/0", None), ("-1", None),
+        ("1/250", 2.0**-8), ("1/60", 2.0**-6), ("1/10", 2.0 ** (-10 / 3)), ("30", 32.0), ("0.5", 0.5),
+        ("0.4", 2.0 ** (-4 / 3)), ("0.0037s", 0.0037), ("bulb", None), ("Auto", None), ("1/0", None), ("-1", None),
     ],
 )  # fmt: skip
 def test_a_shutters_entry_means_the_stop_behind_it(text, seconds):

@@ -592,36 +592,6 @@ def test_the_nearest_borders_alone_leave_little_beyond():
     assert abs(float(np.ravel(predicted.beyond_rows)[0])) < 0.02 * predicted.neighbour_x.item()
 
 
-@pytest.mark.slow
-def test_noise_gathers_while_borders_move():
-    """Charge that comes in 150 steps, each moved by what has come, has the variance that is reported, to 5 sigma.
-
-    A push of all charge at the end would leave 5 % less.
-    """
-    context, size, level, steps, flats, strong = effect_context(), 128, 5000.0, 150, 12, replace(FAR, share=0.06)
-    a = strong.slopes_per_e(well_e(context))
-    wide = np.zeros((size, size))
-    wide[: a.shape[0], : a.shape[1]] = a
-    waves = np.fft.rfft2(np.roll(wide, (-8, -8), (0, 1)))
-    rng, step, variance, neighbour = np.random.default_rng(4), level / steps, 0.0, 0.0
-    for _ in range(flats):
-        come = np.zeros((size, size))
-        for _ in range(steps):
-            shot = math.sqrt(step) * rng.standard_normal((size, size))
-            moved = np.fft.irfft2(np.fft.rfft2(come + 0.5 * shot) * waves, s=come.shape)
-            come = come + shot + step * moved
-        variance += float(np.mean(np.square(come))) / flats
-        neighbour += float(np.mean(come[:, 1:] * come[:, :-1])) / flats
-    one = np.full((1, 1, 1), level)
-    predicted = strong.moments(replace(TileMoments.exactly(one), variance=one), context)
-    u = level / size / math.sqrt(flats)
-    assert variance == pytest.approx(predicted.variance.item(), abs=5 * math.sqrt(2) * u)
-    assert neighbour == pytest.approx(predicted.neighbour_x.item(), abs=5 * u)
-    kernel = 0.5 * level * a
-    kernel[8, 8] += 1.0
-    assert variance > level * np.sum(np.square(kernel)) + 8 * u
-
-
 def test_a_step_between_patches_loses_what_its_last_line_does():
     """The share of a step that the last line inside a patch loses is the predicted one, by a picture of two halves."""
     well = well_e(effect_context())

@@ -245,6 +245,7 @@ def test_jumping_pixels_are_counted_and_scatter_as_drawn_ones() -> None:
     tiles: Any = _FourDarks(context.settings, context.geometry, CAMERA, LensDescription())
     before = replace(TileMoments.exactly(np.zeros((1, 1, 1))), variance=np.full((1, 1, 1), 9.0))
     predicted = effect.tile(before, before, tiles)
+    assert effect.variance(even, context) == pytest.approx(0.05 * 2.0 * 20.0**2 / 4.0)  # half a jump either way
     out = np.abs(frames.mean(axis=0)) > 6.0 * 1.5
     restless, unsteady = _restless(frames, ~out)
     scatter = frames.var(axis=0, ddof=1)[~out & ~restless]
@@ -260,11 +261,7 @@ def test_jumping_pixels_are_counted_and_scatter_as_drawn_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    "effect",
-    [
-        HotPixels(share=0.05, rate_e_per_s=100.0),
-        DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=1.0),
-    ],
+    "effect", [HotPixels(share=0.05, rate_e_per_s=100.0), DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=1.0)]
 )
 def test_leaking_pixels_are_unsteady_by_their_shot_noise(effect: Any) -> None:
     """Charge that leaks into a pixel scatters by its root: where it is much more than the others', the pixel counts."""
@@ -702,28 +699,25 @@ def test_the_first_frame_alone_is_off():
     assert float(np.ravel(after.first_excess)[0]) == 4.0
 
 
-def test_charge_gathers_until_a_row_is_read():
-    """Of five rows the first has none and the last all; 7 K more double it; exposure does not count."""
-    effect = ReadoutDarkCharge(charge_e=8.0, reference_C=20.0, doubling_K=7.0)
-    for exposure_s in (1e-6, 10.0):
-        column = np.ravel(effect.offset(_context(exposure_s=exposure_s, temperature_c=27.0)))
-        assert column == pytest.approx([0.0, 4.0, 8.0, 12.0, 16.0])
+@pytest.mark.parametrize(
+    ("more", "column"),
+    [({}, [0, 2, 4, 6, 8]), ({"from_below": 1.0}, [8, 6, 4, 2, 0]), ({"wait_share": 0.5}, [4, 6, 8, 10, 12])],
+)
+def test_charge_gathers_until_a_row_is_read(more, column):
+    """Of five rows the first has none and the last all, or the other way; a wait adds to every row; 7 K double it."""
+    effect = ReadoutDarkCharge(charge_e=8.0, reference_C=20.0, doubling_K=7.0, **more)
+    for exposure_s, celsius, factor in ((1e-6, 20.0, 1.0), (10.0, 27.0, 2.0)):  # the exposure does not count
+        found = np.ravel(effect.offset(_context(exposure_s=exposure_s, temperature_c=celsius)))
+        assert found == pytest.approx(factor * np.array(column))
 
 
-def test_rows_may_be_read_from_below():
-    """Where the last row is read first, the first one gathers most."""
-    effect = ReadoutDarkCharge(charge_e=8.0, from_below=1.0)
-    assert np.ravel(effect.offset(_context())) == pytest.approx([8.0, 6.0, 4.0, 2.0, 0.0])
-
-
-def test_all_rows_wait_before_the_first_is_read():
-    """A wait of half the readout adds half its charge to every row; only the loosened form fits it."""
-    effect = ReadoutDarkCharge(charge_e=8.0, wait_share=0.5)
-    assert np.ravel(effect.offset(_context())) == pytest.approx([4.0, 6.0, 8.0, 10.0, 12.0])
-    assert effect.free() == ("charge_e", "doubling_K", "wait_share")
-    (loose,) = ReadoutDarkCharge(charge_e=8.0).loosened(_context())
+def test_a_wait_before_the_first_row_is_fitted_by_the_looser_form_only():
+    """The plain form has charge and doubling; once loosened there is no further form."""
+    plain = ReadoutDarkCharge(charge_e=8.0)
+    (loose,) = plain.loosened(_context())
+    assert plain.free() == ("charge_e", "doubling_K")
+    assert loose.free() == ("charge_e", "doubling_K", "wait_share")
     assert loose.wait_share > 0.0
-    assert ReadoutDarkCharge(charge_e=8.0).free() == ("charge_e", "doubling_K")
     assert loose.loosened(_context()) == ()
 
 
