@@ -111,25 +111,6 @@ def test_every_cell_of_a_row_is_what_its_heading_says(tmp_path, make_reading):
     assert (bare["luminance"], bare["u_luminance"], bare["luminance_unit"]) == ("", "", "")
 
 
-def test_a_full_journal_refuses_and_loses_nothing(tmp_path, make_reading):
-    """At the size limit appending raises, what was committed stays, and the numbers go on once there is room."""
-    path = tmp_path / "j.sqlite"
-    committed = []
-
-    def fill(journal):
-        while True:
-            committed.extend(journal.append([make_reading()] * 20))
-
-    with Journal(path, max_bytes=200_000) as limited, pytest.raises(JournalError, match=r"0\.2 MB of --journal-max-mb"):
-        fill(limited)
-    with Journal(path) as journal:
-        (numbered,) = journal.append([make_reading()])
-    count = len(committed)
-    assert count > 0
-    assert numbered.sequence == count + 1
-    assert JournalReader(path).bounds() == (1, count + 1, count + 1)
-
-
 @pytest.mark.parametrize("content", [b"not a database at all, but long enough to look like one" * 40, b"\0" * 4096])
 def test_a_file_that_is_no_journal_is_refused(tmp_path, content):
     """Foreign content, and a place below a file: neither overwritten nor reported as a passing trouble."""
@@ -885,23 +866,6 @@ def test_a_journal_is_recognised_by_its_first_bytes(tmp_path, make_reading):
     header = (tmp_path / "j.sqlite").read_bytes()[:100]
     assert (header[:15], header[68:72]) == (b"SQLite format 3", b"RAMJ")
     assert int.from_bytes(header[60:64], "big") == SCHEMA_VERSION
-
-
-async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path):
-    """What is queued of patches alone is committed at the end; the last stated of each counts; a forgotten one goes."""
-    writer = writer_of(tmp_path / "j.sqlite")
-    await writer.open()
-    writer.keep_patch("lamp", "first")
-    writer.keep_patch("gone", "there")
-    task = asyncio.create_task(writer.run())
-    while await writer.patches() != {"lamp": "first", "gone": "there"}:
-        await asyncio.sleep(0)
-    task.cancel()
-    writer.keep_patch("lamp", "second")
-    writer.keep_patch("gone", None)
-    await writer.close()
-    with Journal(tmp_path / "j.sqlite") as again:
-        assert again.patches() == {"lamp": "second"}
 
 
 @pytest.mark.parametrize(
