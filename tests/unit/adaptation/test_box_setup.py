@@ -15,7 +15,6 @@ from radiometer.bench.served_box import served_box
 from radiometer.data.config_files import shipped_config
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.provenance import utc_now
-from radiometer.devices.light_box import ButtonEvent, ChannelMode, ChannelState, DriveLevel
 from radiometer.errors import (
     CalibrationError,
     ConfigurationError,
@@ -24,6 +23,7 @@ from radiometer.errors import (
     UnsafeStimulus,
     UsageError,
 )
+from testing.recording_devices import RecordingBox
 
 NOW = dt.datetime(2026, 11, 21, tzinfo=dt.UTC)
 
@@ -277,39 +277,6 @@ def test_unknown_protocol_lists_the_shipped_ones():
     """The way out is in the message."""
     with pytest.raises(ConfigurationError, match="classic, classic-blue, rapid, quick"):
         read_protocol("nothing.yaml")
-
-
-class RecordingBox:
-    """A box that notes what it is asked and hands out presses that were laid down."""
-
-    def __init__(self):
-        self.asked = []
-        self.presses = []
-        self.held = []
-        self.time = 100.0
-        self.level = 1000
-
-    def pulse(self, channel, level, duration_s):
-        self.asked.append((channel, level.radiance_w_sr_m2, duration_s))
-
-    def set_level(self, channel, level):
-        self.asked.append((channel, level.radiance_w_sr_m2))
-
-    def read_channel(self, channel):
-        return ChannelState(channel, ChannelMode.PULSE, DriveLevel(self.level), 0, 1.0)
-
-    def off(self, channel):
-        self.asked.append((channel, "off"))
-
-    def buttons(self, timeout_s):
-        self.time += timeout_s
-        for number, time_s in enumerate(self.presses):
-            yield ButtonEvent(True, time_s, 1e-4, time_s, number)
-            yield ButtonEvent(False, time_s + 0.1, 1e-4, time_s + 0.1, number + 1)
-        for begun_s, ended_s in self.held:
-            yield ButtonEvent(True, begun_s, 1e-4, begun_s, 0)
-            if ended_s <= self.time:
-                yield ButtonEvent(False, ended_s, 1e-4, ended_s, 1)
 
 
 @pytest.fixture
