@@ -32,13 +32,6 @@ from radiometer.errors import (
 from testing.patience import within
 
 
-async def test_a_reading_is_in_the_journal_when_it_is_seen(station):
-    """What `measure` returns can be read from the file at that moment."""
-    reading = await station.acquisition.measure()
-    assert JournalReader(station.journal_path).lines(ReadingFilter()) == [reading.to_json()]
-    assert station.shown.latest == reading
-
-
 async def test_continuous_measurement_keeps_its_period(station, eventually):
     """One reading at once and one a period: never more, however long the machine lets it wait."""
     begun = time.monotonic()

@@ -241,21 +241,6 @@ def test_null_tests_are_calibrated(make_capture):
     assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 200))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("hidden", "block", "where"),
-    [
-        ({"exposure": lambda t: t + 8e-6}, "mean", "exposure_s"),
-        ({"picture": lambda image, s: image * (1 + 0.02 * (s["T"] - 35) / 10)}, "mean", "temperature_C"),
-        ({"picture": lambda image, s: image * (s["N"] / 4) ** 0.03}, "mean", "f_number"),
-    ],
-)
-def test_disagreement_is_found_along_its_covariate(make_capture, hidden, block, where):
-    """The leading test names statistic and covariate without knowing any effect."""
-    found = significant(localise(start_of(make_capture(seed=2, **hidden))))
-    assert (found[0].block, found[0].where) == (block, where)
-
-
 def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture):
     """Codes in steps of 4 over dark noise of 0.9 DN: a pixel at the neighbouring code is no outlier."""
     captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed"}, {"t": 1.0, "shutter": "closed"}, {"t": 3e-3}])
