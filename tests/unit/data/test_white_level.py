@@ -110,24 +110,25 @@ def test_light_below_saturation_is_no_pile_up(scene, reached):
     assert level.note is None
 
 
-def test_bands_of_a_flickering_light_are_no_pile_up():
-    """Short exposures of a wall show bands of ± 10 %, the long one averages them: it spreads less and is not full."""
-    rng = np.random.default_rng(37)
-    bands = 1.0 + 0.1 * np.sin(np.linspace(0.0, 20.0, SHAPE[0]))[:, None]
-    frames = [
-        Sensor(FULL).frame(9000.0 * t * light * np.ones(SHAPE), FrameSettings(t, black_level_dn=float(BLACK)), rng)[0]
-        for t, light in ((1 / 64, bands), (1.0, np.ones((1, 1))))
-    ]
-    assert level_of(frames).basis == "assumed"
+_BANDS = 1.0 + 0.1 * np.sin(np.linspace(0.0, 20.0, SHAPE[0]))[:, None] * np.ones(SHAPE)
 
 
-def test_an_exposure_that_was_not_changed_is_no_saturation():
-    """Two frames are alike at all levels where a camera did not take the longer time: nothing is called saturated."""
+@pytest.mark.parametrize(
+    ("light", "exposures"),
+    [
+        # Short exposures of a wall show bands of ± 10 %, the long one averages them: it spreads less and is not full.
+        (lambda rng: np.ones(SHAPE), ((1 / 64, 1 / 64 * _BANDS), (1.0, 1.0))),
+        # Two frames are alike at all levels where a camera did not take the longer time.
+        (patches, ((0.01, 0.25), (0.04, 1.0), (0.16, 1.0))),
+    ],
+)
+def test_what_is_alike_for_another_reason_is_no_pile_up(light, exposures):
+    """Bands of a flickering light, and an exposure that was not changed: nothing is called saturated."""
     rng = np.random.default_rng(41)
-    light = 9000.0 * patches(rng)
+    scene = 9000.0 * light(rng)
     frames = [
-        Sensor(FULL).frame(light * real, FrameSettings(label, black_level_dn=float(BLACK)), rng)[0]
-        for label, real in ((0.01, 0.25), (0.04, 1.0), (0.16, 1.0))
+        Sensor(FULL).frame(scene * real, FrameSettings(label, black_level_dn=float(BLACK)), rng)[0]
+        for label, real in exposures
     ]
     assert level_of(frames).basis == "assumed"
 
@@ -155,6 +156,9 @@ def test_a_single_exposure_says_what_is_assumed():
     ((frame, _),) = Sensor(13_000).bracket(40_000 * ramp(rng), (1.0,), rng)
     level = level_of([frame])
     assert level.saturated_dn == FULL
+    camera = CameraDescription(bit_depth=16, code_step_dn=16)  # twelve bits, padded: no pixel reaches 65535
+    assert camera.saturated_dn == 65_520
+    assert CameraDescription(bit_depth=16, white_level_dn=50_000).saturated_dn == 50_000
     assert "the bit depth gives: a single exposure cannot show" in level.note
 
 
@@ -177,13 +181,6 @@ def test_a_gain_that_shows_no_pile_takes_that_of_another_unless_it_goes_higher(s
     found = {f.settings.gain_db: f.settings.white_level for f in with_white_levels([f for f, _ in (*low, *high)])}
     assert found[0.0].saturated_dn == pytest.approx(9_600, abs=2)
     assert found[12.0].saturated_dn == pytest.approx(expected, abs=2)
-
-
-def test_padded_numbers_end_at_their_highest_code():
-    """Twelve bits in sixteen, padded with zeros, end at 65520 even where no pixel reaches it."""
-    camera = CameraDescription(bit_depth=16, code_step_dn=16)
-    assert camera.saturated_dn == 65_520
-    assert CameraDescription(bit_depth=16, white_level_dn=50_000).saturated_dn == 50_000
 
 
 def merged(frames, sensor):
