@@ -39,18 +39,14 @@ def served(surroundings: dict[str, str], project_root: Path) -> Iterator[str]:
     assert out == b""
 
 
-def test_box_is_found_by_its_serial_number(served, capsys):
-    """Discovery asks for identity: the served box is found without naming its port."""
+def test_box_is_found_by_its_serial_number_and_set_leaves_it_dark(served, capsys):
+    """Discovery asks for identity, without naming its port; `set --for` reads the level back, then the box is dark."""
     assert run(["light", "status", "--box", "CLI00001", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["serial"] == "CLI00001"
     assert report["port"] == served
     assert set(report["channels"]) == {"bleach", "spot", "spot_red", "fixation", "spot_green", "field"}
     assert report["supply_v"] == pytest.approx(12.0)
-
-
-def test_set_holds_the_light_and_leaves_the_box_dark(served, capsys):
-    """`set --for` reads the level back and returns; afterwards the box is dark."""
     started_s = time.monotonic()
     assert run(["light", "set", "spot", "--level", "1234", "--low", "--for", "0.5", "--json"]) == 0
     assert time.monotonic() - started_s > 0.5
@@ -79,7 +75,6 @@ def test_light_counts_for_the_box_and_for_whose_eye_looks(served, capsys, words,
     given = {entry["name"]: entry["blue_light"] for entry in json.loads(capsys.readouterr().out)}
     assert set(given) == counted
     assert len(set(given.values())) == 1
-    assert run(["light", "set", *light, "--eye", "both"]) == 2
 
 
 def test_button_is_watched(served, capsys):

@@ -351,7 +351,7 @@ def _by_chance(path):
     [(_all_of_it, "more than 2 GB of memory"), (_for_ever, "processor time"), (_by_chance, "damaged.*KeyError: 'TAG'")],
 )
 def test_whatever_a_library_does_becomes_one_line(read, reason, tmp_path, monkeypatch):
-    """Memory, time, any error, in a thread of a pool as in the main one; afterwards the process is as free as before."""
+    """Memory, time, any error, in a thread of a pool as in the main one; afterwards the process is free as before."""
     monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
     bounded = bounded_reader(error=InputError)(read)
     with ThreadPoolExecutor(1) as pool:
