@@ -34,9 +34,9 @@ def test_a_drift_of_a_fifth_of_a_percent_per_month_is_found():
     assert trend.u_drift_per_month < 0.0002
 
 
-@pytest.mark.parametrize("archives", [60, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("archives", [40, pytest.param(200, marks=pytest.mark.long)])
 def test_the_stated_uncertainty_of_the_drift_is_honest(archives):
-    """Over n archives the errors scatter by no more than the stated sigma (known to 1/√(2n): 9 % or 5 %).
+    """Over n archives the errors scatter by no more than the stated sigma (known to 1/√(2n): 11 % or 5 %).
 
     Cycles about as long as the year of the record cannot be excluded: u leans to the wide side, by not more than 2.
     """
@@ -47,11 +47,11 @@ def test_the_stated_uncertainty_of_the_drift_is_honest(archives):
     assert 0.5 < np.std(pulls) < 1.1
 
 
-@pytest.mark.slow
-def test_no_drift_is_claimed_where_there_is_none():
-    """300 archives without a drift: at most 4 false claims at three sigmas (0.8 expected)."""
-    claims = [fit_trend(*history(np.random.default_rng(seed), 0.0, readings=60)).drifts for seed in range(300)]
-    assert sum(claims) <= 4
+@pytest.mark.parametrize(("archives", "most"), [(30, 2), pytest.param(300, 4, marks=pytest.mark.long)])
+def test_no_drift_is_claimed_where_there_is_none(archives, most):
+    """Of 300 archives without a drift at most 4 false claims at three sigmas (0.8 expected), of 30 at most 2 (0.08)."""
+    claims = [fit_trend(*history(np.random.default_rng(seed), 0.0, readings=60)).drifts for seed in range(archives)]
+    assert sum(claims) <= most
 
 
 def test_outliers_are_named_and_do_not_bend_the_line():
@@ -102,11 +102,14 @@ def correlated(seed, rho=0.8, days=7.0, count=104, sigma=0.003):
     return np.arange(count) * days * 86400.0, 5.0 * (1 + errors), np.full(count, 5.0 * sigma)
 
 
-@pytest.mark.slow
-def test_correlated_errors_are_no_drift():
-    """300 archives of AR(1) errors, ρ = 0.8: at most 6 false claims (1 % are 3); u is no smaller than the scatter."""
-    trends = [fit_trend(*correlated(seed)) for seed in range(300)]
-    assert sum(trend.drifts for trend in trends) <= 6
+@pytest.mark.parametrize(("archives", "most"), [(30, 2), pytest.param(300, 6, marks=pytest.mark.long)])
+def test_correlated_errors_are_no_drift(archives, most):
+    """300 archives of AR(1) errors, ρ = 0.8: at most 6 false claims (1 % are 3); u is no smaller than the scatter.
+
+    Of 30 the scatter is known to 13 %, the median of ρ to 0.03.
+    """
+    trends = [fit_trend(*correlated(seed)) for seed in range(archives)]
+    assert sum(trend.drifts for trend in trends) <= most
     assert np.median([trend.correlation for trend in trends]) == pytest.approx(0.8, abs=0.1)
     drifts = np.array([trend.drift_per_month for trend in trends])
     stated = float(np.median([trend.u_drift_per_month for trend in trends]))
@@ -189,7 +192,7 @@ def test_readings_of_two_days_years_apart_show_no_cycle():
     assert trend.degrees_of_freedom > 0
 
 
-@pytest.mark.parametrize("archives", [25, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("archives", [25, pytest.param(100, marks=pytest.mark.long)])
 def test_steady_readings_show_no_cycle(archives):
     """Many archives of noise alone: one cycle by chance at most."""
     shown = [fit_trend(*history(np.random.default_rng(seed), 0.0, readings=40)).cycles for seed in range(archives)]

@@ -199,13 +199,14 @@ def merged(frames, sensor):
 
 
 @pytest.mark.slow
-def test_maps_of_sensors_that_end_below_full_scale_hold_what_they_claim():
+@pytest.mark.parametrize("brackets", [4, pytest.param(20, marks=pytest.mark.long)])
+def test_maps_of_sensors_that_end_below_full_scale_hold_what_they_claim(brackets):
     """White at 0.7 to 1 of full scale, 0 to 3 DN of spread, up to 200 strays: U holds in 95 %, clipped ones are marked.
 
-    20 brackets of 12,288 pixels: 95.4 % of each scatter by 0.2 %, and those of all brackets by 0.04 %.
+    Brackets of 12,288 pixels: 95.4 % of each scatter by 0.2 %, and those of all 20 by 0.04 %, of 4 by 0.1 %.
     """
     within, clipped, marked = [], 0, 0
-    for seed in range(20):
+    for seed in range(brackets):
         rng = np.random.default_rng([59, seed])
         sensor = Sensor(round(rng.uniform(0.7, 1.0) * FULL), rng.uniform(0.0, 3.0), int(rng.integers(0, 201)))
         light = rng.uniform(0.6, 1.6) * (sensor.white - BLACK) * SCENES[seed % len(SCENES)](rng)
@@ -219,5 +220,5 @@ def test_maps_of_sensors_that_end_below_full_scale_hold_what_they_claim():
         clipped, marked = clipped + int(everywhere.sum()), marked + int((lost & everywhere).sum())
     assert np.mean(within) >= 0.95
     assert min(within) >= 0.94
-    assert clipped > 1000
+    assert clipped > 50 * brackets
     assert marked >= 0.99 * clipped

@@ -515,12 +515,12 @@ def test_place_of_a_spot_is_as_uncertain_as_it_is_wide() -> None:
 def test_flat_screen_has_no_spot_beyond_noise() -> None:
     """Of 40 maps of noise alone at most 6 exceed the limit that 5 % do (binomial: 2 ± 1.4)."""
     rng = np.random.default_rng(6)
-    u = np.full((128, 192), 0.01)
+    u = np.full((64, 96), 0.01)
     maps = [RadianceMap(1.0 + rng.normal(0.0, 0.01, u.shape), u, np.zeros(u.shape, np.uint8)) for _ in range(40)]
     assert sum(abs(one.spot.value) > one.detection_limit for one in map(mura_of, maps)) <= 6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["lcd", "oled"])
 def test_uncertainty_covers_the_truth(name: str) -> None:
     """Over ten seeds 93 % of the figures that need no warm-up are within k = 2 (binomial: at least 87 % of 30)."""

@@ -202,6 +202,7 @@ def test_a_calibration_that_is_replaced_leaves_its_chromaticities(screen, tmp_pa
     assert rm.screen_calibrate(file, "lcd", name="other", levels="3", force=True).calibration.chromaticities == {}
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_page_states_what_the_screen_was_measured_with(screen):
     """Date, camera and calibration stand in the head; what is not stated is named."""
     text = str(EXPORTS["page"][0](replace(screen, measured_with={"camera": "FLIR 22500001"})))
@@ -209,6 +210,7 @@ def test_page_states_what_the_screen_was_measured_with(screen):
         assert wanted in text
 
 
+@pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize("odd", [{}, {"warm_up": "yes", "uniformity": {"lowest": None}, "drift_rel": "much"}])
 def test_page_states_the_checks_that_the_terminal_prints(screen, odd, tmp_path):
     """A screen that still drifts, its uniformity and its flicker; a file that states a check otherwise has none."""
