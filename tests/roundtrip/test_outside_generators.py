@@ -16,9 +16,7 @@ from testing.outside.session import Secret
 FOLDER = Path(two.__file__).parent
 GENERATORS = {"two": (two, two_hidden.HIDDEN), "three": (three, three_hidden.HIDDEN)}
 HIDDEN = [(module, hidden) for module, table in GENERATORS.values() for hidden in table.values()]
-ALLOWED = set(
-    ["__future__", "testing", "collections", "cv2", "dataclasses", "math", "numpy", "pathlib", "typing", "yaml"]
-)
+ALLOWED = {"__future__", "testing", "collections", "cv2", "dataclasses", "math", "numpy", "pathlib", "typing", "yaml"}
 VEIL = Secret("law", "bracket", "veil", ("veiling_glare",), covariates=("patch_level",))
 
 

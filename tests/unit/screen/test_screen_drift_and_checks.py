@@ -727,8 +727,8 @@ def _left_out(levels: np.ndarray, values: np.ndarray) -> np.ndarray:
 def test_table_meets_left_out_levels_of_a_real_monitor(shared_data: Path) -> None:
     """Of the greys above 2 % of white 85 % are met within 0.5 % when left out, their rms is below 0.35 %.
 
-    What is missed are the monitor's own steps, which no smooth curve follows (worst 0.9 %). Below 2 % of white the colorimeter repeats no better than some hundredths of a cd/m². In units of
-    white every level is met within 0.5 %.
+    What is missed are the monitor's own steps, which no smooth curve follows (worst 0.9 %). Below 2 % of white the
+    colorimeter repeats no better than some hundredths of a cd/m². In units of white every level is met within 0.5 %.
     """
     levels, values = _dell(shared_data)
     errors, inner = _left_out(levels, values), values[1:-1]
