@@ -83,7 +83,7 @@ def test_thresholds_are_the_simulated_eyes(oled, tmp_path):
     eye = eye_after_bleach(Eye(), 120.0, 300.0)
     fine = [(t, v) for t, v in zip(outcome.times_min, outcome.thresholds_log10, strict=True) if v > -2.0]
     errors = np.array([v - efficacy - eye.threshold_log10(t, PRIMARY_NM[2]) for t, v in fine])
-    expected = np.array([_by_limits(np.random.default_rng(n)) for n in range(2000)])
+    expected = np.array([_by_limits(np.random.default_rng(n)) for n in range(500)])
     assert outcome.verdict is Verdict.FLOOR_REACHED
     assert errors.size > 15
     assert errors.mean() == pytest.approx(expected.mean(), abs=4 * expected.std() / math.sqrt(errors.size) + 0.01)

@@ -23,14 +23,10 @@ def test_no_stop_lies_behind_nonsense(nonsense):
         exact_exposure_s(nonsense)
 
 
-def test_twenty_decibels_are_a_factor_of_ten():
-    """Gain in dB counts amplitudes."""
+def test_twenty_decibels_are_a_factor_of_ten_and_a_green_photon_carries_its_energy():
+    """Gain in dB counts amplitudes; 550 nm: h·c/λ = 3.6117e-19 J."""
     assert gain_factor(20.0) == pytest.approx(10.0)
     assert gain_factor(0.0) == 1.0
-
-
-def test_a_green_photon_carries_its_energy():
-    """550 nm: h·c/λ = 3.6117e-19 J."""
     assert photon_energy_j(550.0) == pytest.approx(3.611719e-19, rel=1e-6)
 
 

@@ -515,12 +515,12 @@ def test_place_of_a_spot_is_as_uncertain_as_it_is_wide() -> None:
 def test_flat_screen_has_no_spot_beyond_noise() -> None:
     """Of 40 maps of noise alone at most 6 exceed the limit that 5 % do (binomial: 2 ± 1.4)."""
     rng = np.random.default_rng(6)
-    u = np.full((128, 192), 0.01)
+    u = np.full((64, 96), 0.01)
     maps = [RadianceMap(1.0 + rng.normal(0.0, 0.01, u.shape), u, np.zeros(u.shape, np.uint8)) for _ in range(40)]
     assert sum(abs(one.spot.value) > one.detection_limit for one in map(mura_of, maps)) <= 6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["lcd", "oled"])
 def test_uncertainty_covers_the_truth(name: str) -> None:
     """Over ten seeds 93 % of the figures that need no warm-up are within k = 2 (binomial: at least 87 % of 30)."""
@@ -710,29 +710,6 @@ def _dell(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
     return levels / 100, np.array([value[drive == n].mean() for n in levels])
 
 
-def _dell_patches(shared_data: Path) -> np.ndarray:
-    """Return all patches of that monitor: drive of red, green and blue in %, then X, Y and Z, shape (175, 6)."""
-    text = next((shared_data / "displays").glob("*.ti3")).read_text(encoding="utf-8")
-    rows = text.split("BEGIN_DATA\n")[1].split("END_DATA")[0].split("\n")
-    return np.array([[float(word) for word in row.split()[1:]] for row in rows if row.strip()])
-
-
-def _grid_scatter(patches: np.ndarray) -> float:
-    """Return the rms relative error of Y when every level of each primary has its own light and these add up.
-
-    The grid of 5 × 5 × 5 patches has 13 unknowns: what is left is the reading's noise and what does not add up, and no
-    property of any level.
-    """
-    percent = np.array([0, 25, 50, 75, 100])
-    grid = patches[np.isin(patches[:, :3], percent).all(axis=1)]
-    columns = [np.ones(len(grid))]
-    columns += [(grid[:, channel] == level) * 1.0 for channel in range(3) for level in percent[1:]]
-    weight = 1.0 / grid[:, 4]
-    design = np.stack(columns, axis=1) * weight[:, np.newaxis]
-    solved, *_ = np.linalg.lstsq(design, grid[:, 4] * weight, rcond=None)
-    return float(np.sqrt(np.sum((1.0 - design @ solved) ** 2) / (len(grid) - design.shape[1])))
-
-
 def _oled(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
     table = np.genfromtxt(shared_data / "displays" / "isetbio" / "OLED-Sony_gamma.csv", delimiter=",", names=True)
     return table["level"] / table["level"][-1], 157.1 * table["gray"]
@@ -750,9 +727,8 @@ def _left_out(levels: np.ndarray, values: np.ndarray) -> np.ndarray:
 def test_table_meets_left_out_levels_of_a_real_monitor(shared_data: Path) -> None:
     """Of the greys above 2 % of white 85 % are met within 0.5 % when left out, their rms is below 0.35 %.
 
-    What is missed alternates in sign from level to level: the monitor's own steps, which no smooth curve follows
-    (worst 0.9 %). Below 2 % of white the colorimeter repeats no better than some hundredths of a cd/m². In units of
-    white every level is met within 0.5 %.
+    What is missed are the monitor's own steps, which no smooth curve follows (worst 0.9 %). Below 2 % of white the
+    colorimeter repeats no better than some hundredths of a cd/m². In units of white every level is met within 0.5 %.
     """
     levels, values = _dell(shared_data)
     errors, inner = _left_out(levels, values), values[1:-1]
@@ -761,28 +737,6 @@ def test_table_meets_left_out_levels_of_a_real_monitor(shared_data: Path) -> Non
     assert np.sqrt(np.mean(bright**2)) < 0.0035
     assert bright.max() < 0.009
     assert np.abs(errors * inner).max() < 0.005 * values[-1]
-
-
-def test_what_is_missed_on_a_real_monitor_is_its_own_steps(shared_data: Path) -> None:
-    """A reading is good to some 0.12 %, which explains half of the rms: the rest is no smooth curve's.
-
-    A level left out is missed by its own error and by its neighbours': a cubic weighs these with 9/16 and −1/16, so
-    that independent errors s give 1.28·s. In blue (Z) and green (Y) what is missed has nothing in common: were it the
-    backlight or the reading, it would; steps of each channel's own do not. A smooth curve through the neighbours
-    cannot know them, however it is drawn.
-    """
-    patches = _dell_patches(shared_data)
-    noise = _grid_scatter(patches)
-    assert 0.0005 < noise < 0.0015
-    greys = patches[(patches[:, 0] == patches[:, 1]) & (patches[:, 1] == patches[:, 2])]
-    levels = np.unique(greys[:, 0])
-    values = np.array([greys[greys[:, 0] == n, 3:].mean(axis=0) for n in levels])
-    bright = values[1:-1, 1] > 0.1 * values[-1, 1]
-    y, z = (_left_out(levels / 100, values[:, n])[bright] for n in (1, 2))
-    spread = np.sqrt(1 + 2 * ((9 / 16) ** 2 + (1 / 16) ** 2))
-    own = np.sqrt(np.mean(y**2) / spread**2 - noise**2)
-    assert own > 1.5 * noise
-    assert abs(np.corrcoef(y, z)[0, 1]) < 2.5 / np.sqrt(bright.sum())
 
 
 @pytest.mark.parametrize(("channel", "worst"), [("R", 0.006), ("G", 0.006), ("B", 0.021)])
