@@ -90,7 +90,6 @@ class AdaptationRun(Result):
         return self.outcome.verdict is Verdict.PRACTICE
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         one = self.outcome
         return {
             "verdict": str(one.verdict),
@@ -298,7 +297,6 @@ class AdaptationCurve(Result):
     name: str
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return to_mapping(self.fit)
 
     def lines(self) -> list[str]:
@@ -387,7 +385,6 @@ class Retest(Result):
     comparisons: tuple[Compared, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {one.name: one.to_mapping() for one in self.comparisons}
 
     def lines(self) -> Iterator[tuple[str, list[str]]]:
@@ -466,7 +463,6 @@ class Protocols(Result):
     protocols: tuple[AdaptationProtocol, ...]
 
     def to_json(self) -> str:
-        """Return the documented JSON form: a list."""
         return json_text([one.model_dump() for one in self.protocols])
 
     def to_mapping(self) -> dict[str, Any]:
@@ -497,7 +493,6 @@ class Instructions(Result):
     sentences: tuple[str, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"protocol": self.protocol, "instructions": list(self.sentences)}
 
     def lines(self) -> list[str]:
@@ -534,7 +529,6 @@ class Visits(Result):
     curves: tuple[AdaptationCurve, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "visits": [
                 {"name": label_of_visit(one.series, one.name), "facts": dict(one.series.facts), **one.to_mapping()}
@@ -620,7 +614,6 @@ class Bleach(Result):
     natural_pupil: bool
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __str__(self) -> str:

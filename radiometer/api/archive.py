@@ -39,7 +39,6 @@ class Batch(Result):
     unfinished: tuple[Path, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             **asdict(self.summary), "table": str(self.table), "unfinished": [str(path) for path in self.unfinished]
         }  # fmt: skip
@@ -76,7 +75,6 @@ class Trends(Result):
     source: str
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"trends": [one.to_mapping() for one in self.trends]}
 
     def write_report(self, path: PathLike) -> None:
@@ -99,7 +97,6 @@ class Passports(Result):
     cameras: tuple[Passport, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"cameras": [one.to_mapping() for one in self.cameras]}
 
     def __str__(self) -> str:

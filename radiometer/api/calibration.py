@@ -129,7 +129,6 @@ class Calibrated(Result):
         return self.calibration.scale
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         calibration = self.calibration
         report: dict[str, Any] = {
             "calibration": str(self.file) if self.file else None,

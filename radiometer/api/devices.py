@@ -19,6 +19,7 @@ from radiometer.bench.served_box import serve_box, served_box
 from radiometer.bench.served_camera import Faults, serve, served_camera
 from radiometer.data.serials import other_notation, serial_shown
 from radiometer.devices import CameraIdentity, Finding, Health, LightBoxIdentity
+from radiometer.errors import UsageError
 from radiometer.plausible import AnyCount, Duration, FilterDensity, FNumber, PerMille, Positive, Seed, Share
 
 
@@ -39,7 +40,6 @@ class Devices(Result):
     note: str | None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "cameras": [{**asdict(one), "serial_also": other_notation(one.serial)} for one in self.cameras],
             "light_boxes": [asdict(one) for one in self.light_boxes],
@@ -105,7 +105,6 @@ class Diagnosis(Result):
         return not any(one.health is Health.FAULT for one in self.findings)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"sound": self.sound, "findings": [one.to_mapping() for one in self.findings]}
 
     def __str__(self) -> str:
@@ -123,7 +122,7 @@ def doctor(camera: str | None = None, bench: PathLike | None = None) -> Diagnosi
         True
 
     Args:
-        camera: "sim", or a camera's id, serial number or address; the computer alone by default.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:; the computer alone by default.
         bench: Bench file; the simulated bench by default.
 
     Raises:
@@ -251,10 +250,12 @@ def simulate_box(
         entered: Waits so many seconds and returns whether the button is to be pressed.
 
     Raises:
-        UsageError: If the serial number or the subject is not possible.
+        UsageError: If the serial number or the subject is not possible, or firmware runs with another clock or resets.
         OutputError: If the link cannot be made.
         MissingLibrary: If simavr is asked for and not installed.
     """
+    if firmware is not None and (clock_ppm or reset_every_s):
+        raise UsageError("--clock-ppm and --reset-every are of the simulated box, not of its firmware: leave them out")
     known_link, known_firmware = (Path(one) if one else None for one in (link, firmware))
     made = served_box(
         serial, known_link, firmware=known_firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed,

@@ -79,10 +79,9 @@ class Flux(Result):
         return self.report.result
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             **self.report.to_mapping(),
-            "notes": [*self.report.contradictions, *self.notes],
+            "notes": [*self.report.warnings, *self.notes],
             "at_drive": None if self.driven is None else self.driven.to_mapping(),
         }
 

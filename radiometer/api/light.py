@@ -77,7 +77,6 @@ class LitChannel(Result):
     asked: float | None = None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         report: dict[str, Any] = {
             "box": self.box,
             "channel": self.state.channel,
@@ -253,7 +252,6 @@ class Darkness(Result):
     darkened_by: int | None = None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         if self.darkened_by is not None:
             return {"box": self.box, "darkened_by": self.darkened_by}
         return {"box": self.box, "dark": self.dark}
@@ -307,7 +305,6 @@ class BoxStatus(Result):
     report: dict[str, Any]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return self.report
 
     def __str__(self) -> str:
@@ -348,7 +345,6 @@ class ButtonPress(Result):
     u_s: float
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"pressed": self.pressed, "time_s": self.time_s, "u_s": self.u_s}
 
     def __str__(self) -> str:
@@ -398,7 +394,6 @@ class ExposureAccount(Result):
     notes: tuple[str, ...] = ()
 
     def to_json(self) -> str:
-        """Return the documented JSON form: a list."""
         return json_text([asdict(one) for one in self.reports])
 
     def to_mapping(self) -> dict[str, Any]:
@@ -467,7 +462,6 @@ class CalibratedBox(Result):
     file: Path
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         known = self.calibration.channels
         report = {
             name: {
@@ -603,7 +597,6 @@ class EngineLaws(Drawn):
         return found
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         differences = self.differences
         return {
             "taken": list(self.table.taken),

@@ -41,11 +41,9 @@ class LogFinding(Result):
         return self.fit.state.log.size, self.fit.state.log.nights
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return self.result.to_mapping()
 
     def to_json(self) -> str:
-        """Return the documented JSON form as text."""
         return self.result.to_json()
 
     def __str__(self) -> str:

@@ -106,7 +106,6 @@ class Response(Drawn):
         self.curve.write(target)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "format": "radiometer-response-result/1",
             "curves": [estimate.to_mapping() for estimate in self.estimates],

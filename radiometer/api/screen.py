@@ -74,7 +74,6 @@ class CalibratedScreen(Drawn):
     left_out: tuple[str, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         report = {"taken": list(self.taken), "doubts": list(self.doubts)} if self.taken or self.doubts else {}
         return {"file": None if self.file is None else str(self.file), **report, **self.calibration.to_mapping()}
 
@@ -134,7 +133,6 @@ class ScreenLevel(Result):
     target: float
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"channel": self.channel, "level": self.level, "shown": self.shown.to_mapping(), "target": self.target}
 
     def __str__(self) -> str:
@@ -286,7 +284,6 @@ class VerifiedScreen(Result):
         return self.verified.holds
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "screen": self.calibration.name,
             "calibrated": self.calibration.created,

@@ -72,14 +72,6 @@ def parse_seconds(text: str | float | None, option: str) -> float | None:
     return seconds
 
 
-@overload
-def parse_exposure(text: str, option: str) -> float: ...
-
-
-@overload
-def parse_exposure(text: str | None, option: str) -> float | None: ...
-
-
 def parse_exposure(text: str | None, option: str) -> float | None:
     """Return an exposure time in s as `parse_seconds` does; a bare number above 30 is refused.
 
@@ -187,9 +179,6 @@ def parse_bounds(text: str, option: str) -> tuple[float, float]:
     if not 0.0 < low < high < math.inf:
         raise UsageError(f"{option} {text!r}: needs 0 < LOW < HIGH")
     return low, high
-
-
-F_NUMBER_HELP: Final = "f-number (1 of a lens whose iris cannot change) where the frames or the bench do not state it."
 
 
 UNSTATED_ISO_HELP: Final = "Photographs: ISO speed of those that state none."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import copy
+import functools
 import importlib.util
 import inspect
 import re
@@ -38,7 +39,7 @@ _KINDS: Final = {
 _PARSERS: Final[dict[str, tuple[Callable[[str, str], Any], str]]] = {
     "PatchLike": (lambda text, _: parse_patch(text), "X,Y,W,H"),
     "Patch": (lambda text, _: parse_patch(text), "X,Y,W,H"),
-    "RelativeUncertainty": (parse_relative, "FRACTION"),
+    "RelativeUncertainty": (parse_relative, "0.01|1%"),
     "FNumber": (parse_f_number, "N"),
     "Exposure": (parse_exposure, "TIME"),
 }
@@ -104,44 +105,26 @@ def command_of(
     served = {"notice": note, "progress": None, "ask": None, "announce": None, reports: None, **serves(False)}
     taken |= {one: (taken[one][0], default, False) for one, default in (defaults or {}).items()}
     negated = [one for one, (_, default, _) in taken.items() if default is True and one not in options]
-    parameters = [
-        inspect.Parameter(
-            one,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=False if one in negated else default,
-            annotation=_annotation(one, kind, default, is_argument, options.get(one), helps.get(one, "")),
-        )
-        for one, (kind, default, is_argument) in taken.items()
+    kinds = {
+        one: (False if one in negated else default, _annotation(one, kind, default, place, options.get(one), helps))
+        for one, (kind, default, place) in taken.items()
         if one not in served
-    ]
-    opens = "announce" in taken and "announce" not in serves(False)
-    further: dict[str, tuple[Any, Any]] = {
-        **{one: (None, _result_option(one, options.get(one))) for one in results},
-        **(shown or {}),
-        **({"open_browser": (False, _OPEN)} if opens else {}),
-        **({"json": (False, JsonOption)} if json and show else {}),
     }
-    parameters += [
+    kinds |= {one: (None, _annotation(one, "PathLike", None, False, options.get(one), _DRAWN)) for one in results}
+    kinds |= dict(shown or {})
+    kinds |= {"open_browser": (False, _OPEN)} if "announce" in taken.keys() - serves(False).keys() else {}
+    kinds |= {"json": (False, JsonOption)} if json and show else {}
+    parameters = [
         inspect.Parameter(one, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-        for one, (default, kind) in further.items()
+        for one, (default, kind) in kinds.items()
     ]
     parameters.sort(key=lambda one: one.name == "force")  # last, as `writes` has it
 
     def command(*, json: bool = False, open_browser: bool = False, **given: Any) -> int:
         written, told = {one: given.pop(one) for one in results}, {one: given.pop(one) for one in shown or ()}
-
-        def present(found: Any) -> None:
-            if json:
-                print(found.to_json(), flush=True)
-            elif show is not None:
-                show(found, **told)
-
-        def announce(url: str) -> None:
-            note(*page.format(url).split("\n"))
-            if open_browser:
-                webbrowser.open(url)
-
+        present = _print_json if json else functools.partial(show or _print_nothing, **told)
         with progress(shown="progress" in taken and not json) as bar:
+            announce = functools.partial(_announce, page, open_browser)
             hand = {"notice": note, "progress": bar, "announce": announce, reports: present, **serves(json)}
             hand |= {"ask": asker()} if "ask" in taken else {}
             stated = {one: value for one, value in given.items() if value is not None and value != []}
@@ -171,6 +154,20 @@ def command_of(
     if files is None and not results and folder is None:
         return command
     return writes(*(files or ()), *results, folder=folder)(command)
+
+
+def _print_json(found: Any) -> None:
+    print(found.to_json(), flush=True)
+
+
+def _print_nothing(found: Any) -> None:
+    """Print nothing: what the function does is all that is asked for."""
+
+
+def _announce(page: str, open_browser: bool, url: str) -> None:
+    note(*page.format(url).split("\n"))
+    if open_browser:
+        webbrowser.open(url)
 
 
 def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any, bool]]]:
@@ -210,7 +207,7 @@ def _value(default: ast.expr | None) -> Any:
     return default.value if isinstance(default, ast.Constant) else None
 
 
-def _annotation(name: str, kind: str, default: Any, is_argument: bool, stated: Any, text: str) -> Any:
+def _annotation(name: str, kind: str, default: Any, is_argument: bool, stated: Any, helps: Mapping[str, str]) -> Any:
     """Return the annotation that typer reads of a parameter, as the command line writes it."""
     whole = get_origin(stated) is Annotated
     info = copy.copy(get_args(stated)[-1] if whole else stated or (typer.Argument if is_argument else typer.Option)())
@@ -219,12 +216,12 @@ def _annotation(name: str, kind: str, default: Any, is_argument: bool, stated: A
     if isinstance(info, OptionInfo) and not named:
         plain = _NAMES.get(name, _plain_names(name))
         info.param_decls = (f"--no{plain[0][1:]}",) if default is True else plain
-    info.help = info.help or text
+    info.help = info.help or helps.get(name, "")
     if whole:
         return Annotated[(*get_args(stated)[:-1], info)]
     info.metavar = info.metavar or _METAVARS.get(name)
     if {"Sequence", "Mapping", "StatementMap"} & set(names) and not info.parser:
-        several = list[Path] if "PathLike" in names else list[str]
+        several = list[Path] if {"Sequence", "PathLike"} <= set(names) else list[str]
         return Annotated[several | None if default is None else several, info]
     parse, metavar = next((_PARSERS[one] for one in names if one in _PARSERS), (None, ""))
     if parse is not None and not info.parser:
@@ -232,8 +229,3 @@ def _annotation(name: str, kind: str, default: Any, is_argument: bool, stated: A
         info.parser, info.metavar = lambda words: parse(words, option), info.metavar or metavar
     word = str if info.parser else next((_KINDS[one] for one in names if one in _KINDS), str)
     return Annotated[word | None if default is None else word, info]
-
-
-def _result_option(name: str, stated: Any) -> Any:
-    """Return the annotation of a file that the result writes."""
-    return _annotation(name, "PathLike", None, False, stated, _DRAWN.get(name, ""))

@@ -128,7 +128,7 @@ def serve(
 
     Args:
         bench: Bench file; the simulated bench by default.
-        camera: "sim", or a camera's id, serial number or address.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:.
         calibration: Calibration file; the bench's by default.
         uncalibrated: Use none: relative values.
         box: Light box: "sim", a serial number or a port; none by default.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -68,5 +69,5 @@ def _summary(estimate: ResponseEstimate) -> list[str]:
 command = command_of(
     "recover_response", _show, files=("output",), defaults={"method": DEFAULT_METHOD, "force": False},
     converters={"known_ratio": parse_known_ratios}, sources=typer.Argument(metavar="PATH..."), method=typer.Option(),
-    known_ratio=typer.Option(metavar="PAIR=RATIO"), plot=typer.Option(metavar="[FILE]"),
+    known_ratio=typer.Option(metavar="PAIR=RATIO"), plot=Annotated[str | None, typer.Option(metavar="[FILE]")],
 )  # fmt: skip

@@ -15,7 +15,7 @@ def _show(found: rm.BracketReport) -> None:
         return
     note(str(found))
     share = found.coverage["well_exposed_twice"] / found.coverage["pixels"]
-    note(f"{100 * share:.2f} % of {found.coverage['pixels']} pixels are well exposed at least twice")
+    note(f"{100 * share:.2f} % of the {found.of} are well exposed at least twice")
     for sentence in found.not_reached:
         note(f"not reached: {sentence}")
 

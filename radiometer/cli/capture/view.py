@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from radiometer.cli.function import command_of
+from radiometer.cli.options import BenchOption
 
 if TYPE_CHECKING:
     from radiometer import Patch
@@ -19,6 +20,6 @@ def _show(chosen: Patch) -> None:
 
 
 command = command_of(
-    "view", _show, json=False, page="live view, until Ctrl-C:\n  {}", camera=typer.Option(),
+    "view", _show, json=False, page="live view, until Ctrl-C:\n  {}", camera=typer.Option(), bench=BenchOption,
     serves=lambda json: {"notice": partial(print, flush=True), "sleep": time.sleep},
 )  # fmt: skip

@@ -4,6 +4,7 @@ import datetime as dt
 import math
 import tracemalloc
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,12 +26,12 @@ from radiometer.data import (
     Patch,
     PixelMask,
     ResponseCurve,
-    Scale,
     SensorNoise,
     StatedUncertainties,
 )
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
+from testing.relative_scale import relative_calibration
 
 EXACT = {
     "uncertainties": StatedUncertainties(exposure_u_rel=0, exposure_u_s=0, linearity_u_rel=0, prnu_u_rel=0),
@@ -43,6 +44,7 @@ LADDER_S = tuple(20e-6 * 2.0**k for k in range(14))
 def four_decades():
     """Return a function that merges a ramp over four decades: truth by column, the map, and the noise limit."""
 
+    @cache
     def make(rig, rows=150, columns=1200):
         top = 0.8 * rig.radiance_of_full_scale(LADDER_S[0])
         truth = np.geomspace(top, top * 1e-4, columns)
@@ -185,15 +187,6 @@ def test_streaming_holds_less_than_three_planes_beyond_the_result(rig):
     assert peak - result < 3.0 * plane
 
 
-def test_what_clips_everywhere_is_a_marked_lower_bound(rig):
-    """Ten times too bright in every frame."""
-    truth = scene(rig, level=10.0)
-    found = merged(rig, rig.frames(truth, np.random.default_rng(1), (1e-3, 2e-3)))
-    assert np.all(found.mask == PixelMask.SATURATED)
-    assert np.all((found.radiance > 0) & (found.radiance < truth))
-    assert np.all(found.u_radiance >= found.radiance)
-
-
 def test_darkness_is_marked_and_averages_to_zero(rig):
     """No light: about half the values are negative, the mean is zero within its error, nothing is NaN."""
     found = merged(rig, rig.frames(scene(rig, size=100, level=0.0), np.random.default_rng(1), (1e-3, 1e-2)), **EXACT)
@@ -264,28 +257,6 @@ def test_defective_pixels_are_filled_in_and_marked(rig):
     assert np.all(found.mask[4, 4:6] & PixelMask.DEFECTIVE)
     assert np.all(np.abs(found.radiance[4, 4:6] - truth) < 4.0 * found.u_radiance[4, 4:6])
     assert (found.mask > 0).sum() == 2
-
-
-def test_a_flat_field_evens_the_picture_out(rig):
-    """A field that falls to 70 % at the corner is read even, to the noise."""
-    flat = FlatField(principal_point_px=(0.0, 0.0), radius_px=30.0, coefficients=(-0.3, 0.0, 0.0), shape=(24, 24))
-    y, x = np.mgrid[:24, :24]
-    uneven = scene(rig) * (1.0 - 0.3 * (x**2 + y**2) / 900.0)
-    found = merged(rig, rig.frames(uneven, np.random.default_rng(1), (1e-3,)), flat_field=flat, **EXACT)
-    pull = (found.radiance - scene(rig)) / found.u_radiance
-    assert abs(pull.mean()) < 4.0 / 24
-    assert 0.9 < pull.std() < 1.1
-
-
-def test_cos4_of_the_lens_is_taken_out_where_it_holds(rig):
-    """With `vignetting: cos4` the corner counts for more, by the fourth power of the cosine."""
-    lens = LensDescription(focal_length_mm=1.0, f_number=4.0, vignetting="cos4", principal_point_px=(0.0, 0.0))
-    camera = rig.description.model_copy(update={"pixel_pitch_um": 10.0})
-    frames = [Frame(np.full((101, 101), 1064, np.uint16), 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0))]
-    calibration = rig.calibration()
-    fitted = type(calibration)(camera, lens, calibration.scale, None, calibration.noise, calibration.black_level)
-    found = merge(frames, Setup(camera, lens, fitted))
-    assert found.radiance[0, 100] / found.radiance[0, 0] == pytest.approx(4.0, rel=1e-5)  # 45°: cos⁴ is 1/4
 
 
 def test_gains_may_be_mixed(rig):
@@ -574,15 +545,8 @@ TIMES = 0.01 * 2.0 ** np.arange(6)
 
 
 def _calibration(flat=None):
-    return Calibration(
-        camera=CAMERA,
-        lens=LENS,
-        scale=Scale(value=1.0, u_rel=0.0, method="relative"),
-        response=None,
-        noise=SensorNoise.of(CAMERA),
-        black_level=BlackLevel(dn=BLACK, u_dn=0.0, dark_u_rel=0.0),
-        flat_field=flat,
-    )
+    black = BlackLevel(dn=BLACK, u_dn=0.0, dark_u_rel=0.0)
+    return relative_calibration(CAMERA, SensorNoise.of(CAMERA), lens=LENS, black_level=black, flat_field=flat)
 
 
 def _frame(rng, electrons_per_s, seconds):
