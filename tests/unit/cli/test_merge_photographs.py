@@ -70,7 +70,13 @@ def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_alignment_off_leaves_them_where_they_are(folder, tmp_path, capsys):
-    """Without alignment nothing is stated of it, and the frames tell that they agree less with each other."""
+    """Without alignment nothing is stated of it, and the frames tell that they agree less with each other.
+
+    The summary for people holds how far the frames lay apart, and the share of what moved.
+    """
+    _merged(folder, tmp_path / "map.tiff")
+    out = capsys.readouterr().out
+    assert all(text in out for text in ("frames     aligned to p", "pixels (", "moved"))
     _merged(folder, tmp_path / "on.tiff", "--json")
     on = json.loads(capsys.readouterr().out)
     _merged(folder, tmp_path / "off.tiff", "--align", "off", "--keep-ghosts", "--json")
@@ -78,16 +84,6 @@ def test_alignment_off_leaves_them_where_they_are(folder, tmp_path, capsys):
     assert off["alignment"] is None
     assert off["pixels"]["moved"] == 0
     assert off["median_u_rel"] > 2.0 * on["median_u_rel"]
-
-
-@pytest.mark.slow
-def test_the_line_for_people_says_it(folder, tmp_path, capsys):
-    """The summary holds how far the frames lay apart, and the share of what moved."""
-    _merged(folder, tmp_path / "map.tiff")
-    out = capsys.readouterr().out
-    assert "frames     aligned to p" in out
-    assert "pixels (" in out
-    assert "moved" in out
 
 
 @pytest.mark.slow
@@ -232,12 +228,7 @@ def test_the_response_of_photographs_from_the_hand_is_that_of_aligned_ones(bent,
         off[align] = float(np.std(ResponseCurve.read(target).log_exposure[dn] - 2.0 * np.log(dn)))
     assert off["auto"] < 0.01
     assert off["off"] > 3.0 * off["auto"]
-
-
-@pytest.mark.slow
-def test_photographs_from_the_hand_are_reconciled_in_one_place(bent, capsys):
-    """Aligned, their printed exposures agree; as they lie no tone curve would join them."""
-    assert run(["reconcile", str(bent), "--json"]) == 0
+    assert run(["reconcile", str(bent), "--json"]) == 0  # in one place their printed exposures agree
     printed = capsys.readouterr()
     assert json.loads(printed.out)["verdict"] == "agrees"
     assert "aligned to p" in printed.err
@@ -313,16 +304,12 @@ def test_every_colour_has_its_own_figures(capsys):
         assert line in text
 
 
-def test_one_channel_needs_no_name(capsys):
+def test_one_channel_needs_no_name_and_what_colours_share_is_reported_once(capsys):
     """Grey photographs have one line each; what no pixel is flagged with is not listed."""
     mapping = _printed(Radiance({"mono": _map(2.0, 0.02, 20)}).to_mapping(), capsys)
     assert "values     2 to 2, median 2\nnoise      2 % per pixel" in mapping
     assert "good         180 pixels (90 %)\nsaturated    20 pixels (10 %)\n" in mapping
     assert "mono" not in mapping
     assert "inconsistent" not in mapping
-
-
-def test_what_colours_share_is_reported_once(capsys):
-    """Three channels of the same figures have one line of noise."""
     same = {name: _map(2.0, 0.02) for name in ("red", "green", "blue")}
     assert _printed(Radiance(same).to_mapping(), capsys).count("noise") == 1

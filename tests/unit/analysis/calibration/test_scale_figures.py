@@ -103,12 +103,18 @@ def test_what_a_spectral_correction_is_doubted_by():
         (None, "red", 540.0),
         (None, "blue", 520.0),
         ("RGGB", None, 620.0),
+        (None, "luminance", 460.0),
     ],
 )
 def test_pixels_under_a_filter_may_pass_far_less_of_another_light(mosaic, channel, read_nm):
     """Filters at 600, 540 and 455 nm: what a reading is wrong by is within 2 u, and not within 2 u of silicon."""
-    peak_nm, width_nm = {"red": (600.0, 80.0), "blue": (455.0, 70.0)}.get(channel, (540.0, 90.0))
-    passed = [w * 2.0 ** -((2.0 * (w - peak_nm) / width_nm) ** 2) for w in (peak_nm, read_nm)]
+    bells = {"red": (600.0, 80.0), "green": (540.0, 90.0), "blue": (455.0, 70.0)}
+    shares = {"luminance": {"red": 0.299, "green": 0.587, "blue": 0.114}}.get(channel, {channel or "green": 1.0})
+    peak_nm = bells.get(channel, bells["green"])[0]
+    passed = [
+        sum(share * nm * 2.0 ** -((2.0 * (nm - bells[one][0]) / bells[one][1]) ** 2) for one, share in shares.items())
+        for nm in (peak_nm, read_nm)
+    ]
     known = spectral(f"line:{peak_nm:g}", f"line:{read_nm:g}", None)
     conditions = known.scale.conditions.model_copy(update={"channel": channel})
     known = replace(

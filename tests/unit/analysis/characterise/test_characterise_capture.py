@@ -1,5 +1,6 @@
 """Characterisation of capture sets, of CCDs as well."""
 
+import math
 import re
 import shutil
 from dataclasses import replace
@@ -16,7 +17,7 @@ from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
-from radiometer.errors import InputError, MeasurementError, OutputRefused, UsageError
+from radiometer.errors import CalibrationError, InputError, MeasurementError, OutputRefused, UsageError
 from radiometer.numbers import with_u
 from radiometer.reporting.page import prose
 from simulators.cameras.colour_filters import ColourFilters, FilteredScene
@@ -121,7 +122,7 @@ def test_patches_of_a_chart_all_take_part_in_the_photon_transfer(tmp_path):
 
 
 def test_of_a_mosaic_the_pixels_of_one_colour_are_read(tmp_path):
-    """An ideal colour camera in even light has its K and no PRNU in a colour, and a descriptor holds that colour."""
+    """An ideal colour camera in even light has its K and no PRNU in a colour, and descriptor and file hold that."""
     scene = FilteredScene(UniformScene(radiance_W_per_sr_m2=0.3, wavelength_nm=500.0), ColourFilters())
     believed = BELIEVED.model_copy(update={"mosaic": "RGGB"})
     model = CameraModel.ideal(CAMERA, LensDescription(f_number=4.0))
@@ -139,6 +140,14 @@ def test_of_a_mosaic_the_pixels_of_one_colour_are_read(tmp_path):
     assert again.figures["K"].value == pytest.approx(found["K"].value, rel=1e-6)
     with pytest.raises(UsageError, match="choose red, green, blue"):
         rm.characterise(path, channel="each")
+    file = tmp_path / "blue.yaml"
+    rm.characterise(path, channel="blue", radiance=0.3).write(file)
+    through_w = math.pi / 64.0 * 0.3 * 160 * 120 * (4.5e-6) ** 2  # 500 nm are stated as the 550 nm of the radiance
+    assert rm.flux(path, channel="blue", camera_file=file).report.thesis.value == pytest.approx(through_w, rel=0.02)
+    with pytest.raises(CalibrationError, match="its channel is blue, in use is green"):
+        rm.flux(path, channel="green", camera_file=file)
+    with pytest.raises(CalibrationError, match="quantum_efficiency of blue pixels"):
+        rm.flux(path, channel="blue")
 
 
 def test_full_well_below_the_converter_is_the_plateau(tmp_path):

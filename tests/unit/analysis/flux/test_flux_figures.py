@@ -76,6 +76,19 @@ def test_the_background_of_a_room_is_that_of_frames_with_the_source_off() -> Non
     assert of_region.u_background_w == pytest.approx(math.sqrt(40 * variance) * JOULE / 1e-3, rel=1e-6)
 
 
+def test_hot_pixels_are_no_light_of_the_diode() -> None:
+    """Dark frames of the exposure are taken off pixel by pixel; the noise of one that two frames share counts twice."""
+    hot = np.full(SHAPE, 100.0)
+    hot[20:24] = 900.0
+    hot[::2] += 2.0  # the noise that rounding needs
+    dark = replace(frame(hot, 1e-3), settings=replace(frame(hot, 1e-3).settings, shutter="closed"))
+    lit, off = (frame(hot + more, 1e-3, level=level) for more, level in ((200, 1.0), (0, 0.0)))
+    measured = flux_of(lit, dark)
+    assert measured.merged_w == pytest.approx(4000 * 200 * JOULE / 1e-3, rel=1e-6)
+    twice, rest = flux_of(lit, lit, off, dark), (3 / 2) ** 2 + 1 / 12
+    assert twice.u_noise_w == pytest.approx(math.sqrt(4000 * ((200 / 2 + rest) / 2 + rest)) * JOULE / 1e-3, rel=1e-3)
+
+
 def rimmed(top: float, bottom: float, left: float, right: float) -> np.ndarray:
     """Return a picture of 300 DN with a rim of two pixels (a twentieth of its 40 columns) of other values."""
     dn = np.full(SHAPE, 300.0)
@@ -85,13 +98,14 @@ def rimmed(top: float, bottom: float, left: float, right: float) -> np.ndarray:
 
 
 def test_without_such_frames_the_rim_is_the_background() -> None:
-    """Its median counts, and half the spread of the medians of its four sides as the doubt of every pixel."""
+    """Its median counts; half the spread of its sides' medians and what its mean is above are every pixel's doubt."""
     dn = rimmed(110, 130, 112, 114)
     dn[99, 5] = 4000  # a defect moves no median
     measured = flux_of(frame(dn, 1e-3))
     assert measured.background_source == "outermost twentieth of the frame"
     assert measured.background_w == pytest.approx(4000 * 13 * JOULE / 1e-3, rel=1e-9)  # between 112 and 114 DN
-    spread = math.hypot(0.0, (30 - 10) / 2)
+    mean = (80 * (10 + 30) + 192 * (12 + 14) + 3900 - 30) / 544
+    spread = math.hypot((30 - 10) / 2, mean - 13)
     assert measured.u_background_w == pytest.approx(4000 * spread * JOULE / 1e-3, rel=1e-9)
     region = Patch(4, 10, 5, 8)
     assert flux_of(frame(dn, 1e-3), region=region).background_w == pytest.approx(40 * 13 * JOULE / 1e-3, rel=1e-9)

@@ -176,6 +176,16 @@ def test_flux_of_a_bracket_that_always_clips_is_flagged_as_a_lower_bound() -> No
     assert _report(setup, _emitter(setup), setup.frames()).to_mapping()["flags"] == []
 
 
+@pytest.mark.parametrize("cut", [True, False])
+def test_a_diode_that_the_region_or_the_picture_cuts_is_a_lower_bound(cut: bool) -> None:
+    """Half of the diode alone is in the region: what lies beyond is missing, and the report says so."""
+    setup = Setup()
+    region = Patch(0, 0, SIDE // 2 if cut else SIDE, SIDE)
+    scale = flux_scale(measuring.Setup(CAMERA, setup.lens, None, setup.scene().source))
+    warnings = led_flux(setup.frames(), scale, region=region).warnings
+    assert any("beyond the edge" in one for one in warnings) == cut
+
+
 def test_without_an_emitter_only_the_flux_on_the_sensor_is_given() -> None:
     """Nothing is claimed of what the diode emits."""
     setup = Setup()

@@ -445,6 +445,14 @@ def merged(several):
     return merge(iter(several), Setup(CAMERA, LENS, CALIBRATION))
 
 
+def test_frames_whose_dark_signal_fills_them_are_refused():
+    """Light and dark frames alike are at full scale: no limit of the light follows."""
+    full = np.full((12, 16), FULL_SCALE, np.uint16)
+    both = [Frame(full, 12, FrameSettings(10.0, shutter=one)) for one in ("closed", "open")]
+    with pytest.raises(MeasurementError, match="dark signal"):
+        merged(both)
+
+
 @settings(max_examples=15, deadline=None)
 @given(seeds, st.permutations(range(4)), st.sampled_from([2000.0, 60_000.0]))
 def test_the_order_of_frames_changes_nothing(seed, order, brightest_e):
@@ -618,7 +626,7 @@ def test_a_map_reports_what_is_off_by_a_thousandth_or_more(off_rel):
     reported = merge(
         iter(frames(1, (seconds, 2.0 * seconds))), Setup(CAMERA, LensDescription(f_number=4.0), known)
     ).provenance.assumptions
-    words = ("the exposure of 1e+03 µs", "the response bends", "light of another spectrum")
+    words = ("the exposure of 0.001 s", "the response bends", "light of another spectrum")
     assert [any(one.startswith(word) for one in reported) for word in words] == [off_rel > 0.001] * 3
 
 

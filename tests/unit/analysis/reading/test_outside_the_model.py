@@ -171,6 +171,22 @@ def test_natural_falloff_is_corrected_with_its_doubt(rig, vignetting, part):
     assert (Flag.FALLOFF_ASSUMED in found.flags) == (vignetting == "none")
 
 
+@pytest.mark.parametrize(
+    ("vignetting", "f_number", "losses"), [("none", 4.0, 0.0), ("none", 8.0, 2.0), ("cos4", 8.0, 0.0)]
+)
+def test_a_fall_off_at_another_iris_is_in_doubt_at_both_places(rig, vignetting, f_number, losses):
+    """Calibrated at the corner where it is read: an undeclared lens may vignette otherwise at another f-number."""
+    lens = LensDescription(focal_length_mm=16.0, f_number=4.0, vignetting=vignetting)
+    calibration = calibrated(
+        rig, ScaleConditions(sensitivity=0.64), uncertainties=only(falloff_u_rel=0.6, cos4_u_rel=0.05)
+    )
+    scale = calibration.scale.model_copy(update={"f_number": f_number})
+    calibration = replace(calibration, lens=lens, scale=scale)
+    found = read(rig, calibration, camera=wide(rig), lens=lens, patch=Patch(11, 11, 1, 1))
+    assert line(found, "fall-off") == pytest.approx(0.6 * math.sqrt(losses) * 0.36 / 0.64, abs=1e-9)
+    assert (Flag.FALLOFF_ASSUMED in found.flags) == (losses > 0.0)
+
+
 @pytest.mark.parametrize(("f_number", "magnification"), [(8.0, 0.0), (4.0, 0.5)])
 def test_a_flat_field_of_another_stop_or_focus_is_in_doubt(rig, f_number, magnification):
     """Made at f/8 and used at f/4, or focused nearer: half of the fall-off that it holds joins its own uncertainty."""
@@ -322,9 +338,9 @@ def test_a_calibration_as_far_below_as_above_costs_the_same(rig, name):
     assert found == pytest.approx([expected, expected], rel=0.02)
 
 
-@pytest.mark.parametrize(("patch", "expected"), [(Patch(11, 11, 1, 1), 0.0), (Patch(5, 5, 2, 2), 0.6 * 0.36)])
+@pytest.mark.parametrize(("patch", "expected"), [(Patch(11, 11, 1, 1), 0.0), (Patch(5, 5, 2, 2), 0.6 * 0.36 / 0.64)])
 def test_a_falloff_counts_from_where_the_calibration_stood(rig, patch, expected):
-    """Calibrated in the corner, at a cos⁴α of 0.64: nothing is in doubt there; in the middle what is lost between."""
+    """Calibrated in the corner, at a cos⁴α of 0.64: nothing is in doubt there; in the middle all that was lost."""
     lens = LensDescription(focal_length_mm=16.0, f_number=4.0)
     there = ScaleConditions(temperature_c=25.0, sensitivity=0.64, field=1.0)
     calibration = replace(calibrated(rig, there, uncertainties=only(falloff_u_rel=0.6)), lens=lens)
