@@ -74,7 +74,7 @@ def test_a_process_that_dies_is_a_failure(tmp_path: Path) -> None:
 
 def test_tests_of_a_file_stay_in_one_worker_and_both_work(project_root: Path) -> None:
     """What a file's tests share is made once; what waits for real time never runs next to its like."""
-    files = ["tests/unit/test_numbers.py", "tests/unit/test_units.py", "tests/unit/reporting/test_page.py"]
+    files = ["tests/unit/test_numbers.py", "tests/unit/test_units.py", "tests/unit/data/test_reading.py"]
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-v", "-n", "2", *files]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
     done = subprocess.run(
