@@ -54,10 +54,8 @@ def test_killed_run_taken_up_has_the_same_events(tmp_path, devices):
 
 
 @pytest.mark.parametrize(("behaviour", "verdict"), [("never", "no_response"), ("always", "unreliable")])
-def test_subject_who_cannot_be_fitted_is_exit_code_one_with_a_verdict(
-    tmp_path, monkeypatch, capsys, behaviour, verdict
-):
-    """The last JSON line says why."""
+def test_subject_who_cannot_be_fitted_is_exit_code_one(tmp_path, monkeypatch, capsys, behaviour, verdict):
+    """The last JSON line gives the verdict."""
     monkeypatch.chdir(tmp_path)
     assert run([*PROGRAM[3:], "--simulate", behaviour, "--json"]) == 1
     result = json.loads(capsys.readouterr().out.splitlines()[-1])
