@@ -548,7 +548,7 @@ def test_a_command_has_the_parameters_of_its_function_and_its_words(path):
     assert document.startswith(" ".join(found.text.split()))
     parameters = {name: one for name, one in inspect.signature(function).parameters.items() if name not in _SERVED}
     entries = [*found.arguments, *found.options]
-    own = [name for name, _ in entries if name.split()[0] in ("--plot", "--csv", "--json")]
+    own = [name for name, _ in entries if name.split()[0] in ("--plot", "--csv", "--json", "--open")]
     own += ["--force"] * ("force" not in parameters and any(name.startswith("--force") for name, _ in entries))
     own += ["--report"] * ("report" not in parameters and any(name.startswith("--report") for name, _ in entries))
     assert len(entries) == len(parameters) + len(own)
@@ -561,7 +561,7 @@ def test_a_command_has_the_parameters_of_its_function_and_its_words(path):
 
 
 _WRITES = re.compile(r"\b(write|written(?! by)|draw|drawn|create|keep the frames)\b", re.IGNORECASE)
-_JOURNALS = {("batch", "out"), ("adapt run", "out"), ("serve", "journal")}  # taken up where they end, never replaced
+_JOURNALS = {("batch", "output"), ("adapt run", "out"), ("serve", "journal")}  # taken up where they end, never replaced
 
 
 def _leaves(path, found):

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -176,17 +177,21 @@ def few_colours(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_kept_response_is_taken_up_as_long_as_photographs_and_recovery_stay(few_colours, capsys, monkeypatch):
-    """Merged again, the response next to the map is used; by another version of the recovery it is recovered anew."""
+    """Merged again, the response next to the map is used; of other pictures, or by another version, it is not."""
     folder, recovered = few_colours
     words = ["merge", "--force", str(folder), "-o", str(folder / "out.exr"), "--align", "off", "--channel", "each"]
     for _ in range(2):
         assert run(words) == 0
     assert recovered == [3]
     assert "recovered anew" not in capsys.readouterr().err
+    picture = min(folder.glob("*.png"))
+    cv2.imwrite(str(picture), 255 - (255 - cv2.imread(str(picture))) // 2 * 2)
+    assert run(words) == 0
+    assert recovered == [3, 3]
     monkeypatch.setattr(provenance, "source_hash", lambda *_: "another")
     for _ in range(2):
         assert run(words) == 0
-    assert recovered == [3, 3]
+    assert recovered == [3, 3, 3]
     printed = capsys.readouterr().err.replace("\n", " ")
     assert printed.count("from another version of the recovery of responses; recovered anew") == 1
 

@@ -146,7 +146,7 @@ def test_every_exposure_is_longer_by_it():
     short = bracket(3e-5, 1e-3)
     timed, text, taken = with_offset_of_response(short, of_offset(), None)
     assert timed is short
-    assert (text, taken) == (f"{NOT_TAKEN}: it is too large for an exposure of 30 µs", False)
+    assert (text, taken) == (f"{NOT_TAKEN}: it is too large for an exposure of 3e-05 s", False)
     assert with_offset_of_response(bracket(3.1e-5, 1e-3), of_offset(), None)[2]
 
 
