@@ -170,6 +170,8 @@ def test_every_map_of_a_maker_is_read_and_names_its_source(file):
         ("gain", 400, "iso", 12.0412),
         ("conversion_gain", 0.5, "DN/e-", 2.0),
         ("luminance", 10, "fL", 34.2626),
+        ("f_number", 0, "1", None),
+        ("f_number", 1.0, "1", 1.0),
     ],
 )
 def test_numbers_become_values_in_base_units(fact, written, unit, expected):

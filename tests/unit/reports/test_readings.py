@@ -218,8 +218,6 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
     "two exposures in EXIF": (in_tiff((37377, "2i", 1, (2, 1), True)), {"s": 0.008}, "ShutterSpeedValue 0.25"),
     "no exposure but APEX": (in_tiff((37377, "2i", 1, (7, 1), True), seconds=(0, 1)), {"s": 1 / 128}, ""),
     "jcelaya/hdrmerge/issues/5": (in_tiff((33437, "2I", 1, (0, 0), True)), {"f": None}, ""),
-    "no lens, f/0": (in_tiff((33437, "2I", 1, (0, 1), True)), {"f": None}, ""),
-    "a lens of f/1": (in_tiff((33437, "2I", 1, (1, 1), True)), {"f": 1.0}, ""),
     "LibRaw/LibRaw/issues/107": (
         in_tiff((50713, "H", 2, (6, 6), True), (50714, "H", 36, (1022,) * 36, True)), {"black": 1022.0}, ""),
     "klauspost/rawspeed/issues/63": (
