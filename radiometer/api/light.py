@@ -20,9 +20,9 @@ from radiometer.bench.boxes import (
     ExposureReport,
     OpenedBox,
     calibration_file,
-    confirm_unexposed,
     darken,
     exposure_reports,
+    exposure_store,
     nothing_answers,
     open_light_box,
     require_known_box,
@@ -439,8 +439,9 @@ def light_account(box: str | None = None, *, confirm_no_exposure: bool = False) 
     """
     if box is not None or confirm_no_exposure:
         box = require_known_box(box)
-    if confirm_no_exposure:
-        confirm_unexposed(box)
+    if confirm_no_exposure and box is not None:  # what the account knows to be given stays
+        with exposure_store().change() as account:
+            account.confirm(box)
     reports, wrong = exposure_reports()
     consequence = "what it held is lost; each box counts as used up for 10⁴ s from its next opening"
     notes = (f"{wrong}; {consequence}: radiometer light status",) if wrong else ()
