@@ -121,9 +121,9 @@ def _written(
     frames: Iterable[Frame],
     total: int,
     taken: Taken | None,
-    *patterns: tuple[str, ...],
+    patterns: tuple[str, ...] = ("default",),
 ) -> CaptureSet:
-    header = (camera.description, camera.lens, stated_source(config), known_patches(config), *patterns)
+    header = camera.description, camera.lens, stated_source(config), known_patches(config), patterns
     with CaptureSetWriter(out, *header, extra={"created": utc_now()}) as writer:
         for number, frame in enumerate(frames, 1):
             writer.add(frame)
