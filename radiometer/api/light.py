@@ -372,7 +372,7 @@ def light_watch_buttons(
         DeviceError: If the box fails.
     """
     presses = 0
-    with open_light_box(box) as opened:
+    with open_light_box(box) as opened, contextlib.suppress(KeyboardInterrupt):  # the usual end
         start_s = opened.box.link.line.now()
         for event in opened.box.buttons(_FOREVER_S if hold_s is None else hold_s):
             presses += event.pressed

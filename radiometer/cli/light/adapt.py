@@ -26,7 +26,7 @@ _DIM_RED: Final = "rgb(135,0,0)"  # light that spares the rods of whoever looks 
 app = command_group("Dark adaptation: run the test, and analyse the measured thresholds.")
 
 
-def _while_it_runs(json: bool) -> dict[str, Any]:
+def _while_it_runs(json: bool, **_: Any) -> dict[str, Any]:
     """Return what a run is watched and told by."""
 
     @contextmanager
