@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from radiometer.bench.boxes import find_boxes
 from radiometer.bench.cameras import OWN_KINDS, SIMULATED, list_cameras
 from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.doctor import check_daemon, examine
-from radiometer.bench.served_box import serve_box, served_box
+from radiometer.bench.served_box import served_box, tend
 from radiometer.bench.served_camera import Faults, serve, served_camera
 from radiometer.data.serials import other_notation, serial_shown
 from radiometer.data.storage import write_yaml_atomic
@@ -121,6 +122,10 @@ class Diagnosis(Result):
 def doctor(camera: str | None = None, bench: PathLike | None = None) -> Diagnosis:
     """Check the whole chain from library to light, each finding with its cure.
 
+    Looks at the library, USB permissions, network, socket buffers and the daemon; with a camera also at features that
+    falsify radiometry, the frame rate achieved, temperature, dark level, and linearity by two exposures. The command
+    ends with exit code 1 if anything keeps one from measuring.
+
     Examples:
         >>> import radiometer as rm
         >>> "daemon" in [finding.check for finding in rm.doctor().findings]
@@ -133,7 +138,9 @@ def doctor(camera: str | None = None, bench: PathLike | None = None) -> Diagnosi
     Raises:
         ConfigurationError: If the bench file is wrong.
     """
-    return Diagnosis((check_daemon(), *examine(Path(bench) if bench else None, camera)))
+    found = check_daemon(), *examine(Path(bench) if bench else None, camera)
+    alone = Finding("camera", Health.NOTE, "the camera itself was not looked at", "name one with --camera")
+    return Diagnosis(found if camera is not None else (*found, alone))
 
 
 def new_bench(
@@ -285,4 +292,7 @@ def simulate_box(
         serial, known_link, firmware=known_firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed,
         subject=subject, filter_density=filter_density,
     )  # fmt: skip
-    serve_box(made, reset_every_s, press_every_s, ready, entered)
+    with made.server as server:
+        ready(server.port)
+        with contextlib.suppress(KeyboardInterrupt):
+            tend(made, reset_every_s, press_every_s, entered)

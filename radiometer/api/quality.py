@@ -11,7 +11,7 @@ from typing import Any, Final
 from radiometer.acquire.bracketing import BracketRequest, plan_for_scene
 from radiometer.acquire.exposure_plan import ExposurePlan, exposure_ladder
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
-from radiometer.analysis.quality.datasheet import shown, write_datasheet
+from radiometer.analysis.quality.datasheet import datasheet_html, shown
 from radiometer.analysis.quality.procedures import PROCEDURES, Procedure, ProcedureStep, gain_of_step
 from radiometer.analysis.quality.procedures import procedure as procedure_of
 from radiometer.analysis.quality.session import SOURCE_U_REL, Datasheet, Evaluation, evaluate
@@ -22,6 +22,7 @@ from radiometer.bench.assembly import open_bench_camera
 from radiometer.bench.capturing import capture_exposures
 from radiometer.data import Calibration, PatchDescription, SpectralResponse
 from radiometer.data.json_text import json_text
+from radiometer.data.storage import write_text_atomic
 from radiometer.devices import Camera
 from radiometer.errors import DeviceError, UsageError
 from radiometer.plausible import AnyCount, Count, RelativeUncertainty
@@ -73,7 +74,7 @@ class QualityReport(Result):
 
     def write(self, path: PathLike) -> None:
         """Write the datasheet as HTML. Raises OutputError."""
-        write_datasheet(Path(path), self.datasheet)
+        write_text_atomic(Path(path), datasheet_html(self.datasheet))
 
     @property
     def rows(self) -> list[tuple[str, str, str, str]]:
