@@ -102,7 +102,7 @@ def capture_exposures(
 def capture_settings(
     out: Path, camera: Camera, plan: CapturePlan, config: BenchConfig, ask: Ask | None, taken: Taken | None
 ) -> CaptureSet:
-    """Do as `capture_exposures` for settings with what must be arranged for each, which `ask` does. Raises the same."""
+    """Do as `capture_exposures` for settings, with what `ask` arranges for each. Raises DeviceError, OutputError."""
 
     def asked(wish: str) -> None:
         if ask is None:

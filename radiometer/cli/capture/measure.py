@@ -117,7 +117,7 @@ def command(**given: Any) -> int:
     chosen, other = (_OF_CAMERA, _OF_PHOTOGRAPHS)[:: 1 if given["photographs"] is None else -1]
     for name in _TAKEN[other].keys() - _TAKEN[chosen].keys():
         if given.pop(name) != _TAKEN[other][name].default:
-            belongs = "goes with" if other is _OF_PHOTOGRAPHS else "does not go with"
+            belongs = "belongs to" if other is _OF_PHOTOGRAPHS else "excludes"
             raise UsageError(f"--{name.replace('_', '-')} {belongs} --photographs; leave it out, or correct both")
     return chosen(**given)
 

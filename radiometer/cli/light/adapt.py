@@ -27,7 +27,7 @@ app = command_group("Dark adaptation: run the test, and analyse the measured thr
 
 
 def _while_it_runs(json: bool, **_: Any) -> dict[str, Any]:
-    """Return what a run is watched and told by."""
+    """Return what watches a run, announces its page and sounds."""
 
     @contextmanager
     def view(session: Session) -> Iterator[Watcher]:
