@@ -81,7 +81,7 @@ class Flux(Result):
     def to_mapping(self) -> dict[str, Any]:
         return {
             **self.report.to_mapping(),
-            "notes": [*self.report.contradictions, *self.notes],
+            "notes": [*self.report.warnings, *self.notes],
             "at_drive": None if self.driven is None else self.driven.to_mapping(),
         }
 

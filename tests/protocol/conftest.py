@@ -1,7 +1,5 @@
 """Two boxes that speak the light-box protocol, in their own time: the twin, and the firmware in simavr."""
 
-import shutil
-import subprocess
 from zlib import crc32
 
 import pytest
@@ -9,7 +7,7 @@ import pytest
 from radiometer.errors import MissingLibrary
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from testing.patience import within
+from testing.firmware_board import built_for_avr
 
 SERIAL = "LB000007"
 
@@ -56,26 +54,20 @@ class Talker:
         return self.avr.duty(channel) if self.avr is not None else self.twin.duty(channel)
 
 
-def built(project_root, build, *options):
-    """Build the firmware; skip where the compiler is absent."""
-    if shutil.which("avr-gcc") is None:
-        pytest.skip("avr-gcc is not installed (Debian: gcc-avr, avr-libc)")
-    source = project_root / "drivers" / "firmware" / "light_box"
-    command = ["make", "-s", "-C", str(source), f"BUILD={build}", *options]
-    subprocess.run(command, check=True, capture_output=True, timeout=within(120.0))
-    return build / "light_box.hex"
+NO_COMPILER = "avr-gcc is not installed (Debian: gcc-avr, avr-libc)"
 
 
 @pytest.fixture(scope="session")
-def light_box_hex(project_root, tmp_path_factory):
+def light_box_hex(tmp_path_factory):
     """Return the firmware."""
-    return built(project_root, tmp_path_factory.mktemp("protocol_firmware"))
+    return built_for_avr(tmp_path_factory.mktemp("protocol_firmware")) or pytest.skip(NO_COMPILER)
 
 
 @pytest.fixture(scope="session")
-def small_bucket_hex(project_root, tmp_path_factory):
+def small_bucket_hex(tmp_path_factory):
     """Return the firmware with energy budgets of a 400th and two flashes in a row: used up in seconds."""
-    return built(project_root, tmp_path_factory.mktemp("small_buckets"), "BUCKET_DIVISOR=400", "FLASHES=2")
+    folder = tmp_path_factory.mktemp("small_buckets")
+    return built_for_avr(folder, "BUCKET_DIVISOR=400", "FLASHES=2") or pytest.skip(NO_COMPILER)
 
 
 @pytest.fixture(params=["twin", "firmware"])

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.merge.frames import FrameTerms, longest_of
+from radiometer.analysis.merge.frames import FrameTerms, longest_of, with_shared_darks
 from radiometer.analysis.signal.model import SignalModel
 from radiometer.compiled import compiled, compiled_apart, compiled_within
 from radiometer.data.radiance_map import PixelMask
@@ -413,7 +413,7 @@ def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables
                 *(_at_end(o, o.clips_at, o.sigma_clip, model), o.cut_at, _at_end(o, o.cut_at, o.sigma_cut, model)),
                 (o.exposure / reference) ** FIRST_POWER,
             ]
-            for o in terms
+            for o in with_shared_darks(terms)
         ]
     )
     if terms[longest_of(terms)].low_dn > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -41,6 +42,7 @@ class FrameTerms:
     black_dn: float  # black level in DN
     u_unstated: float = 0.0  # standard uncertainty of the signal of a dark current that nothing states
     level: float = 0.0  # dark signal x that both ends are counted from: the whole frame's
+    dark_variance: float = 0.0  # variance of every pixel's `dark`, within `variance`; frames of one exposure share it
 
 
 def frame_terms(
@@ -64,7 +66,7 @@ def frame_terms(
     model = situation.model
     gain = gain_factor(settings.gain_db)
     level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
-    dark, extra = _dark_map(settings, dark_frames, model, level.signal)
+    dark, extra = dark_map(settings, dark_frames, model, level.signal)
     low, high = _lowest_dn(model, settings), math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
     cut_at = float(model.at_dn(model.table(settings), low - 0.5)) - level.signal if low > 0 else -math.inf
@@ -84,6 +86,7 @@ def frame_terms(
         model.black_of(settings),
         level.u_unstated,
         level.signal,
+        extra,
     )
 
 
@@ -128,6 +131,15 @@ def with_taps(terms: FrameTerms, frame: Frame, model: SignalModel) -> FrameTerms
     return replace(terms, dark=dark, variance=terms.variance + (slope * frame.black_u_dn) ** 2)
 
 
+def with_shared_darks(terms: Sequence[FrameTerms]) -> list[FrameTerms]:
+    """Return frames in which the noise of dark frames counts as often as they share them: it does not average out."""
+    alike = Counter((one.settings.exposure_s, one.settings.gain_db) for one in terms)
+    others = [alike[one.settings.exposure_s, one.settings.gain_db] - 1 for one in terms]
+    return [
+        replace(one, variance=one.variance + more * one.dark_variance) for one, more in zip(terms, others, strict=True)
+    ]
+
+
 def with_excess(terms: FrameTerms, excess: Array, shot: float) -> FrameTerms:
     """Return a frame's constants with variances that are larger by two factors: with light, and without.
 
@@ -143,6 +155,7 @@ def with_excess(terms: FrameTerms, excess: Array, shot: float) -> FrameTerms:
     return replace(
         terms,
         variance=dark * terms.variance,
+        dark_variance=dark * terms.dark_variance,
         sigma_clip=widened(terms.sigma_clip, terms.clips_at),
         sigma_cut=widened(terms.sigma_cut, terms.cut_at),
     )
@@ -166,10 +179,17 @@ def _lowest_dn(model: SignalModel, settings: FrameSettings) -> int:
     return 1 if model.linear else max(1, model.valid_dn[0] + round(black - model.black_dn))
 
 
-def _dark_map(
+def dark_map(
     settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: float
 ) -> tuple[NDArray[np.float32], float]:
-    """Return the dark signal of every pixel with the variance of that mean, or one level for all with none."""
+    """Return the dark signal x of every pixel, flat, with the variance of that mean, or one level for all with none.
+
+    Args:
+        settings: Of the light frame.
+        dark_frames: Frames with the shutter closed; those of the same exposure count.
+        model: Signal model of the camera.
+        level: Dark signal where there are none.
+    """
     matching = matching_darks(settings, dark_frames)
     if not matching:
         return np.full(1, level, np.float32), 0.0

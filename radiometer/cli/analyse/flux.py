@@ -42,7 +42,7 @@ def _show_report(report: FluxReport) -> None:
             f"[yellow]flag saturated[/yellow]: {report.clipped_everywhere} pixels clip even in the shortest exposure: "
             "every flux here is a lower bound; take shorter exposures, a smaller aperture or a grey filter"
         )
-    show_remarks(report.assumptions, warnings=report.contradictions)
+    show_remarks(report.assumptions, warnings=report.warnings)
 
 
 def _milliwatt(quantity: Quantity) -> str:

@@ -1,7 +1,5 @@
 """Benches for the light-box contract: the driver on the simulated twin, and on the real firmware in simavr."""
 
-import shutil
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +16,7 @@ from radiometer.errors import MissingLibrary
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import SimulatedLightBox
 from simulators.light_box.pty_line import PtyServer, WiredLightBox
+from testing.firmware_board import built_for_avr
 from testing.patience import within
 
 # Steps of simavr's time where the machine is busy, far shorter than the driver waits for an answer.
@@ -58,16 +57,10 @@ class Rig:
 
 
 @pytest.fixture(scope="session")
-def firmware(project_root, tmp_path_factory):
-    """Build the firmware as `make` does and return its HEX file; skip where the compiler is absent."""
-    if shutil.which("avr-gcc") is None:
-        pytest.skip("avr-gcc is not installed (Debian: gcc-avr, avr-libc)")
-    build = tmp_path_factory.mktemp("firmware")
-    source = project_root / "drivers" / "firmware" / "light_box"
-    subprocess.run(
-        ["make", "-s", "-C", str(source), f"BUILD={build}"], check=True, capture_output=True, timeout=within(120.0)
-    )
-    return build / "light_box.hex"
+def firmware(tmp_path_factory):
+    """Return the HEX file of the firmware; skip where its compiler is absent."""
+    missing = "avr-gcc is not installed (Debian: gcc-avr, avr-libc)"
+    return built_for_avr(tmp_path_factory.mktemp("firmware")) or pytest.skip(missing)
 
 
 def _driver(server, clock=time.monotonic):

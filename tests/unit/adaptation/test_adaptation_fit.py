@@ -436,7 +436,7 @@ def _fit(*, rods=True, facts=None, **request):
         else -4.0 + 3.0 * np.exp(-REPORTED_MIN / 6.0)
     )
     series = ThresholdSeries(REPORTED_MIN, curve + noise, None, facts or {}, ("minutes were taken from seconds",))
-    asked = FitRequest(bootstrap_draws=20, **request)
+    asked = FitRequest(bootstrap_draws=8, **request)
     return fit_adaptation(series, asked, np.random.default_rng(0))
 
 

@@ -9,7 +9,6 @@ import pytest
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-import radiometer as rm
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.methods import Ascent, QuestPlusSearch, Staircase, begin
@@ -29,7 +28,6 @@ from radiometer.adaptation.run_facts import facts_of, intercept_of, method_bias
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.data.validation import validate
 from radiometer.errors import ConfigurationError, DeviceLost, MissingLibrary
-from simulators.observers.eye_kinetics import Eye, eye_after_bleach
 from testing.scripted_adaptation import ScriptedStage, eye, threshold
 
 SPOT = Spot(device="light_box", channel="spot", peak_nm=453, lowest_log10=-3.0, highest_log10=1.0)
@@ -84,36 +82,6 @@ def test_a_spot_whose_levels_are_reversed_is_refused():
     for highest in (-3.0, -3.1):
         with pytest.raises(ValueError, match="must be above"):
             Spot(device="light_box", channel="spot", peak_nm=453, lowest_log10=-3.0, highest_log10=highest)
-
-
-@pytest.fixture(scope="module")
-def classic(tmp_path_factory):
-    """Return the journal of a whole run of the classic protocol by the steady observer, its thresholds next to it."""
-    journal = tmp_path_factory.mktemp("classic") / "run.jsonl"
-    rm.adapt_run("classic", "S1", journal, simulate="steady")
-    return journal
-
-
-def test_break_is_that_of_the_eye_after_the_protocols_bleach(classic):
-    """9,000 cd/m² for 180 s through 7 mm: the fit finds the break of that eye, within 1 min (95 % of a run: 0.8)."""
-    found = rm.adapt_fit(classic.with_suffix(".csv"), bootstrap=0).fit.estimates["break_min"].value
-    expected = eye_after_bleach(Eye(pupil_mm=7.0), 9000.0, 180.0).break_min(505.0)
-    assert found == pytest.approx(expected, abs=1.0)
-
-
-def test_weak_bleach_of_a_screen_shows_no_break(tmp_path):
-    """120 cd/m² for 5 min bleach a few per cent of the rods, which lead from the first minute on."""
-    rm.adapt_run("screen-only", "S1", tmp_path / "run.jsonl", simulate="steady")
-    assert not rm.adapt_fit(tmp_path / "run.csv", bootstrap=0).fit.has_break
-
-
-def test_false_alarms_are_as_rare_as_the_subjects_habit(classic):
-    """A blink without light is answered in 1 % of the cases, whichever trials are drawn as catches."""
-    with RunJournal(classic) as journal:
-        dark = [blink for blink in journal.of_kind("blink") if blink["log10_level"] is None and "of" not in blink]
-    pressed = sum(bool(blink["presses_s"]) for blink in dark)
-    assert len(dark) > 50
-    assert pressed <= 5  # 1 % of about 120: more than 5 in one of 1000 runs
 
 
 QUEST_SPOT = Spot(device="light_box", channel="spot", peak_nm=453)

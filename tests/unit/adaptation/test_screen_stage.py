@@ -10,7 +10,8 @@ from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.screen_setup import ScreenStage, SpotLevels, field_code, mark_code, within_reach
 from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
-from radiometer.screen.stimulus import Blink, Hold, Rest, Viewing
+from radiometer.screen.stimulus import Hold, Viewing
+from testing.recording_devices import RecordingScreen
 
 BLACK, WHITE = 3e-4, 0.7  # radiance of black and white in W/sr/m2
 EFFICACIES = {"grey": (320.0, 750.0), "red": (200.0, 60.0), "blue": (90.0, 1000.0)}
@@ -27,32 +28,6 @@ def screen():
     """Return a calibrated screen of 224 cd/m² with a shining black."""
     curves = {"grey": _curve("grey", 1.0), "red": _curve("red", 0.25), "blue": _curve("blue", 0.3)}
     return ScreenCalibration("desk", curves, created="2026-11-21T12:00:00.000000Z", pixel_mm=0.27)
-
-
-class RecordingScreen:
-    """A screen that notes what it is asked, on a clock of its own, and presses as it is asked to."""
-
-    def __init__(self):
-        self.time, self.size = 50.0, (1920, 1080)
-        self.shown = []
-        self.blinks = []
-        self.presses = ()
-        self.hold = Hold()
-
-    def show(self, picture):
-        self.shown.append(picture)
-
-    def blink(self, lit, rest, on_s, cycle_s):
-        self.blinks.append((lit, rest, on_s, cycle_s))
-        self.time += cycle_s
-        return Blink(self.presses, self.hold, on_s, 1 / 60, 1 / 60)
-
-    def rest(self, seconds):
-        self.time += seconds
-        return Rest(len(self.presses), self.hold)
-
-    def warnings(self):
-        return ["the page is not full screen: press F11"]
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from radiometer.bench.boxes import open_light_box
 from radiometer.bench.light_bench import open_light_camera
 from radiometer.data import Patch, Quantity, Reading
 from radiometer.errors import DeviceError, UsageError
+from testing.daemon_process import write_small_bench
 
 
 class Told:
@@ -87,13 +88,13 @@ def test_light_bench_opens_both_devices(engine):
 
 
 @pytest.mark.slow
-def test_scan_over_a_motor_and_count_read_the_meters_patch(engine):
+def test_scan_over_a_motor_and_count_read_the_meters_patch(engine, tmp_path):
     """The still scene reads the same at each place of a motor; the patch is the source's, not the bench's."""
-    with rm.open("sim") as meter:
-        whole, dim = meter.measure(), meter.measure((0, 0, 40, 40))
+    with rm.open(write_small_bench(tmp_path)) as meter:
+        whole, dim = meter.measure(), meter.measure((95, 30, 20, 20))
         with init_devices():
             motor = SimMotor(instant=True)
-            detector = RadiometerDetector(MeterSource(meter, Patch(0, 0, 40, 40)))
+            detector = RadiometerDetector(MeterSource(meter, Patch(95, 30, 20, 20)))
         _, events = _run(engine, bp.scan([detector], motor, -1, 1, 2))
         _, counted = _run(engine, bp.count([detector], num=1))
     assert [event["motor"] for event in events] == [-1, 1]

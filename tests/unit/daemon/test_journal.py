@@ -10,7 +10,6 @@ import shutil
 import sqlite3
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from contextlib import asynccontextmanager, suppress
@@ -18,9 +17,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
+from hypothesis import settings
+from hypothesis.stateful import run_state_machine_as_test
 
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump
@@ -30,6 +28,7 @@ from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time, now_us, parse_moment
 from radiometer.data import Contribution, Flag, Patch, Quantity
 from radiometer.errors import InputError, OutputError, UsageError
+from testing.journal_machine import JournalMachine
 from testing.watched_sqlite import refusing
 
 
@@ -109,25 +108,6 @@ def test_every_cell_of_a_row_is_what_its_heading_says(tmp_path, make_reading):
         "session": "web",
     }
     assert (bare["luminance"], bare["u_luminance"], bare["luminance_unit"]) == ("", "", "")
-
-
-def test_a_full_journal_refuses_and_loses_nothing(tmp_path, make_reading):
-    """At the size limit appending raises, what was committed stays, and the numbers go on once there is room."""
-    path = tmp_path / "j.sqlite"
-    committed = []
-
-    def fill(journal):
-        while True:
-            committed.extend(journal.append([make_reading()] * 20))
-
-    with Journal(path, max_bytes=200_000) as limited, pytest.raises(JournalError, match=r"0\.2 MB of --journal-max-mb"):
-        fill(limited)
-    with Journal(path) as journal:
-        (numbered,) = journal.append([make_reading()])
-    count = len(committed)
-    assert count > 0
-    assert numbered.sequence == count + 1
-    assert JournalReader(path).bounds() == (1, count + 1, count + 1)
 
 
 @pytest.mark.parametrize("content", [b"not a database at all, but long enough to look like one" * 40, b"\0" * 4096])
@@ -317,146 +297,13 @@ def test_two_daemons_on_one_journal_are_refused_whatever_its_name(tmp_path, make
 
 START_US = 1_790_000_000_000_000
 HOUR_US = 3_600_000_000
-values = st.floats(0.1, 100.0).map(lambda value: round(value, 3))
-flags = st.sampled_from([(), (), (Flag.SATURATED,), (Flag.BELOW_NOISE, Flag.UNCALIBRATED)])
-streams = st.sampled_from(["", "", "lamp", "own"])
-hours = st.sampled_from([0, 0, 1, 1, 2, 5, 30, 60])  # few, so that minutes are shared
-
-
-class JournalMachine(RuleBasedStateMachine):
-    """Does to a journal and to a list the same."""
-
-    make_reading = None
-
-    def __init__(self):
-        super().__init__()
-        self.folder = Path(tempfile.mkdtemp())
-        self.path = self.folder / "j.sqlite"
-        self.journal = Journal(self.path)
-        self.journal.open()
-        self.kept, self.last, self.patches, self.notes, self.dropped_us = [], 0, {}, 0, None
-
-    def teardown(self):
-        self.journal.close()
-        shutil.rmtree(self.folder)
-
-    @rule(entries=st.lists(st.tuples(hours, values, flags, streams), max_size=4))
-    def append(self, entries):
-        """Readings are numbered on, and come back with their numbers."""
-        readings = [
-            type(self).make_reading(
-                time=iso_time(START_US + hour * HOUR_US),
-                radiance=Quantity(value, 0.01 * value, "W·sr⁻¹·m⁻²"),
-                flags=which,
-                name="lamp" if stream == "lamp" else "",
-                session="visitor" if stream == "own" else "",
-            )
-            for hour, value, which, stream in entries
-        ]
-        given = [reading.sequence for reading in self.journal.append(readings)]
-        assert given == list(range(self.last + 1, self.last + 1 + len(entries)))
-        self.last += len(entries)
-        for number, (hour, value, which, stream) in zip(given, entries, strict=True):
-            self.kept.append(
-                (number, START_US + hour * HOUR_US, value, which, f"patch {stream}" if stream == "lamp" else stream)
-            )
-
-    @rule(hour=hours)
-    def drop(self, hour):
-        """What was made before the first young reading goes, the newest never."""
-        before_us = START_US + hour * HOUR_US
-        young = [entry[0] for entry in self.kept if entry[1] >= before_us]
-        first = min(young) if young else self.last
-        gone = [entry for entry in self.kept if entry[0] < first]
-        assert self.journal.drop_older(before_us) == len(gone)
-        self.kept = self.kept[len(gone) :]
-        self.dropped_us = max(before_us, self.dropped_us or 0)
-
-    @rule()
-    def reopen(self):
-        """Nothing is lost by closing."""
-        self.journal.close()
-        self.journal = Journal(self.path)
-        self.journal.open()
-
-    @rule()
-    def fail(self):
-        """A transaction that cannot be committed leaves nothing behind."""
-        reading = type(self).make_reading()
-        with refusing("INTO trend"), pytest.raises(JournalError):  # after the readings have gone in
-            self.journal.append([reading, reading])
-
-    @rule(name=st.sampled_from("ab"), line=st.sampled_from([None, "{}", '{"x": 1}']))
-    def keep_patch(self, name, line):
-        """The newest line of a name counts; None forgets it."""
-        self.journal.keep_patch(name, line)
-        self.patches.pop(name, None)
-        if line is not None:
-            self.patches[name] = line
-        assert self.journal.patches() == dict(sorted(self.patches.items()))
-
-    @rule(
-        since=st.none() | hours,
-        until=st.none() | hours,
-        after=st.none() | st.integers(0, 20),
-        limit=st.none() | st.integers(0, 5),
-        flag=st.sampled_from([None, None, "saturated", "uncalibrated"]),
-        clean=st.booleans(),
-        newest=st.booleans(),
-        stream=st.sampled_from([None, None, "", "patch lamp", "own"]),
-    )
-    def ask(self, since, until, after, limit, flag, clean, newest, stream):
-        """A filter gives exactly what a list comprehension gives."""
-        since_us, until_us = (None if hour is None else START_US + hour * HOUR_US for hour in (since, until))
-        row_filter = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest, stream)
-        found = [json.loads(line)["sequence"] for line in JournalReader(self.path).lines(row_filter)]
-        expected = [
-            number
-            for number, at_us, _, which, where in self.kept
-            if (since_us is None or at_us >= since_us)
-            and (until_us is None or at_us < until_us)
-            and (after is None or number > after)
-            and (flag is None or flag in map(str, which))
-            and not (clean and which)
-            and (stream is None or where == stream)
-        ]
-        expected = expected[::-1] if newest else expected
-        assert found == expected[:limit]
-
-    @rule(stream=st.sampled_from(["", "patch lamp"]), fine=st.booleans())
-    def trend(self, stream, fine):
-        """Counts, extremes and means of a stream are those of its readings, from readings or from minutes."""
-        span = (START_US, START_US + HOUR_US) if fine else (START_US, START_US + 100 * HOUR_US)
-        if not fine and self.dropped_us is not None:
-            return  # minutes are deleted by their time, readings by their place
-        points = JournalReader(self.path).trend(stream, *span)
-        own = [entry for entry in self.kept if entry[4] == stream and span[0] <= entry[1] < span[1]]
-        assert sum(point.count for point in points) == len(own)
-        assert sum(point.flagged for point in points) == sum(bool(entry[3]) for entry in own)
-        assert sum(point.value * point.count for point in points) == pytest.approx(sum(entry[2] for entry in own))
-        assert sum(point.u * point.count for point in points) == pytest.approx(sum(0.01 * entry[2] for entry in own))
-        assert JournalReader(self.path).trend("own", START_US, START_US + 100 * HOUR_US) == []
-        for point in points:
-            inside = [entry for entry in own if abs(entry[1] - point.time_us) <= HOUR_US / 2]
-            assert (point.low, point.high) == (min(e[2] for e in inside), max(e[2] for e in inside))
-
-    @invariant()
-    def numbers_have_no_hole(self):
-        """Lowest, highest and count are the list's."""
-        expected = (self.kept[0][0], self.kept[-1][0], len(self.kept)) if self.kept else (0, 0, 0)
-        assert JournalReader(self.path).bounds() == expected
 
 
 @pytest.mark.usefixtures("connections")
 def test_a_journal_is_a_list_that_stays(make_reading):
     """Numbers, filters, trend, deletion, patches and failures agree with a plain list, in any order."""
     JournalMachine.make_reading = staticmethod(make_reading)
-    run_state_machine_as_test(
-        JournalMachine,
-        settings=settings(
-            max_examples=25, stateful_step_count=15, deadline=None, suppress_health_check=list(HealthCheck)
-        ),
-    )
+    run_state_machine_as_test(JournalMachine, settings=settings(max_examples=25, stateful_step_count=15))
 
 
 def test_a_trend_point_stands_in_the_middle_of_its_time(tmp_path, make_reading):
@@ -885,23 +732,6 @@ def test_a_journal_is_recognised_by_its_first_bytes(tmp_path, make_reading):
     header = (tmp_path / "j.sqlite").read_bytes()[:100]
     assert (header[:15], header[68:72]) == (b"SQLite format 3", b"RAMJ")
     assert int.from_bytes(header[60:64], "big") == SCHEMA_VERSION
-
-
-async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path):
-    """What is queued of patches alone is committed at the end; the last stated of each counts; a forgotten one goes."""
-    writer = writer_of(tmp_path / "j.sqlite")
-    await writer.open()
-    writer.keep_patch("lamp", "first")
-    writer.keep_patch("gone", "there")
-    task = asyncio.create_task(writer.run())
-    while await writer.patches() != {"lamp": "first", "gone": "there"}:
-        await asyncio.sleep(0)
-    task.cancel()
-    writer.keep_patch("lamp", "second")
-    writer.keep_patch("gone", None)
-    await writer.close()
-    with Journal(tmp_path / "j.sqlite") as again:
-        assert again.patches() == {"lamp": "second"}
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.log import log
 from radiometer.daemon.mqtt import topic_level
-from radiometer.daemon.patches import NamedPatch, PatchLimits, PatchWatch, check_name
+from radiometer.daemon.patches import PatchLimits, PatchWatch, check_name
 from radiometer.daemon.serving import LogThrottle
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import iso_time, microseconds
@@ -50,26 +50,6 @@ async def test_a_patch_with_a_name_is_measured_next_to_the_shared_one(station, c
     assert shown == {("reading", 16), ("patch", 5)}
     assert b'radiometer_patch_radiance{patch="lamp",unit="W sr-1 m-2"} 6.0' in station.metrics.render()
     assert b'radiometer_radiance{unit="W sr-1 m-2"} 17.0' in station.metrics.render()
-
-
-async def test_a_client_that_stops_measuring_silences_no_limit(station):
-    """With limits it is an alarm until measuring goes on or the limits go; the journal keeps every change."""
-    station.set_every(5.0)
-    station.set_every(None)
-    assert [alarm.name for alarm in station.alarms.active] == []
-    station.patches.set_limits("main", PatchLimits(high=3.0))
-    assert [alarm.name for alarm in station.alarms.active] == ["stopped"]
-    station.set_every(1.0)
-    assert [alarm.name for alarm in station.alarms.active] == []
-    station.set_every(5.0)
-    station.patches.set_limits("main", PatchLimits())
-    station.patches.set_limits("main", PatchLimits(high=99.0))
-    for every_s, alarmed in ((24.9, False), (25.1, True), (86_400.0, True), (5.0, False)):  # set at a period of 5 s
-        station.set_every(every_s)
-        assert [alarm.name for alarm in station.alarms.active] == ["stopped"] * alarmed
-    station.set_every(None)
-    station.patches.set_limits("main", PatchLimits())
-    assert [alarm.name for alarm in station.alarms.active] == []
 
 
 async def test_patches_and_limits_outlive_a_restart(instrument, tmp_path, eventually):
@@ -271,13 +251,6 @@ def test_limits_that_nothing_can_keep_are_refused():
     assert PatchLimits(1.0, 2.0, 0.5).hysteresis_rel == 0.5
     with pytest.raises(UsageError, match="hysteresis"):
         PatchLimits(1.0, 2.0, 0.51)
-
-
-@pytest.mark.parametrize("limits", [PatchLimits(), PatchLimits(low=-1.0), PatchLimits(0.5, 2.5, 0.125)])
-def test_a_kept_patch_is_read_as_it_was_written(limits):
-    """Place, size and limits come back from the line each in its own place."""
-    named = NamedPatch("lamp", Patch(1, 2, 3, 4), limits)
-    assert NamedPatch.from_json("lamp", named.to_json()) == named
 
 
 @pytest.mark.parametrize(("value", "text"), [(3.0, "above its high limit 2"), (0.5, "below its low limit 1")])

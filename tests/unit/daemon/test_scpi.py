@@ -196,4 +196,4 @@ def quiet():
 @pytest.mark.usefixtures("quiet")
 def test_no_sequence_of_messages_ends_the_daemon():
     """All commands, right and wrong, of three sessions, while camera and light box fail and come back."""
-    run_state_machine_as_test(ScpiMachine, settings=machine_settings(25))
+    run_state_machine_as_test(ScpiMachine, settings=machine_settings(15))

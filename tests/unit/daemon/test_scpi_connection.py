@@ -475,17 +475,6 @@ async def test_a_bug_in_a_command_is_that_client_s_error_alone():
 
 
 @in_virtual_time
-async def test_only_a_reply_makes_a_client_known():
-    """Silence and commands without a reply do not; one that waits is busy until it is answered."""
-    of = server()
-    connection, _, _ = client(of)
-    connection.data_received(b"x\n")
-    assert not of.places.is_known(connection)
-    connection.data_received(b"?x\n")
-    assert of.places.is_known(connection)
-
-
-@in_virtual_time
 async def test_who_may_not_connect_is_cut_off_and_counted():
     """An address that is not listed; beyond the list loopback and Unix sockets are always taken."""
     of = server(allow=parse_networks(["10.1.0.0/16"]))

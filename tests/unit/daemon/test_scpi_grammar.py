@@ -457,7 +457,7 @@ def test_clearing_spares_what_is_enabled_and_presetting_what_has_happened():
 # What one SCPI session sees of the instrument: whose reading, which bits, in which order; without a socket.
 
 
-CALIBRATION, BOX_LOST, FLAGGED = 1 << 8, 1 << 10, 1 << 11
+CALIBRATION, BOX_LOST, FLAGGED, ALARM = 1 << 8, 1 << 10, 1 << 11, 1 << 12
 
 
 @pytest.fixture
@@ -494,38 +494,37 @@ async def test_a_reading_of_the_patch_before_is_not_fetched(session):
     assert await ask(session, "FETC?") is None
 
 
-@pytest.mark.parametrize(
-    ("flags", "bits"),
-    [
-        ((), 0),
-        ((Flag.SATURATED,), FLAGGED),
-        ((Flag.UNCALIBRATED,), CALIBRATION),
-        ((Flag.STALE_CALIBRATION, Flag.FLICKER), CALIBRATION | FLAGGED),
-    ],
-)
-async def test_flags_of_the_latest_reading_are_bits(session, station, instrument, monkeypatch, flags, bits):
-    """What a reading is warned of is questionable: the calibration by one bit, all else by another."""
+async def test_what_is_questionable_has_a_bit_each(session, station, instrument, box, monkeypatch, eventually):
+    """Flags of the latest reading, of its calibration by a bit of their own; one alarm or more; a lost light box."""
     exact = instrument.measure
 
-    def flagged(settings):
+    async def bits():
+        return int(await ask(session, "STAT:QUES:COND?"))
+
+    def flagged(settings, *flags):
         measurement = exact(settings)
         return replace(measurement, reading=replace(measurement.reading, flags=flags))
 
-    monkeypatch.setattr(instrument, "measure", flagged)
-    await station.acquisition.measure()
-    found = int(await ask(session, "STAT:QUES:COND?"))
-    assert found & (CALIBRATION | FLAGGED) == bits
-    assert found & BOX_LOST == 0
-
-
-async def test_a_lost_light_box_is_questionable(session, station, box, eventually):
-    """Its bit is up while it is gone, and down when it is back."""
+    for flags, expected in (
+        ((Flag.SATURATED,), FLAGGED),
+        ((Flag.UNCALIBRATED,), CALIBRATION),
+        ((Flag.STALE_CALIBRATION, Flag.FLICKER), CALIBRATION | FLAGGED),
+        ((), 0),
+    ):
+        monkeypatch.setattr(instrument, "measure", lambda settings, flags=flags: flagged(settings, *flags))
+        await station.acquisition.measure()
+        assert await bits() == expected, flags
+    for name in ("limit lamp", "journal"):
+        station.alarms.put_up(name, "something is wrong")
+        assert await bits() == ALARM
+    for name in ("limit lamp", "journal"):
+        station.alarms.clear(name, "it is well")
     box.unplugged = True
     await eventually(lambda: station.alarms.active)
-    assert int(await ask(session, "STAT:QUES:COND?")) & BOX_LOST
+    assert await bits() & BOX_LOST
     box.unplugged = False
     await eventually(lambda: not station.alarms.active)
-    assert int(await ask(session, "STAT:QUES:COND?")) & BOX_LOST == 0
+    assert await bits() == 0
 
 
 async def test_pictures_come_in_the_order_of_bytes_that_was_chosen(session):
@@ -591,14 +590,6 @@ async def test_limits_of_a_patch_are_those_that_were_set(session):
     await ask(session, 'SENS:PATC:LIM "main",NONE,10')
     assert (await ask(session, 'SENS:PATC:LIM? "main"')).split(",")[0] == "NONE"
     assert float((await ask(session, 'SENS:PATC:LIM? "main"')).split(",")[2]) == 0.01
-
-
-@pytest.mark.parametrize(("up", "bit"), [((), 0), (("limit lamp",), 1 << 12), (("journal", "period"), 1 << 12)])
-async def test_an_alarm_of_any_name_is_questionable(session, station, up, bit):
-    """Its bit is up with one alarm or more; bits of devices that are there are down."""
-    for name in up:
-        station.alarms.put_up(name, "something is wrong")
-    assert int(await ask(session, "STAT:QUES:COND?")) & (0b111 << 9 | 1 << 12) == bit
 
 
 async def test_units_and_signs_are_legible_in_ascii(session, station):

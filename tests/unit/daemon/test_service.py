@@ -88,7 +88,7 @@ async def ended(running):
     await running
 
 
-@pytest.mark.parametrize(("stuck_s", "fed"), [(0.0, True), (599.0, True), (600.0, False)])
+@pytest.mark.parametrize(("stuck_s", "fed"), [(599.0, True), (600.0, False)])
 async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(tmp_path, monkeypatch, eventually, stuck_s, fed):
     """The longest exposures and the longest patience are below; a call that takes longer never ends."""
     one = fresh(tmp_path)
@@ -329,17 +329,6 @@ class Clocks:
 def test_a_jump_is_reported_in_the_largest_unit_it_holds_twice(by_us, message):
     """In whole seconds; minutes, hours and days from two of them on."""
     assert f"{message}, from 2026-06-01T00:00:00Z" in str(Jump(START_US, START_US + by_us))
-
-
-def test_what_a_time_service_does_is_no_jump():
-    """Half a second per hour, for a day, is followed without a word."""
-    clocks, reported = Clocks(), list[Jump]()
-    watch = ClockWatch(reported.append, *clocks.both)
-    for _ in range(24):
-        clocks.go(HOUR_US)
-        clocks.wall += 500_000
-        watch.look()
-    assert reported == []
 
 
 @pytest.mark.parametrize(

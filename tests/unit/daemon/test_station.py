@@ -32,37 +32,12 @@ from radiometer.errors import (
 from testing.patience import within
 
 
-async def test_a_reading_is_in_the_journal_when_it_is_seen(station):
-    """What `measure` returns can be read from the file at that moment."""
-    reading = await station.acquisition.measure()
-    assert JournalReader(station.journal_path).lines(ReadingFilter()) == [reading.to_json()]
-    assert station.shown.latest == reading
-
-
 async def test_continuous_measurement_keeps_its_period(station, eventually):
     """One reading at once and one a period: never more, however long the machine lets it wait."""
     begun = time.monotonic()
     station.set_every(0.05)
     await eventually(lambda: station.shown.latest is not None and station.shown.latest.sequence >= 10)
     assert time.monotonic() - begun > 8.5 * 0.05
-
-
-async def test_a_lost_camera_is_reported_and_reopened(station, instrument, eventually):
-    """Loss puts the alarm up and fails requests at once; the return clears it, and measuring goes on; both are kept."""
-    station.set_every(0.01)
-    await eventually(lambda: station.shown.latest)
-    instrument.unplugged = True
-    await eventually(lambda: station.camera.state is DeviceState.LOST)
-    assert [alarm.name for alarm in station.alarms.active] == ["camera"]
-    with pytest.raises(DeviceError, match="unplugged"):
-        await station.acquisition.measure()
-    instrument.unplugged = False
-    await eventually(lambda: not station.alarms.active)
-    last = station.shown.latest.sequence
-    await eventually(lambda: station.shown.latest is not None and station.shown.latest.sequence > last)
-    assert station.camera.losses == 1
-    reader = JournalReader(station.journal_path)
-    await eventually(lambda: [event["kind"] for event in reader.events()] == ["alarm", "cleared"])
 
 
 async def test_a_camera_that_does_not_return_is_reported_before_it_gives_up(station, instrument, eventually):

@@ -148,6 +148,8 @@ def test_darkness_moves_all_tiles_of_a_capture_together():
     first = sum(error.covariance("first")[0] for error in found if "first" in error.parts)
     assert first == pytest.approx(mean * (1.0 + 1.0 / 3.0))
     assert errors_of_darkness(design, usable, Darkness(0.0, 0.0, warmth)) == ()
+    moving = errors_of_darkness(design, usable | {"slope_y": usable["mean"]}, Darkness(0.0, 0.0, warmth, drift_dn=0.8))
+    assert {name for error in moving for name in error.parts} == {"mean", "first", "slope_y"}
 
 
 def test_a_coarse_thermometer_moves_what_leaks_add_to_variances():

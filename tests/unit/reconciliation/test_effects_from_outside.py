@@ -3,96 +3,18 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radiometer.errors import ConfigurationError
+from radiometer.reconciliation.engine import whole_catalogue
 from simulators.effects.registry import EFFECTS, all_effects, register_file
+from testing import effects_of_a_laboratory
 from testing.reconciled import reconcile
 
-EFFECTS_OF_A_LABORATORY = '''
-"""What is known of the bench in the cellar."""
-
-from dataclasses import dataclass
-
-import numpy as np
-
-from simulators.effects.base import DIGITAL_NUMBER, RADIANCE, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, Scaling
-
-
-@dataclass(frozen=True)
-class LampDriverNoise(CatalogueEffect):
-    """Adds noise that goes with the lamp's drive d: σ'² = σ² + (a·d)²."""
-
-    name = "lamp_driver_noise"
-    stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
-    where = "source_level"
-    block = "variance"
-    acts_by_square = True
-    trials = ({"amplitude_dn": 1.0},)
-    fitted = ("amplitude_dn",)
-    settles = "the same signal at two drives"
-    amplitude_dn: float = parameter(0.0, "DN", 0.0, 100.0, source="the cellar's logbook")
-
-    def mean(self, signal, context):
-        return signal
-
-    def slope(self, signal, context):
-        return 1.0
-
-    def variance(self, signal, context):
-        return np.square(self.amplitude_dn * np.asarray(context.settings.source_level))
-
-    def sample(self, signal, context, rng):
-        noise = self.amplitude_dn * context.settings.source_level * rng.standard_normal(signal.shape)
-        return (signal + noise).astype(signal.dtype)
-
-
-@dataclass(frozen=True)
-class DisplayCeiling(CatalogueEffect):
-    """Limits what the screen can show: L' = min(L, c)."""
-
-    name = "display_ceiling"
-    stage = Stage.SCENE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
-    where = "patch_level"
-    saturates = "sharply"
-    trials = tuple({"ceiling": c} for c in (0.8, 0.65, 0.5, 0.35))
-    fitted = ("ceiling",)
-    settles = "the brightest patch at half the drive"
-    ceiling: float = parameter(10.0, "W sr-1 m-2", 0.01, 10.0, source="the screen's data sheet")
-
-    def mean(self, signal, context):
-        return np.minimum(signal, self.ceiling)
-
-    def slope(self, signal, context):
-        return (signal < self.ceiling).astype(signal.dtype)
-
-
-@dataclass(frozen=True)
-class DriverSteps(Scaling):
-    """Rounds the lamp's drive down to whole steps: d' = q·⌊d/q⌋."""
-
-    name = "driver_steps"
-    stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
-    where = "source_level"
-    is_stepwise = True
-    trials = tuple({"step": q} for q in (0.04, 0.05, 0.0625, 0.08, 0.0909))
-    fitted = ()
-    settles = "two drives within one step"
-    step: float = parameter(1e-6, "1", 1e-6, 0.5, source="bits of the driver")
-
-    def factor(self, context):
-        drive = np.maximum(np.asarray(context.settings.source_level), 1e-9)
-        return np.maximum(self.step * np.floor(drive / self.step + 1e-9), 1e-6) / drive
-'''
+EFFECTS_OF_A_LABORATORY = Path(effects_of_a_laboratory.__file__).read_text(encoding="utf-8")
 NAMES = ("lamp_driver_noise", "display_ceiling", "driver_steps")
 
 
@@ -125,6 +47,8 @@ def _noisy(setting):
 
 
 _DRAWN = iter(range(10_000))
+# Entries of the table that come nearest: noise, what saturates, and what goes with the drive.
+RIVALS = ("excess_read_noise", "full_well_saturation", "adc_saturation", "led_thermal_droop", "exposure_time_offset")
 HIDDEN = {
     "lamp_driver_noise": ({"extra_dn": _noisy}, "amplitude_dn", 2.0),
     "display_ceiling": ({"picture": lambda i, s: np.minimum(i * s["d"], 0.6) / max(s["d"], 1e-9)}, "ceiling", 0.6),
@@ -134,14 +58,15 @@ HIDDEN = {
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("untouched")
-@pytest.mark.parametrize("name", [*(pytest.param(one, marks=pytest.mark.long) for one in NAMES[:2]), NAMES[2]])
+@pytest.mark.parametrize("name", NAMES)
 def test_own_effect_is_found_where_it_is_hidden(make_capture, tmp_path, name):
     """A squared, a saturating and a stepwise effect of a file are named alone, of the size that was hidden."""
     (tmp_path / "cellar.py").write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
     register_file(tmp_path / "cellar.py")
     hooks, parameter, hidden = HIDDEN[name]
     captured = make_capture(seed=42, **hooks)
-    result = reconcile(captured.header, captured.frames)
+    entries = {one: whole_catalogue()[one] for one in (*NAMES, *RIVALS)}
+    result = reconcile(captured.header, captured.frames, catalogue=entries)
     assert (result.verdict, [effect.name for effect in result.effects]) == ("effects_found", [name])
     found = result.effects[0].parameters[parameter]
     assert found.value == pytest.approx(hidden, abs=max(4.0 * (found.u or 0.0), 1e-9))
@@ -227,7 +152,7 @@ def test_faults_of_an_effect_name_its_file(make_capture, tmp_path, body, message
     path = tmp_path / "faulty.py"
     path.write_text(f"{head}        {body}\n", encoding="utf-8")
     register_file(path)
-    captured = make_capture(seed=42, frames=2)
+    captured = make_capture(seed=42, frames=2, plan=[{"t": t, "d": d} for t in (1e-3, 3e-3) for d in (0.3, 0.9)])
     with pytest.raises(ConfigurationError, match=f"faulty.py: {message}"):
         reconcile(captured.header, captured.frames)
 

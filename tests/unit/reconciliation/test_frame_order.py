@@ -211,6 +211,7 @@ def test_an_event_within_a_series_is_named_with_its_time(lit):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("laws_left_out")
 def test_a_lamp_that_jumps_within_a_series_is_named():
     """Light that is 1 % brighter from 31.5 s on is no event of the camera: bright tiles rise by more."""
     found = asked(header(120), series(lambda t: 909.0 if t > 31.2 else 900.0, 120, offset=lambda t: 0.0, seed=42))
@@ -222,6 +223,7 @@ def test_a_lamp_that_jumps_within_a_series_is_named():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("laws_left_out")
 @pytest.mark.parametrize("known", [True, False])
 def test_a_quiet_series_agrees(known):
     """Also without a statement of the camera: its black level is taken from the noise, and that is stated."""

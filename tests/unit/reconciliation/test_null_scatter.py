@@ -114,7 +114,7 @@ def scene_with_dark_parts(seed, dark=8, step=1):
     )
 
 
-@pytest.mark.parametrize("dark", [8, 12])
+@pytest.mark.parametrize("dark", [pytest.param(8, marks=pytest.mark.long), 12])
 def test_dark_parts_of_a_scene_are_no_disagreement(dark):
     """Tiles dark on a half, or on three quarters: p is as even from 0 to 1 as that of six sessions can be.
 

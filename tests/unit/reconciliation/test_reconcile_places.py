@@ -96,15 +96,14 @@ def test_swinging_lamp_is_placed_along_time(make_capture):
 
 
 @pytest.mark.slow
-def test_global_p_lies_within_what_overlapping_tests_allow(make_capture):
+def test_global_p_lies_within_what_overlapping_tests_allow(declared):
     """Of tests that overlap the global p lies below Bonferroni's n·p, but not by more than their number of kinds."""
-    state = start_of(make_capture(seed=5))
-    tests = localise(state)
+    tests = localise(declared)
     for chance in (1e-3, 1e-2):
         best = replace(tests[0], p_value=chance)
-        found = global_p_value(state, (best, *tests[1:]))
+        found = global_p_value(declared, (best, *tests[1:]))
         assert 0.3 * len(tests) * chance < found <= min(1.25 * len(tests) * chance, 1.0)
-    assert global_p_value(state, (replace(tests[0], p_value=1e-9), *tests[1:])) == pytest.approx(len(tests) * 1e-9)
+    assert global_p_value(declared, (replace(tests[0], p_value=1e-9), *tests[1:])) == pytest.approx(len(tests) * 1e-9)
 
 
 # What equal frames differ by: how far they scatter, which first frames and which frames stick out.

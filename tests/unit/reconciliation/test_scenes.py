@@ -92,6 +92,7 @@ def reconciled(*shots):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("laws_left_out")
 def test_each_scene_has_radiances_of_its_own():
     """Two scenes at two exposures each agree with the model; that the scene changes is reported."""
     one, other = scene(10), scene(11, contrast=0.1)

@@ -50,8 +50,9 @@ def plain(make_capture):
 
 @pytest.fixture(scope="module")
 def separated(plain):
-    """Return what that bracket can tell apart of the whole catalogue, which takes some ten seconds."""
-    return separability(plain, whole_catalogue())
+    """Return what that bracket can tell apart of stray light, flicker, what it is blind to, and others next to them."""
+    others = ("polarisation", "mains_ripple", "pwm_flicker", "exposure_time_offset", "gamma_enabled", "psf_blur")
+    return separability(plain, {name: whole_catalogue()[name] for name in (*sorted(STRAY), *others)})
 
 
 def _sets(found):

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 import radiometer as rm
-from radiometer.analysis.characterise import (
-    EmvaDescriptor,
-    characterise,
-    read_subject,
-    subject_of_capture,
-)
+from radiometer.analysis.characterise import EmvaDescriptor, characterise, read_subject, subject_of_capture
 from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, meaning
 from radiometer.analysis.characterise.result import SYMBOLS
@@ -397,12 +392,6 @@ def test_figure_agrees_with_the_package(ccd, name):
 def test_figure_of_few_frames_agrees_within_its_uncertainty(ccd, name, value):
     """What four frames or short exposures hardly determine differs by less than one standard uncertainty."""
     assert abs(ccd.figures[name].value - value) < ccd.figures[name].u
-
-
-def test_scatter_beyond_noise_is_reported(ccd):
-    """The real photon transfer is not quite straight; the note says so and K's uncertainty holds it."""
-    assert any("scatters" in note for note in ccd.notes)
-    assert ccd.figures["K"].u_rel > 0.002
 
 
 def test_descriptor_with_backslashes_is_read(folder):

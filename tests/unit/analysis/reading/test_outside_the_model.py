@@ -15,7 +15,6 @@ from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.data import (
     BlackLevel,
     Bracket,
-    Calibration,
     CameraDescription,
     Flag,
     FlatField,
@@ -25,7 +24,6 @@ from radiometer.data import (
     LensDescription,
     Patch,
     ResponseCurve,
-    Scale,
     ScaleConditions,
     SensorNoise,
     SourceDescription,
@@ -33,6 +31,7 @@ from radiometer.data import (
 )
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
+from testing.relative_scale import relative_calibration
 
 NOTHING = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
 EXACT_BLACK = BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0)
@@ -73,7 +72,7 @@ def line(reading, name):
 
 @pytest.mark.parametrize("years", [-2.0, 2.0])
 def test_a_year_since_calibration_counts(rig, years):
-    """1 % per year: 2 % two years after or before, nothing at once; flagged where nothing is as large."""
+    """1 % per year: 2 % two years after or before, nothing at once; flagged where nothing else is as large."""
     calibration = calibrated(rig, uncertainties=only(drift_u_rel_per_year=0.01), validity_days=3650.0)
     assert line(read(rig, calibration), "drift") == 0.0
     other = read(rig, calibration, now=NOON + dt.timedelta(days=years * 365.25))
@@ -406,8 +405,7 @@ def test_a_dark_patch_of_photographs_is_read_from_frames_that_hold_it(radiance, 
         numbers = np.rint(255 * light ** (1 / 2.2)).astype(np.uint8)
         frames.append(Frame(numbers, 8, FrameSettings(float(exposure_s), 0.0, 4.0)))
     noise = SensorNoise(conversion_gain_e_per_dn=300.0, read_noise_e=60.0)
-    scale = Scale(value=1.0, u_rel=0.0, method="relative")
-    known = Calibration(camera, LensDescription(), scale, curve, noise, BlackLevel(dn=0.0))
+    known = relative_calibration(camera, noise, response=curve, black_level=BlackLevel(dn=0.0))
     reading = read_patch(frames, Patch(2, 2, 20, 20), Setup(camera, calibration=known))
     found = reading.radiance
     assert abs(found.value / radiance - 1.0) < within

@@ -35,11 +35,13 @@ def state_of(folder, seed, name, plan, given=(), **more):
 @pytest.mark.parametrize(
     ("name", "along", "law", "parameter", "drawn"),
     [
-        ("smear", "column_light", "transfer_proportion_of_column", "amplitude_s", "shift_s"),
         ("gain_noise", "signal", "tremble_constant", "amplitude", "depth"),
-        ("stop_hysteresis", "f_number", "optics_two_of_stop", "amplitude", "error"),
+        *(pytest.param(*row, marks=pytest.mark.long) for row in (
+            ("smear", "column_light", "transfer_proportion_of_column", "amplitude_s", "shift_s"),
+            ("stop_hysteresis", "f_number", "optics_two_of_stop", "amplitude", "error"),
+        )),
     ],
-)
+)  # fmt: skip
 def test_a_law_of_columns_of_noise_and_of_some_stops(name, along, law, parameter, drawn, tmp_path):
     """What the tests' own generator hid is found at its size, within four of its u."""
     made = make_session(name, camera_seed=71, session_seed=72, plan="rich")
@@ -108,7 +110,7 @@ def test_the_law_holds_in_another_session(glow, tmp_path):
     assert after.gap - 1.0 < 0.1 * (before.gap - 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_amplifiers_are_distinguished_from_shading_by_their_noise(tmp_path):
     """A step of the gain at a row scales charge and its noise: the stage is the readout, not the optics."""
     state, session = state_of(tmp_path / "set", 2, "row_gain_step", "bracket")
@@ -131,7 +133,7 @@ def test_what_a_rest_does_to_the_black_level_is_seen(tmp_path):
     assert abs(tau.value - session.secret.drawn["tau_s"]) < 4.0 * tau.u
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_lamp_that_dims_each_fifth_frame_gets_a_law_of_the_frames(tmp_path):
     """Which frame of five, and by how much: the source's light, in frames as they were taken."""
     state, session = state_of(tmp_path / "set", 66004, "every_fifth_dim", "flats")
@@ -180,7 +182,7 @@ def test_the_covariates_of_laws_for_what_an_entry_goes_with(effect, along):
     assert set(own_covariates(effect)) == along
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_glow_of_an_amplifier_is_no_dark_current(tmp_path):
     """A Gaussian from a corner in proportion to the exposure is named as glow, not as dark current."""
     from radiometer.reconciliation.engine import reconcile_capture
