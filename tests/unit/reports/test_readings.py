@@ -468,6 +468,11 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
     "sensor in Fahrenheit": (
         read_nights, nights(SKY.replace("temperature_c", "temp (F)"), lambda k: f"{3e4 + k},0.5,68,20.{k}"),
         {"C 0": 20.0}, ""),
+    "a colour temperature is in mired": (
+        read_nights, nights("utc,adu,exposure_s,sqm,cct_k", lambda k: f"{3e4 + k},0.5,20.{k},4000"),
+        {"colour": 250.0}, ""),
+    "a colour index is none": (
+        read_nights, nights("utc,adu,exposure_s,sqm,b_v", lambda k: f"{3e4 + k},0.5,20.{k},0.6"), {"colour": 0.6}, ""),
     "0 mag is no reading": (
         read_nights, nights(SKY, lambda k: f"{3e4 + k},0.5,20,{0 if k == 2 else 20}.{0 if k == 2 else k}"),
         {"rows": 16}, "0 mag is no reading"),
