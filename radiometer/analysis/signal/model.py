@@ -447,8 +447,9 @@ def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel, 
     slope = float(model.at_dn(model.slope, model.black_dn))
     unstated = "dark_current_e_per_s" in model.noise.assumed
     u_dark = _unknown_dark_u(settings, model, darkest) if unstated else black.dark_u_rel * dark
-    u_common = math.hypot(black.u_dn * slope, u_dark)
-    return DarkLevel(dark, 0.0, u_common, "black level", u_dark if unstated else 0.0)
+    # Of a black level that nothing states the darkest pixels show more than a calibration's: it is below them.
+    u_black = min(black.u_dn * slope, max(darkest / math.sqrt(3.0), BlackLevel().u_dn * slope))
+    return DarkLevel(dark, 0.0, math.hypot(u_black, u_dark), "black level", u_dark if unstated else 0.0)
 
 
 def whole_darks(dark_frames: Sequence[Frame]) -> list[Frame]:
