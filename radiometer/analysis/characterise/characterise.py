@@ -13,10 +13,11 @@ from radiometer.analysis.characterise.dark_signal import (
     gain_from_darks,
     typical_dark_current,
     unbent,
+    with_open_current,
 )
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.linearity import linearity
-from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
+from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, of_exposure, prnu
 from radiometer.analysis.characterise.partial import (
     bent,
     disagreeing_gains,
@@ -40,10 +41,12 @@ from radiometer.analysis.characterise.sensitivity import (
 from radiometer.analysis.characterise.steps import SignalStep, contradicting_darks, contradicting_steps, make_steps
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Quantity
+from radiometer.data.sensor_noise import SensorNoise, most_dark_e_per_s
 from radiometer.errors import MeasurementError
 from radiometer.numbers import lower_limit
 
 _FEWEST_LEVELS = 3
+_MOST_OF_STATED = 3.0  # of a data sheet's typical dark current
 
 
 def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None = None) -> Characterisation:
@@ -180,7 +183,7 @@ class _Work:
 
     def result(self) -> Characterisation:
         plateaus = [
-            (group, dark_signal(group, self._step_dn))
+            (group, self._dark_signal(group))
             for group in by_temperature(self.at.dark)
             if any(d.has_noise for d in group)
         ]
@@ -219,6 +222,14 @@ class _Work:
             reference_temperature_c=own[1].temperature_c,
             limited_by=self._limited_by(),
         )
+
+    def _dark_signal(self, group: Sequence[GroupStatistics]) -> DarkSignal:
+        found, camera = dark_signal(group, self._step_dn), self.subject.camera
+        noise, longest_s = SensorNoise.of(camera), max(d.settings.exposure_s for d in group)
+        most_e = most_dark_e_per_s(camera, found.temperature_c) * longest_s
+        if "dark_current_e_per_s" not in noise.assumed:  # single sensors have up to three times as much
+            most_e = min(most_e, _MOST_OF_STATED * noise.dark_e(longest_s, found.temperature_c))
+        return with_open_current(found, group, self.at.transfer.K, most_e)
 
     @property
     def _step_dn(self) -> int:
@@ -284,13 +295,12 @@ class _Work:
             return {}  # statistics without pictures
         chosen = [s for s in self.at.bright if s.clipped_share <= CLIPPED_SHARE] or list(self.at.bright)
         bright = best_stack(chosen, saturation, dark[0].mean_dn)
-        matching_dark = min(
-            dark, key=lambda d: (abs(d.settings.exposure_s - bright.settings.exposure_s) > 1e-6, -d.frames)
-        )
+        signal_dn = next(step.signal_dn for step in self.at.steps if step.bright is bright)
+        K, near = self.at.transfer.K, of_exposure(dark, bright.settings.exposure_s)
         return {
-            "DSNU_1288": dsnu(matching_dark, self.at.transfer.K),
-            "PRNU_1288": prnu(bright, matching_dark),
-            **nonuniformity_by_part(bright, matching_dark, self.at.transfer.K),
+            "DSNU_1288": dsnu(near, K),
+            "PRNU_1288": prnu(bright, dark, signal_dn),
+            **nonuniformity_by_part(bright, dark, K, signal_dn),
         }
 
     def _warn(self, notes: list[str]) -> None:

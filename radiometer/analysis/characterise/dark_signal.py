@@ -54,15 +54,18 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
     Source: EMVA Standard 1288, release 4.0, sections 6.7 and 7.
     """
     dark, mean_line = unbent(dark), None
-    if len({d.settings.exposure_s for d in dark}) > 2:
-        mean_line = _mean_line(dark, [d.mean_dn for d in dark], step_dn)
-        mean = Quantity(mean_line.intercept, mean_line.u_intercept, "DN")
+    exposures = len({d.settings.exposure_s for d in dark})
+    if exposures > 1:
+        line = _mean_line(dark, [d.mean_dn for d in dark], step_dn)
+        mean, mean_line = Quantity(line.intercept, line.u_intercept, "DN"), line if exposures > 2 else None
     else:
         first = min(range(len(dark)), key=lambda i: dark[i].settings.exposure_s)
         mean = Quantity(dark[first].mean_dn, float(_u_of_means(dark, step_dn)[first]), "DN")
     variance_line, variance = _variance([d for d in dark if d.has_noise])
     smallest = PLAIN_FROM * step_dn**2
-    limited = variance.value < smallest
+    limited = variance.value < smallest and variance.u < smallest
+    if variance.value < smallest and not limited:  # long exposures leave the noise at 0 s open
+        variance = Quantity(smallest, math.hypot(variance.u, smallest - variance.value), "DN^2")
     if limited:  # all that is known is a bound; over [0, bound] the root mean square distance from it is bound/√3
         variance = Quantity(smallest, smallest / math.sqrt(3.0), "DN^2")
     known = [d.settings.temperature_c for d in dark if d.settings.temperature_c is not None]
@@ -74,6 +77,26 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
         float(np.mean(known)) if known else None,
         limited,
     )
+
+
+def with_open_current(found: DarkSignal, dark: Sequence[GroupStatistics], K: Quantity, most_e: float) -> DarkSignal:
+    """Return the dark signal of one exposure, which may hold dark current; that of several as it is.
+
+    Source: the shot noise of dark electrons is at most all of the variance, so they are at most σ²/K².
+
+    Args:
+        found: As of `dark_signal`.
+        dark: The groups that it is of.
+        K: Overall system gain in DN/e-.
+        most_e: Greatest dark signal of a camera at the longest exposure in e-.
+    """
+    if len({d.settings.exposure_s for d in dark}) > 1:
+        return found
+    # Over [0, most] the root mean square distance from an end is most/√3.
+    u_dn = min(K.value * most_e, found.variance_dn2.value / K.value) / math.sqrt(3.0)
+    mean = replace(found.mean_dn, u=math.hypot(found.mean_dn.u, u_dn))
+    variance = replace(found.variance_dn2, u=math.hypot(found.variance_dn2.u, K.value * u_dn))
+    return replace(found, mean_dn=mean, variance_dn2=variance)
 
 
 def unbent(dark: Sequence[GroupStatistics]) -> list[GroupStatistics]:
@@ -153,9 +176,9 @@ def _variance(dark: Sequence[GroupStatistics]) -> tuple[Line | None, Quantity]:
     """Return the line of the variance over exposure where there are three, and the variance at exposure 0 in DN²."""
     times = np.array([d.settings.exposure_s for d in dark])
     variances, u = np.array([(d.variance_dn2, max(d.u_variance_dn2, 1e-9)) for d in dark]).T
-    if np.unique(times).size > 2:
+    if (exposures := np.unique(times).size) > 1:
         line = fit_line(times, variances, u)
-        return line, Quantity(line.intercept, line.u_intercept, "DN^2")
+        return line if exposures > 2 else None, Quantity(line.intercept, line.u_intercept, "DN^2")
     first = int(np.argmin(times))
     return None, Quantity(float(variances[first]), float(u[first]), "DN^2")
 

@@ -15,7 +15,7 @@ from radiometer.analysis.characterise.dark_signal import (
     typical_dark_current,
 )
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
-from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
+from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, of_exposure, prnu
 from radiometer.analysis.characterise.photon_transfer import (
     CLIPPED_SHARE,
     PhotonTransfer,
@@ -252,8 +252,11 @@ def _nonuniformity(
     bright = best_stack(clear, max(b.mean_dn for b in clear), below.mean_dn) if clear else None
     figures = {"DSNU_1288": dsnu(below, K)} if K is not None else {}
     if bright is not None:
-        figures["PRNU_1288"] = prnu(bright, below)
-    return figures | nonuniformity_by_part(bright, below, K)
+        near = of_exposure(stacks, bright.settings.exposure_s)
+        alike, signal_dn = next(one for one in by_temperature(stacks) if near in one), bright.mean_dn - near.mean_dn
+        figures["PRNU_1288"] = prnu(bright, alike, signal_dn)
+        return figures | nonuniformity_by_part(bright, alike, K, signal_dn)
+    return figures | nonuniformity_by_part(None, [below], K)
 
 
 def _of_masked_rows(masked_dn: Sequence[float]) -> Quantity:
