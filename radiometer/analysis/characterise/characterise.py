@@ -27,6 +27,7 @@ from radiometer.analysis.characterise.partial import (
 )
 from radiometer.analysis.characterise.photon_transfer import (
     CLIPPED_SHARE,
+    FewSteps,
     PhotonTransfer,
     photon_transfer,
 )
@@ -76,7 +77,13 @@ def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None 
         subject = replace(subject, notes=(*subject.notes, *named))
     if not _complete(kept, dark):
         return partial_characterisation(subject, bright, kept, dark)
-    gains = _characterised_gains(kept, dark, subject.camera.code_step_dn or 1)
+    try:
+        gains = _characterised_gains(kept, dark, subject.camera.code_step_dn or 1)
+    except FewSteps as few:
+        if not few.used:
+            raise
+        subject = replace(subject, notes=(*subject.notes, str(few)))
+        return partial_characterisation(subject, bright, [step.bright for step in few.used], dark)
     return _Work(subject, gains[0], {g.gain_db: g.transfer.K for g in sorted(gains, key=lambda g: g.gain_db)}).result()
 
 
