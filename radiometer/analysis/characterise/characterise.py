@@ -42,12 +42,10 @@ from radiometer.analysis.characterise.sensitivity import (
 from radiometer.analysis.characterise.steps import SignalStep, contradicting_darks, contradicting_steps, make_steps
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Quantity
-from radiometer.data.sensor_noise import SensorNoise, most_dark_e_per_s
 from radiometer.errors import MeasurementError
 from radiometer.numbers import lower_limit
 
 _FEWEST_LEVELS = 3
-_MOST_OF_STATED = 3.0  # of a data sheet's typical dark current
 
 
 def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None = None) -> Characterisation:
@@ -190,7 +188,10 @@ class _Work:
 
     def result(self) -> Characterisation:
         plateaus = [
-            (group, self._dark_signal(group))
+            (
+                group,
+                with_open_current(dark_signal(group, self._step_dn), group, self.at.transfer.K, self.subject.camera),
+            )
             for group in by_temperature(self.at.dark)
             if any(d.has_noise for d in group)
         ]
@@ -229,14 +230,6 @@ class _Work:
             reference_temperature_c=own[1].temperature_c,
             limited_by=self._limited_by(),
         )
-
-    def _dark_signal(self, group: Sequence[GroupStatistics]) -> DarkSignal:
-        found, camera = dark_signal(group, self._step_dn), self.subject.camera
-        noise, longest_s = SensorNoise.of(camera), max(d.settings.exposure_s for d in group)
-        most_e = most_dark_e_per_s(camera, found.temperature_c) * longest_s
-        if "dark_current_e_per_s" not in noise.assumed:  # single sensors have up to three times as much
-            most_e = min(most_e, _MOST_OF_STATED * noise.dark_e(longest_s, found.temperature_c))
-        return with_open_current(found, group, self.at.transfer.K, most_e)
 
     @property
     def _step_dn(self) -> int:

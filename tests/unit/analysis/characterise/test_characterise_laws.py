@@ -459,11 +459,11 @@ def test_darkness_begins_at_0_s_on_the_line_of_its_exposures():
         assert (found.mean_dn.value, found.variance_dn2.value) == pytest.approx((100.0, 38.0))
         assert found.mean_line is None
     alone = dark_signal([one])
-    open_to = with_open_current(alone, [one], Quantity(0.5, 0.0, "DN/e-"), 1e4)
+    K = Quantity(0.5, 0.0, "DN/e-")
+    open_to = with_open_current(alone, [one], K, CameraDescription(bit_depth=12))
     assert open_to.mean_dn.u == pytest.approx(80.0 / math.sqrt(3.0), rel=1e-3)
-    assert with_open_current(alone, [one], Quantity(0.5, 0.0, "DN/e-"), 2.0).mean_dn.u == pytest.approx(
-        1.0 / math.sqrt(3.0), rel=1e-2
-    )
+    stated = CameraDescription(bit_depth=12, dark_current_e_per_s=1.0)  # of a single sensor up to three times as much
+    assert with_open_current(alone, [one], K, stated).mean_dn.u == pytest.approx(1.5 / math.sqrt(3.0), rel=1e-2)
     found = dark_signal([two, group(103.0, 44.0, 3.0, dark=True), one])
     assert (found.mean_dn.value, found.variance_dn2.value) == pytest.approx((100.0, 38.0))
     assert found.mean_line is not None
