@@ -49,6 +49,9 @@ def test_saturating_channels_are_named_led_droop(seed, tmp_path):
     assert [one.name for one in effects] == ["led_droop"]
     size = effects[0].parameters["deviation_at_half_drive"]
     assert abs(size.value - np.expm1(0.05)) <= 3.0 * size.u
+    of_laws = [one.parameters["deviation_at_half_drive"] for one in rm.light_law(file).laws.values()]
+    largest = max(of_laws, key=lambda one: one.value)
+    assert (size.value, size.u) == pytest.approx((largest.value, largest.u))
 
 
 @pytest.mark.parametrize("seed", [77, 78, 79])
