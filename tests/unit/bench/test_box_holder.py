@@ -9,7 +9,6 @@ import time
 import tty
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -21,7 +20,7 @@ from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box, 
 from radiometer.bench.served_box import served_box
 from radiometer.cli.main import run
 from radiometer.daemon.bench_instrument import bench_light
-from radiometer.devices.exposure_account import Account, Moment
+from radiometer.devices.exposure_account import Account, FileStore, Moment
 from radiometer.devices.light_box import DriveLevel
 from radiometer.errors import DeviceError, DeviceInUse, DeviceNotFound, OutputError
 from simulators.light_box.virtual_line import LineFaults
@@ -349,7 +348,7 @@ def test_an_account_is_free_ten_thousand_seconds_after_its_last_light(monkeypatc
     """Light that no eye was named for counts for every eye; a box whose history is unknown says until when."""
     given = {"box A": {}, "any eye": {19_000.0: 0.1}, "eye s right": {18_000.0: 0.2, 15_000.0: 0.4}}
     account = Account(Moment("boot", 20_000.0, 0.0), given, {"box A": (20_500.0, "")})
-    monkeypatch.setattr(boxes, "exposure_store", lambda: SimpleNamespace(look=lambda: account))
+    monkeypatch.setattr(FileStore, "look", lambda store: account)
     reports = {one.name: (one.blue_light, one.frees_in_s, one.unknown_for_s) for one in boxes.exposure_reports()[0]}
     assert reports == {
         "any eye": (0.1, 9000.0, 0.0),
