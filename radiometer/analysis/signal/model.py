@@ -234,6 +234,7 @@ class DarkLevel:
     u_common: float  # standard uncertainty shared with all other frames
     source: str  # "dark frames", "masked pixels" or "black level"
     u_unstated: float = 0.0  # part of `u_common` that a dark current makes which nothing states
+    frames: int = 0  # dark frames of the exposure that it is the mean of
 
 
 def dark_levels(
@@ -248,8 +249,8 @@ def dark_levels(
 
     A dark frame of the same exposure and gain is used as it is; so are masked pixels of the frame itself. Dark
     frames of other exposures correct the black level, with the modelled dark current taken off theirs. Without any,
-    black level and model stand alone. Of dark frames that are cut off at 0 the mean is the most that the dark signal
-    can be.
+    or where they show it less well than it is known, black level and model stand alone. Of dark frames that are cut
+    off at 0 the mean is the most that the dark signal can be.
 
     Args:
         settings: Of the light frames.
@@ -259,9 +260,30 @@ def dark_levels(
         darkest: Signal x of the darkest pixels of every light frame: no dark signal is above it.
     """
     masked, most = masked_dn or (None,) * len(settings), darkest or (math.inf,) * len(settings)
-    return [
+    levels = [
         _level(one, dark_frames, model, black, dn, least) for one, dn, least in zip(settings, masked, most, strict=True)
     ]
+    wander = _wander_dn(dark_frames) * float(model.at_dn(model.slope, model.black_dn))
+    # Light frames of one exposure share their dark frames, and so does the error of those.
+    return [
+        replace(one, u_common=math.hypot(one.u_common, wander / math.sqrt(one.frames))) if one.frames else one
+        for one in levels
+    ]
+
+
+def _wander_dn(dark_frames: Sequence[Frame]) -> float:
+    """Return the standard deviation in DN at 0 dB by which dark frames of one setting differ in their means.
+
+    Cameras that clamp their black level by themselves move it from frame to frame, more than noise leaves in a mean.
+    0 where no setting repeats.
+    """
+    means: dict[tuple[float, float], list[float]] = {}
+    for frame in dark_frames:
+        one = frame.settings
+        means.setdefault((one.exposure_s, one.gain_db), []).append(float(frame.dn.mean()) / gain_factor(one.gain_db))
+    freedom = sum(len(group) - 1 for group in means.values())
+    squares = sum(float(np.var(group)) * len(group) for group in means.values())
+    return math.sqrt(squares / freedom) if freedom else 0.0
 
 
 def _level(
@@ -278,7 +300,11 @@ def _level(
         return _from_masked(settings, masked_dn, model)
     same_gain = [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]
     if whole := [frame for frame in same_gain if not is_cut_off(frame)]:
-        return _from_other_exposures(settings, whole, model, black, darkest)
+        ways = (
+            _from_other_exposures(settings, whole, model, black, darkest),
+            _from_model(settings, model, black, darkest),
+        )
+        return min(ways, key=lambda one: math.hypot(one.u_independent, one.u_common))
     level = _from_model(settings, model, black, darkest)
     if not same_gain:
         return level
@@ -342,7 +368,8 @@ def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalMode
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
     level = float(np.mean(means))
-    return DarkLevel(level, sigma, _u_of_rounding(settings, frames, model, darkest - level), "dark frames")
+    rounding = _u_of_rounding(settings, frames, model, darkest - level)
+    return DarkLevel(level, sigma, rounding, "dark frames", frames=len(frames))
 
 
 def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel, least: float) -> float:

@@ -170,6 +170,18 @@ def test_a_dark_frame_of_another_exposure_corrects_the_black_level():
     assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(noise, 0.4 * 2.5)))
 
 
+def test_a_long_dark_frame_does_not_widen_a_black_level_that_is_known():
+    """After 30 s a dark current of 50 e⁻/s ± 40 % leaves 300 DN in doubt: black level and model alone are ± 1.1 DN."""
+    (level,) = dark_levels([LIGHT], [dark_frame(850, 30.0)], LINEAR, DOUBT)
+    assert (level.signal, level.u_common) == (pytest.approx(2.5), pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
+
+
+def test_a_black_level_that_wanders_is_known_to_the_scatter_of_dark_frames():
+    """Means of 108 and 112 DN have a standard deviation of 2.8 DN: their mean is known to 2 DN, for all lights."""
+    first, second = dark_levels([LIGHT, LIGHT], [dark_frame(108, 0.1), dark_frame(112, 0.1)], LINEAR, DOUBT)
+    assert first.u_common == second.u_common == pytest.approx(2.0, rel=0.01)
+
+
 def test_dark_frames_of_two_other_exposures_show_black_level_and_dark_current():
     """10 DN after 0.2 s and 14 after 0.4 are 8 after 0.1, whatever the model; that far off noise counts √2.5 fold."""
     frames = [dark_frame(110, 0.2), dark_frame(114, 0.4)]
