@@ -82,7 +82,7 @@ def frame_terms(
         cut_at,
         float(np.sqrt(model.variance(max(cut_at, 0.0), settings))),
         dark,
-        math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)),
+        math.hypot(math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)), level.u_independent),
         model.black_of(settings),
         level.u_unstated,
         level.signal,

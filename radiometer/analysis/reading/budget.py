@@ -584,7 +584,11 @@ def _response(situation: PatchSituation) -> Term:
 
 def _dark(situation: PatchSituation) -> list[Term]:
     c = situation.shown.estimate.coefficients
-    own = float(np.sqrt(np.sum((c * [d.u_independent for d in situation.shown.dark]) ** 2)))
+    of_exposures: dict[tuple[float, float], float] = {}
+    for factor, frame, level in zip(c, situation.shown.frames, situation.shown.dark, strict=True):
+        key = frame.settings.exposure_s, frame.settings.gain_db
+        of_exposures[key] = of_exposures.get(key, 0.0) + float(factor) * level.u_independent
+    own = math.hypot(*of_exposures.values())
     common = float(abs(c @ [d.u_common for d in situation.shown.dark]))
     source = ", ".join(sorted({d.source for d in situation.shown.dark}))
     u = situation.scale * math.hypot(own, common)

@@ -230,7 +230,8 @@ class DarkLevel:
     """Dark signal of one light frame in the unit of x at 0 dB."""
 
     signal: float  # expected dark signal
-    u_independent: float  # standard uncertainty that this frame's dark level has for itself
+    # Standard uncertainty that this frame's dark level has for itself; frames of its exposure share its dark frames
+    u_independent: float
     u_common: float  # standard uncertainty shared with all other frames
     source: str  # "dark frames", "masked pixels" or "black level"
     u_unstated: float = 0.0  # part of `u_common` that a dark current makes which nothing states
@@ -341,6 +342,9 @@ def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalMode
         means.append(float(signal_of(frame, model, settings).mean()))
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
+    if (freedom := len(means) - 1) > 0:  # black levels wander from frame to frame, beyond what noise leaves in a mean
+        wander = max(float(np.var(means, ddof=1)) - len(means) * sigma**2, 0.0) / len(means)
+        sigma = math.hypot(sigma, math.sqrt(wander) * float(special.stdtrit(freedom, _TWO_SIDED)) / 2.0)
     level = float(np.mean(means))
     return DarkLevel(level, sigma, _u_of_rounding(settings, frames, model, darkest - level), "dark frames")
 
