@@ -42,6 +42,7 @@ class FrameTerms:
     black_dn: float  # black level in DN
     u_unstated: float = 0.0  # standard uncertainty of the signal of a dark current that nothing states
     level: float = 0.0  # dark signal x that both ends are counted from: the whole frame's
+    has_single_dark: bool = False  # whether one dark frame alone gives its dark signal
     dark_variance: float = 0.0  # variance of every pixel's `dark`, within `variance`; frames of one exposure share it
 
 
@@ -86,6 +87,7 @@ def frame_terms(
         model.black_of(settings),
         level.u_unstated,
         level.signal,
+        level.is_single,
         extra,
     )
 

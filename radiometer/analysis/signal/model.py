@@ -235,6 +235,8 @@ class DarkLevel:
     u_common: float  # standard uncertainty shared with all other frames
     source: str  # "dark frames", "masked pixels" or "black level"
     u_unstated: float = 0.0  # part of `u_common` that a dark current makes which nothing states
+    # Whether one dark frame alone gives it: the lights of its exposure then show how far such frames scatter
+    is_single: bool = False
 
 
 def dark_levels(
@@ -346,7 +348,8 @@ def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalMode
         wander = max(float(np.var(means, ddof=1)) - len(means) * sigma**2, 0.0) / len(means)
         sigma = math.hypot(sigma, math.sqrt(wander) * float(special.stdtrit(freedom, _TWO_SIDED)) / 2.0)
     level = float(np.mean(means))
-    return DarkLevel(level, sigma, _u_of_rounding(settings, frames, model, darkest - level), "dark frames")
+    u_common = _u_of_rounding(settings, frames, model, darkest - level)
+    return DarkLevel(level, sigma, u_common, "dark frames", is_single=len(frames) == 1)
 
 
 def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel, least: float) -> float:
@@ -478,7 +481,7 @@ def mean_darks(dark_frames: Sequence[Frame]) -> tuple[NDArray[np.float64], NDArr
 def unexposed_dn(times: NDArray[np.float64], means: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return the start, in DN, of the straight line over time of dark signals, and what its u is over that of a mean.
 
-    None where exposure times are one, or differ by no more than 5 %: they show no line.
+    None where exposure times are one, or differ by at most 5 %: they show no line.
     """
     if np.ptp(times) <= _OTHER_EXPOSURE_REL * times.max():
         return None
