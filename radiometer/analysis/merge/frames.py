@@ -68,6 +68,7 @@ def frame_terms(
     gain = gain_factor(settings.gain_db)
     level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
     dark, extra = dark_map(settings, dark_frames, model, level.signal)
+    of_frames = math.sqrt(max(level.u_independent**2 - (extra / dark.size if dark.size > 1 else 0.0), 0.0))
     low, high = _lowest_dn(model, settings), math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
     cut_at = float(model.at_dn(model.table(settings), low - 0.5)) - level.signal if low > 0 else -math.inf
@@ -83,7 +84,7 @@ def frame_terms(
         cut_at,
         float(np.sqrt(model.variance(max(cut_at, 0.0), settings))),
         dark,
-        math.hypot(math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)), level.u_independent),
+        math.hypot(math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)), of_frames),
         model.black_of(settings),
         level.u_unstated,
         level.signal,

@@ -131,12 +131,14 @@ def test_without_dark_frames_the_model_stands_alone():
 
 
 def test_dark_frames_of_the_exposure_are_taken_as_they_are():
-    """Mean of the frames; noise of one sample over the root of all samples; nothing shared."""
-    frames = [dark_frame(110, 0.1), dark_frame(112, 0.1005)]
+    """Mean of the frames; noise of one sample over the root of all, scatter by Student's t of one; nothing shared."""
+    frames = [dark_frame(111, 0.1), dark_frame(111, 0.1005)]
     (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
     assert (level.signal, level.source) == (pytest.approx(11.0), "dark frames")
     assert level.u_common == 0.0
     assert level.u_independent == pytest.approx(math.sqrt(float(LINEAR.variance(0.0, LIGHT)) / 200))
+    (scattered,) = dark_levels([LIGHT], [dark_frame(110, 0.1), dark_frame(112, 0.1005)], LINEAR, DOUBT)
+    assert scattered.u_independent == pytest.approx(13.97 / 2.0, rel=0.05)
     for other in (dark_frame(110, 0.098), dark_frame(110, 0.102)):
         assert dark_levels([LIGHT], [other], LINEAR, DOUBT)[0].source == "dark frames of other exposures"
     assert dark_levels([LIGHT], [dark_frame(110, 0.1, 6.0)], LINEAR, DOUBT)[0].source == "black level"
