@@ -374,6 +374,8 @@ def test_a_ramp_sets_out_from_what_its_own_channel_still_shows(desk, channel, si
     desk.pulse(ledger, 50.0)
     desk.clock.wait(since_s)
     desk.light(ledger, Stimulus(channel, 1.0, math.inf, math.inf, ramp_s=60.0))
+    with pytest.raises(UnsafeStimulus):
+        ledger.refuse_unsafe(channel, 1000.0, 60.0)
 
 
 def test_thermal_limits_of_lights_together_add_up(desk):
