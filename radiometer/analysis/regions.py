@@ -81,17 +81,19 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     u_mean = math.hypot(math.sqrt(float(np.sum(own[good] ** 2))), u_open) / count
     (boxes, noise), (levels, _) = (_boxes(one, own, good, box_px) for one in (values, shared))
     ends = [int(boxes.argmin()), int(boxes.argmax())]
-    low, high = (float(boxes[at]) for at in ends)
-    u_low, u_high = (math.hypot(noise[at], _extreme_u(noise[at], values.size)) for at in ends)
+    # Noise makes an extreme by anything up to what it makes of even light: half of that is taken off, and is in u.
+    excess = [_extreme_u(noise[at], boxes.size) * math.sqrt(3.0) if boxes.size > 1 else 0.0 for at in ends]
+    low, high = min(float(boxes[ends[0]]) + excess[0] / 2.0, level), max(float(boxes[ends[1]]) - excess[1] / 2.0, level)
+    u_low, u_high = (math.hypot(noise[at], over / math.sqrt(12.0)) for at, over in zip(ends, excess, strict=True))
     shared_low, shared_high = (float(levels[at]) for at in ends)
     variance = float(values[good].var(ddof=1)) if count > 1 else math.nan  # of one pixel it is not known
     pattern = float(np.mean((found.u_rel_pattern * values[good]) ** 2))
     spread, u_spread = spread_beyond_noise(variance, float(np.mean(own[good] ** 2)) - pattern, count, pattern)
     uniformity = low / high if high > 0 else math.nan
-    u_uniformity = u_low / max(high, 1e-30)
+    u_uniformity = (u_low + u_high) / max(high, 1e-30)
     if low > 0:
-        of_ends = u_low / high, low * u_high / high**2
-        u_uniformity = math.hypot(*of_ends, u_of_ratio(low, high, shared_low, shared_high))
+        of_ends = u_low / high + low * u_high / high**2  # of even light both are off at once
+        u_uniformity = math.hypot(of_ends, u_of_ratio(low, high, shared_low, shared_high))
     by_level = min(u_level / max(abs(level), 1e-30), 1.0)
     return RegionFigures(
         name, patch, Quantity(level, math.hypot(u_mean, u_level, level * common), unit),

@@ -670,6 +670,11 @@ class StreamingMerge:
         """
         levels, calibration = merge_tables(self._terms, self._model).at_levels(), self._calibration
         u_rel = np.hypot(levels.u_rel, self._wander_rel * np.sqrt((levels.weights**2).sum(axis=0)))
+        # One dark frame scatters as the lights do, and all lights of its exposure share it.
+        single = [(one.settings.exposure_s, one.settings.gain_db) for one in self._terms if one.has_single_dark]
+        for key in set(single):
+            own = [(one.settings.exposure_s, one.settings.gain_db) == key for one in self._terms]
+            u_rel = np.hypot(u_rel, self._wander_rel * levels.weights[own].sum(axis=0))
         if calibration is not None and self._brightest_off() >= _REPORTED_REL:
             inverse_per_s = 1.0 / np.array([one.settings.exposure_s for one in self._terms])
             apart_per_s = inverse_per_s @ levels.weights - calibration.scale.conditions.inverse_exposure_per_s

@@ -42,6 +42,7 @@ class FrameTerms:
     black_dn: float  # black level in DN
     u_unstated: float = 0.0  # standard uncertainty of the signal of a dark current that nothing states
     level: float = 0.0  # dark signal x that both ends are counted from: the whole frame's
+    has_single_dark: bool = False  # whether one dark frame alone gives its dark signal
     dark_variance: float = 0.0  # variance of every pixel's `dark`, within `variance`; frames of one exposure share it
 
 
@@ -67,6 +68,7 @@ def frame_terms(
     gain = gain_factor(settings.gain_db)
     level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
     dark, extra = dark_map(settings, dark_frames, model, level.signal)
+    of_frames = math.sqrt(max(level.u_independent**2 - (extra / dark.size if dark.size > 1 else 0.0), 0.0))
     low, high = _lowest_dn(model, settings), math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
     cut_at = float(model.at_dn(model.table(settings), low - 0.5)) - level.signal if low > 0 else -math.inf
@@ -82,10 +84,11 @@ def frame_terms(
         cut_at,
         float(np.sqrt(model.variance(max(cut_at, 0.0), settings))),
         dark,
-        math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)),
+        math.hypot(math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)), of_frames),
         model.black_of(settings),
         level.u_unstated,
         level.signal,
+        level.is_single,
         extra,
     )
 

@@ -584,7 +584,13 @@ def _response(situation: PatchSituation) -> Term:
 
 def _dark(situation: PatchSituation) -> list[Term]:
     c = situation.shown.estimate.coefficients
-    own = float(np.sqrt(np.sum((c * [d.u_independent for d in situation.shown.dark]) ** 2)))
+    of_exposures: dict[tuple[float, float], float] = {}
+    shown = zip(c, situation.shown.frames, situation.shown.dark, situation.shown.estimate.expected, strict=True)
+    for factor, frame, level, expected in shown:
+        key = frame.settings.exposure_s, frame.settings.gain_db
+        scatter = situation.shown.estimate.fluctuation_rel * float(expected) if level.is_single else 0.0
+        of_exposures[key] = of_exposures.get(key, 0.0) + float(factor) * math.hypot(level.u_independent, scatter)
+    own = math.hypot(*of_exposures.values())
     common = float(abs(c @ [d.u_common for d in situation.shown.dark]))
     source = ", ".join(sorted({d.source for d in situation.shown.dark}))
     u = situation.scale * math.hypot(own, common)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,6 +88,7 @@ def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> 
     curve_counts = not situation.shares_level  # at the calibration's level its error drops out
     curve = rng.standard_normal(trials)  # one draw: the curve's error is taken as the same at all its numbers
     common_dark = rng.standard_normal(trials)
+    of_exposure: defaultdict[tuple[float, float], Array] = defaultdict(lambda: rng.standard_normal(trials))
     for c, frame, dark, expected in zip(
         estimate.coefficients, situation.shown.frames, situation.shown.dark, estimate.expected, strict=True
     ):
@@ -96,7 +98,8 @@ def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> 
         drawn = mean + noise * rng.standard_normal(trials)
         drawn += _student(fluctuation, max(estimate.degrees_of_freedom, 1), rng, trials)
         bent = (drawn - dark.signal) * situation.model.curve_u_rel(expected, frame.settings) * curve * curve_counts
-        dark_error = dark.u_common * common_dark + dark.u_independent * rng.standard_normal(trials)
+        own_dark = of_exposure[frame.settings.exposure_s, frame.settings.gain_db]
+        dark_error = dark.u_common * common_dark + dark.u_independent * own_dark
         rates += c * (drawn + bent - dark.signal - dark_error)
     pattern = next(term for term in budget_terms(situation) if term.name == "pixel pattern")
     return rates + _student(pattern.u / situation.scale, pattern.degrees_of_freedom, rng, trials)

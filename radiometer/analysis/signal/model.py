@@ -230,11 +230,13 @@ class DarkLevel:
     """Dark signal of one light frame in the unit of x at 0 dB."""
 
     signal: float  # expected dark signal
-    u_independent: float  # standard uncertainty that this frame's dark level has for itself
+    # Standard uncertainty that this frame's dark level has for itself; frames of its exposure share its dark frames
+    u_independent: float
     u_common: float  # standard uncertainty shared with all other frames
     source: str  # "dark frames", "masked pixels" or "black level"
     u_unstated: float = 0.0  # part of `u_common` that a dark current makes which nothing states
-    frames: int = 0  # dark frames of the exposure that it is the mean of
+    # Whether one dark frame alone gives it: the lights of its exposure then show how far such frames scatter
+    is_single: bool = False
 
 
 def dark_levels(
@@ -260,30 +262,9 @@ def dark_levels(
         darkest: Signal x of the darkest pixels of every light frame: no dark signal is above it.
     """
     masked, most = masked_dn or (None,) * len(settings), darkest or (math.inf,) * len(settings)
-    levels = [
+    return [
         _level(one, dark_frames, model, black, dn, least) for one, dn, least in zip(settings, masked, most, strict=True)
     ]
-    wander = _wander_dn(dark_frames) * float(model.at_dn(model.slope, model.black_dn))
-    # Light frames of one exposure share their dark frames, and so does the error of those.
-    return [
-        replace(one, u_common=math.hypot(one.u_common, wander / math.sqrt(one.frames))) if one.frames else one
-        for one in levels
-    ]
-
-
-def _wander_dn(dark_frames: Sequence[Frame]) -> float:
-    """Return the standard deviation in DN at 0 dB by which dark frames of one setting differ in their means.
-
-    Cameras that clamp their black level by themselves move it from frame to frame, more than noise leaves in a mean.
-    0 where no setting repeats.
-    """
-    means: dict[tuple[float, float], list[float]] = {}
-    for frame in dark_frames:
-        one = frame.settings
-        means.setdefault((one.exposure_s, one.gain_db), []).append(float(frame.dn.mean()) / gain_factor(one.gain_db))
-    freedom = sum(len(group) - 1 for group in means.values())
-    squares = sum(float(np.var(group)) * len(group) for group in means.values())
-    return math.sqrt(squares / freedom) if freedom else 0.0
 
 
 def _level(
@@ -367,9 +348,12 @@ def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalMode
         means.append(float(signal_of(frame, model, settings).mean()))
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
+    if (freedom := len(means) - 1) > 0:  # black levels wander from frame to frame, beyond what noise leaves in a mean
+        wander = max(float(np.var(means, ddof=1)) - len(means) * sigma**2, 0.0) / len(means)
+        sigma = math.hypot(sigma, math.sqrt(wander) * float(special.stdtrit(freedom, _TWO_SIDED)) / 2.0)
     level = float(np.mean(means))
-    rounding = _u_of_rounding(settings, frames, model, darkest - level)
-    return DarkLevel(level, sigma, rounding, "dark frames", frames=len(frames))
+    u_common = _u_of_rounding(settings, frames, model, darkest - level)
+    return DarkLevel(level, sigma, u_common, "dark frames", is_single=len(frames) == 1)
 
 
 def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel, least: float) -> float:
@@ -501,7 +485,7 @@ def mean_darks(dark_frames: Sequence[Frame]) -> tuple[NDArray[np.float64], NDArr
 def unexposed_dn(times: NDArray[np.float64], means: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return the start, in DN, of the straight line over time of dark signals, and what its u is over that of a mean.
 
-    None where exposure times are one, or differ by no more than 5 %: they show no line.
+    None where exposure times are one, or differ by at most 5 %: they show no line.
     """
     if np.ptp(times) <= _OTHER_EXPOSURE_REL * times.max():
         return None

@@ -131,12 +131,14 @@ def test_without_dark_frames_the_model_stands_alone():
 
 
 def test_dark_frames_of_the_exposure_are_taken_as_they_are():
-    """Mean of the frames; noise of one sample over the root of all samples; nothing shared."""
-    frames = [dark_frame(110, 0.1), dark_frame(112, 0.1005)]
+    """Mean of the frames; noise of one sample over the root of all, scatter by Student's t of one; nothing shared."""
+    frames = [dark_frame(111, 0.1), dark_frame(111, 0.1005)]
     (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
     assert (level.signal, level.source) == (pytest.approx(11.0), "dark frames")
     assert level.u_common == 0.0
     assert level.u_independent == pytest.approx(math.sqrt(float(LINEAR.variance(0.0, LIGHT)) / 200))
+    (scattered,) = dark_levels([LIGHT], [dark_frame(110, 0.1), dark_frame(112, 0.1005)], LINEAR, DOUBT)
+    assert scattered.u_independent == pytest.approx(13.97 / 2.0, rel=0.05)
     for other in (dark_frame(110, 0.098), dark_frame(110, 0.102)):
         assert dark_levels([LIGHT], [other], LINEAR, DOUBT)[0].source == "dark frames of other exposures"
     assert dark_levels([LIGHT], [dark_frame(110, 0.1, 6.0)], LINEAR, DOUBT)[0].source == "black level"
@@ -174,12 +176,6 @@ def test_a_long_dark_frame_does_not_widen_a_black_level_that_is_known():
     """After 30 s a dark current of 50 e⁻/s ± 40 % leaves 300 DN in doubt: black level and model alone are ± 1.1 DN."""
     (level,) = dark_levels([LIGHT], [dark_frame(850, 30.0)], LINEAR, DOUBT)
     assert (level.signal, level.u_common) == (pytest.approx(2.5), pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
-
-
-def test_a_black_level_that_wanders_is_known_to_the_scatter_of_dark_frames():
-    """Means of 108 and 112 DN have a standard deviation of 2.8 DN: their mean is known to 2 DN, for all lights."""
-    first, second = dark_levels([LIGHT, LIGHT], [dark_frame(108, 0.1), dark_frame(112, 0.1)], LINEAR, DOUBT)
-    assert first.u_common == second.u_common == pytest.approx(2.0, rel=0.01)
 
 
 def test_dark_frames_of_two_other_exposures_show_black_level_and_dark_current():
