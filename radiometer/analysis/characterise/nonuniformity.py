@@ -56,7 +56,7 @@ def _at_exposure(
 ) -> tuple[float, float]:
     """Return a spatial variance of the dark signal at the exposure of a bright group, and its standard uncertainty.
 
-    Its pattern is one without dark current and one that grows as time: variances lie on a line over time squared. One
+    Its pattern is one without dark current and one that grows as time: variances follow a line over time squared. One
     exposure alone leaves open how much grows.
     """
     exposure_s = bright.settings.exposure_s

@@ -474,7 +474,7 @@ def mean_darks(dark_frames: Sequence[Frame]) -> tuple[NDArray[np.float64], NDArr
 def unexposed_dn(times: NDArray[np.float64], means: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return the start, in DN, of the straight line over time of dark signals, and what its u is over that of a mean.
 
-    None where exposure times are one, or differ by no more than 5 %: they show no line.
+    None where exposure times are one, or differ by at most 5 %: they show no line.
     """
     if np.ptp(times) <= _OTHER_EXPOSURE_REL * times.max():
         return None
