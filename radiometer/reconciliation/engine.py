@@ -25,7 +25,7 @@ from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.descent import first_state, fitted_parameters, is_misfit, scatter_of
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
-from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
@@ -446,18 +446,19 @@ def _found(
     state, weak = outcome.state, insignificant_names(outcome)
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}
-    rest, found = rest_of(outcome, again), list[FoundEffect]()
+    unnamed, found = rest_of(outcome, again), list[FoundEffect]()
     others = with_other_functional_form(outcome)
     for step in outcome.steps:
-        if step.name == "unnamed" and rest is not None and rest not in found:
-            found.append(rest)
+        if step.name == "unnamed" and unnamed is not None and unnamed not in found:
+            found.append(unnamed)
         elif step.name in present and step.name not in weak:
             own = present[step.name]
             what = f"which effects act like {step.name}"
             alike = _optional_step(what, partial(inseparable, state, own, entries), failed) or ()
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
             what = f"the capture that separates {step.name} from its rivals"
-            advice = _optional_step(what, partial(propose, state, own, rivals), failed)
+            rest = with_effects(state, [effect for effect in state.effects if effect is not own])
+            advice = _optional_step(what, partial(propose, rest, own, rivals), failed)
             fitted, curved = dict(parameters[step.name]), tuple[str, ...]()
             if isinstance(own, FreeLaw):
                 what, curved = f"how well the size of {step.name} is known", own.law_names()
@@ -478,7 +479,7 @@ def _found(
                     curve=LawCurve.of(own, parameters[step.name]),
                 )
             )
-    return (*found, rest) if rest is not None and rest not in found else tuple(found)
+    return (*found, unnamed) if unnamed is not None and unnamed not in found else tuple(found)
 
 
 def _place(test: Disagreement) -> Place:

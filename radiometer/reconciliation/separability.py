@@ -27,7 +27,7 @@ from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects
-from radiometer.reconciliation.next_capture import separating_capture
+from radiometer.reconciliation.next_capture import propose
 from radiometer.reconciliation.result import Limit
 from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
 from radiometer.reconciliation.statistics import Prediction, partly_at_the_top
@@ -549,5 +549,5 @@ def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bo
         names = frozenset({name, *(effect.name for effect in others)})
         if others and (every or names not in reported):
             reported.add(names)
-            capture = None if every else separating_capture(state, alike.target.effect, others)
+            capture = None if every else propose(state, alike.target.effect, others)
             yield Together(name, tuple(effect.name for effect in others), capture)

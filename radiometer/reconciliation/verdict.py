@@ -11,20 +11,19 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
+from radiometer.reconciliation.fit.comparison import FAMILY, Comparison
 from radiometer.reconciliation.fit.descent import fitted_parameters, is_misfit, refit, scatter_of
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
 from radiometer.reconciliation.measure.frame_order import Periodic
 from radiometer.reconciliation.posterior import Posterior
 from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
-from radiometer.reconciliation.search.localise import axis_of, covariates, departing, own_place
+from radiometer.reconciliation.search.localise import Disagreement, axis_of, departing, own_place
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
     NAMED_NATS,
     SMOOTH_SHARE,
 )
-from radiometer.statistics.least_squares import chi_square
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
@@ -168,7 +167,7 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
     weak = insignificant_names(outcome)
     places += [(step.where, "") for step in outcome.steps if step.name in weak]
     if not places and not explained and is_misfit(state):
-        block, where = place_of_scatter(state)
+        block, where = place_of_scatter(state, outcome.tests)
         places = [(where, block)]
     if again is not None:
         places.insert(0, ("frame", "common"))
@@ -280,30 +279,17 @@ def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParame
 # ---- what speaks against names --------------------------------------------------------------------------------------
 
 
-def place_of_scatter(state: FitState) -> tuple[str, str]:
-    """Return the statistic that scatters most beyond its uncertainties, and the covariate along which it does so."""
+def place_of_scatter(state: FitState, tests: Sequence[Disagreement]) -> tuple[str, str]:
+    """Return the statistic that scatters most beyond its uncertainties, and the covariate along which it trends most.
+
+    Args:
+        tests: All tests of the model, the most significant first.
+    """
     comparison, square = state.comparison, np.square(state.data_residual)
     more = {n: float(np.sum(square[cut])) - comparison.degrees(n) for n, cut in comparison.cuts.items()}
     block = max(more, key=lambda name: more[name])
-    mask = comparison.usable[block]
-    excess = np.where(mask, square[comparison.cuts[block]].reshape(mask.shape) - 1.0, 0.0)
-    tiled = block in TILE_BLOCKS
-    shares = {}
-    for name, axis in covariates(state.model, state.prediction).items():
-        if tiled or axis.per_capture:
-            basis = axis.basis() if tiled else axis.basis()[:, 0]
-            values = excess if tiled else excess.reshape(len(excess), -1).sum(axis=1)
-            counted = mask if tiled else mask.reshape(len(mask), -1).any(axis=1)
-            shares[name] = _explained(values[counted], basis[counted])
-    where = max(shares, key=lambda name: shares[name], default="constant")
-    return FAMILY.get(block, block), axis_of(where, block)
-
-
-def _explained(values: Array, basis: Array) -> float:
-    """Return the share of the values' variance that a basis explains, each of its terms worth one value less."""
-    columns = np.column_stack([np.ones(len(values)), basis])
-    freedom = max(len(values) - columns.shape[1], 1)
-    return float(1.0 - chi_square(columns, values) / freedom / max(float(np.var(values)), 1e-30))
+    where = next((test.where for test in tests if test.block == block), "constant")
+    return FAMILY[block], axis_of(where, block)
 
 
 def uncertain(

@@ -50,7 +50,6 @@ from radiometer.reconciliation.statistics import (
 from radiometer.statistics.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.typing import Array, Mask
 
-TILE_BLOCKS: Final = named(given=Given.TILE)
 CAPTURE_BLOCKS: Final = named(given=Given.CAPTURE)
 FAMILY: Final = {name: family_of(name) for name in STATISTICS}
 _LOGARITHMS: Final = (*named(scale=Scale.LOGARITHM), *named(scale=Scale.LINES))
