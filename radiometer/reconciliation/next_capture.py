@@ -176,9 +176,7 @@ _EXPLAINS: Final = 0.3  # of what the best entry explains: below it an entry is 
 _MOST_NAMED: Final = 6  # in a sentence
 
 
-def propose(
-    state: FitState, effect: CatalogueEffect, others: Sequence[CatalogueEffect]
-) -> dict[str, Any] | None:
+def propose(state: FitState, effect: CatalogueEffect, others: Sequence[CatalogueEffect]) -> dict[str, Any] | None:
     """Return the capture under which an effect and others that fit about as well would differ most.
 
     Args:

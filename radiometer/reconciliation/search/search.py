@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.errors import ConfigurationError, MeasurementError
+from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
@@ -48,13 +48,11 @@ from radiometer.reconciliation.search.outcome import (
     rated,
     rivals_of,
     score,
-    worth,
 )
 from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.statistics import STATISTICS, Scale
 from radiometer.reconciliation.thresholds import (
     HUGE_NATS,
-    LAW_SHARE,
     MOST_STEPS,
     NAMED_NATS,
     PARAMETER_NATS,
@@ -74,7 +72,6 @@ _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
 _LITTLE_PROMISE: Final = 0.05  # of what a further effect brings: forms came to eleven times their promise at most
-_AFTER_A_LAW: Final = 3  # further steps next to a free law
 
 
 @dataclass(slots=True)
@@ -84,7 +81,6 @@ class _Run:
     steps: list[Step] = field(default_factory=list)
     refused: set[str] = field(default_factory=set)
     pool: StartPool = field(default_factory=StartPool)
-    first: list[CatalogueEffect] = field(default_factory=list)  # what fitted best before anything was named
     screened: list[Candidate] = field(default_factory=list)  # next to the model before
     forms: dict[tuple[str, bool], tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # as they were fitted then
     fitted_with: dict[str, tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # what was fitted with each name
@@ -101,15 +97,7 @@ def search(
         say: Told what happens, line by line.
     """
     run, first = _Run(catalogue, say), localise(start)
-    state, tests = _stepped(start, first, run, MOST_STEPS)
-    changed = _refined(start, state, tests, run)
-    if changed is not None:
-        state, tests, steps = changed, localise(changed), list(run.steps)
-        further, later = _stepped(state, tests, run, _AFTER_A_LAW)
-        if worth(further) > worth(state):
-            state, tests = further, later
-        else:
-            run.steps = steps
+    state, tests = _stepped(start, first, run)
     likeliest, taken = swapped(state, run.fitted_with)
     if taken:
         say("; ".join(f"{effect.name} in place of {name}" for name, effect in taken.items()))
@@ -128,11 +116,9 @@ def _renamed(step: Step, effect: CatalogueEffect | None, state: FitState) -> Ste
     return replace(step, name=effect.name, where=effect.where, gap_after=state.gap, rivals=())
 
 
-def _stepped(
-    state: FitState, tests: tuple[Disagreement, ...], run: _Run, most: int
-) -> tuple[FitState, tuple[Disagreement, ...]]:
-    """Return the model after up to so many steps, and its tests."""
-    for _ in range(most):
+def _stepped(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> tuple[FitState, tuple[Disagreement, ...]]:
+    """Return the model after all steps, and its tests."""
+    for _ in range(MOST_STEPS):
         try:
             following = _one_step(state, tests, run)
         except UnfitError as unfit:
@@ -149,26 +135,6 @@ def _stepped(
     return state, tests
 
 
-def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
-    """Return the model with a free law for one name, where structure stays and it does better than what was found."""
-    unnamed = any(step.name == "unnamed" for step in run.steps)
-    stays = unnamed or significant(tests) or is_misfit(state) or departing(tests, state.effects)
-    if not (stays and is_misfit(start)):  # the law of what hardly shows can be any
-        return None
-    found = by_a_free_law(start, state, run.first)
-    if found is None:
-        return None
-    run.say(f"{found.name} by a free law: gap {state.gap:.3f} → {found.state.gap:.3f}")
-    old = {step.name: step for step in run.steps}
-    refined, dropped = pruned(found.state, run.say)
-    run.steps = []
-    for effect in sorted(refined.effects, key=lambda effect: effect.name == found.name):
-        step = Step(effect.name, effect.where, found.nats, found.without.gap, refined.gap, found.rivals)
-        run.steps.append(step if effect.name == found.name else old[effect.name])
-    run.refused |= set(dropped)
-    return refined
-
-
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     standing = significant(tests)
     screened = run.screened = screen(state, run.catalogue, run.pool, run.screened, _FITTED + len(run.refused))
@@ -180,7 +146,6 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         return None
     all_fitted = (_fitted(state, candidate, run) for candidate in promising[:_FITTED])
     fitted = sorted((f for f in all_fitted if not f.effect.is_nothing()), key=lambda f: -penalised_chi2(f))
-    run.first = run.first or [candidate.effect for candidate in fitted]
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     shown = [entry for entry in judged if is_shown(*entry)]
     looser = LooserForms.of(state, None if standing else departed)
@@ -464,7 +429,7 @@ def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[t
     for index, effect in enumerate(state.effects):
         if only is not None and effect.name not in only:
             continue
-        for form in effect.loosened(state.model.context):
+        for form in (*effect.loosened(state.model.context), *free_forms(state, effect)):
             effects = [form if place == index else other for place, other in enumerate(state.effects)]
             nats = _linear_gain(state, effects, index) / 2.0 - PARAMETER_NATS * _further(effect, form)
             yield nats, index, form
@@ -554,24 +519,7 @@ def _acts(state: FitState, effect: CatalogueEffect, before: TileMoments) -> Mask
     return np.asarray(np.broadcast_to(np.any(np.broadcast_arrays(*moved), axis=0), before.mean.shape))
 
 
-_FORMS_FITTED: Final = 3  # forms that are fitted in full, the most promising first
 _NEAR: Final = 2.0  # times the residual beyond chance, under the same weights: a law that leaves more is far off
-_FEW: Final = 6  # iterations that show how the others do alone
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Refined:
-    """A model in which one name took a free law."""
-
-    state: FitState  # the fitted model
-    name: str  # the name
-    without: FitState  # the model without that name
-    rivals: tuple[CatalogueEffect, ...] = ()  # other entries that leave nothing by a law of theirs either
-
-    @property
-    def nats(self) -> float:
-        """Return by how much the name by its free law raises the held-out log density."""
-        return self.state.evidence - self.without.evidence
 
 
 def nowhere_near(base: FitState, found: FitState) -> float:
@@ -583,88 +531,3 @@ def nowhere_near(base: FitState, found: FitState) -> float:
     """
     left, count = base.comparison.residual(found.prediction), float(base.comparison.counts().sum())
     return count + _NEAR * max(float(left @ left) - count, 0.0) + 2.0 * HUGE_NATS
-
-
-def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Refined | None:
-    """Return the model with one name by a free law that does better than all that was found; None for none.
-
-    Args:
-        start: The model without any name.
-        state: What was found; structure stays in it.
-        alone: Entries as they fit the start, each alone.
-    """
-    found = list[Refined]()
-    for promises in (_of_one(start, alone), _in_place(start, state)):
-        found += _tried(promises, state)
-        if any(not is_misfit(refined.state) for refined in found):
-            break
-    if not found:
-        return None
-    best = max(found, key=lambda refined: worth(refined.state))
-    closing = [refined for refined in found if not is_misfit(refined.state) and refined.name != best.name]
-    forms = {own.name: effect for own in closing for effect in own.state.effects if effect.name == own.name}
-    return replace(best, rivals=tuple(forms.values()))
-
-
-_Promise = tuple[float, FitState, FreeLaw]
-
-
-def _tried(promises: Iterator[_Promise], state: FitState) -> Iterator[Refined]:
-    """Yield the models of the most promising forms, one for each name, that are worth more than what was found."""
-    least = worth(state)
-    tried = set[str]()
-    for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
-        if form.name not in tried and len(tried) < _FORMS_FITTED:
-            tried.add(form.name)
-            refined = _with_form(base, form, least, nowhere_near(base, state))
-            if refined is not None:
-                yield refined
-
-
-def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Promise]:
-    """Yield what free forms promise alone, the model that each is put into, and the form."""
-    for effect in alone:
-        for form in free_forms(start, effect):
-            yield promise(start, form), start, form
-
-
-def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
-    """Yield the same of forms in the place of a name, the other names kept."""
-    for effect in state.effects if len(state.effects) > 1 else ():
-        without = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
-        base = refit(without, iterations=_FEW)
-        for form in free_forms(base, effect):
-            yield base.evidence - start.evidence + promise(base, form), base, form
-
-
-def promise(base: FitState, form: FreeLaw) -> float:
-    """Return the nats that a form would bring if it acted linearly, its parameters and its law's paid for.
-
-    Args:
-        base: The model without it.
-        form: A form with a free law.
-    """
-    try:
-        gain = _linear_gain(base, (*base.effects, form), len(base.effects))
-    except (MeasurementError, ConfigurationError):  # what no camera does
-        return -np.inf
-    return gain / 2.0 - PARAMETER_NATS * (len(form.free()) + len(form.own.free()))
-
-
-def _with_form(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:
-    """Return the model with a form, or with its plain law where that is worth more and leaves nothing, fitted in full.
-
-    None where the form is not worth more than `least`, or leaves more than `most` under the weights of the model
-    without it. None too where the plain law is far from the result.
-    """
-    try:
-        state = included(base, form, far=True, most=most)
-        if worth(state) <= least:
-            return None
-        plain = included(base, form.own, far=True)
-    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):
-        return None
-    brought, whole = plain.evidence - base.evidence, state.evidence - base.evidence
-    if brought < LAW_SHARE * whole:
-        return None
-    return Refined(plain if worth(plain) >= worth(state) and not is_misfit(plain) else state, form.name, base)
