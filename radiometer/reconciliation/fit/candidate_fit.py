@@ -55,19 +55,17 @@ class FittedCandidate:
         return self.effect.name
 
 
-def fit_candidate(state: FitState, candidate: Candidate, most: float = np.inf) -> FittedCandidate:
+def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
     """Return the effect at the least χ², all nuisances and earlier effects following linearly.
 
     Args:
         state: The model.
         candidate: The effect at its starts.
-        most: χ² beyond which the likeliest variant decides for the others too: they are not fitted then.
     """
     trials = _Trial.of_each(state, (candidate.effect, *candidate.others))
     best = min(trials, key=lambda trial: trial.cost)
     begun = [_profiled(state, best)] if best.effect.profiled else _variants(trials)
-    fitted = [_fitted(state, begun[0])]
-    fitted += [_fitted(state, trial) for trial in begun[1:] if fitted[0].cost < most]
+    fitted = [_fitted(state, trial) for trial in begun]
     judged = _judged(state, min(fitted, key=lambda trial: trial.cost), candidate)
     return replace(judged, forms=tuple(trial.effect for trial in fitted))
 

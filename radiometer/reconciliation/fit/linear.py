@@ -153,15 +153,7 @@ class LinearFit:
 
     def step_from(self, residual: Array) -> tuple[Array, float]:
         """Return the same step from another point's residual, followers not followed yet, and what χ² it promises."""
-        return self._step_of(self.followed(residual))
-
-    def left_from(self, residual: Array) -> float:
-        """Return the χ² that such a step promises to leave."""
-        followed = self.followed(residual)
-        return float(followed @ followed) - self._step_of(followed)[1]
-
-    def _step_of(self, followed: Array) -> tuple[Array, float]:
-        pulled = self.pull(followed)
+        pulled = self.pull(self.followed(residual))
         step = self.solve(pulled)
         return step, float(pulled @ step)
 

@@ -35,7 +35,6 @@ from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, Row
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
-    MOST_STEPS,
     NAMED_NATS,
     PARAMETER_NATS,
     RIVAL_NATS,
@@ -554,7 +553,7 @@ def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
     """Return the model with every term that held-out nights support, and the steps in order."""
     state, steps = start, list[LogStep]()
     every = [term for term in catalogue(start.log) if not is_lost_in_scatter(start.log, term.where)]
-    for _ in range(MOST_STEPS):
+    for _ in (*every, *axes(start.log)):
         following = _one_step(state, every)
         if following is None:
             break

@@ -23,7 +23,7 @@ from scipy.special import ndtr
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.descent import FullFits, UnfitError, fitted_parameters, included, scatter_of
+from radiometer.reconciliation.fit.descent import UnfitError, fitted_parameters, included, scatter_of
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.posterior import posterior
@@ -31,9 +31,8 @@ from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, 
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
 from radiometer.reconciliation.search.localise import significant
-from radiometer.reconciliation.search.outcome import Search, Step, contenders_of, worth
+from radiometer.reconciliation.search.outcome import Contender, Search, Step, contenders_of, worth
 from radiometer.reconciliation.search.screening import best_start
-from radiometer.reconciliation.search.search import nowhere_near
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconciliation.tile_model import from_grid, rise_of
@@ -46,7 +45,6 @@ from simulators.effects.surroundings import column_light, picture_mean
 
 _AT_ONCE: Final = 64  # laws that are projected together
 _FAINT: Final = 1e-9
-_FAR_GAP: Final = 100.0  # reduced χ²
 _FOLLOWING: Final = ("mean", *(name for name, row in STATISTICS.items() if row.follows_light))
 
 
@@ -284,7 +282,7 @@ def _turned(law: Law, best: Array, gain: float) -> Screened:
 _NOISES: Final = {"1": (0.002, 0.01), "DN": (0.5, 3.0)}  # standard deviations that laws of noise start from, by unit
 _OF_NOISE: Final = ("power", "step")  # forms that are nowhere below 0
 _FITTED: Final = 16  # laws that are fitted to all statistics
-_JUDGED: Final = 9
+_JUDGED: Final = 4  # of them, those that are fitted in full
 _MULTIPLIED: Final = 5  # laws of one term that are multiplied by another
 _CONSTANT: Final = ("analog", "digital")  # a constant there is a black level that is off
 _ALONE: Final = ("well", "range")  # what goes with the signal goes with nothing else, nor what comes back in turns
@@ -300,13 +298,12 @@ _FINER: Final = 6  # laws of a sharp place that are refined
 
 
 @on_one_blas_thread
-def propose_law(state: FitState, along: Collection[str] = (), most: float = np.inf) -> Proposal | None:
+def propose_law(state: FitState, along: Collection[str] = ()) -> Proposal | None:
     """Return the law that explains best what a starting camera lacks; None where none is beyond chance.
 
     Args:
         state: The starting camera fitted, without any effect that was named.
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
-        most: χ² under the weights of the starting camera that a law may leave at best.
     """
     singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)))
     for forms in _REFINED:
@@ -317,18 +314,13 @@ def propose_law(state: FitState, along: Collection[str] = (), most: float = np.i
         for entry in (screened(state, _products(state, singles)) if not along else ())
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
-    fits = FullFits(state, most)
-    judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]))
+    judged = _judged(state, _chosen([*singles, *products, *_noises(state, along)]))
     if not judged:
         return None
     best = _plainest(judged)
     if _score(best) < NAMED_NATS:
         return None
-    law, fitted, nats = best
-    try:
-        after = fits.included(fitted.effect, far=True)
-    except UnfitError:
-        return None
+    law, after, nats = best[0], best[1].state, best[1].nats
     effect = next(e for e in after.effects if e.name == law.name)
     law = law.with_parameters(effect.values())
     rivals = tuple(
@@ -441,52 +433,25 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
 
 # ---- judged as effects -------------------------------------------------------------------------------------
 
-_JudgedLaw = tuple[Law, FittedCandidate, float]
+_JudgedLaw = tuple[Law, Contender]
 
 
-def _judged(fits: FullFits, chosen: list[Screened]) -> list[_JudgedLaw]:
-    """Return the laws fitted to all statistics, with the nats that they improve held-out settings by.
-
-    Those that leave too much though the nuisances follow are not among them; where entries are far off, these follow
-    too badly to judge.
-    """
-    fitted, state = list[tuple[Law, FittedCandidate]](), fits.state
-    most = np.inf if _is_far(state) else fits.most
+def _judged(state: FitState, chosen: list[Screened]) -> list[_JudgedLaw]:
+    """Return the best laws fitted to all statistics, then in full."""
+    laws, rated = dict[int, Law](), list[tuple[float, FittedCandidate]]()
     for entry in chosen:
         effect = _started(entry)
         if effect is None:
             continue
         try:
             others = tuple(start for other in entry.others if (start := _started(other)) is not None)
-            candidate = Candidate(effect, entry.gain, entry.law.size, others=others)
-            fitted.append((entry.law, fit_candidate(state, candidate, most)))
-        except (UnfitError, MeasurementError, np.linalg.LinAlgError):
+            fitted = fit_candidate(state, Candidate(effect, entry.gain, entry.law.size, others=others))
+        except (MeasurementError, np.linalg.LinAlgError):
             continue
-    fitted = [pair for pair in fitted if state.cost - pair[1].gain < most]
-    fitted.sort(key=lambda pair: -pair[1].gain + 2.0 * PARAMETER_NATS * pair[0].size)
-    rated = [(f, judged_gain(state, f)) for _, f in fitted[:_JUDGED]]
-    laws = {id(f): law for law, f in fitted}
-    return [(laws[id(f)], f, nats) for f, nats in _fitted_in_full(fits, rated)]
-
-
-def _is_far(state: FitState) -> bool:
-    """Return whether entries are off by ten of their uncertainties and more: linear predictions mean little there.
-
-    Entries are held-out settings and stated values: a wrong model may fit the former by moving the latter.
-    """
-    stated = slice(state.settings, None)
-    off = float(state.held_out.chi2[stated].sum()) / max(float(state.held_out.count[stated].sum()), 1.0)
-    return max(state.gap, off) >= _FAR_GAP
-
-
-def _fitted_in_full(fits: FullFits, rated: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
-    """Return the laws that contend; one with which the model predicts what no camera does is none of them."""
-    while rated:
-        try:
-            return contenders_of(fits, rated)
-        except UnfitError as unfit:
-            rated = [(fitted, nats) for fitted, nats in rated if fitted.name != str(unfit)]
-    return []
+        laws[id(fitted)] = entry.law
+        rated.append((judged_gain(state, fitted) - PARAMETER_NATS * entry.law.size, fitted))
+    best = sorted(rated, key=lambda entry: -entry[0])[:_JUDGED]
+    return [(laws[id(one.fitted)], one) for one in contenders_of(state, [fitted for _, fitted in best])]
 
 
 def _started(entry: Screened) -> CatalogueEffect | None:
@@ -508,8 +473,8 @@ def _holds(law: Law, other: Law) -> bool:
 
 def _score(entry: _JudgedLaw) -> float:
     """Return the nats of a law less what its parameters cost, and what a second factor does."""
-    law, _, nats = entry
-    return nats - PARAMETER_NATS * law.size - NAMED_NATS * (len(law.terms) - 1)
+    law, fitted = entry
+    return fitted.nats - PARAMETER_NATS * law.size - NAMED_NATS * (len(law.terms) - 1)
 
 
 # ---- names against laws ---------------------------------------------------------------------------------------------
@@ -539,7 +504,7 @@ def held_to_laws(
     weighed = posterior(outcome.state.models, catalogue, scatter_of(outcome.state))
     stays = len(effects) > 1 or leaves_structure(outcome) or bool(doubts_of(outcome, weighed))
     along = () if stays else own_covariates(effects[0])
-    law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
+    law = propose_law(outcome.start, along=along)
     if law is None:
         return outcome
     is_plainer = law.law.size < outcome.state.parameters.size
@@ -598,7 +563,7 @@ def by_own_equations(outcome: Search) -> FitState:
     plain = outcome.start
     try:
         for effect in own:
-            plain = included(plain, effect, far=True)
+            plain = included(plain, effect)
     except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # they bring what those bring that can be fitted
         pass
     return plain

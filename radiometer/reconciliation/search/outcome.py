@@ -5,19 +5,19 @@ The score is the held-out log density plus the log prior odds of the names, each
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
-from radiometer.reconciliation.fit.descent import FullFits
+from radiometer.reconciliation.fit.descent import UnfitError, included, scatter_of
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.search.localise import Disagreement
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
-    HUGE_NATS,
     NAMED_NATS,
     PARAMETER_NATS,
     RIVAL_NATS,
@@ -72,7 +72,39 @@ class Reconciled:
 # ---- scores ---------------------------------------------------------------------------------------------------------
 
 
-Judged = tuple[FittedCandidate, float]
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A candidate after a full fit of all that is in the model."""
+
+    fitted: FittedCandidate  # as it was fitted, the nuisances following linearly
+    state: FitState  # the model with it
+    nats: float  # improvement of the held-out log density
+
+    @property
+    def score(self) -> float:
+        """Return its nats less what it pays; a flexible form pays as much as separates rivals."""
+        return self.nats - _penalty(self.fitted) - (RIVAL_NATS if self.fitted.flexible else 0.0)
+
+    @property
+    def is_shown(self) -> bool:
+        """Return whether settings held out are predicted better, and in the statistic that must show it too.
+
+        Of many starts one fits by chance. Scatter that stays makes nats worth less.
+        """
+        needed = NAMED_NATS - self.fitted.effect.log_prior_odds + float(np.log(self.fitted.tries))
+        needed += RIVAL_NATS if self.fitted.flexible else 0.0
+        enough = max(needed, NAMED_NATS * scatter_of(self.state))
+        return self.nats >= enough and self.fitted.evidence >= ESSENTIAL_SIGMAS**2
+
+
+def contenders_of(state: FitState, candidates: Sequence[FittedCandidate]) -> list[Contender]:
+    """Return candidates after a full fit of each; one with which the model predicts what no camera does is left out."""
+    found = []
+    for fitted in candidates:
+        with contextlib.suppress(UnfitError):
+            with_it = included(state, fitted.effect)
+            found.append(Contender(fitted, with_it, with_it.evidence - state.evidence))
+    return found
 
 
 def worth(state: FitState) -> float:
@@ -94,53 +126,18 @@ def _penalty(fitted: FittedCandidate) -> float:
     return PARAMETER_NATS * fitted.parameters - fitted.effect.log_prior_odds
 
 
-def score(entry: tuple[FittedCandidate, float]) -> float:
-    """Return the nats of a judged candidate less what it pays."""
-    fitted, nats = entry
-    return nats - _penalty(fitted) - (RIVAL_NATS if fitted.flexible else 0.0)
-
-
-def is_shown(fitted: FittedCandidate, nats: float) -> bool:
-    """Return whether settings held out are predicted better, and in the statistic that must show it too.
-
-    Of many starts one fits by chance.
-    """
-    needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(fitted.tries))
-    needed += RIVAL_NATS if fitted.flexible else 0.0
-    return nats >= needed and fitted.evidence >= ESSENTIAL_SIGMAS**2
-
-
-def contenders_of(fits: FullFits, judged: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
-    """Return the candidates, those of a very large gain judged anew after a full fit of each.
-
-    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges.
-    """
-    huge = [fitted for fitted, nats in judged if nats > HUGE_NATS]
-    if len(huge) < 2:
-        return judged
-    base = fits.state.evidence
-    return [(fitted, fits.included(fitted.effect, far=True).evidence - base) for fitted in huge]
-
-
-def rivals_of(chosen: Judged, judged: Sequence[Judged]) -> tuple[CatalogueEffect, ...]:
+def rivals_of(chosen: Contender, contenders: Sequence[Contender]) -> tuple[CatalogueEffect, ...]:
     """Return the effects, at their best parameters, that the data cannot separate from the chosen one.
 
-    What the plan cannot separate, because a setting does not vary, is asked of the reported model (`inseparable`).
-
-    Args:
-        chosen: The chosen one with its gain in nats.
-        judged: Others that were fitted and judged in the same way, with theirs.
+    Each further parameter must be paid for. One with more parameters, one of them on its bound, imitates the chosen one
+    in a limit: a kernel as wide as the picture is a veil. What the plan cannot separate, because a setting does not
+    vary, is asked of the reported model (`inseparable`).
     """
-    return tuple({f.name: f.effect for f, nats in judged if _is_rival(f, nats, chosen)}.values())
-
-
-def _is_rival(other: FittedCandidate, nats: float, chosen: Judged) -> bool:
-    """Return whether another entry predicts about as well; each further parameter must be paid for.
-
-    One with more parameters, one of them on its bound, imitates the chosen one in a limit: a kernel as wide as the
-    picture is a veil.
-    """
-    further = max(other.parameters - chosen[0].parameters, 0)
-    if other.name == chosen[0].name or (further and other.columns.shape[1] < other.parameters):
-        return False
-    return nats - PARAMETER_NATS * further > chosen[1] - RIVAL_NATS
+    found = {}
+    for other in contenders:
+        fitted, further = other.fitted, max(other.fitted.parameters - chosen.fitted.parameters, 0)
+        on_bound = further and fitted.columns.shape[1] < fitted.parameters
+        near = other.nats - PARAMETER_NATS * further > chosen.nats - RIVAL_NATS
+        if near and not on_bound and fitted.name != chosen.fitted.name:
+            found[fitted.name] = fitted.effect
+    return tuple(found.values())

@@ -28,7 +28,6 @@ from radiometer.reconciliation.fit.candidate_fit import (
     judged_gain,
 )
 from radiometer.reconciliation.fit.descent import (
-    FullFits,
     UnfitError,
     coarse_fit,
     converged_fit,
@@ -40,20 +39,17 @@ from radiometer.reconciliation.fit.descent import (
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconciliation.search.outcome import (
+    Contender,
     Search,
     Step,
     contenders_of,
-    is_shown,
     penalised_chi2,
     rated,
     rivals_of,
-    score,
 )
 from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.statistics import STATISTICS, Scale
 from radiometer.reconciliation.thresholds import (
-    HUGE_NATS,
-    MOST_STEPS,
     NAMED_NATS,
     PARAMETER_NATS,
     RIVAL_NATS,
@@ -67,6 +63,7 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw, axis_scale, axis_values, freed, unscaled
 from simulators.effects.tile_moments import TileMoments
 
+_MOST_STEPS: Final = 12  # bounds the time: a CCD's darks show nine effects, two in freer forms
 _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
@@ -118,12 +115,8 @@ def _renamed(step: Step, effect: CatalogueEffect | None, state: FitState) -> Ste
 
 def _stepped(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> tuple[FitState, tuple[Disagreement, ...]]:
     """Return the model after all steps, and its tests."""
-    for _ in range(MOST_STEPS):
-        try:
-            following = _one_step(state, tests, run)
-        except UnfitError as unfit:
-            run.refused.add(str(unfit))
-            continue
+    for _ in range(_MOST_STEPS):
+        following = _one_step(state, tests, run)
         if following is None:
             break
         state, dropped = pruned(following, run.say)
@@ -147,20 +140,13 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     all_fitted = (_fitted(state, candidate, run) for candidate in promising[:_FITTED])
     fitted = sorted((f for f in all_fitted if not f.effect.is_nothing()), key=lambda f: -penalised_chi2(f))
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
-    shown = [entry for entry in judged if is_shown(*entry)]
+    contenders = contenders_of(state, [f for f, nats in judged if nats >= NAMED_NATS - RIVAL_NATS])
+    shown = sorted((entry for entry in contenders if entry.is_shown), key=lambda entry: -entry.score)
     looser = LooserForms.of(state, None if standing else departed)
-    fits = FullFits(state)
-    while shown:
-        contenders = contenders_of(fits, shown)
-        chosen = max(contenders, key=score)
-        if not _convinces(state, chosen, standing) or _is_likelier(fits, looser, chosen):
-            break
-        others = judged if contenders is shown else contenders
-        following = _named(fits, chosen, others, run)
-        if following is not None:
-            run.fitted_with[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
-            return following
-        shown = [entry for entry in shown if entry[0].name != chosen[0].name]
+    for chosen in shown[:1]:
+        if _convinces(state, chosen, standing) and not _is_likelier(looser, chosen):
+            run.fitted_with[chosen.fitted.name] = tuple(f.effect for f in fitted if f.name != chosen.fitted.name)
+            return _named(state, chosen, contenders, run)
     if looser.best is not None:
         return _taken(state, looser.best, run)
     return _unnamed(state, standing, judged, run) if standing else None
@@ -174,19 +160,14 @@ def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate
     return found
 
 
-def _is_likelier(fits: FullFits, looser: LooserForms, chosen: tuple[FittedCandidate, float]) -> bool:
+def _is_likelier(looser: LooserForms, chosen: Contender) -> bool:
     """Return whether another form of an effect that is there predicts better than a further effect.
 
-    The form is fitted in full, unless it promises too little; where the two are near, the further effect is too, before
-    they are compared.
+    The form is fitted in full, unless it promises too little.
     """
-    if looser.promise < _LITTLE_PROMISE * score(chosen) or looser.best is None:
+    if looser.promise < _LITTLE_PROMISE * chosen.score or looser.best is None:
         return False
-    form = looser.best.nats - PARAMETER_NATS * looser.best.further - RIVAL_NATS
-    if form > score(chosen) or form < _NEAR_FORM * score(chosen):
-        return form > score(chosen)
-    fitted = fits.included(chosen[0].effect, far=False)
-    return form > score((chosen[0], fitted.evidence - fits.state.evidence))
+    return looser.best.nats - PARAMETER_NATS * looser.best.further - RIVAL_NATS > chosen.score
 
 
 def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
@@ -203,13 +184,12 @@ def _promising(candidates: list[Candidate], limit: float, standing: tuple[Disagr
     return [c for c in candidates if chi2_beyond(max(c.gain, 1e-9), c.parameters) < limit**slack]
 
 
-def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], standing: tuple[Disagreement, ...]) -> bool:
-    fitted, nats = chosen
-    same = [test for test in standing if test.family == fitted.effect.block]
+def _convinces(state: FitState, chosen: Contender, standing: tuple[Disagreement, ...]) -> bool:
+    same = [test for test in standing if test.family == chosen.fitted.effect.block]
     if not same:
         return True
     smooth = _smooth_gain(state, same[0])
-    return nats >= SMOOTH_SHARE * smooth or nats >= smooth - NAMED_NATS
+    return chosen.nats >= SMOOTH_SHARE * smooth or chosen.nats >= smooth - NAMED_NATS
 
 
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
@@ -218,35 +198,18 @@ def _smooth_gain(state: FitState, test: Disagreement) -> float:
     return curve_gain(state, state.fit.followed(columns))
 
 
-def _named(
-    fits: FullFits,
-    chosen: tuple[FittedCandidate, float],
-    contenders: list[tuple[FittedCandidate, float]],
-    run: _Run,
-) -> FitState | None:
-    """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
-
-    Contenders are judged as the chosen one is.
-    """
-    (fitted, nats), state = chosen, fits.state
-    following = fits.included(fitted.effect, far=nats > HUGE_NATS)
-    brought = following.evidence - state.evidence
-    if brought < NAMED_NATS * scatter_of(following):
-        run.refused.add(fitted.name)
-        return None
-    rivals = rivals_of(chosen, contenders)
-    for rival in rivals:
-        fits.try_out(rival, far=nats > HUGE_NATS)
-    gap_before = state.gap
-    again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
+def _named(state: FitState, chosen: Contender, contenders: Sequence[Contender], run: _Run) -> FitState:
+    """Return the model with the chosen effect."""
+    effect, gap = chosen.fitted.effect, chosen.state.gap
+    again = next((i for i, step in enumerate(run.steps) if step.name == effect.name), None)
     if again is None:
-        where = fitted.effect.where
-        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals))
+        rivals = rivals_of(chosen, contenders)
+        run.steps.append(Step(effect.name, effect.where, chosen.nats, state.gap, gap, rivals))
     else:
         old = run.steps[again]
-        run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
-    run.say(f"{fitted.name}: {nats:.1f} nats, gap {gap_before:.3f} → {following.gap:.3f}")
-    return following
+        run.steps[again] = replace(old, gain_nats=old.gain_nats + chosen.nats, gap_after=gap)
+    run.say(f"{effect.name}: {chosen.nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
+    return chosen.state
 
 
 def _unnamed(
@@ -306,9 +269,7 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
     changed, dropped = True, list[str]()
     while changed:
         changed = False
-        for name, promised, smaller in _without_one(state):
-            if promised - state.cost > 2.0 * HUGE_NATS:  # the others, free to move, come nowhere near
-                continue
+        for name, smaller in _without_one(state):
             lost = _lost(state, smaller)
             if lost < PARAMETER_NATS:
                 say(f"{name} dropped again: it brings {lost:.1f} nats")
@@ -326,21 +287,13 @@ def _lost(state: FitState, smaller: FitState) -> float:
     return _log_density(state) - _log_density(refit(nearer, iterations=5).recorded())
 
 
-def _without_one(state: FitState) -> Iterator[tuple[str, float, FitState]]:
-    """Yield the models with one earlier addition less (the newest effect is not questioned), and the χ² they promise.
-
-    What is left of an effect that is gone the others may take up as they do where it stands.
-    """
+def _without_one(state: FitState) -> Iterator[tuple[str, FitState]]:
+    """Yield the models with one earlier addition less; the newest effect is not questioned."""
     smooth = tuple(term for term in state.terms if term.is_smooth)
-    older = state.effects[:-1] if not smooth else state.effects
-    rests = [[other for other in state.effects if other is not effect] for effect in older]
-    for index, (effect, change) in enumerate(zip(older, state.moved_by(rests).T, strict=True)):
-        others = state.whole_fit.without(state.parameters.of_effect(index))
-        residual = state.residual - state.pad(change[:, None])[:, 0]
-        yield effect.name, others.left_from(residual), with_effects(state, rests[index])
+    for effect in state.effects if smooth else state.effects[:-1]:
+        yield effect.name, with_effects(state, [other for other in state.effects if other is not effect])
     for term in smooth if state.effects else ():
-        smaller = with_terms(state, [other for other in smooth if other is not term])
-        yield term.name, smaller.promised, smaller
+        yield term.name, with_terms(state, [other for other in smooth if other is not term])
 
 
 def _log_density(state: FitState) -> float:
@@ -369,7 +322,7 @@ def swapped(
             fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts[:_SWAPPED]]
             best = max(fitted, key=penalised_chi2)
             judged_gain(rest, best)
-            changed = included(rest, best.effect, far=False)
+            changed = included(rest, best.effect)
         except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
             continue
         if rated(changed) > rated(state) and not is_misfit(changed):  # else it takes up the residual of others
@@ -517,17 +470,3 @@ def _acts(state: FitState, effect: CatalogueEffect, before: TileMoments) -> Mask
     names = ("mean", *before.squared, *before.linear)
     moved = [np.not_equal(getattr(after, name), getattr(before, name)) for name in names]
     return np.asarray(np.broadcast_to(np.any(np.broadcast_arrays(*moved), axis=0), before.mean.shape))
-
-
-_NEAR: Final = 2.0  # times the residual beyond chance, under the same weights: a law that leaves more is far off
-
-
-def nowhere_near(base: FitState, found: FitState) -> float:
-    """Return the χ² beyond which a single law that is fitted comes nowhere near what was found.
-
-    Args:
-        base: The model that the law is put into; its weights are those of the χ².
-        found: What was found; curves without a name are left out.
-    """
-    left, count = base.comparison.residual(found.prediction), float(base.comparison.counts().sum())
-    return count + _NEAR * max(float(left @ left) - count, 0.0) + 2.0 * HUGE_NATS

@@ -159,4 +159,4 @@ def test_effect_that_cannot_be_is_refused_by_name(make_capture: Callable[..., An
     """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
     state = start_of(make_capture(6))
     with pytest.raises(UnfitError, match="impossible"):
-        included(state, _Impossible(0.5), far=False)
+        included(state, _Impossible(0.5))
