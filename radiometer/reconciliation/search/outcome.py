@@ -83,7 +83,7 @@ class Contender:
     @property
     def score(self) -> float:
         """Return its nats less what it pays; a flexible form pays as much as separates rivals."""
-        return self.nats - _penalty(self.fitted) - (RIVAL_NATS if self.fitted.flexible else 0.0)
+        return self.nats - _penalty(self.fitted) - (RIVAL_NATS if self.fitted.start.flexible else 0.0)
 
     @property
     def is_shown(self) -> bool:
@@ -91,8 +91,8 @@ class Contender:
 
         Of many starts one fits by chance. Scatter that stays makes nats worth less.
         """
-        needed = NAMED_NATS - self.fitted.effect.log_prior_odds + float(np.log(self.fitted.tries))
-        needed += RIVAL_NATS if self.fitted.flexible else 0.0
+        needed = NAMED_NATS - self.fitted.effect.log_prior_odds + float(np.log(self.fitted.start.tries))
+        needed += RIVAL_NATS if self.fitted.start.flexible else 0.0
         enough = max(needed, NAMED_NATS * scatter_of(self.state))
         return self.nats >= enough and self.fitted.evidence >= ESSENTIAL_SIGMAS**2
 
@@ -123,7 +123,7 @@ def penalised_chi2(fitted: FittedCandidate) -> float:
 
 
 def _penalty(fitted: FittedCandidate) -> float:
-    return PARAMETER_NATS * fitted.parameters - fitted.effect.log_prior_odds
+    return PARAMETER_NATS * fitted.start.parameters - fitted.effect.log_prior_odds
 
 
 def rivals_of(chosen: Contender, contenders: Sequence[Contender]) -> tuple[CatalogueEffect, ...]:
@@ -135,8 +135,8 @@ def rivals_of(chosen: Contender, contenders: Sequence[Contender]) -> tuple[Catal
     """
     found = {}
     for other in contenders:
-        fitted, further = other.fitted, max(other.fitted.parameters - chosen.fitted.parameters, 0)
-        on_bound = further and fitted.columns.shape[1] < fitted.parameters
+        fitted, further = other.fitted, max(other.fitted.start.parameters - chosen.fitted.start.parameters, 0)
+        on_bound = further and fitted.columns.shape[1] < fitted.start.parameters
         near = other.nats - PARAMETER_NATS * further > chosen.nats - RIVAL_NATS
         if near and not on_bound and fitted.name != chosen.fitted.name:
             found[fitted.name] = fitted.effect
