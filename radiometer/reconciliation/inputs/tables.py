@@ -439,33 +439,24 @@ def _named(data: _Data, steps: tuple[float, ...]) -> tuple[tuple[FoundEffect, ..
     law = data.per_channel(columns_of(data.drive))
     jumps = np.column_stack([data.reading > edge for edge in steps]).astype(float) if steps else None
 
-    def joined(base: Array, *, stepped: bool) -> Array:
-        return np.column_stack([base, jumps]) if stepped and jumps is not None else base
+    def stepped(base: Array) -> Array:
+        return base if jumps is None else np.column_stack([base, jumps])
 
-    sigma = _sigma(data, joined(_smooth(data), stepped=True))
+    sigma = _sigma(data, stepped(_smooth(data)))
     gaps = [_held_out(data, flat, sigma)]
     effects = []
-    with_steps = joined(flat, stepped=True)
+    with_steps = stepped(flat)
     if jumps is not None:
         gaps.append(_held_out(data, with_steps, sigma))
-        effects.append(_step_effect(data, steps, joined(_smooth(data), stepped=True), sigma, (gaps[-2], gaps[-1])))
-    drooping = _drooping(data, joined(law, stepped=True), sigma)
-    curved = joined(law, stepped=True)
+        effects.append(_step_effect(data, steps, stepped(_smooth(data)), sigma, (gaps[-2], gaps[-1])))
+    curved = stepped(law)
+    drooping, after = _drooping(data, curved, sigma), _held_out(data, curved, sigma)
     gain = _gain(data, with_steps, curved)
     price = data.channels * math.log(max(2, data.target.size / data.channels)) + NAMED_NATS
-    if drooping and gain > price and (after := _held_out(data, curved, sigma)) < gaps[-1]:
-        size, u, count = drooping
-        share = {
-            "deviation_at_half_drive": FittedParameter(size, u, "1"),
-            "channels": FittedParameter(float(count), None, "1"),
-        }
-        effects.append(FoundEffect(DROOP, share, "drive", gaps[-1], after, gain_nats=gain, block="mean"))
+    if gain > price and after < gaps[-1]:
+        name, found = (DROOP, drooping) if drooping else ("unnamed", {})
+        effects.append(FoundEffect(name, found, "drive", gaps[-1], after, gain_nats=gain, block="mean"))
         gaps.append(after)
-    elif gain > price:
-        after = _held_out(data, curved, sigma)
-        if after < gaps[-1]:
-            effects.append(FoundEffect("unnamed", {}, "drive", gaps[-1], after, gain_nats=gain, block="mean"))
-            gaps.append(after)
     return tuple(effects), tuple(gaps)
 
 
@@ -475,8 +466,8 @@ def _weighted(data: _Data, design: Array, sigma: Array) -> tuple[Array, Array]:
     return np.linalg.lstsq(rows, data.target / sigma[data.channel], rcond=None)[0], np.linalg.pinv(rows.T @ rows)
 
 
-def _drooping(data: _Data, design: Array, sigma: Array) -> tuple[float, float, int] | None:
-    """Return deviation at half drive of the channel that droops most, its u, and how many do; None where none does."""
+def _drooping(data: _Data, design: Array, sigma: Array) -> dict[str, FittedParameter]:
+    """Return deviation at half drive of the channel that droops most, and how many do; nothing where none does."""
     found, spread = _weighted(data, design, sigma)
     half, seen = np.array([0.0, -math.log(2.0), 0.5]), []
     for n in range(data.channels):
@@ -484,7 +475,10 @@ def _drooping(data: _Data, design: Array, sigma: Array) -> tuple[float, float, i
         logarithm, u = float(half @ found[own]), math.sqrt(float(half @ spread[own, own] @ half))
         if logarithm > max(_SIGMAS * u, _LEAST_DEVIATION):
             seen.append((math.expm1(logarithm), math.exp(logarithm) * u))
-    return (*max(seen), len(seen)) if seen else None
+    if not seen:
+        return {}
+    most = FittedParameter(*max(seen), "1")
+    return {"deviation_at_half_drive": most, "channels": FittedParameter(float(len(seen)), None, "1")}
 
 
 def _step_effect(
