@@ -401,14 +401,9 @@ def _looked_up(images: PatternImages, picture: Array, x: Array, y: Array) -> Arr
 
 
 def _bilinear(picture: Array, x: Array, y: Array) -> Array:
-    x = np.clip(x, 0, picture.shape[1] - 1)
-    y = np.clip(y, 0, picture.shape[0] - 1)
-    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
-    right, bottom = np.minimum(left + 1, picture.shape[1] - 1), np.minimum(top + 1, picture.shape[0] - 1)
-    fx, fy = x - left, y - top
-    upper = picture[top, left] * (1 - fx) + picture[top, right] * fx
-    lower = picture[bottom, left] * (1 - fx) + picture[bottom, right] * fx
-    return cast(Array, upper * (1 - fy) + lower * fy)
+    from scipy.ndimage import map_coordinates
+
+    return cast(Array, map_coordinates(picture, (y, x), order=1, mode="nearest"))
 
 
 def _soft(picture: Array, radius_fraction: float, border: Border = "nearest") -> Array:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -28,10 +27,8 @@ from radiometer.reconciliation.fit.candidate_fit import (
     judged_gain,
 )
 from radiometer.reconciliation.fit.descent import (
-    UnfitError,
     coarse_fit,
     converged_fit,
-    included,
     is_misfit,
     refit,
     scatter_of,
@@ -46,6 +43,7 @@ from radiometer.reconciliation.search.outcome import (
     penalised_chi2,
     rated,
     rivals_of,
+    worth,
 )
 from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.statistics import STATISTICS, Scale
@@ -67,8 +65,6 @@ _MOST_STEPS: Final = 12  # bounds the time: a CCD's darks show nine effects, two
 _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
-_NEAR_FORM: Final = 0.5
-_LITTLE_PROMISE: Final = 0.05  # of what a further effect brings: forms came to eleven times their promise at most
 
 
 @dataclass(slots=True)
@@ -142,13 +138,14 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     contenders = contenders_of(state, [f for f, nats in judged if nats >= NAMED_NATS - RIVAL_NATS])
     shown = sorted((entry for entry in contenders if entry.is_shown), key=lambda entry: -entry.score)
-    looser = LooserForms.of(state, None if standing else departed)
+    looser = loosened(state, None if standing else departed)
+    gained = -np.inf if looser is None else worth(looser) - worth(state) - RIVAL_NATS
     for chosen in shown[:1]:
-        if _convinces(state, chosen, standing) and not _is_likelier(looser, chosen):
+        if _convinces(state, chosen, standing) and chosen.score >= gained:
             run.fitted_with[chosen.fitted.name] = tuple(f.effect for f in fitted if f.name != chosen.fitted.name)
             return _named(state, chosen, contenders, run)
-    if looser.best is not None:
-        return _taken(state, looser.best, run)
+    if looser is not None:
+        return _taken(state, looser, run)
     return _unnamed(state, standing, judged, run) if standing else None
 
 
@@ -160,22 +157,12 @@ def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate
     return found
 
 
-def _is_likelier(looser: LooserForms, chosen: Contender) -> bool:
-    """Return whether another form of an effect that is there predicts better than a further effect.
-
-    The form is fitted in full, unless it promises too little.
-    """
-    if looser.promise < _LITTLE_PROMISE * chosen.score or looser.best is None:
-        return False
-    return looser.best.nats - PARAMETER_NATS * looser.best.further - RIVAL_NATS > chosen.score
-
-
-def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
-    at = next(i for i, step in enumerate(run.steps) if step.name == looser.name)
-    gap = looser.state.gap
-    run.steps[at] = replace(run.steps[at], gain_nats=run.steps[at].gain_nats + looser.nats, gap_after=gap)
-    run.say(f"{looser.name} in a more flexible form: {looser.nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
-    return looser.state
+def _taken(state: FitState, looser: FitState, run: _Run) -> FitState:
+    name, nats, gap = looser.effects[-1].name, looser.evidence - state.evidence, looser.gap
+    at = next(i for i, step in enumerate(run.steps) if step.name == name)
+    run.steps[at] = replace(run.steps[at], gain_nats=run.steps[at].gain_nats + nats, gap_after=gap)
+    run.say(f"{name} in a more flexible form: {nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
+    return looser
 
 
 def _promising(candidates: list[Candidate], limit: float, standing: tuple[Disagreement, ...]) -> list[Candidate]:
@@ -314,67 +301,30 @@ def swapped(
     taken = dict[str, CatalogueEffect]()
     for effect in state.effects if len(state.effects) > 1 else ():
         present = {other.name for other in state.effects}
-        starts = [other for other in others.get(effect.name, ()) if other.name not in present]
-        if not starts:
-            continue
-        try:
-            rest = with_effects(state, [other for other in state.effects if other.name != effect.name])
-            fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts[:_SWAPPED]]
-            best = max(fitted, key=penalised_chi2)
-            judged_gain(rest, best)
-            changed = included(rest, best.effect)
-        except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
-            continue
-        if rated(changed) > rated(state) and not is_misfit(changed):  # else it takes up the residual of others
-            state, taken[effect.name] = changed, changed.effects[-1]
+        starts = [other for other in others.get(effect.name, ()) if other.name not in present][:_SWAPPED]
+        rest = with_effects(state, [other for other in state.effects if other.name != effect.name])
+        fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts]
+        for entry in contenders_of(rest, sorted(fitted, key=penalised_chi2)[-1:]):
+            if rated(entry.state) > rated(state) and not is_misfit(entry.state):  # else it takes up others' residual
+                state, taken[effect.name] = entry.state, entry.fitted.effect
     return state, taken
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Loosened:
-    """A model in which one effect took a more flexible form."""
-
-    name: str  # name of the effect
-    state: FitState  # the fitted model
-    nats: float  # improvement of the held-out log density
-    further: int  # number of parameters that the form has beyond the former one
-
-
-@dataclass(eq=False)
-class LooserForms:
-    """The forms that may do more than those of the effects in a model; they are fitted where they are asked for.
+def loosened(state: FitState, only: Sequence[str] | None = None) -> FitState | None:
+    """Return the model in which one effect, the last then, took a more flexible form; None where none is worth it.
 
     Each further parameter must be paid for, and the whole be as far beyond chance as a further name.
+
+    Args:
+        state: The model.
+        only: Names of the effects that leave structure in their own place, where these alone are asked and the
+            tests of that place are what is beyond chance; by default all effects.
     """
-
-    state: FitState  # the model
-    needed: float  # nats that a form must bring
-    # Nats that the likeliest would bring if they acted linearly, the places of their effects, the forms
-    promising: list[tuple[float, int, CatalogueEffect]]
-
-    @classmethod
-    def of(cls, state: FitState, only: Sequence[str] | None = None) -> LooserForms:
-        """Return the forms of the effects of a model.
-
-        Args:
-            only: Names of the effects that leave structure in their own place, where these alone are asked and the
-                tests of that place are what is beyond chance; by default all effects.
-        """
-        needed = NAMED_NATS if only is None else 0.0
-        forms = (form for form in _forms_of_promise(state, only) if form[0] >= needed)
-        return cls(state, needed, sorted(forms, key=lambda entry: -entry[0])[:_REFITTED])
-
-    @property
-    def promise(self) -> float:
-        """Return the nats that the likeliest form would bring if it acted linearly."""
-        return max((nats for nats, _, _ in self.promising), default=0.0)
-
-    @cached_property
-    def best(self) -> Loosened | None:
-        """Return the model with the form that predicts held-out settings best; None where none is worth it."""
-        fitted = [_loosened(self.state, index, form) for _, index, form in self.promising]
-        worth = [e for e in fitted if e is not None and e.nats - PARAMETER_NATS * e.further >= self.needed]
-        return max(worth, key=lambda entry: entry.nats - PARAMETER_NATS * entry.further, default=None)
+    needed = NAMED_NATS if only is None else 0.0
+    forms = sorted(_forms_of_promise(state, only), key=lambda entry: -entry[0])[:_REFITTED]
+    fitted = (_with_form(state, index, form) for nats, index, form in forms if nats >= needed)
+    best = max((one for one in fitted if one is not None), key=worth, default=state)
+    return best if best is not state and worth(best) - worth(state) >= needed else None
 
 
 def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[tuple[float, int, CatalogueEffect]]:
@@ -384,32 +334,18 @@ def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[t
             continue
         for form in (*effect.loosened(state.model.context), *free_forms(state, effect)):
             effects = [form if place == index else other for place, other in enumerate(state.effects)]
-            nats = _linear_gain(state, effects, index) / 2.0 - PARAMETER_NATS * _further(effect, form)
-            yield nats, index, form
+            followed = state.fit.followed(directions_of(state, effects, index))
+            chi2, _ = state.fit.score(slice(0, state.comparison.size), followed)
+            yield chi2 / 2.0 - PARAMETER_NATS * (len(form.free()) - len(effect.free())), index, form
 
 
-def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:
-    return max(len(form.free()) - len(effect.free()), 1)
-
-
-def _linear_gain(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> float:
-    """Return the χ² that one of some effects, instead of the model's, explains by itself and by its parameters."""
-    followed = state.fit.followed(directions_of(state, effects, index))
-    return state.fit.score(slice(0, state.comparison.size), followed)[0]
-
-
-def _loosened(state: FitState, index: int, form: CatalogueEffect) -> Loosened | None:
-    """Return the model with a form in an effect's place, fitted; it stands last, as the newest of all.
-
-    None where the form cannot be fitted: with it the model predicts what no camera does.
-    """
+def _with_form(state: FitState, index: int, form: CatalogueEffect) -> FitState | None:
+    """Return the model with a form in an effect's place, fitted; None where it predicts what no camera does."""
     others = [effect for place, effect in enumerate(state.effects) if place != index]
     try:
-        following = converged_fit(coarse_fit(with_effects(state, [*others, form])))
+        return converged_fit(coarse_fit(with_effects(state, [*others, form])))
     except (np.linalg.LinAlgError, ConfigurationError):  # no covariance, or parameters that are no numbers
         return None
-    further = _further(state.effects[index], form)
-    return Loosened(form.name, following, following.evidence - state.evidence, further)
 
 
 # ---- looser forms and free laws -------------------------------------------------------------------------------------

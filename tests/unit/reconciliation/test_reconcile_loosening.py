@@ -11,7 +11,7 @@ import pytest
 from radiometer.reconciliation.fit.descent import converged_fit, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.search.localise import departing, localise
-from radiometer.reconciliation.search.search import LooserForms, swapped
+from radiometer.reconciliation.search.search import loosened, swapped
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.dark_current import DarkCurrent
@@ -41,10 +41,10 @@ def test_droop_beyond_some_drive_takes_one_term_more(
     state = _with(LedThermalDroop(0.02, 0.01), make_capture(3, picture=_weaker(0.12, onset)))
     strange = departing(localise(state), state.effects)
     assert strange == (["led_thermal_droop"] if corrected else [])
-    form = LooserForms.of(state, ["led_thermal_droop"]).best
+    form = loosened(state, ["led_thermal_droop"])
     assert (form is not None) is corrected
     if form is not None:
-        assert departing(localise(form.state), form.state.effects) == []
+        assert departing(localise(form), form.effects) == []
 
 
 @pytest.mark.slow
@@ -95,10 +95,10 @@ def test_leaks_that_are_more_at_the_bottom_rise_over_the_sensor(make_capture: Ca
     plan = [*darks, *darks, *({"t": t} for t in (1e-3, 3e-3, 5e-3) for _ in range(2))]
     captured = make_capture(4, extra_e=lambda s: leak * 2.0 ** ((s["T"] - 25.0) / 6.0) * s["t"], plan=plan)
     state = _with(DarkCurrentNonuniformity(2.0, doubling_K=7.2), captured, DarkCurrent(3.0))
-    form = LooserForms.of(state).best
+    form = loosened(state)
     assert (form is not None) is uneven
     if form is not None:
-        found = fitted_parameters(form.state)["dark_current_nonuniformity"]
+        found = fitted_parameters(form)["dark_current_nonuniformity"]
         sigma = found["sigma_e_per_s"].value
         rise, bend = np.polynomial.legendre.legfit(down[:, 0], np.broadcast_to(more, (64, 1))[:, 0], 2)[1:]
         side = 64 / 96  # y runs from −1 to 1 over the longer side
