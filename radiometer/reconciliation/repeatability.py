@@ -322,8 +322,6 @@ def _standing_out(series: Series, total: float, freedom: int) -> tuple[int, ...]
 
 
 # ---- darkness -------------------------------------------------------------------------------------------------------
-
-
 _FEWEST_OF_A_LINE: Final = 4  # tiles
 _CLEAR_SLOPE: Final = 5.0  # standard uncertainties
 _FEWEST_REPEATED: Final = 1.0  # degrees of freedom of repeated dark frames that show a wander

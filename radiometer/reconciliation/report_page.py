@@ -266,8 +266,6 @@ def _limits(result: ReconcileResult) -> str:
 
 
 # ---- pictures -------------------------------------------------------------------------------------------------------
-
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -549,8 +547,6 @@ def _along(axes: Axes, covariate: str, what: str) -> None:
 
 
 # ---- words ----------------------------------------------------------------------------------------------------------
-
-
 # What stands at the axis of a covariate, whether that is logarithmic, and along what something changes.
 _COVARIATES: Final = {
     "exposure_s": ("exposure in s", True, "with the exposure time"),

@@ -551,8 +551,6 @@ def _drift(design: Design, usable: Mapping[str, Mask], drift_dn: float, first: A
 
 
 # ---- fixed patterns -------------------------------------------------------------------------------------------------
-
-
 _EDGES: Final = 5.0  # √(number of edges that average out), few to be safe
 _LEAST_STEP: Final = 0.1  # of the brightest light, where all patches are alike
 _TREND_TERMS: Final = 3  # of a tile's lines: constant, slope and curvature are taken out

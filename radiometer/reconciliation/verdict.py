@@ -277,8 +277,6 @@ def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParame
 
 
 # ---- what speaks against names --------------------------------------------------------------------------------------
-
-
 def place_of_scatter(state: FitState, tests: Sequence[Disagreement]) -> tuple[str, str]:
     """Return the statistic that scatters most beyond its uncertainties, and the covariate along which it trends most.
 

@@ -239,8 +239,6 @@ def _moved(state: FitState, step: Array, origin: FitState | None = None) -> FitS
 
 
 # ---- with a further effect ------------------------------------------------------------------------------------------
-
-
 class UnfitError(ArithmeticError):
     """An effect cannot be fitted to the data; its name is the argument."""
 
@@ -302,8 +300,6 @@ def _profiled_anew(state: FitState) -> FitState:
 
 
 # ---- parameters and covariance --------------------------------------------------------------------------------------
-
-
 _BLOCKS: Final = 5  # along a covariate, each left out in turn
 _ALONE: Final = 0.9  # share of a direction determined by one group, beyond which the others cannot check it
 _WAVE: Final = "bands"

@@ -294,8 +294,6 @@ def triangular(factor: Array, right: Array, *, transposed: bool = False) -> Arra
 
 
 # ---- settings held out ----------------------------------------------------------------------------------------------
-
-
 _LEAST_OWN: Final = 1e-9  # a parameter that one group alone determines leaves nothing to predict it by
 _SMALLEST: Final = 1e-12
 

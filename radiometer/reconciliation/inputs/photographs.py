@@ -431,8 +431,6 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
 
 
 # ---- report ---------------------------------------------------------------------------------------------------------
-
-
 OFFSET: Final = "exposure_time_offset"
 _BINS: Final = 24
 _LONGEST_NAME: Final = 18

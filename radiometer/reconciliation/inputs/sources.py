@@ -155,8 +155,6 @@ def _hash(capture: CaptureSet) -> str:
 
 
 # ---- model file -----------------------------------------------------------------------------------------------------
-
-
 _SMALLEST, _LARGEST = 0.01, 1.0  # quantum efficiency
 
 

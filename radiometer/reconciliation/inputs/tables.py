@@ -250,8 +250,6 @@ def _table(rows: Sequence[MeterRow]) -> list[dict[str, Any]]:
 
 
 # ---- light over drive -----------------------------------------------------------------------------------------------
-
-
 GAP_UNIT: Final = "reduced chi-square on held-out drives"
 DROOP, STEP = "led_droop", "meter_range_step"
 _FOLDS: Final = 5  # every fifth drive is held out: neighbours of it stay

@@ -547,8 +547,6 @@ def _restricted(
 
 
 # ---- the search -----------------------------------------------------------------------------------------------------
-
-
 def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
     """Return the model with every term that held-out nights support, and the steps in order."""
     state, steps = start, list[LogStep]()
@@ -666,8 +664,6 @@ def night_error(state: LogState) -> float:
 
 
 # ---- in the words of reconcile --------------------------------------------------------------------------------------
-
-
 def _verdict(steps: Sequence[LogStep]) -> Verdict:
     named, unnamed = (any((s.name == "unnamed") is kind for s in steps) for kind in (False, True))
     if named:

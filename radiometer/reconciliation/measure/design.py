@@ -676,8 +676,6 @@ def _sides(number: int, tile: Tile) -> list[tuple[int, NDArray[np.intp], NDArray
 
 
 # ---- what captures show ---------------------------------------------------------------------------------------------
-
-
 COMB_PERIODS: Final = (2, 3, 4, 5)  # a coarser step shows at one of its divisors
 
 

@@ -157,8 +157,6 @@ def _rated(
 
 
 # ---- scenes ---------------------------------------------------------------------------------------------------------
-
-
 _MOST_BLOCKS: Final = 32  # along either side of a frame
 _SMALLEST_BLOCK_PX: Final = 4
 _SAMPLES: Final = 12  # pixels along a block's side that are looked at, every n-th of large frames

@@ -216,8 +216,6 @@ def _of_height(height: int, frequency: float) -> tuple[float, ...]:
 
 
 # ---- edges of patches -----------------------------------------------------------------------------------------------
-
-
 _LEAVES: Final = 0.2  # share of the largest deviation at which a line is no longer the patch
 _OUTLYING: Final = 4.0  # sigmas from the median of all sides
 _OUTLYING_SHARE: Final = 0.1

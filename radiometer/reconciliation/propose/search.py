@@ -333,8 +333,6 @@ def propose_law(state: FitState, along: Collection[str] = ()) -> Proposal | None
 
 
 # ---- which laws are looked at ------------------------------------------------------------------------------
-
-
 def _singles(state: FitState) -> Iterator[Law]:
     known = known_values(state)
     terms = {name: tuple(terms_of(name, known)) for name in known}
@@ -432,7 +430,6 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
 
 
 # ---- judged as effects -------------------------------------------------------------------------------------
-
 _JudgedLaw = tuple[Law, Contender]
 
 

@@ -70,8 +70,6 @@ class Reconciled:
 
 
 # ---- scores ---------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Contender:
     """A candidate after a full fit of all that is in the model."""

@@ -138,8 +138,6 @@ def _of_each_capture(state: FitState, start: CatalogueEffect) -> Array:
 
 
 # ---- waves along the rows -------------------------------------------------------------------------------------
-
-
 def _of_bands(state: FitState, starts: Starts) -> Starts:
     """Return the likeliest waves along the rows with their likeliest size, the best first.
 

@@ -240,8 +240,6 @@ def _forget(run: _Run, name: str) -> None:
 
 
 # ---- changes of a model with names ----------------------------------------------------------------------------------
-
-
 _SWAPPED: Final = 4  # entries that are fitted in another's place
 _FAR_OFF: Final = 400.0  # χ² that a smaller model leaves by its own derivatives still, and is asked no further
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
@@ -349,8 +347,6 @@ def _with_form(state: FitState, index: int, form: CatalogueEffect) -> FitState |
 
 
 # ---- looser forms and free laws -------------------------------------------------------------------------------------
-
-
 _KNOTS: Final = (5, 9)
 _OF_TWO: Final = 6  # of the first of two covariates
 _LEVELS: Final = 6  # of a covariate, each of which is a knot
