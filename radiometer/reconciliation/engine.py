@@ -124,11 +124,6 @@ def evidence_for(
     change. The design then follows what was seen, and the frames are read again. Each scene is a separate pattern
     then.
 
-    Args:
-        shape: Height and width of the frames.
-        read: Gives the frame at a position of the header.
-        progress: Called with frames done and frames in all.
-
     Raises:
         CaptureError: If a scene is shown by one frame alone, which cannot be compared with any other.
     """
@@ -218,8 +213,6 @@ def reconcile_capture(
 
     Args:
         path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
-        model: The camera as it is believed to be.
-        catalogue: Effects to try.
 
     Raises:
         CaptureError: If the capture set is unfinished or inconsistent.
@@ -243,9 +236,6 @@ def plan_of(
 
     Args:
         path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
-        model: The camera as it is believed to be.
-        catalogue: Effects to ask about.
-        progress: Called with frames done and frames in all.
 
     Raises:
         CaptureError: If the capture set is unfinished or inconsistent.
@@ -402,7 +392,6 @@ def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> Foun
 
 
 def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | None) -> dict[str, Any]:
-    """Return what the named effects say against figures that the camera's description states."""
     named = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
     camera = state.design.header.camera
     all_remarks = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
@@ -422,8 +411,6 @@ def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T |
     """Return the result of an optional step; None where it fails, since advice must not cost the answer.
 
     Args:
-        what: What it is, for the log and for the user.
-        work: Works it out.
         failed: Receives the reason why it is missing.
     """
     try:
@@ -442,7 +429,6 @@ def _found(
     again: Periodic | None,
     failed: list[str],
 ) -> tuple[FoundEffect, ...]:
-    """Return the names in the order of finding, and the residual as one entry, where its largest part was found."""
     state, weak = outcome.state, insignificant_names(outcome)
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}

@@ -181,8 +181,6 @@ def propose(state: FitState, effect: CatalogueEffect, others: Sequence[Catalogue
 
     Args:
         state: The model without any of them.
-        effect: The effect at some size.
-        others: The others at the sizes that look the same.
 
     Returns:
         Settings, what they separate and the χ² expected of it; None where there are no others, or none that any
@@ -209,7 +207,6 @@ def propose_for_unnamed(
     predicted by the others, so that a new setting is asked for: there the entries, and no effect at all, must differ.
 
     Args:
-        catalogue: Entries, by name.
         places: Covariate and statistic of what has no name, the first first.
 
     Returns:
@@ -257,7 +254,6 @@ def propose_for_blind(
     show in the new capture.
 
     Args:
-        catalogue: Entries, by name.
         limits: What these data would have shown.
 
     Returns:

@@ -98,7 +98,6 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     Args:
         tried: (values,) relative variances, 0 first.
         deviances: (values, captures) −2·ln of each capture's likelihood.
-        exposure_s: (captures,) exposure times.
         declared: Stated relative standard uncertainty of the source's reproducibility; None where not stated.
     """
     allowed = tried <= (_PLAUSIBLE_WANDER if declared is None else _DECLARED_WANDER * declared) ** 2
@@ -138,8 +137,6 @@ def _bounds(design: Design, scale: Array, variance: Array, lit: _Lit) -> tuple[f
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Repeats:
-    """Captures of settings that were repeated."""
-
     taken: NDArray[np.intp]  # (n,) which captures they are
     scale: Array  # (n,) their common relative deviation from the model
     variance: Array  # (n,) its variance from pixel noise alone
@@ -255,7 +252,6 @@ def repeats_of(
 
 
 def _series(design: Design, number: int, means: Array) -> Series:
-    """Return each frame less the mean of the others of its capture, from (frames, tiles) in the unit to be reported."""
     n = means.shape[0]
     apart = (means - means.mean(axis=0)) * n / (n - 1.0)
     middle = np.median(apart, axis=1)
@@ -288,7 +284,6 @@ def _together(kind: str, unit: str, series: Sequence[Series], aside: float) -> R
 
 
 def _chance2(series: Series) -> float:
-    """Return the variance that the tiles' chance gives a frame about the mean of its series."""
     n = len(series.frames)
     return float(np.mean(np.square(series.u))) * (n - 1.0) / n
 
@@ -298,7 +293,6 @@ def _scaled(series: Series, by: float) -> Series:
 
 
 def _square(series: Series) -> float:
-    """Return the sum of squares of the frames' deviations from their mean."""
     n = len(series.frames)
     return float(np.sum(np.square(series.apart))) * ((n - 1.0) / n) ** 2
 

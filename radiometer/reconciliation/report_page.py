@@ -30,13 +30,7 @@ _WEAK_NATS: Final = 10.0
 
 
 def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
-    """Return the report as HTML, one file that needs nothing else.
-
-    Args:
-        reconciled: What was found.
-        title: Name of the capture set.
-        origin: Camera, lens, date and whatever else is known of the data.
-    """
+    """Return the report as HTML, one file that needs nothing else."""
     result = reconciled.result
     return page(
         title,
@@ -109,7 +103,6 @@ def _summary(result: ReconcileResult) -> str:
 
 
 def _places(result: ReconcileResult) -> str:
-    """Return where the starting model disagrees, found without the catalogue."""
     rows = [
         (seen_in(place.block), along(place.covariate), place.form, f"{place.score:.1f}", f"{place.p_value:.2g}")
         for place in result.localisation[:_LISTED_PLACES]
@@ -118,13 +111,11 @@ def _places(result: ReconcileResult) -> str:
 
 
 def _repeats(result: ReconcileResult) -> str:
-    """Return in words what equal frames differ by."""
     message = [f"{text[0].upper()}{text[1:]}." for one in result.repeats for text in one.sentences()]
     return section("How equal frames differ", listed(message)) if message else ""
 
 
 def _frames(result: ReconcileResult) -> str:
-    """Return each frame less the others of its series."""
     rows = []
     for part in result.repeats:
         scale, unit = (100.0, "%") if part.scatter.unit == "1" else (1.0, part.scatter.unit)
@@ -158,7 +149,6 @@ def _is_weak(effect: FoundEffect) -> bool:
 
 
 def _physics(kind: type[CatalogueEffect]) -> str:
-    """Return the description of an effect from its file."""
     return (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " ")
 
 
@@ -343,7 +333,6 @@ def _relative(state: FitState) -> tuple[Array, Array]:
 
 
 def _absolute(state: FitState) -> tuple[Array, Array]:
-    """Return the setting of each mean, counted from 1, its patches side by side, and its deviation in DN."""
     usable = state.comparison.usable["mean"]
     settings, patches = usable.shape
     place = np.arange(1.0, settings + 1.0)[:, None] + np.linspace(-0.35, 0.35, patches)
@@ -351,7 +340,6 @@ def _absolute(state: FitState) -> tuple[Array, Array]:
 
 
 def _steps(axes: Axes, reconciled: Reconciled) -> None:
-    """Draw the held-out gap after each name, from top to bottom."""
     result, steps = reconciled.result, reconciled.outcome.steps
     names = ["ideal camera", *(f"+ {step.name}" for step in steps)]
     gaps = [result.gap_before, *(step.gap_after for step in steps)]
@@ -381,8 +369,6 @@ def plot_along(
     """Return what the model leaves of a statistic along a covariate, without an effect and with what that predicts.
 
     Args:
-        where: The covariate.
-        block: The statistic.
         effect: One of the model's effects; None for what no name explains.
         u_rel: Relative standard uncertainty of its main parameter; None where it has none.
 
@@ -418,7 +404,6 @@ def plot_along(
 
 
 def _left(state: FitState, value: Array, block: str, prediction: Prediction) -> tuple[Array, Array]:
-    """Return a covariate's values and standardised residuals of a statistic, in all of its directions, where usable."""
     residual = state.comparison.residual(prediction)
     values, left = [np.zeros(0)], [np.zeros(0)]
     for name, cut in state.comparison.cuts.items():
@@ -505,7 +490,6 @@ def residual_panels(reconciled: Reconciled) -> str:
 
 
 def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
-    """Return bin centres, mean standardised residual of the means, and its standard uncertainty."""
     axis = covariates(state.model, state.prediction)[name]
     usable = state.comparison.usable["mean"]
     deviation = np.hypot(state.comparison.deviation["mean"], state.tau * state.sensitivity)
@@ -529,7 +513,6 @@ def _binned(name: str, value: Array, standardised: Array) -> tuple[Array, Array,
 
 
 def _in_units(name: str, value: Array) -> Array:
-    """Return values of a covariate as people read them; the tests use logarithms of most."""
     if name == "f_number":
         return np.asarray(2.0**value)
     if name == "signal":

@@ -55,10 +55,6 @@ def mildest(state: FitState, starts: Sequence[CatalogueEffect], asked: Asked) ->
     """Return the mildest form of each entry that stands out by so much, by name; none where no start has one.
 
     All starts take one look after the other side by side: what many change is projected at once.
-
-    Args:
-        starts: Starts of any entries.
-        asked: By how much they are to stand out.
     """
     found: dict[str, Grown] = {}
     looks = grown(state, starts, asked)
@@ -75,12 +71,7 @@ def mildest(state: FitState, starts: Sequence[CatalogueEffect], asked: Asked) ->
 
 
 def grown(state: FitState, effects: Sequence[CatalogueEffect], asked: Asked) -> list[Grown]:
-    """Return effects as they are, with the χ² by which each alone stands out.
-
-    Args:
-        effects: Any effects.
-        asked: By how much they are to stand out.
-    """
+    """Return effects as they are, with the χ² by which each alone stands out."""
     found = []
     for first in range(0, len(effects), AT_ONCE):
         batch = effects[first : first + AT_ONCE]
@@ -138,8 +129,6 @@ class Grown:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Search for the size that is asked for."""
-
     first: float  # size of the start
     near: Grown  # the last look
     below: Grown | None = None  # the last look that did not show
@@ -232,7 +221,6 @@ def _can_show(state: FitState, kind: type[CatalogueEffect], unit: str) -> bool:
 
 
 def _few(starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
-    """Return a few starts spread over all: the smallest and some others."""
     step = max(1, len(starts) // 6)
     return starts[::step]
 
@@ -242,7 +230,6 @@ def _mildest(state: FitState, starts: Sequence[CatalogueEffect]) -> dict[str, Li
 
 
 def _limit(near: Grown) -> Limit:
-    """Return a size as a limit."""
     stated = near.effect.values()["reference_C"] if near.effect.heated else None
     return Limit(abs(near.size) if near.grows else near.size, near.parameter, near.unit, stated)
 
@@ -280,11 +267,7 @@ class Directions:
 
     @classmethod
     def of(cls, state: FitState, entries: Mapping[str, Sequence[CatalogueEffect]]) -> Directions:
-        """Return the directions of the starts of entries.
-
-        Args:
-            entries: Starts by name.
-        """
+        """Return the directions of the starts of entries."""
         columns, forms, at = list[Array](), dict[str, tuple[_Form, ...]](), 0
         every = _columns(state, [start for starts in entries.values() for start in starts])
         for name, starts in entries.items():
@@ -338,9 +321,7 @@ def _followed(gram: Array, right: Array, whole: float) -> tuple[float, Array]:
     """Return what columns leave of a χ² at best, and how much of each they take.
 
     Args:
-        gram: Inner products of the columns.
         right: Their products with what is to be followed.
-        whole: Its χ².
     """
     lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
@@ -380,8 +361,6 @@ def inseparable(
     """Return entries, at a start of theirs, that these captures cannot separate from a named effect of its fitted size.
 
     Args:
-        state: The fitted model that holds the effect.
-        chosen: The effect.
         catalogue: All entries; also those whose covariate does not vary, for that very reason.
     """
     rest = with_effects(state, [effect for effect in state.effects if effect is not chosen])
@@ -482,7 +461,6 @@ class ConfusablePair:
 
 
 def _spread(starts: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
-    """Return a few starts spread over all."""
     return tuple(starts[:: max(1, -(-len(starts) // _STARTS))])
 
 
@@ -518,7 +496,6 @@ def separability(
 
     Args:
         state: The starting camera, nuisances fitted; the data's disagreements have no part in it.
-        catalogue: All entries.
         every: List a set once for each of its names, without captures, instead of once in all.
     """
     seen = asked_sizes(state, catalogue)

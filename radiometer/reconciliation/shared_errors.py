@@ -71,9 +71,7 @@ def whiteners(
     """Return the inverse Cholesky factors of the captures' covariances, of every statistic that shares an error.
 
     Args:
-        errors: The sources.
         deviation: Standard uncertainty of each entry by itself, by statistic.
-        usable: Which entries count.
     """
     found = {}
     for name in dict.fromkeys(name for error in errors for name in error.parts):
@@ -190,7 +188,6 @@ def _free_rows(design: Design, taken: int) -> Array:
 
 
 def _wave(design: Design, light: Mapping[str, Array], repeatability: Repeatability) -> list[SharedError]:
-    """Return light that goes as a wave along the rows, at a new phase in each frame."""
     n, left = design.frame_count, TileBands.of(design, repeatability.band_frequency)
     first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
     bands2, mean, rise = repeatability.bands2, left.quadratures(left.mean), left.quadratures(left.rise)
@@ -455,7 +452,6 @@ def light_response(model: TileModel, here: Trace) -> tuple[Array, Array]:
 
 
 def _brighter(nuisance: Nuisance) -> Nuisance:
-    """Return the nuisances with a little more of all light."""
     return nuisance.with_off(log_responsivity=nuisance.off.log_responsivity + _SENSITIVITY_STEP)
 
 
@@ -708,7 +704,6 @@ def _offset_terms(
     """Return what a pattern does to means, slopes and edges.
 
     Args:
-        name: What the pattern is called.
         unit: Gives (captures, tiles) DN per unit of the pattern for a prediction.
         white: (tiles,) variance from pixel to pixel in squared units.
         lines: Variance of rows and of columns in squared units.
@@ -744,7 +739,6 @@ def _root(covariance: Array) -> Array:
 
 
 def _line_variances(prediction: Prediction) -> tuple[float, float]:
-    """Return the variances of row and column patterns in e-²."""
     gain2 = prediction.gain**2
     return float(np.median(prediction.fixed_row_variance / gain2)), float(
         np.median(prediction.fixed_column_variance / gain2)
@@ -761,7 +755,6 @@ def shared_lines(design: Design) -> tuple[Array, Array]:
 
 
 def _outer(length: Array) -> Array:
-    """Return √(l_i·l_j), so that a tile shares all of its lines with itself."""
     return np.asarray(np.sqrt(length[:, None] * length[None, :]))
 
 
@@ -815,7 +808,6 @@ def _spread_of_pixels(seen: CaptureStatistics, excess_kurtosis: float) -> FixedE
 
 
 def _lines(name: str, prediction: Prediction) -> Array:
-    """Return the variance of a pattern of columns or rows in DN², (captures,)."""
     return prediction.fixed_column_variance if name == "columns" else prediction.fixed_row_variance
 
 

@@ -39,8 +39,6 @@ def verdict_of(
     """Return the verdict on a search.
 
     Args:
-        outcome: The search.
-        doubts: What speaks against its names.
         again: What comes back in the order of the frames, which no name explains.
         other_well: Whether the brightest pixels show another full well than the declared one.
     """
@@ -57,7 +55,6 @@ def doubts_of(
     """Return in words why names are provisional though nothing structured is left.
 
     Args:
-        weighed: The posterior over all models that it fitted.
         alternatives: What these data cannot separate from each name; by default the rivals of its step.
     """
     state, effects = outcome.state, outcome.state.effects
@@ -229,7 +226,6 @@ def size_of_rest(state: FitState, block: str) -> dict[str, FittedParameter]:
 
 
 def _unwhitened(comparison: Comparison, block: str, values: Array) -> Array:
-    """Return what whitened entries of a statistic are in its own unit, (captures, tiles)."""
     if block in comparison.whiteners:
         return np.asarray(np.linalg.solve(comparison.whiteners[block], values[..., None])[..., 0])
     return np.asarray(np.where(comparison.usable[block], values * comparison.deviation[block], 0.0))
@@ -264,7 +260,6 @@ def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParame
 
     Args:
         state: The model with the effect by another law.
-        effect: That effect.
     """
     own = effect.own
     plain = refit(with_effects(state, [own if other is effect else other for other in state.effects]))
@@ -299,8 +294,6 @@ def uncertain(
     alone may explain what all of them do.
 
     Args:
-        names: The names that are reported.
-        weighed: The posterior over all models.
         alternatives: What these data cannot separate from each name.
     """
     alike = {name: set(alternatives.get(name, ())) for name in names}

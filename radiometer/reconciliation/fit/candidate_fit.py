@@ -53,12 +53,7 @@ class FittedCandidate:
 
 
 def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
-    """Return the effect at the least χ², all nuisances and earlier effects following linearly.
-
-    Args:
-        state: The model.
-        candidate: The effect at its starts.
-    """
+    """Return the effect at the least χ², all nuisances and earlier effects following linearly."""
     trials = _Trial.of_each(state, (candidate.effect, *candidate.others))
     best = min(trials, key=lambda trial: trial.cost)
     begun = [_profiled(state, best)] if best.effect.profiled else _variants(trials)
@@ -77,7 +72,6 @@ def _variants(trials: Sequence[_Trial]) -> list[_Trial]:
 
 
 def _fitted(state: FitState, start: _Trial) -> _Trial:
-    """Return the trial at the least χ² (Levenberg's damping, less after each step that helped)."""
     damping, trial = _DAMPING, start
     for _ in range(_ITERATIONS if start.effect.free() else 0):
         lower, normal = None, trial.normal(state)
@@ -195,12 +189,8 @@ def _recorded_gain(
     """Return by how many nats further columns improve the prediction of held-out groups, and record the model.
 
     Args:
-        state: The model without them.
-        effects: The effects of the model with them.
         residual: Whitened residual with the addition, prior rows included, followers followed.
-        columns: Its columns, the same.
         curves: How many of them are of a curve without a name.
-        parameters: Number of its parameters.
     """
     gains = leave_one_group_out(state.fit.extended(columns, residual), state.groups).log_density
     gains = gains - state.held_out.log_density

@@ -153,12 +153,10 @@ class Comparison:
 
     @cached_property
     def _calm_common(self) -> Array:
-        """Return the scores of the frame-common fluctuation where nothing is predicted to move whole frames."""
         return self.common_scores(np.zeros_like(self.flicker2), np.zeros(len(self.design.captures)))
 
     @cached_property
     def _calm_bands(self) -> Array:
-        """Return the scores of the bands where nothing is predicted to move the rows."""
         return self.band_scores(np.zeros_like(self.seen.bands_of_rows), np.zeros(len(self.design.captures)))
 
     def _weighed(self, name: str, values: Array) -> Array:
@@ -365,7 +363,6 @@ def compare(
 def _deviations(
     scatter: Scatter, repeatability: Repeatability, variance_response: Array, floors: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Return the standard uncertainty of each entry by itself, by statistic."""
     found = {name: row.sigma(scatter) for name, row in STATISTICS.items()}
     given = (scatter.design, scatter.seen, scatter.base)
     by_light = _of_noise(max(repeatability.tau, _LIGHT_U_REL) * variance_response)
@@ -375,7 +372,6 @@ def _deviations(
 
 
 def _of_noise(response: Array) -> dict[str, Array]:
-    """Return a response to the light for each statistic of a tile's noise."""
     return {name: response for name, row in STATISTICS.items() if row.follows_light}
 
 

@@ -48,7 +48,6 @@ def first_state(
     """Return the starting camera fitted to the statistics: nuisances only.
 
     Args:
-        seen: Measured statistics.
         given: Effects that the starting model adds to the ideal chain; they are not fitted.
     """
     model = replace(TileModel.of(design, images), given=given, passes_well=_passes_well(design, seen))
@@ -141,7 +140,6 @@ def refit_with(state: FitState, effect: CatalogueEffect, iterations: int = _ITER
 
 
 def _fixed(state: FitState) -> frozenset[tuple[int, str]]:
-    """Return the effect and the name of each parameter that is frozen within its bounds."""
     own = state.parameters
     on_low, on_high = own.on_bounds()
     inside = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())

@@ -44,7 +44,6 @@ class RowBlock:
         """Return the block joined with another, and with further rows below both that have one entry each.
 
         Args:
-            other: The other block, of the same rows.
             below: (columns,) the entry of each column in its row.
         """
         rows = np.union1d(self.rows, other.rows)
@@ -148,7 +147,6 @@ class LinearFit:
 
     @cached_property
     def _slope(self) -> Array:
-        """Return Jᵀ·residual."""
         return np.concatenate([self._pulled[:, 0], self.effects.T @ self.residual])
 
     def step_from(self, residual: Array) -> tuple[Array, float]:
@@ -181,7 +179,6 @@ class LinearFit:
         return moved, self.half(np.concatenate([pulled, own]))
 
     def _followed(self, vectors: Array) -> tuple[Array, Array]:
-        """Return `followed(vectors)` and Nᵀ of it."""
         pulled = self.nuisances.pull(vectors)
         if not self.followers.rows.size:
             return vectors.copy(), pulled
@@ -193,7 +190,6 @@ class LinearFit:
 
     @cached_property
     def _crossed(self) -> Array:
-        """Return Nᵀ·F."""
         _, own, theirs = np.intersect1d(
             self.nuisances.rows, self.followers.rows, assume_unique=True, return_indices=True
         )
@@ -354,7 +350,6 @@ class Groups:
 
     @cached_property
     def _position(self) -> NDArray[np.intp]:
-        """Return for each row its place among those that nuisances touch; −1 for the others."""
         position = np.full(self.group.size, -1, dtype=np.intp)
         position[self.nuisances.rows] = np.arange(self.nuisances.rows.size)
         return position

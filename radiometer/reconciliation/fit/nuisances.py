@@ -95,7 +95,6 @@ class NuisanceLayout:
         return slice(self._radiances.stop, self._radiances.stop + count)
 
     def _summed(self, own: Array) -> Array:
-        """Return the columns of the shared errors from those of each radiance, (rows, patterns · patches)."""
         found = np.zeros((own.shape[0], self._common.stop - self._common.start))
         for number, errors in enumerate(self.shared):  # one pattern has each error once
             found[:, errors] += own[:, number * errors.size : (number + 1) * errors.size]
@@ -146,7 +145,6 @@ class NuisanceLayout:
         return RowBlock(rows, tiles.matrix), self._followers(comparison, light)
 
     def _share(self, matrix: Array) -> None:
-        """Write the columns of shared errors from those of each radiance."""
         if self.patterns:
             matrix[:, self._common] = self._summed(matrix[:, self._radiances])
 
@@ -203,7 +201,6 @@ class _TileColumns:
         """Write the change of each tile into the column of that tile (and pattern).
 
         Args:
-            change: What changes.
             first: The first of those columns.
             blocks: Statistics of which it is written.
             column_of: (tiles,) column of each tile, rising; several may share one. By default each has its own.
@@ -305,7 +302,6 @@ def _shared_errors(patches: Sequence[Tile], patterns: tuple[int, ...]) -> NDArra
 
 
 def _shared_priors(design: Design, patches: Sequence[Tile], shared: NDArray[np.intp], own: list[float]) -> list[float]:
-    """Return the prior standard deviation of each shared error: that of the first radiance that has it."""
     _, first = np.unique(shared, return_index=True)
     found = []
     for at in first.tolist():

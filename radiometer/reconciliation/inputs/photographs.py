@@ -92,7 +92,6 @@ class PhotographsReconciled:
         return str(path)
 
     def _origin(self) -> Origin:
-        """Return what EXIF of the first photograph states of date and camera."""
         stated = read_exif_header(Path(self.origin) / next(iter(self.exposures_s)))
         found = {name: str(stated[name].written) for name in ("DateTimeOriginal", "Make", "Model") if name in stated}
         camera = " ".join(found[name] for name in ("Make", "Model") if name in found)
@@ -115,7 +114,6 @@ def reconcile_photographs(
         frames: Photographs of one scene, at least three with different exposures.
         other_colours: The same photographs in other colours, each with a separate tone curve. Their labels are the
             same, and all colours together show a wrong one.
-        origin: Their folder.
 
     Raises:
         CaptureError: If there are too few, they hardly overlap, or all are equally bright.
@@ -160,8 +158,6 @@ def reconcile_photographs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """Outcome for a stack: rounded stops or not, wrong labels, and the errors before and after each."""
-
     samples: ResponseSamples
     fitted: FittedResponse
     log_time: Array
@@ -331,20 +327,17 @@ def _verdict(judged: _Judged, *, found: bool) -> Verdict:
 
 
 def _of_printed(label: WrongLabel, judged: _Judged, bracket: Bracket) -> tuple[float, float]:
-    """Return real over printed exposure and its standard uncertainty: a label's own ratio is to the exact stop."""
     ratio = math.exp(judged.log_time[label.frame]) / float(bracket.effective_exposures_s[label.frame])
     return ratio, label.log_ratio[1] * ratio
 
 
 def _rivals(label: WrongLabel, judged: _Judged, names: Sequence[str]) -> tuple[str, ...]:
-    """Return which other labels predict left-out parts nearly as well, each alone in its place."""
     return tuple(
         f"{_LABEL} of {names[frame]} (ratio {ratio * judged.expected[frame]:.3f})" for frame, ratio in label.rivals
     )
 
 
 def _limits(judged: _Judged) -> list[float]:
-    """Return of each frame ln of real over stated exposure from which its label is named; infinite where none is."""
     return [
         smallest_label_error(float(seconds), judged.exposures.allowed_s) + _SURE * u if judged.can_show else math.inf
         for seconds, (_, u) in zip(judged.samples.exposures_s, judged.by_others, strict=True)
@@ -373,7 +366,6 @@ def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> 
 
 
 def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
-    """Return what to say of photographs that no tone curve joins."""
     few = "" if judged.can_show else ", wrong exposures (so few photographs cannot show which)"
     step_dn = dial_step_dn(judged.fitted.samples, judged.fitted.log_exposure)
     return (
@@ -385,7 +377,6 @@ def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
 
 
 def _worst(judged: _Judged, names: Sequence[str]) -> str:
-    """Return which photograph is predicted worst, where it is so by far."""
     times = judged.log_time - judged.samples.frame_log_time
     errors = np.abs(prediction_error_dn(judged.samples, judged.fitted.log_exposure, times))
     shown = [errors[(judged.samples.frame == k) & np.isfinite(errors)] for k in range(times.size)]
@@ -395,7 +386,6 @@ def _worst(judged: _Judged, names: Sequence[str]) -> str:
 
 
 def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[FrameFinding, ...]:
-    """Return what the others say of each photograph."""
     rows, g = judged.fitted.samples, judged.fitted.log_exposure
     final = prediction_error_dn(rows, g, judged.fitted.fit.log_time_errors)
     printed = np.log(bracket.effective_exposures_s) - rows.frame_log_time
@@ -464,15 +454,7 @@ class FrameFinding:
 def report_html(
     result: ReconcileResult, frames: Sequence[FrameFinding], sentence: str, title: str, origin: Origin
 ) -> str:
-    """Return the report as HTML.
-
-    Args:
-        result: Verdict, effects and assumptions.
-        frames: The photographs in the order of their exposure.
-        sentence: The outcome in a sentence.
-        title: What was reconciled.
-        origin: What the photographs come from.
-    """
+    """Return the report as HTML."""
     wrong = [one for one in frames if one.wrong]
     line = "the line of 1" if all(one.expected == 1.0 for one in frames) else "what label and shutter's offset make"
     return page(
@@ -658,7 +640,6 @@ def _draw_errors(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -
 
 
 def _binned(dn: Array, error: Array) -> tuple[Array, Array, Array]:
-    """Return middle, mean error and its standard deviation of bins along the digital numbers, empty ones left out."""
     known = np.isfinite(error)
     if not known.any():
         return np.empty(0), np.empty(0), np.empty(0)

@@ -199,7 +199,6 @@ def _by_stop(rows: Sequence[MeterRow]) -> tuple[dict[float, float], float, int]:
 
 
 def _of_stops(stops: Mapping[float, float], before: float, left: float, freedom: int) -> FoundEffect:
-    """Return the effect of stops that let through more or less light than their number says, against the middle one."""
     errors = {n: math.expm1(-more) for n, more in stops.items() if abs(more) > _COINCIDENCE}
     found = {f"errors_rel at f/{n:.2g}": FittedParameter(error, _COINCIDENCE, "1") for n, error in errors.items()}
     nats, rivals = freedom * math.log(before / _COINCIDENCE), ("meter_resolution",)
@@ -209,7 +208,6 @@ def _of_stops(stops: Mapping[float, float], before: float, left: float, freedom:
 
 
 def _likely_axis(rows: Sequence[MeterRow]) -> str:
-    """Return the setting along which K changes most."""
     k = np.array([math.log(row.k_exact) for row in rows])
     axes = {
         "f_number": np.array([math.log(row.f_number) for row in rows]),
@@ -230,7 +228,6 @@ def _by_source(rows: Sequence[MeterRow], *, exact: bool) -> dict[str, Array]:
 
 
 def _spread(constants: Mapping[str, Array]) -> float:
-    """Return the standard deviation of ln K within sources."""
     deviations = [np.log(k) - np.mean(np.log(k)) for k in constants.values()]
     freedom = sum(d.size - 1 for d in deviations)
     return float(np.sqrt(sum(float(np.sum(d**2)) for d in deviations) / freedom)) if freedom else 0.0
@@ -381,7 +378,6 @@ def _smooth(data: _Data) -> Array:
 
 
 def _rss(data: _Data, design: Array) -> tuple[Array, Array]:
-    """Return the residual sum of squares and the number of readings of each channel."""
     found = np.linalg.lstsq(design, data.target, rcond=None)[0]
     residual = (data.target - design @ found) ** 2
     sums = np.array([float(residual[data.channel == n].sum()) for n in range(data.channels)])
@@ -432,7 +428,6 @@ def _gain_by_place(data: _Data, before: Array, after: Array) -> float:
 
 
 def _named(data: _Data, steps: tuple[float, ...]) -> tuple[tuple[FoundEffect, ...], tuple[float, ...]]:
-    """Return the effects in the order of their gain, and the held-out gap before and after each."""
     flat = data.per_channel(np.ones((data.target.size, 1)))
     law = data.per_channel(columns_of(data.drive))
     jumps = np.column_stack([data.reading > edge for edge in steps]).astype(float) if steps else None
@@ -459,7 +454,6 @@ def _named(data: _Data, steps: tuple[float, ...]) -> tuple[tuple[FoundEffect, ..
 
 
 def _weighted(data: _Data, design: Array, sigma: Array) -> tuple[Array, Array]:
-    """Return the coefficients of a design by the noise of each channel, and their covariance."""
     rows = design / sigma[data.channel][:, None]
     return np.linalg.lstsq(rows, data.target / sigma[data.channel], rcond=None)[0], np.linalg.pinv(rows.T @ rows)
 
@@ -498,14 +492,12 @@ def _step_effect(
 
 
 def _sigma(data: _Data, design: Array) -> Array:
-    """Return the relative noise of each channel about the freest model."""
     sums, counts = _rss(data, design)
     freedom = np.maximum(1.0, counts - design.shape[1] / data.channels)
     return np.asarray(np.maximum(np.sqrt(sums / freedom), _FLOOR))
 
 
 def _held_out(data: _Data, design: Array, sigma: Array) -> float:
-    """Return the reduced chi-square of drives predicted from the others."""
     total, place = 0.0, np.arange(data.target.size)
     for fold in range(_FOLDS):
         out = place % _FOLDS == fold
@@ -516,7 +508,6 @@ def _held_out(data: _Data, design: Array, sigma: Array) -> float:
 
 
 def _limits(data: _Data, effects: Sequence[FoundEffect]) -> dict[str, Limit]:
-    """Return what would have shown at 5 sigma of what was not found."""
     named = {one.name for one in effects}
     sigma = float(np.median(_sigma(data, _smooth(data))))
     per_channel = data.target.size / data.channels

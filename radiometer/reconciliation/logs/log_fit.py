@@ -104,7 +104,6 @@ def predicted_log(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *,
     """Return ln of the predicted values.
 
     Args:
-        terms: The terms that are there.
         parameters: ln R, then theirs in order.
         measured: Take the signal that bends, offsets and leaks act on from the values as measured.
 
@@ -177,7 +176,6 @@ def catalogue(log: LogTable) -> tuple[LogTerm, ...]:
 
 
 def _term(name: str, where: str, parameter: str, unit: str, scale: float, part: str, adds: Adds) -> LogTerm:
-    """Return a term of one parameter."""
     return LogTerm(name, where, (parameter,), (unit,), (scale,), part, adds)
 
 
@@ -392,12 +390,10 @@ class LogState:
         return state
 
     def _bounded(self, step: Array) -> Array:
-        """Return a step that moves no term's parameter by more than so many of its scales."""
         scales = np.array([math.inf, *(scale for term in self.terms for scale in term.scales)])
         return np.asarray(np.clip(step, -_FARTHEST * scales, _FARTHEST * scales))
 
     def _halved(self, step: Array) -> LogState:
-        """Return the state after a step, halved until it does not worsen the fit."""
         moved = self
         for halving in range(8):
             moved = replace(self, parameters=self.parameters + step / 2**halving)
@@ -486,7 +482,6 @@ def fit_log(log: LogTable, *, control: bool = True) -> LogFit:
 
 
 def _start(log: LogTable) -> LogState:
-    """Return the responsivity alone, fitted, with the scatter that a full model leaves."""
     level = float(np.mean(np.log(log.value) - predicted_log(log, (), np.zeros(1))))
     unit = Scatter(1.0, 0.0, 0.0, 0.0)
     state = LogState(log, unit, (), np.array([level]), unit.whiteners(log))
@@ -548,7 +543,6 @@ def _restricted(
 
 # ---- the search -----------------------------------------------------------------------------------------------------
 def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
-    """Return the model with every term that held-out nights support, and the steps in order."""
     state, steps = start, list[LogStep]()
     every = [term for term in catalogue(start.log) if not is_lost_in_scatter(start.log, term.where)]
     for _ in (*every, *axes(start.log)):
@@ -620,7 +614,6 @@ def _is_determined(state: LogState) -> bool:
 
 
 def _pruned(state: LogState, steps: list[LogStep]) -> tuple[LogState, list[LogStep]]:
-    """Return the model without terms that later ones made superfluous."""
     for term in state.terms[:-1]:
         rest = replace(
             state, terms=tuple(t for t in state.terms if t is not term), parameters=_without(state, term)
@@ -752,7 +745,6 @@ def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:
 
 
 def _limits(state: LogState) -> dict[str, Limit]:
-    """Return the amplitude of each further term that these readings would have shown at 5 sigma."""
     there = {term.name for term in state.terms}
     found: dict[str, Limit] = {}
     for term in catalogue(state.log):

@@ -135,12 +135,7 @@ def _within(counts: NDArray[np.int64], middle: float, distance: float) -> int:
 
 @compiled
 def coarse_cells(dn: NDArray[Any], cell: int, rows: int, columns: int) -> tuple[Array, Array]:
-    """Return the mean of each cell of `cell` × `cell` pixels in DN, and its largest value.
-
-    Args:
-        dn: The frame in DN.
-        cell: Edge of a cell in pixels.
-    """
+    """Return the mean of each cell of `cell` × `cell` pixels in DN, and its largest value."""
     mean, largest = np.zeros((rows, columns)), np.zeros((rows, columns))
     for i in range(rows * cell):
         for j in range(columns * cell):
@@ -163,9 +158,7 @@ def row_temporal_profile(
     per tile and frame.
 
     Args:
-        groups: Groups of tiles.
         row_sums: Per group and frame, the sums of deviations along each tile row, shape (tiles, height).
-        variance: (tiles,) temporal variance of a pixel in DN².
         counting: Per group, the pixels that the sums hold, shape (tiles, height, width).
     """
     frames = len(row_sums[0])
@@ -186,7 +179,6 @@ def fixed_profile(
     """Return how much the time mean's columns and rows scatter, over what a white pixel pattern gives.
 
     Args:
-        groups: Groups of tiles.
         residuals: Per group, the time mean minus its quadratic surface, shape (tiles, height, width).
         spatial: (tiles,) variance of the time mean from pixel to pixel in DN².
         counting: Per group, the pixels that count, same shape; residuals are 0 elsewhere.
@@ -344,7 +336,6 @@ class CaptureSums:
 
         Args:
             black_dn: Stated black level in DN; NaN where unknown.
-            bins: Bins of rows for bands.
             structured: Whether the tiles show a scene rather than even light: nothing in them is outlying or unsteady.
             dark: Whether it is a dark capture, whose restless pixels leave its noise.
         """
@@ -489,11 +480,7 @@ class CaptureSums:
         """Work out the tiles' noise.
 
         Args:
-            number: Number of the group.
-            group: Tiles of one size.
-            good: Their pixels that count.
             out: Statistics by name; those of noise are filled in.
-            n: Number of frames.
             shaken: (tiles,) sum of squares of what the light of the frames differs by, relatively; 0 where missing.
         """
         total, index = self.total[number], group.index
@@ -723,7 +710,6 @@ def with_even_tiles(design: Design, read: FrameReader) -> Design:
 
     Args:
         design: The cells of the scene; a design of known patches is returned as it is.
-        read: Gives the frame at a position of the header.
     """
     images = PatternImages.empty(design)
     for pattern in range(0 if design.uniform else len(design.patterns)):
@@ -783,10 +769,6 @@ def reduce_frames(
     """Return the statistics of all captures and the mean image of each pattern.
 
     Dark captures come first, so that their outlying and restless pixels (defects) are left out everywhere.
-
-    Args:
-        read: Gives the frame at a position of the header.
-        progress: Called with frames done and frames in all.
 
     Raises:
         CaptureError: If a frame's size differs from the design's.
@@ -858,11 +840,6 @@ def _later_noise(
     """Return the noise of a scene's frames after the first, by name: a picture left behind in that is no noise.
 
     The spatial variance of darks is brought to what the mean of all frames would have; mostly noise, it scatters more.
-
-    Args:
-        later: Statistics of the frames after the first.
-        frames: Number of all frames.
-        structured: Whether the scene is seen.
     """
     noise: dict[str, NDArray[np.float64] | float] = {name: later[name] for name in _NOISE}
     if not structured:

@@ -85,7 +85,6 @@ class _Values:
         """Return those of a law's values.
 
         Args:
-            values: As `values_of` gives them.
             frames: (captures, 1, 1) number of frames.
         """
         first, others = np.nan_to_num(values[[0, -1]])
@@ -198,7 +197,6 @@ def _varies(values: Array) -> bool:
 
 
 def _response(state: FitState, link: str) -> dict[str, Array]:
-    """Return the change by a unit of a constant law in means and in statistics of the light, (captures, tiles) each."""
     exposure = state.design.exposure_s
     step = {
         "1": 1e-3,
@@ -242,7 +240,6 @@ class _Terms:
 
 
 def _ahead(term: Term) -> Term:
-    """Return a wave a quarter of a period later; anything else as it is."""
     later = {name: value + 0.5 * np.pi for name, value in term.values.items() if name == "phase"}
     return replace(term, values={**term.values, **later})
 
@@ -302,7 +299,6 @@ def propose_law(state: FitState, along: Collection[str] = ()) -> Proposal | None
     """Return the law that explains best what a starting camera lacks; None where none is beyond chance.
 
     Args:
-        state: The starting camera fitted, without any effect that was named.
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
     """
     singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)))
@@ -380,7 +376,6 @@ def _is_sharp(law: Law) -> bool:
 
 
 def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
-    """Yield the best laws of one term times a term of another covariate."""
     known = known_values(state)
     for place in PLACES if "source_level" in known else ():
         tilts = [term for term in terms_of(place, known) if term.form in ("ramp", "bow")]
@@ -402,7 +397,6 @@ def _goes_alone(law: Law) -> bool:
 
 
 def _distinct(screened_: Iterable[Screened], most: int) -> list[Screened]:
-    """Return the best laws that differ in formula, whatever their stage."""
     found: dict[tuple[tuple[str, str], ...], Screened] = {}
     for entry in sorted(screened_, key=lambda entry: -entry.score):
         found.setdefault(_formula(entry.law), entry)
@@ -452,7 +446,6 @@ def _judged(state: FitState, chosen: list[Screened]) -> list[_JudgedLaw]:
 
 
 def _started(entry: Screened) -> CatalogueEffect | None:
-    """Return the effect at the screened parameters; None where its amplitude is nothing."""
     return effect_of(entry.law, round_to(entry.amplitude)) if entry.amplitude else None
 
 
@@ -464,7 +457,6 @@ def _plainest(judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
 
 
 def _holds(law: Law, other: Law) -> bool:
-    """Return whether a law is another one times something more."""
     return law.link == other.link and set(_formula(other)) < set(_formula(law))
 
 
@@ -489,12 +481,7 @@ def held_to_laws(
     catalogue: Mapping[str, type[CatalogueEffect]],
     say: Callable[[str], None] = lambda line: None,
 ) -> Search:
-    """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none.
-
-    Args:
-        catalogue: The entries that may be named.
-        say: Told what happens.
-    """
+    """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none."""
     effects = outcome.state.effects
     if not effects:
         return outcome

@@ -357,7 +357,6 @@ def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
 
 
 def _fitted_with(state: FitState, fit: LinearFit, basis: Basis) -> LinearFit:
-    """Return the fit with a trend taken up."""
     lengths = np.linalg.norm(basis.columns, axis=0)
     columns = np.zeros((state.comparison.size, int(np.sum(lengths > 0))))
     columns[state.comparison.cuts[basis.block]] = basis.columns[:, lengths > 0] / lengths[lengths > 0]

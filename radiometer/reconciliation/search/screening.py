@@ -96,7 +96,6 @@ def _stacked(values: Any, captures: int) -> Array:
 
 
 def _variant(start: CatalogueEffect) -> tuple[object, ...]:
-    """Return what of a start is not fitted."""
     free = start.free()
     return tuple(value for name, value in start.values().items() if name not in free)
 
@@ -158,8 +157,6 @@ def _of_bands(state: FitState, starts: Starts) -> Starts:
 
 @dataclass(frozen=True, slots=True)
 class _Rated:
-    """A wave at its likeliest size, a factor on its start's: the deviance of the bands, and its periods per row."""
-
     deviance: float
     start: CatalogueEffect
     size: float
@@ -240,8 +237,6 @@ def screen(
     model. The rest come as they were, behind these.
 
     Args:
-        catalogue: Entries to try, by name.
-        pool: Their starts, where they were made before.
         before: What a smaller model's screening found, by which the likeliest are tested first.
         needed: How many of the best are needed then.
 

@@ -82,13 +82,7 @@ class _Run:
 def search(
     start: FitState, catalogue: Mapping[str, type[CatalogueEffect]], say: Callable[[str], None] = lambda line: None
 ) -> Search:
-    """Return the model with every missing effect that the data can name.
-
-    Args:
-        start: The ideal camera fitted.
-        catalogue: Entries to try, by name.
-        say: Told what happens, line by line.
-    """
+    """Return the model with every missing effect that the data can name."""
     run, first = _Run(catalogue, say), localise(start)
     state, tests = _stepped(start, first, run)
     likeliest, taken = swapped(state, run.fitted_with)
@@ -103,14 +97,12 @@ def search(
 
 
 def _renamed(step: Step, effect: CatalogueEffect | None, state: FitState) -> Step:
-    """Return the step of a name with the entry that took its place, if any."""
     if effect is None:
         return step
     return replace(step, name=effect.name, where=effect.where, gap_after=state.gap, rivals=())
 
 
 def _stepped(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> tuple[FitState, tuple[Disagreement, ...]]:
-    """Return the model after all steps, and its tests."""
     for _ in range(_MOST_STEPS):
         following = _one_step(state, tests, run)
         if following is None:
@@ -186,7 +178,6 @@ def _smooth_gain(state: FitState, test: Disagreement) -> float:
 
 
 def _named(state: FitState, chosen: Contender, contenders: Sequence[Contender], run: _Run) -> FitState:
-    """Return the model with the chosen effect."""
     effect, gap = chosen.fitted.effect, chosen.state.gap
     again = next((i for i, step in enumerate(run.steps) if step.name == effect.name), None)
     if again is None:
@@ -293,7 +284,6 @@ def swapped(
     What was fitted at the step of a name did not know the later ones. The only name was compared at its step.
 
     Args:
-        state: The model with all names.
         others: What was fitted with each name, the best first.
     """
     taken = dict[str, CatalogueEffect]()
@@ -314,7 +304,6 @@ def loosened(state: FitState, only: Sequence[str] | None = None) -> FitState | N
     Each further parameter must be paid for, and the whole be as far beyond chance as a further name.
 
     Args:
-        state: The model.
         only: Names of the effects that leave structure in their own place, where these alone are asked and the
             tests of that place are what is beyond chance; by default all effects.
     """
@@ -357,7 +346,6 @@ def free_forms(state: FitState, effect: CatalogueEffect) -> tuple[FreeLaw, ...]:
 
     Args:
         state: The model, which gives the signals in front of the effect.
-        effect: The effect by its own law.
     """
     if isinstance(effect, FreeLaw) or not effect.free() or any("[" in name for name in effect.free()):
         return ()
