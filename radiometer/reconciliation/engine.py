@@ -348,7 +348,7 @@ def _result(
         return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
     further = None if settled else _optional_step("the next capture", following, failed)
-    last = _largest(outcome.tests)
+    last, before = _largest(outcome.tests), global_p_value(outcome.start, outcome.first_tests)
     return ReconcileResult(
         verdict=verdict,
         effects=effects,
@@ -363,7 +363,7 @@ def _result(
         repeatability=state.tau,
         assumptions=(*_assumptions(outcome, doubts, well), *failed),
         localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
-        global_p=_global_p(outcome),
+        global_p=(before, before if state is outcome.start else global_p_value(state, outcome.tests)),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
         captures=len(state.design.captures),
@@ -399,12 +399,6 @@ def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | 
     if well is not None and well.contradicts:
         remarks.append(well.remark)
     return {"remarks": remarks} if remarks else {}
-
-
-def _global_p(outcome: Search) -> tuple[float, float]:
-    """Return the global p-value of the starting and of the final model."""
-    before = global_p_value(outcome.start, outcome.first_tests)
-    return before, before if outcome.state is outcome.start else global_p_value(outcome.state, outcome.tests)
 
 
 def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:

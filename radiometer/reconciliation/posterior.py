@@ -78,7 +78,8 @@ def posterior(fits: Sequence[ModelFit], catalogue: Collection[str], dispersion: 
     """
     best: dict[frozenset[str], tuple[float, ModelFit]] = {}
     for fit in fits:
-        names = _hypothesis(fit, catalogue)
+        names = frozenset(effect.name if effect.name in catalogue else UNNAMED for effect in fit.effects)
+        names |= {UNNAMED} if fit.curves else set()
         score = float(np.sum(fit.log_density)) / dispersion + _log_prior(fit, names, len(catalogue))
         if np.isfinite(score) and (names not in best or score > best[names][0]):
             best[names] = (score, fit)
@@ -105,11 +106,6 @@ def pseudo_bma(log_density: Array, log_prior: Array) -> Array:
     scores = shares @ differing.T + log_prior
     weights = np.exp(scores - scores.max(axis=1, keepdims=True))
     return np.asarray((weights / weights.sum(axis=1, keepdims=True)).mean(axis=0))
-
-
-def _hypothesis(fit: ModelFit, catalogue: Collection[str]) -> frozenset[str]:
-    named = {effect.name if effect.name in catalogue else UNNAMED for effect in fit.effects}
-    return frozenset(named | ({UNNAMED} if fit.curves else set()))
 
 
 def _log_prior(fit: ModelFit, names: Collection[str], entries: int) -> float:

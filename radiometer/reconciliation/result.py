@@ -129,6 +129,7 @@ class FoundEffect:
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the documented JSON form."""
         closest = {"name": self.closest[0], "share": self.closest[1]} if self.closest else None
+        elsewhere = [{"where": where, "statistic": block} for where, block in self.elsewhere]
         return {
             "name": self.name,
             "parameters": {name: entry.to_mapping() for name, entry in self.parameters.items()},
@@ -144,7 +145,7 @@ class FoundEffect:
             "probability": self.probability,
             "probability_of_any": self.probability_of_any,
             "averaged": {name: entry.to_mapping() for name, entry in self.averaged.items()},
-        } | ({"closest": closest, "elsewhere": self._elsewhere()} if self.name == "unnamed" else self._law())
+        } | ({"closest": closest, "elsewhere": elsewhere} if self.name == "unnamed" else self._law())
 
     def _law(self) -> dict[str, Any]:
         if self.other_law is None and self.curve is None:
@@ -152,9 +153,6 @@ class FoundEffect:
         left = {name: entry.to_mapping() for name, entry in (self.other_law or {}).items()}
         curve = self.curve.to_mapping() if self.curve else None
         return {"law": "other than the catalogue's", "left_by_the_law": left, "curve": curve}
-
-    def _elsewhere(self) -> list[dict[str, str]]:
-        return [{"where": where, "statistic": block} for where, block in self.elsewhere]
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,7 +319,7 @@ class ReconcileResult:
                 "by_covariate": {name: asdict(gap) for name, gap in self.covariates.items()},
             },
             "limits": {name: limit.amplitude for name, limit in self.limits.items()},
-            "limit_parameters": {n: v.parameter_mapping() for n, v in self.limits.items()},
+            "limit_parameters": {name: limit.parameter_mapping() for name, limit in self.limits.items()},
             "tests": {"number": self.tests[0], "significant": self.tests[1]},
             "localisation": [place.to_mapping() for place in self.localisation],
             "null_tests": list(self.calls),

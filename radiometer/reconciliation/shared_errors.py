@@ -589,12 +589,14 @@ def fixed_errors(
     others = prediction.renewed_variance
     for effect, electrons in own:
         if electrons is not None:
-            unit = _unit_of_electrons(np.broadcast_to(electrons, (*prediction.mean.shape, 1))[:, :, 0])
+            unit = _times_gain(np.broadcast_to(electrons, (*prediction.mean.shape, 1))[:, :, 0])
             others = others + unit(prediction) ** 2
             terms += _offset_terms(effect.name, unit, np.ones(len(design.tiles)), (0.0, 0.0), pixels, design)
     if limited:
         others = others + prediction.limit_variance
-        terms += _offset_terms("uneven limit", _unit_of_limit, np.ones(len(design.tiles)), (0.0, 0.0), pixels, design)
+        terms += _offset_terms(
+            "uneven limit", lambda p: np.sqrt(p.limit_variance), np.ones(len(design.tiles)), (0.0, 0.0), pixels, design
+        )
     fixed = prediction.fixed - others
     if any(effect.proportional for effect in plain):
         # Purest in bright captures, but for full wells, which hide it.
@@ -605,9 +607,9 @@ def fixed_errors(
         terms += _offset_terms("proportional pattern", _unit_of_light, white, (0.0, 0.0), pixels, design)
     if additive:
         lines = _line_variances(prediction)
-        relative = fixed / np.maximum(_unit_of_gain(prediction) ** 2, 1e-30) - sum(lines)
+        relative = fixed / np.maximum(_times_gain(1.0)(prediction) ** 2, 1e-30) - sum(lines)
         white = relative[np.argmin(prediction.signal, axis=0), np.arange(pixels.size)]  # purest in the darkest
-        terms += _offset_terms("additive pattern", _unit_of_gain, white, lines, pixels, design)
+        terms += _offset_terms("additive pattern", _times_gain(1.0), white, lines, pixels, design)
     terms.append(_spread_of_pixels(seen, max((effect.excess_kurtosis() for effect in patterns), default=0.0)))
     for name in ("columns", "rows"):
         terms.append(_spread_of_lines(name, seen))
@@ -758,10 +760,6 @@ def _outer(length: Array) -> Array:
     return np.asarray(np.sqrt(length[:, None] * length[None, :]))
 
 
-def _unit_of_gain(prediction: Prediction) -> Array:
-    return np.asarray(np.broadcast_to(prediction.gain[:, None], prediction.mean.shape))
-
-
 def _unit_of_light(prediction: Prediction) -> Array:
     return prediction.signal * prediction.gain[:, None]
 
@@ -770,8 +768,8 @@ def _unit_of_limit(prediction: Prediction) -> Array:
     return np.asarray(np.sqrt(prediction.limit_variance))
 
 
-def _unit_of_electrons(electrons: Array) -> Unit:
-    return lambda prediction: electrons * prediction.gain[:, None]
+def _times_gain(electrons: Array | float) -> Unit:
+    return lambda prediction: np.broadcast_to(electrons * prediction.gain[:, None], prediction.mean.shape)
 
 
 def _moving(name: str, unit: Unit, root: Array) -> Callable[[Prediction], Mapping[str, Part]]:

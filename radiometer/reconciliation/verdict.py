@@ -174,7 +174,12 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
     before, after = (steps[0].gap_before, steps[-1].gap_after) if steps else (state.gap, state.gap)
     return FoundEffect(
         "unnamed",
-        _period(again) if again is not None else size_of_rest(_named_alone(outcome, weak), block),
+        size_of_rest(_named_alone(outcome, weak), block)
+        if again is None
+        else {
+            "period_frames": FittedParameter(float(again.period), None, "1"),
+            "depth_rel": FittedParameter(again.depth, None, "1"),
+        },
         where,
         before,
         after,
@@ -194,13 +199,6 @@ def _named_alone(outcome: Search, weak: Collection[str]) -> FitState:
         return outcome.state
     kept = tuple(effect for effect in outcome.state.effects if effect.name not in weak)
     return refit(with_effects(outcome.start, kept), iterations=_REFITS)
-
-
-def _period(again: Periodic) -> dict[str, FittedParameter]:
-    return {
-        "period_frames": FittedParameter(float(again.period), None, "1"),
-        "depth_rel": FittedParameter(again.depth, None, "1"),
-    }
 
 
 def size_of_rest(state: FitState, block: str) -> dict[str, FittedParameter]:

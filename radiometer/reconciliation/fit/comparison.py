@@ -304,14 +304,12 @@ class Comparison:
         return np.asarray(np.maximum(whole, _LEAST_RATIO))
 
     def _comb(self, prediction: Prediction) -> Array:
-        return np.array([_comb_of(round(prediction.comb_step), prediction.comb_kept, p) for p in COMB_PERIODS])
-
-
-def _comb_of(step: int, kept: float, period: int) -> float:
-    """Return the amplitude at a period of a histogram that fills the first codes of each step only."""
-    if step == 1 or step % period:
-        return 0.0
-    return float(np.mean(np.cos(2.0 * np.pi * np.minimum(np.arange(step), kept - 1.0) / period)))
+        """Return the amplitude at each period of a histogram that fills the first codes of each step only."""
+        step, kept = round(prediction.comb_step), prediction.comb_kept
+        filled = np.minimum(np.arange(step), kept - 1.0)
+        there = [step > 1 and step % period == 0 for period in COMB_PERIODS]
+        waves = (np.mean(np.cos(2.0 * np.pi * filled / period)) for period in COMB_PERIODS)
+        return np.array([float(wave) if shown else 0.0 for wave, shown in zip(waves, there, strict=True)])
 
 
 def compare(

@@ -69,7 +69,8 @@ class NuisanceLayout:
         free_scene = not design.uniform
         wide = _SCALAR_PRIOR | {"black_dn": _FREE_BLACK * camera.full_scale_dn}
         prior = [wide.get(name, _FREE_LOG) for name in scalars]
-        patches = _one_of_each(design)
+        _, first = np.unique(design.patch_of_tile, return_index=True)
+        patches = [design.tiles[at] for at in first.tolist()]  # what is known of a patch is known of all its tiles
         own = [_radiance_prior(design, p, tile) for p in patterns for tile in patches]
         # A calibration error may be one and the same for several radiances, or not: each has a part of its own and
         # one that it shares.
@@ -252,12 +253,6 @@ def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:
     for block, cut in comparison.cuts.items():
         if block not in _TILE_ROWS:
             matrix[cut, column] = 0.0
-
-
-def _one_of_each(design: Design) -> list[Tile]:
-    """Return the first tile of every patch: what is known of its radiance is known of all its tiles."""
-    _, first = np.unique(design.patch_of_tile, return_index=True)
-    return [design.tiles[at] for at in first.tolist()]
 
 
 def _radiance_prior(design: Design, pattern: int, tile: Tile) -> float:

@@ -170,13 +170,9 @@ def reconciled_model(
         notes = _notes(state, effect, found.get(effect.name), capture_hash)
         model = model.with_effect(effect, notes)
         if not enabled:
-            entries = [_switched_off(entry, effect) for entry in model.entries]
+            entries = [EffectEntry(e.effect, False, e.notes) if e.effect is effect else e for e in model.entries]
             model = CameraModel(model.camera, tuple(entries), model.lens, model.wavelength_nm)
     return model
-
-
-def _switched_off(entry: EffectEntry, effect: CatalogueEffect) -> EffectEntry:
-    return EffectEntry(entry.effect, False, entry.notes) if entry.effect is effect else entry
 
 
 def _other_well_e(state: FitState, found: FoundEffect | None) -> float | None:

@@ -419,10 +419,6 @@ class LogState:
         begins = np.concatenate([self.parameters[:1], *(term.begins for term in self.terms)])
         return replace(self, measured=not self.measured, trends=trends, parameters=begins).fitted()
 
-    def with_trend(self, name: str, columns: Array) -> LogState:
-        """Return the fitted state with a further trend."""
-        return replace(self, trends=(*self.trends, (name, columns))).fitted()
-
     def uncertainty(self) -> Array:
         """Return the standard uncertainties of the terms' parameters, (parameters,)."""
         return np.asarray(np.sqrt(np.diag(self.fit.covariance))[1 : self.parameters.size])
@@ -560,7 +556,7 @@ def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, LogS
     tried = [(term, state.with_term(term)) for term in every if term.name not in there]
     known = {name for name, _ in state.trends}
     free = [name for name in axes(state.log) if name not in known and not is_lost_in_scatter(state.log, name)]
-    curves = [(name, state.with_trend(name, trend(state.log, name))) for name in free]
+    curves = [(name, replace(state, trends=(*state.trends, (name, trend(state.log, name)))).fitted()) for name in free]
     limit = SIGNIFICANCE / max(len(tried) + len(curves), 1)
     named = [(term, one, _score(state, one, term)) for term, one in tried if _is_shown(state, one, limit)]
     smooth = [(name, one, _score(state, one)) for name, one in curves if _is_shown(state, one, limit)]

@@ -381,7 +381,8 @@ def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
         tilts = [term for term in terms_of(place, known) if term.form in ("ramp", "bow")]
         levels = [term for term in terms_of("source_level", known) if term.form in ("power", "step")]
         yield from (Law("scene", (tilt, level)) for tilt in tilts for level in levels)
-    for entry in _distinct((entry for entry in singles if not _goes_alone(entry.law)), _MULTIPLIED):
+    together = (e for e in singles if e.law.terms and e.law.link not in _ALONE and "frame" not in e.law.covariates)
+    for entry in _distinct(together, _MULTIPLIED):
         own = entry.law.terms[0]
         for name in known:
             if name in (*own.covariates, "signal", "value", "frame") or {name, own.covariate} <= _OF_A_PLACE:
@@ -390,10 +391,6 @@ def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
             # In the scene where it depends on drive and place, else at the place of its first factor.
             scenic = {name, own.covariate} & set(PLACES) and "source_level" in (name, own.covariate)
             yield from (Law("scene" if scenic else entry.law.link, (own, term)) for term in further)
-
-
-def _goes_alone(law: Law) -> bool:
-    return not law.terms or law.link in _ALONE or "frame" in law.covariates
 
 
 def _distinct(screened_: Iterable[Screened], most: int) -> list[Screened]:

@@ -88,18 +88,15 @@ def search(
     likeliest, taken = swapped(state, run.fitted_with)
     if taken:
         say("; ".join(f"{effect.name} in place of {name}" for name, effect in taken.items()))
-        run.steps = [_renamed(step, taken.get(step.name), likeliest) for step in run.steps]
+        for old, effect in taken.items():
+            at = next(i for i, step in enumerate(run.steps) if step.name == old)
+            changes = {"name": effect.name, "where": effect.where, "gap_after": likeliest.gap, "rivals": ()}
+            run.steps[at] = replace(run.steps[at], **changes)
         state, dropped = pruned(likeliest, say)  # what stood next to another name may be superfluous next to this one
         for name in dropped:
             _forget(run, name)
         tests = localise(state)
     return Search(state, start, tuple(run.steps), significant(tests), tests, first)
-
-
-def _renamed(step: Step, effect: CatalogueEffect | None, state: FitState) -> Step:
-    if effect is None:
-        return step
-    return replace(step, name=effect.name, where=effect.where, gap_after=state.gap, rivals=())
 
 
 def _stepped(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> tuple[FitState, tuple[Disagreement, ...]]:
@@ -119,9 +116,10 @@ def _stepped(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> tup
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     standing = significant(tests)
     screened = run.screened = screen(state, run.catalogue, run.pool, run.screened, _FITTED + len(run.refused))
-    limit = SIGNIFICANCE / max(len(screened), 1)
-    promising = _promising(screened, limit, standing)
-    promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
+    # What is significant among all that were tried, or may yet become so: a start shows only part of its gain.
+    limit = (SIGNIFICANCE / max(len(screened), 1)) ** (0.5 if standing else 1.0)
+    likely = (c for c in screened if chi2_beyond(max(c.gain, 1e-9), c.parameters) < limit)
+    promising = [candidate for candidate in likely if candidate.effect.name not in run.refused]
     departed = [] if standing else departing(tests, state.effects)
     if not standing and not promising and not departed:
         return None
@@ -155,12 +153,6 @@ def _taken(state: FitState, looser: FitState, run: _Run) -> FitState:
     run.steps[at] = replace(run.steps[at], gain_nats=run.steps[at].gain_nats + nats, gap_after=gap)
     run.say(f"{name} in a more flexible form: {nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
     return looser
-
-
-def _promising(candidates: list[Candidate], limit: float, standing: tuple[Disagreement, ...]) -> list[Candidate]:
-    """Return candidates whose gain is significant among all that were tried, or may yet become so."""
-    slack = 0.5 if standing else 1.0  # a start far from the best parameters shows only part of its gain
-    return [c for c in candidates if chi2_beyond(max(c.gain, 1e-9), c.parameters) < limit**slack]
 
 
 def _convinces(state: FitState, chosen: Contender, standing: tuple[Disagreement, ...]) -> bool:
