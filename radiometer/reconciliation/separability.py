@@ -29,7 +29,7 @@ from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects
 from radiometer.reconciliation.next_capture import propose
 from radiometer.reconciliation.result import Limit
-from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
+from radiometer.reconciliation.search.screening import AT_ONCE, changes_with, directions_of_each
 from radiometer.reconciliation.statistics import Prediction, partly_at_the_top
 from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
 from radiometer.typing import Array
@@ -167,8 +167,7 @@ def _next_size(below: Grown | None, above: Grown | None) -> float:
 
 def _information(state: FitState, effects: Sequence[CatalogueEffect]) -> list[float]:
     several = [(*state.effects, effect) for effect in effects]
-    moved = np.nan_to_num(changes_where_possible(state, several))  # what no camera does shows nothing
-    changes, part = state.fit.followed_with_half(moved)
+    changes, part = state.fit.followed_with_half(np.nan_to_num(changes_with(state, several)))
     whole = np.einsum("ij,ij->j", changes, changes)
     left = whole - np.einsum("ij,ij->j", part, part)
     return [float(value) for value in np.where(left > np.maximum(_BLIND * whole, 0.0), left, 0.0)]
@@ -273,7 +272,7 @@ class Directions:
         for name, starts in entries.items():
             found = []
             for start, own in zip(starts, every, strict=False):
-                if np.isfinite(own).all() and own[:, 0].any():  # what no camera does is no likeness
+                if own[:, 0].any():  # what no camera does is no likeness
                     columns.append(own)
                     found.append(_Form(start, slice(at, at + own.shape[1])))
                     at += own.shape[1]
@@ -352,7 +351,7 @@ def _columns(state: FitState, starts: Sequence[CatalogueEffect]) -> Iterator[Arr
     for first in range(0, len(starts), AT_ONCE):
         batch = starts[first : first + AT_ONCE]
         entries = [((*state.effects, start), place, 1 if start.grows else 0) for start in batch]
-        yield from directions_of_each(state, entries, changes_where_possible)
+        yield from directions_of_each(state, entries)
 
 
 def inseparable(
