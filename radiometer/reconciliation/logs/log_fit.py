@@ -432,18 +432,6 @@ _SIGMAS: Final = 5.0
 _WHOLE: Final = 100.0  # scales of a parameter (1 % of the light each): a limit beyond the light itself shows nothing
 
 
-@dataclass(frozen=True, slots=True)
-class LogStep:
-    """One thing that was found: a term, or a trend without a name."""
-
-    name: str
-    where: str
-    gain_nats: float
-    gap_before: float
-    gap_after: float
-    rivals: tuple[str, ...] = ()
-
-
 @dataclass(frozen=True, eq=False)
 class LogFit:
     """The outcome for a log."""
@@ -538,8 +526,8 @@ def _restricted(
 
 
 # ---- the search -----------------------------------------------------------------------------------------------------
-def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
-    state, steps = start, list[LogStep]()
+def _search(start: LogState) -> tuple[LogState, tuple[FoundEffect, ...]]:
+    state, steps = start, list[FoundEffect]()
     every = [term for term in catalogue(start.log) if not is_lost_in_scatter(start.log, term.where)]
     for _ in (*every, *axes(start.log)):
         following = _one_step(state, every)
@@ -551,7 +539,7 @@ def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
     return state, tuple(steps)
 
 
-def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, LogStep] | None:
+def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, FoundEffect] | None:
     there = {term.name for term in state.terms}
     tried = [(term, state.with_term(term)) for term in every if term.name not in there]
     known = {name for name, _ in state.trends}
@@ -565,11 +553,16 @@ def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, LogS
     if best is not None and (plain is None or best[2] >= SMOOTH_SHARE * plain[2]):
         term, one, score = best
         rivals = tuple(dict.fromkeys(t.name for t, _, s in named if t.name != term.name and s > score - RIVAL_NATS))
-        return one, LogStep(term.name, term.where, one.evidence - state.evidence, state.gap, one.gap, rivals)
+        return one, _found(state, one, term.name, term.where, rivals)
     if plain is None:
         return None
     name, one, _ = plain
-    return one, LogStep("unnamed", name, one.evidence - state.evidence, state.gap, one.gap)
+    return one, _found(state, one, "unnamed", name)
+
+
+def _found(old: LogState, new: LogState, name: str, where: str, rivals: tuple[str, ...] = ()) -> FoundEffect:
+    nats = new.evidence - old.evidence
+    return FoundEffect(name, {}, where, old.gap, new.gap, rivals, gain_nats=nats, block="mean")
 
 
 def _ways(old: LogState, new: LogState) -> list[tuple[LogState, LogState]]:
@@ -609,7 +602,7 @@ def _is_determined(state: LogState) -> bool:
     return all(math.isfinite(u) for _, u in found) and any(abs(value) > ESSENTIAL_SIGMAS * u for value, u in essential)
 
 
-def _pruned(state: LogState, steps: list[LogStep]) -> tuple[LogState, list[LogStep]]:
+def _pruned(state: LogState, steps: list[FoundEffect]) -> tuple[LogState, list[FoundEffect]]:
     for term in state.terms[:-1]:
         rest = replace(
             state, terms=tuple(t for t in state.terms if t is not term), parameters=_without(state, term)
@@ -653,7 +646,7 @@ def night_error(state: LogState) -> float:
 
 
 # ---- in the words of reconcile --------------------------------------------------------------------------------------
-def _verdict(steps: Sequence[LogStep]) -> Verdict:
+def _verdict(steps: Sequence[FoundEffect]) -> Verdict:
     named, unnamed = (any((s.name == "unnamed") is kind for s in steps) for kind in (False, True))
     if named:
         return Verdict.INCOMPLETE if unnamed else Verdict.EFFECTS_FOUND
@@ -661,7 +654,7 @@ def _verdict(steps: Sequence[LogStep]) -> Verdict:
 
 
 def _result(
-    start: LogState, state: LogState, steps: Sequence[LogStep], before: float, after: float, control: str
+    start: LogState, state: LogState, steps: Sequence[FoundEffect], before: float, after: float, control: str
 ) -> ReconcileResult:
     log = state.log
     verdict = _verdict(steps)
@@ -681,7 +674,10 @@ def _result(
         extra["gain_reference_dB"] = gain_levels(log)[0]
     return ReconcileResult(
         verdict=verdict,
-        effects=tuple(_effect(state, step, provisional=verdict is Verdict.INCOMPLETE) for step in steps),
+        effects=tuple(
+            replace(one, parameters=fitted_parameters(state, one.name), provisional=verdict is Verdict.INCOMPLETE)
+            for one in steps
+        ),
         gap_before=start.gap,
         gap_after=state.gap,
         limits=_limits(state),
@@ -705,20 +701,6 @@ def _advice(log: LogTable) -> list[str]:
         if terms and is_lost_in_scatter(log, name):
             lines.append(f"none of {', '.join(terms)}: the {name} varies by less than its scatter; {remedy}")
     return lines
-
-
-def _effect(state: LogState, step: LogStep, *, provisional: bool) -> FoundEffect:
-    return FoundEffect(
-        step.name,
-        fitted_parameters(state, step.name),
-        step.where,
-        step.gap_before,
-        step.gap_after,
-        step.rivals,
-        gain_nats=step.gain_nats,
-        block="mean",
-        provisional=provisional,
-    )
 
 
 def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:
