@@ -2,7 +2,7 @@
 
 from radiometer.reconciliation.engine import reconcile_capture
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, ReconcileResult, Verdict
-from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reconciliation.search.search import Reconciled
 
 __all__ = [
     "FittedParameter",

@@ -37,7 +37,6 @@ from radiometer.reconciliation.measure.reduce import (
     with_even_tiles,
 )
 from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
-from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior
 from radiometer.reconciliation.propose.search import held_to_laws
 from radiometer.reconciliation.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
 from radiometer.reconciliation.result import (
@@ -52,13 +51,15 @@ from radiometer.reconciliation.result import (
     Verdict,
 )
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
-from radiometer.reconciliation.search.outcome import Reconciled, Search
-from radiometer.reconciliation.search.search import search
+from radiometer.reconciliation.search.search import Reconciled, Search, search
 from radiometer.reconciliation.separability import Separability, inseparable, limits, separability
 from radiometer.reconciliation.verdict import (
+    UNNAMED,
+    Posterior,
     doubts_of,
     faint,
     insignificant_names,
+    posterior,
     rest_of,
     size_of_rest,
     sizes_by_own_law,

@@ -15,7 +15,7 @@ from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
 from radiometer.reconciliation.search.localise import covariates
-from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reconciliation.search.search import Reconciled
 from radiometer.reconciliation.statistics import STATISTICS, Prediction
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table

@@ -32,7 +32,7 @@ from radiometer.reconciliation.inputs.tables import (
 from radiometer.reconciliation.measure.reduce import Progress
 from radiometer.reconciliation.propose import Proposal
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
-from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reconciliation.search.search import Reconciled
 from radiometer.reporting.origin import Origin
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.undeclared import completed

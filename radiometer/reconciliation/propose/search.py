@@ -26,17 +26,15 @@ from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandida
 from radiometer.reconciliation.fit.descent import UnfitError, fitted_parameters, included, scatter_of
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.posterior import posterior
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
-from radiometer.reconciliation.search.localise import significant
-from radiometer.reconciliation.search.outcome import Contender, Search, Step, contenders_of, worth
 from radiometer.reconciliation.search.screening import best_start
+from radiometer.reconciliation.search.search import Contender, Search, Step, contenders_of, worth
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconciliation.tile_model import from_grid, rise_of
-from radiometer.reconciliation.verdict import doubts_of, leaves_structure
+from radiometer.reconciliation.verdict import doubts_of, leaves_structure, posterior
 from radiometer.typing import Array
 from simulators.chain.law_stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
@@ -564,4 +562,4 @@ def without_names(outcome: Search, law: Proposal, remark: str) -> Search:
         block="mean",
     )
     tests = outcome.first_tests
-    return replace(outcome, state=outcome.start, steps=(step,), left=significant(tests), tests=tests, remarks=(remark,))
+    return replace(outcome, state=outcome.start, steps=(step,), tests=tests, remarks=(remark,))

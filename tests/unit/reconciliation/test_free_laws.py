@@ -12,9 +12,8 @@ from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.descent import converged_fit, refit, scatter_of
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.result import FittedParameter, LawCurve
-from radiometer.reconciliation.search.outcome import worth
 from radiometer.reconciliation.search.screening import best_start
-from radiometer.reconciliation.search.search import free_forms, loosened
+from radiometer.reconciliation.search.search import free_forms, loosened, worth
 from radiometer.reconciliation.verdict import sizes_by_own_law
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.exposure_time_offset import ExposureTimeOffset

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from radiometer.reconciliation.fit.state import ModelFit
-from radiometer.reconciliation.posterior import UNNAMED, posterior, pseudo_bma
 from radiometer.reconciliation.result import FoundEffect
+from radiometer.reconciliation.verdict import UNNAMED, posterior, pseudo_bma
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.crosstalk import Crosstalk

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit.state import ModelFit
-from radiometer.reconciliation.posterior import Posterior, posterior
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.search.localise import Disagreement, departing
-from radiometer.reconciliation.verdict import uncertain, without_essential
+from radiometer.reconciliation.verdict import Posterior, posterior, uncertain, without_essential
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.conversion_gain_error import ConversionGainError

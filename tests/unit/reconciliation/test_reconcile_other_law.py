@@ -10,7 +10,7 @@ import pytest
 
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.search.outcome import Search, Step
+from radiometer.reconciliation.search.search import Search, Step
 from radiometer.reconciliation.verdict import Verdict, rest_of, verdict_of, with_other_functional_form
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from testing.reduced import start_of
@@ -28,7 +28,7 @@ def late(make_capture: Callable[..., Any]) -> FitState:
 
 def _outcome(state: FitState, *unnamed: Step, nats: float = 300.0) -> Search:
     named = Step("exposure_time_offset", "exposure_s", nats, 1.4, 1.1)
-    return Search(state, state, (named, *unnamed), (), (), ())
+    return Search(state, state, (named, *unnamed), (), ())
 
 
 def _left(where: str, block: str, nats: float) -> Step:
