@@ -57,7 +57,6 @@ from radiometer.reconciliation.verdict import (
     UNNAMED,
     Posterior,
     doubts_of,
-    faint,
     insignificant_names,
     posterior,
     rest_of,
@@ -334,7 +333,8 @@ def _result(
         posterior(state.models, entries, scatter_of(state)),
         {effect.name: effect.alternatives for effect in found},
     )
-    doubts = [*outcome.remarks, *doubts_of(outcome, weighed, alternatives), *faint(outcome)]
+    left_out = (f"{name} is counted as part of the residual" for name in insignificant_names(outcome))
+    doubts = [*outcome.remarks, *doubts_of(outcome, weighed, alternatives), *left_out]
     verdict = verdict_of(outcome, doubts, again, other_well=other_well)
     effects = tuple(_believed(effect, weighed, verdict) for effect in found)
     if well is not None and other_well:

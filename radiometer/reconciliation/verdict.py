@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconciliation.fit.comparison import FAMILY, Comparison
-from radiometer.reconciliation.fit.descent import fitted_parameters, is_misfit, refit, scatter_of
+from radiometer.reconciliation.fit.descent import fitted_parameters, is_misfit, refit
 from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects, with_terms
 from radiometer.reconciliation.measure.frame_order import Periodic
 from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
@@ -94,40 +94,18 @@ def leaves_structure(outcome: Search) -> bool:
 def insignificant_names(outcome: Search) -> list[str]:
     """Return names that are not significant where structure remains: faint ones, and those without essential term.
 
-    Names may absorb a part of the residual of a stronger name's wrong law. They may also absorb the residual of a
-    curve along one covariate for an unknown cause, where that brings most of what both bring. An entry whose
-    essential parameter is not significant, its uncertainty including the residual, fits by its further terms, as any
-    curve would.
+    Names may absorb a part of the residual of a curve along one covariate for an unknown cause, where that brings most
+    of what both bring. An entry whose essential parameter is not significant, its uncertainty including the residual,
+    fits by its further terms, as any curve would.
     """
     if not leaves_structure(outcome):
         return []
-    faint = _fainter_than_the_rest(outcome)
     bare = without_essential(outcome.state.effects, fitted_parameters(outcome.state))
-    return [*faint, *(name for name in bare if name not in faint)]
-
-
-def _fainter_than_the_rest(outcome: Search) -> list[str]:
     present = {effect.name for effect in outcome.state.effects}
-    named = [step for step in outcome.steps if step.name in present]
-    most = max((step.gain_nats for step in named), default=0.0)
     unknown = max((step.gain_nats for step in outcome.steps if step.name == "unnamed"), default=0.0)
-    needed = max(min(NAMED_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
-    return [step.name for step in named if step.gain_nats < needed]
-
-
-def faint(outcome: Search) -> list[str]:
-    """Return in words which names are left out."""
-    gains = {step.name: step.gain_nats for step in outcome.steps}
-    little = _fainter_than_the_rest(outcome)
-    return [
-        f"{name} is counted as part of the residual"
-        + (
-            f": it improves the prediction by {gains[name]:.0f} nats, the remaining structure by more"
-            if name in little
-            else ""
-        )
-        for name in insignificant_names(outcome)
-    ]
+    least = (1.0 / SMOOTH_SHARE - 1.0) * unknown
+    faint = (step.name for step in outcome.steps if step.name in present and step.gain_nats < least)
+    return list(dict.fromkeys([*faint, *bare]))
 
 
 def with_other_functional_form(outcome: Search) -> tuple[CatalogueEffect, ...]:
