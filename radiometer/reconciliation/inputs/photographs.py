@@ -31,7 +31,7 @@ from radiometer.analysis.response.left_out import dial_step_dn, follow_no_curve,
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, settle
-from radiometer.analysis.response.shutter_offset import Exposures, ShutterOffset, find_exposures
+from radiometer.analysis.response.shutter_offset import Exposures, find_exposures
 from radiometer.analysis.response.wrong_labels import (
     LEAST_GAIN,
     WrongLabel,
@@ -170,29 +170,19 @@ class _Judged:
     can_show: bool = True  # whether enough photographs show enough to identify a wrong label
 
     @property
-    def labels(self) -> tuple[WrongLabel, ...]:
-        """Return the labels that are wrong, their ratios to the exact stop and the shutter's offset."""
-        return self.exposures.wrong
-
-    @property
-    def offset(self) -> ShutterOffset | None:
-        """Return the time by which the shutter exposes longer; None where none was taken."""
-        return self.exposures.offset
-
-    @property
     def u_rel(self) -> list[float]:
         """Return the relative standard uncertainty of every exposure that was not taken from its label; 0 else."""
         u = np.zeros(self.log_time.size)
-        if self.offset is not None:
-            u = self.offset.u_seconds / self.samples.exposures_s
-        for one in self.labels:
+        if self.exposures.offset is not None:
+            u = self.exposures.offset.u_seconds / self.samples.exposures_s
+        for one in self.exposures.wrong:
             u[one.frame] = one.u_ratio / one.ratio
         return [float(value) for value in u]
 
     @property
     def expected(self) -> Array:
         """Return what label and shutter's offset make together over the label, shape (frames,)."""
-        seconds = 0.0 if self.offset is None else self.offset.seconds
+        seconds = 0.0 if self.exposures.offset is None else self.exposures.offset.seconds
         return np.asarray(self.samples.exposures_s / (self.samples.exposures_s - seconds))
 
     @property
@@ -262,44 +252,26 @@ def _judge(plane: Plane, others: Sequence[Plane], exact: Array) -> _Judged:
 
 def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> ReconcileResult:
     before, stops, after = judged.errors
-    effects = []
+    effects, found = list[FoundEffect](), partial(FoundEffect, where="exposure_s", block="left-out DN")
     if judged.rounded:
         share = {"share": FittedParameter(1.0, None, "1")}
+        effects.append(found("nominal_settings", share, gap_before=before / after, gap_after=stops / after))
+    if (offset := judged.exposures.offset) is not None:
+        size = {"offset_s": FittedParameter(offset.seconds, offset.u_seconds, "s")}
+        nats = 0.5 * (offset.seconds / offset.u_seconds) ** 2
+        effects.append(found(OFFSET, size, gap_before=stops / after, gap_after=1.0, gain_nats=nats))
+    for printed in judged.exposures.wrong:
+        stated = FittedParameter(float(bracket.light[printed.frame].settings.exposure_s), None, "s")
+        ratio = FittedParameter(*_of_printed(printed, judged, bracket), "1")
+        again = {"description": f"take the exposure of {names[printed.frame]} again, or read its EXIF record"}
+        # Of a normal distribution as wide as the uncertainty: the label as printed against the ratio found.
+        nats = 0.5 * (printed.log_ratio[0] / printed.log_ratio[1]) ** 2
         effects.append(
-            FoundEffect("nominal_settings", share, "exposure_s", before / after, stops / after, block="left-out DN")
-        )
-    if (offset := judged.offset) is not None:
-        effects.append(
-            FoundEffect(
-                OFFSET,
-                {"offset_s": FittedParameter(offset.seconds, offset.u_seconds, "s")},
-                "exposure_s",
-                stops / after,
-                1.0,
-                gain_nats=0.5 * (offset.seconds / offset.u_seconds) ** 2,
-                block="left-out DN",
+            found(
+                _LABEL, {"label_s": stated, "ratio": ratio}, gap_before=stops / after, gap_after=1.0, gain_nats=nats,
+                alternatives=_rivals(printed, judged, names), next_capture=again,
             )
-        )
-    for printed in judged.labels:
-        stated = bracket.light[printed.frame].settings.exposure_s
-        ratio, u_ratio = _of_printed(printed, judged, bracket)
-        effects.append(
-            FoundEffect(
-                _LABEL,
-                {
-                    "label_s": FittedParameter(float(stated), None, "s"),
-                    "ratio": FittedParameter(ratio, u_ratio, "1"),
-                },
-                "exposure_s",
-                stops / after,
-                1.0,
-                _rivals(printed, judged, names),
-                {"description": f"take the exposure of {names[printed.frame]} again, or read its EXIF record"},
-                # Of a normal distribution as wide as the uncertainty: the label as printed against the ratio found.
-                gain_nats=0.5 * (printed.log_ratio[0] / printed.log_ratio[1]) ** 2,
-                block="left-out DN",
-            )
-        )
+        )  # fmt: skip
     return ReconcileResult(
         verdict=_verdict(judged, found=bool(effects)),
         effects=tuple(effects),
@@ -354,7 +326,7 @@ def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> 
     before, _, after = judged.errors
     if judged.follow_no_curve:
         return _no_curve(judged, bracket, names)
-    if not judged.labels and not judged.rounded and judged.offset is None:
+    if not judged.exposures.wrong and not judged.rounded and judged.exposures.offset is None:
         few = "" if judged.can_show else "; with so few, the tone curve may hide a wrong one"
         return (
             f"Left-out parts of the picture are predicted by the other photographs to {after:.2g} DN on average{few}."
@@ -392,7 +364,7 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
     before = prediction_error_dn(rows, g, printed)
     times = judged.log_time - np.log(bracket.effective_exposures_s)
     limits = _limits(judged)
-    wrong = {one.frame: one for one in judged.labels}
+    wrong = {one.frame: one for one in judged.exposures.wrong}
     found = []
     for k, (name, frame) in enumerate(zip(names, bracket.light, strict=True)):
         stated, here = frame.settings.exposure_s, rows.frame == k
