@@ -24,7 +24,7 @@ from radiometer.statistics.chances import chi2_beyond, chi2_quantile
 from radiometer.statistics.least_squares import solve
 from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
 from radiometer.statistics.scale import MAD_TO_SIGMA, MEDIAN_U, robust_sigma
-from radiometer.typing import Array
+from radiometer.typing import Array, Mask
 
 _ASSUMED_TAU: Final = 1e-3  # where neither repeats nor capture.yaml tell
 _ASSUMED_RANGE: Final = (0.3, 3.0)
@@ -44,9 +44,7 @@ _ZOOMED: Final = 33  # values tried at once, of which the neighbours of the best
 _ZOOMS: Final = 6
 
 
-def capture_scale(
-    difference: Array, sensitivity: Array, deviation: Array, usable: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-) -> tuple[Array, Array]:
+def capture_scale(difference: Array, sensitivity: Array, deviation: Array, usable: Mask) -> tuple[Array, Array]:
     """Return the common relative deviation of each capture and its variance from pixel noise alone.
 
     Args:
@@ -115,10 +113,7 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     return float(tried[np.argmin(totals)])
 
 
-_Lit = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-
-
-def _bounds(design: Design, scale: Array, variance: Array, lit: _Lit) -> tuple[float, float]:
+def _bounds(design: Design, scale: Array, variance: Array, lit: Mask) -> tuple[float, float]:
     """Return the bounds of τ, as far off as chance may have made the scatter of repeats.
 
     The scatter of repeats, each weighted by what τ and its own pixels leave it, is χ² at the right τ; captures whose
@@ -143,7 +138,7 @@ class _Repeats:
     basis: Array  # (n, terms) what repeats cannot show: the mean of each setting, slow change in time
 
     @classmethod
-    def of(cls, design: Design, scale: Array, variance: Array, lit: _Lit) -> _Repeats:
+    def of(cls, design: Design, scale: Array, variance: Array, lit: Mask) -> _Repeats:
         """Return the repeats that measure the light; slow change in time is not part of their scatter.
 
         Settings of which one capture stands out from all others are left out: it has another cause (a wrong label),
@@ -159,7 +154,7 @@ class _Repeats:
         return cls._taken(design, scale, variance, lit & ~np.isin(design.setting_id, odd), waves=True)
 
     @classmethod
-    def _taken(cls, design: Design, scale: Array, variance: Array, lit: _Lit, *, waves: bool) -> _Repeats:
+    def _taken(cls, design: Design, scale: Array, variance: Array, lit: Mask, *, waves: bool) -> _Repeats:
         ids = design.setting_id
         taken = np.flatnonzero(lit & np.isin(ids, [i for i in np.unique(ids[lit]) if np.sum(ids[lit] == i) > 1]))
         basis = (ids[taken][:, None] == np.unique(ids[taken])).astype(np.float64)

@@ -203,13 +203,13 @@ def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> d
     found = {name: Limit(None, *main_parameter(kind, None)) for name, kind in sorted(catalogue.items())}
     asked = {name: kind for name, kind in catalogue.items() if _can_show(state, kind, found[name].unit)}
     present = {effect.name for effect in state.effects if effect.name in asked}
-    starts = [_few(kind.starts(state.model.context)) for name, kind in asked.items() if name not in present]
+    starts = [_spread(kind.starts(state.model.context)) for name, kind in asked.items() if name not in present]
     found |= _mildest(state, [start for several in starts for start in several])
     for name in sorted(present):  # what is named already: how small could it have been?
         others = with_effects(state, [effect for effect in state.effects if effect.name != name])
         named = _mildest(others, [effect for effect in state.effects if effect.name == name])
         # Further terms that stay while the size shrinks may show at any size: then the plain form decides.
-        found |= named or _mildest(others, _few(asked[name].starts(state.model.context)))
+        found |= named or _mildest(others, _spread(asked[name].starts(state.model.context)))
     return found
 
 
@@ -217,11 +217,6 @@ def _can_show(state: FitState, kind: type[CatalogueEffect], unit: str) -> bool:
     if kind.saturates == "sharply" and partly_at_the_top(state.design, state.seen, state.prediction).any():
         return False  # exactly the tiles that would show it are left out, wherever it is
     return kind.usable(state.model.context) and (unit != _ABSOLUTE_LIGHT or state.design.has_known_radiance)
-
-
-def _few(starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
-    step = max(1, len(starts) // 6)
-    return starts[::step]
 
 
 def _mildest(state: FitState, starts: Sequence[CatalogueEffect]) -> dict[str, Limit]:
