@@ -264,10 +264,12 @@ def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate
 
 
 def _taken(state: FitState, looser: FitState, run: _Run) -> FitState:
-    name, nats, gap = looser.effects[-1].name, looser.evidence - state.evidence, looser.gap
-    at = next(i for i, step in enumerate(run.steps) if step.name == name)
-    run.steps[at] = replace(run.steps[at], gain_nats=run.steps[at].gain_nats + nats, gap_after=gap)
-    run.say(f"{name} in a more flexible form: {nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
+    newest, nats, gap = looser.effects[-1], looser.evidence - state.evidence, looser.gap
+    at = next(i for i, step in enumerate(run.steps) if step.name == newest.name)
+    old = run.steps[at]
+    rivals = _by_laws_of_theirs(looser, run.fitted_with.get(newest.name, ())) if isinstance(newest, FreeLaw) else ()
+    run.steps[at] = replace(old, gain_nats=old.gain_nats + nats, gap_after=gap, rivals=(*old.rivals, *rivals))
+    run.say(f"{newest.name} in a more flexible form: {nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
     return looser
 
 
@@ -422,16 +424,37 @@ def loosened(state: FitState, only: Sequence[str] | None = None) -> FitState | N
     return best if best is not state and worth(best) - worth(state) >= needed else None
 
 
+def _by_laws_of_theirs(looser: FitState, others: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
+    """Return other entries, each by a free law, that leave nothing in the place of the newest effect either."""
+    rest, found = with_effects(looser, looser.effects[:-1]), list[CatalogueEffect]()
+    present, place = {effect.name for effect in looser.effects}, len(rest.effects)
+    for other in [other for other in others if other.name not in present][:_SWAPPED]:
+        forms = free_forms(rest, other)
+        best = max(forms, key=lambda form: _promise(rest, (*rest.effects, form), place) - _cost(form), default=None)
+        fitted = None if best is None else _with_form(rest, place, best)
+        if fitted is not None and not is_misfit(fitted):
+            found.append(fitted.effects[-1])
+    return tuple(found)
+
+
+def _cost(effect: CatalogueEffect) -> float:
+    return PARAMETER_NATS * len(effect.free())
+
+
+def _promise(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> float:
+    """Return the nats that one of some effects, instead of the model's, would bring if it acted linearly."""
+    followed = state.fit.followed(directions_of(state, effects, index))
+    return state.fit.score(slice(0, state.comparison.size), followed)[0] / 2.0
+
+
 def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[tuple[float, int, CatalogueEffect]]:
-    """Yield nats that each form would bring if it acted linearly, the place of its effect, and the form."""
+    """Yield nats that each form would bring beyond its cost, the place of its effect, and the form."""
     for index, effect in enumerate(state.effects):
         if only is not None and effect.name not in only:
             continue
         for form in (*effect.loosened(state.model.context), *free_forms(state, effect)):
             effects = [form if place == index else other for place, other in enumerate(state.effects)]
-            followed = state.fit.followed(directions_of(state, effects, index))
-            chi2, _ = state.fit.score(slice(0, state.comparison.size), followed)
-            yield chi2 / 2.0 - PARAMETER_NATS * (len(form.free()) - len(effect.free())), index, form
+            yield _promise(state, effects, index) - _cost(form) + _cost(effect), index, form
 
 
 def _with_form(state: FitState, index: int, form: CatalogueEffect) -> FitState | None:
