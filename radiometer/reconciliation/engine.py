@@ -202,10 +202,7 @@ def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureH
 
 
 def reconcile_capture(
-    path: Path,
-    model: CameraModel | None = None,
-    *,
-    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    path: Path, model: CameraModel | None = None, *, catalogue: Mapping[str, type[CatalogueEffect]] | None = None
 ) -> Reconciled:
     """Return where a capture set on disk and its simulation disagree, and which effects are missing.
 
@@ -419,10 +416,7 @@ def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T |
 
 
 def _found(
-    outcome: Search,
-    entries: Mapping[str, type[CatalogueEffect]],
-    again: Periodic | None,
-    failed: list[str],
+    outcome: Search, entries: Mapping[str, type[CatalogueEffect]], again: Periodic | None, failed: list[str]
 ) -> tuple[FoundEffect, ...]:
     state, weak = outcome.state, insignificant_names(outcome)
     parameters = fitted_parameters(state)

@@ -173,12 +173,7 @@ def _spread_of_rows(design: Design) -> dict[str, Array]:
     frames = np.maximum(design.frame_count, 2.0)
     square = 2.0 / (frames - 1.0)
     products = 1.0 / (frames - 1.0)  # of two rows, not squares of one
-    return {
-        "variance": square,
-        "neighbour_x": square,
-        "neighbour_y": products,
-        "spatial": np.full(frames.shape, 2.0),
-    }
+    return {"variance": square, "neighbour_x": square, "neighbour_y": products, "spatial": np.full(frames.shape, 2.0)}
 
 
 def _free_rows(design: Design, taken: int) -> Array:

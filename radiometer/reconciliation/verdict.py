@@ -27,12 +27,7 @@ from radiometer.reconciliation.measure.frame_order import Periodic
 from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, departing, own_place
 from radiometer.reconciliation.search.search import Search, Step
-from radiometer.reconciliation.thresholds import (
-    ESSENTIAL_SIGMAS,
-    NAMED_NATS,
-    PARAMETER_NATS,
-    SMOOTH_SHARE,
-)
+from radiometer.reconciliation.thresholds import ESSENTIAL_SIGMAS, NAMED_NATS, PARAMETER_NATS, SMOOTH_SHARE
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw

@@ -38,15 +38,7 @@ from radiometer.reconciliation.shared_errors import (
     whiteners,
     with_heavy_rows,
 )
-from radiometer.reconciliation.statistics import (
-    STATISTICS,
-    Given,
-    Prediction,
-    Scale,
-    Scatter,
-    family_of,
-    named,
-)
+from radiometer.reconciliation.statistics import STATISTICS, Given, Prediction, Scale, Scatter, family_of, named
 from radiometer.statistics.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.typing import Array, Mask
 

@@ -22,11 +22,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
-from radiometer.analysis.response.labels import (
-    frame_name,
-    refuse_equal_throughout,
-    refuse_falling_brightness,
-)
+from radiometer.analysis.response.labels import frame_name, refuse_equal_throughout, refuse_falling_brightness
 from radiometer.analysis.response.left_out import dial_step_dn, follow_no_curve, prediction_error_dn
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
@@ -515,8 +511,7 @@ def _what_to_do(wrong: Sequence[FrameFinding], result: ReconcileResult) -> str:
         return ""
     if not wrong:
         return paragraph(
-            "-o exposures.txt writes the exposures that agree, which every command reads with the photographs.",
-            "do",
+            "-o exposures.txt writes the exposures that agree, which every command reads with the photographs.", "do"
         )
     names = ", ".join(one.name for one in wrong)
     return paragraph(

@@ -472,9 +472,7 @@ def _score(entry: _JudgedLaw) -> float:
 
 
 def held_to_laws(
-    outcome: Search,
-    catalogue: Mapping[str, type[CatalogueEffect]],
-    say: Callable[[str], None] = lambda line: None,
+    outcome: Search, catalogue: Mapping[str, type[CatalogueEffect]], say: Callable[[str], None] = lambda line: None
 ) -> Search:
     """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none."""
     effects = outcome.state.effects

@@ -270,12 +270,7 @@ def _least_of_draws(state: FitState, bases: Sequence[Basis]) -> Array:
 
 
 def whitened_basis(
-    comparison: Comparison,
-    prediction: Prediction,
-    sensitivity: Array,
-    block: str,
-    form: str,
-    axis: Covariate | None,
+    comparison: Comparison, prediction: Prediction, sensitivity: Array, block: str, form: str, axis: Covariate | None
 ) -> Array:
     """Return the whitened columns of a smooth trend in one block, (entries of the block, terms)."""
     captures, tiles = prediction.mean.shape

@@ -301,10 +301,7 @@ def _named(state: FitState, chosen: Contender, contenders: Sequence[Contender], 
 
 
 def _unnamed(
-    state: FitState,
-    standing: tuple[Disagreement, ...],
-    judged: list[tuple[FittedCandidate, float]],
-    run: _Run,
+    state: FitState, standing: tuple[Disagreement, ...], judged: list[tuple[FittedCandidate, float]], run: _Run
 ) -> FitState | None:
     tried = {old.name for old in state.terms} | run.refused
     fresh = [t for t in standing if smooth_term(state, t).name not in tried and not _too_few(state, t.block)]
