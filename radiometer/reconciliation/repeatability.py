@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 from scipy.special import stdtr
 
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
@@ -40,8 +40,6 @@ _PLAUSIBLE_WANDER: Final = 0.003  # of a source of which nothing is stated: what
 _EXPOSURE_GROUPS: Final = 6
 _STANDS_OUT: Final = 8.0  # sigmas
 _UNSTEADY: Final = 0.01
-_ZOOMED: Final = 33  # values tried at once, of which the neighbours of the best are the next range
-_ZOOMS: Final = 6
 
 
 def capture_scale(difference: Array, sensitivity: Array, deviation: Array, usable: Mask) -> tuple[Array, Array]:
@@ -78,12 +76,12 @@ def estimate_tau(design: Design, scale: Array, variance: Array) -> float:
     if not lit.any():
         return float(np.sqrt(low * high))
 
-    for _ in range(_ZOOMS):
-        tried = np.geomspace(low, high, _ZOOMED)
-        total = variance[lit] + np.square(tried)[:, None]
-        best = int(np.argmin(np.sum(np.log(total) + scale[lit] ** 2 / total, axis=1)))
-        low, high = tried[max(best - 1, 0)], tried[min(best + 1, _ZOOMED - 1)]
-    return float(np.sqrt(low * high))
+    def deviance(log_tau: float) -> float:
+        total = variance[lit] + np.exp(2.0 * log_tau)
+        return float(np.sum(np.log(total) + scale[lit] ** 2 / total))
+
+    found = minimize_scalar(deviance, bounds=(np.log(low), np.log(high)), method="bounded", options={"xatol": 1e-6})
+    return float(np.exp(found.x))
 
 
 def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: float | None) -> float:

@@ -544,7 +544,6 @@ def _drift(design: Design, usable: Mapping[str, Mask], drift_dn: float, first: A
 # ---- fixed patterns -------------------------------------------------------------------------------------------------
 _EDGES: Final = 5.0  # √(number of edges that average out), few to be safe
 _LEAST_STEP: Final = 0.1  # of the brightest light, where all patches are alike
-_TREND_TERMS: Final = 3  # of a tile's lines: constant, slope and curvature are taken out
 _SMALLEST_SHARE: Final = 1e-6
 ANSCOMBE: Final = 0.375  # added to a count before its root
 _SMALL_SHARE: Final = 0.01  # of the variance of twice the root of a count, which is 1
@@ -810,7 +809,7 @@ def _spread_of_lines_in_tiles(name: str, seen: CaptureStatistics, design: Design
     Tiles side by side share it, and the spread of all lines is the mean of the tiles'.
     """
     rows, columns = shared_lines(design)
-    free = np.maximum((design.tile_height if name == "rows" else design.tile_width) - _TREND_TERMS, 1.0)
+    free = np.maximum((design.tile_height if name == "rows" else design.tile_width) - SURFACE_LINES, 1.0)
     values, vectors = np.linalg.eigh(2.0 * (rows if name == "rows" else columns) / _outer(free))
     kept = values > _SMALLEST_SHARE * values.max()
     root = vectors[:, kept] * np.sqrt(values[kept])
