@@ -24,7 +24,6 @@ from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
 from radiometer.reconciliation.fit.descent import UnfitError, fitted_parameters, included, scatter_of
-from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
@@ -97,24 +96,24 @@ class _Look:
     """Changes that laws make in the tested statistics, and how much of the residual they would take up."""
 
     def __init__(self, state: FitState) -> None:
-        self._state = state
+        whole, self._cuts, at = state.comparison.cuts, dict[str, slice](), 0
+        for block in (*_FOLLOWING, "slope_x", "slope_y", "first"):
+            self._cuts[block] = slice(at, at := at + whole[block].stop - whole[block].start)
+        rows = np.concatenate([np.arange(whole[block].start, whole[block].stop) for block in self._cuts])
+        self._comparison, self._projected = state.comparison, state.fit.projected[rows]
+        self._fit = state.fit.within(rows)
         self._response = {key: _response(state, key) for key, link in LINKS.items() if not link.is_noise}
-        self._parts: dict[tuple[str, ...], tuple[dict[str, slice], LinearFit, Array]] = {}
 
     def gains(self, laws: Sequence[Law], shown: Sequence[Sequence[_Values]]) -> list[Screened]:
         """Return laws, of one column each or (a wave) of two, with amplitude and χ²."""
         columns = [(values, self._response[law.link]) for law, own in zip(laws, shown, strict=True) for values in own]
-        blocks = list(_FOLLOWING)
-        blocks += ["slope_x", "slope_y"] if any(values.rises for values, _ in columns) else []
-        blocks += ["first"] if any(values.first is not None for values, _ in columns) else []
-        cuts, fit, projected = self._part(tuple(blocks))
-        changes = np.zeros((fit.residual.size, len(columns)))
-        for block, cut in cuts.items():
+        changes = np.zeros((self._fit.residual.size, len(columns)))
+        for block, cut in self._cuts.items():
             own = self._changes(block, columns)
             if own.any():
-                changes[cut] = self._state.comparison.whiten(block, np.moveaxis(own, 0, -1)).reshape(-1, len(columns))
-        followed, part = fit.followed_with_half(changes)
-        slope = followed.T @ projected
+                changes[cut] = self._comparison.whiten(block, np.moveaxis(own, 0, -1)).reshape(-1, len(columns))
+        followed, part = self._fit.followed_with_half(changes)
+        slope = followed.T @ self._projected
         squares, rows = np.einsum("ij,ij->j", changes, changes), np.ascontiguousarray(followed.T)
         found, at = [], 0
         for law, pair in zip(laws, shown, strict=True):
@@ -140,17 +139,6 @@ class _Look:
             if factor is not None:
                 np.multiply(factor, response.get(block, response["mean"]), out=own)
         return found
-
-    def _part(self, blocks: tuple[str, ...]) -> tuple[dict[str, slice], LinearFit, Array]:
-        """Return some statistics' places among theirs alone, the fit in these, and the residual that is left there."""
-        if blocks not in self._parts:
-            whole, cuts, at = self._state.comparison.cuts, dict[str, slice](), 0
-            for block in blocks:
-                cuts[block] = slice(at, at := at + whole[block].stop - whole[block].start)
-            rows = np.concatenate([np.arange(whole[block].start, whole[block].stop) for block in blocks])
-            fit = self._state.fit
-            self._parts[blocks] = cuts, fit.within(rows), fit.projected[rows]
-        return self._parts[blocks]
 
 
 def known_values(state: FitState) -> dict[str, Array]:
