@@ -1,12 +1,11 @@
 """Names missing effects one after the other until nothing structured is left.
 
-What was named first knew nothing of what came later. Names are dropped, laws loosened, or one name given a free law.
-Each move is judged by the score that also adds names: the held-out log density, every parameter paid for.
+What was named first knew nothing of what came later. Names are dropped, laws loosened, or one name gives way to
+another. Each move is judged by the score that also adds names: the held-out log density plus the log prior odds of the
+names, each parameter paid for.
 
-Where structure stays in the end, the names that were found may be one cause by another law than the catalogue's. Each
-entry's change is then multiplied by a free curve along its own covariates (`simulators/effects/free_law.py`). It is
-tried alone from the start on or in the place of a name, by the score of all models. It is kept where it leaves
-nothing unexplained.
+Where a name's equation leaves structure, its change may be multiplied by a free curve along its own covariates
+(`simulators/effects/free_law.py`). That is one more flexible form of it.
 """
 
 from __future__ import annotations
