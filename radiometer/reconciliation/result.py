@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, Final
 
 from radiometer.data.json_text import finite_or_null, json_text
@@ -249,6 +250,16 @@ class Repeats:
     def _shown(self, value: float, u: float | None = None) -> str:
         size, unit = (100.0, " %") if self.scatter.unit == "1" else (1.0, f" {unit_text(self.scatter.unit)}")
         return f"{size * value:.2g}{unit}" if u is None else f"({size * value:.2f} ± {size * u:.2g}){unit}"
+
+
+class ByHand:
+    """What is reconciled and is measured by hand: the result says what to take again."""
+
+    __slots__ = ()
+
+    def write_plan(self, path: Path) -> bool:
+        """Write nothing: there are no captures to plan."""
+        return False
 
 
 _SENTENCES: Final = {

@@ -42,7 +42,7 @@ from radiometer.errors import CaptureError, InputError, MeasurementError
 from radiometer.importing.exif import read_exif_header
 from radiometer.numbers import with_u
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reconciliation.result import ByHand, FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
@@ -60,7 +60,7 @@ _ENOUGH_PIXELS: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class PhotographsReconciled:
+class PhotographsReconciled(ByHand):
     """The result for a stack of photographs, with the exposures found."""
 
     result: ReconcileResult  # the verdict and what was found
@@ -94,10 +94,6 @@ class PhotographsReconciled:
         frames = str(len(self.exposures_s))
         date = found.get("DateTimeOriginal", "")
         return Origin(date, camera, further=(("photographs", frames), ("folder", self.origin)))
-
-    def write_plan(self, path: Path) -> bool:
-        """Write nothing: photographs are taken by hand; the result names the exposure to take again."""
-        return False
 
 
 @on_one_blas_thread

@@ -26,7 +26,7 @@ from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.importing.drive_table import ChannelDrive, DriveTable, read_drive_table
 from radiometer.importing.meter_table import MeterRow, read_meter_table
 from radiometer.numbers import with_u
-from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reconciliation.result import ByHand, FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import CLOSED_GAP, NAMED_NATS, SCATTER_SIGMAS
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, paragraph, section, table
@@ -40,7 +40,7 @@ _STEP_OF_A_METER: Final = math.log(2.0) / 3.0  # meters and cameras run in third
 
 
 @dataclass(frozen=True, slots=True)
-class MeterReconciled:
+class MeterReconciled(ByHand):
     """The result for a light-meter table, with its rows."""
 
     result: ReconcileResult
@@ -77,21 +77,13 @@ class MeterReconciled:
         )
         return str(path)
 
-    def write_plan(self, path: Path) -> bool:
-        """Write nothing: a light meter is read by hand; the remarks say which readings would help."""
-        return False
-
 
 def reconcile_meter_table(path: Path) -> MeterReconciled:
     """Return whether the readings agree, and whether the rounding of printed stops is why not."""
     begun = time.monotonic()
     rows = read_meter_table(path)
     result = _judge(rows)
-    return MeterReconciled(_timed(result, begun), rows, str(path))
-
-
-def _timed(result: ReconcileResult, begun: float) -> ReconcileResult:
-    return replace(result, seconds=time.monotonic() - begun)
+    return MeterReconciled(replace(result, seconds=time.monotonic() - begun), rows, str(path))
 
 
 def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
@@ -279,7 +271,7 @@ class _Data:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DriveFit:
+class DriveFit(ByHand):
     """The outcome for a table; write_model, write_report and write_plan are those of every reconciled source."""
 
     result: ReconcileResult
@@ -313,10 +305,6 @@ class DriveFit:
         origin = Origin(further=(("table", self.origin),))
         write_text_atomic(path, page(self.origin, self.result.sentence, parts, kind="light engine", origin=origin))
         return str(path)
-
-    def write_plan(self, path: Path) -> bool:
-        """Write nothing: the next readings are of a meter, not of a camera."""
-        return False
 
 
 def reconcile_drive_table(path: Path) -> DriveFit:
