@@ -26,7 +26,6 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import all_effects
 
 _LISTED_PLACES: Final = 5
-_WEAK_NATS: Final = 10.0
 
 
 def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
@@ -129,7 +128,11 @@ def _effect(effect: FoundEffect, reconciled: Reconciled) -> str:
     present = {one.name: one for one in reconciled.outcome.state.effects}
     entry = present.get(effect.name)
     title = "Not explained by any known effect" if effect.name == "unnamed" else effect.name
-    tags = [text for text, holds in (("provisional", effect.provisional), ("weak", _is_weak(effect))) if holds]
+    tags = [
+        text
+        for text, holds in (("provisional", effect.provisional), ("weak", effect.is_weak and entry is not None))
+        if holds
+    ]
     return "\n".join(
         (
             heading(title, tags),
@@ -144,10 +147,6 @@ def _effect(effect: FoundEffect, reconciled: Reconciled) -> str:
     )
 
 
-def _is_weak(effect: FoundEffect) -> bool:
-    return effect.name != "unnamed" and effect.gain_nats < _WEAK_NATS
-
-
 def _physics(kind: type[CatalogueEffect]) -> str:
     return (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " ")
 
@@ -157,7 +156,7 @@ def _evidence(effect: FoundEffect) -> str:
     if effect.name == "unnamed":
         return sentence
     closed = f" With it the gap falls from {effect.gap_before:.3g} to {effect.gap_after:.3g}"
-    weak = "; that is little: repeat the captures" if _is_weak(effect) else ""
+    weak = "; that is little: repeat the captures" if effect.is_weak else ""
     known = f" {effect.evidence.capitalize()}." if effect.probability is not None else ""
     return (
         f"{sentence}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}.{known}"

@@ -14,6 +14,7 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
 _CLEAR_SIGMAS: Final = 5.0  # of the tiles' scatter, from which a first frame is reported to differ
+_WEAK_NATS: Final = 10.0
 _MOST_STATED: Final = 6  # frames in a sentence
 SURE: Final = 0.95  # probability from which a name is almost certain: one in twenty such names may be wrong
 _LIKELY: Final = 2.0 / 3.0  # as the word is used in assessments: Mastrandrea et al. (2010), guidance note of the IPCC
@@ -117,6 +118,11 @@ class FoundEffect:
     averaged: Mapping[str, FittedParameter] = field(default_factory=dict)
 
     @property
+    def is_weak(self) -> bool:
+        """Return whether it improves the prediction by so little that the captures had better be repeated."""
+        return self.gain_nats < _WEAK_NATS
+
+    @property
     def evidence(self) -> str:
         """Return in words how certain it is: its probability, or the nats where no models were compared."""
         alone = not self.alternatives
@@ -141,7 +147,7 @@ class FoundEffect:
             "next_capture": dict(self.next_capture) if self.next_capture else None,
             "statistic": self.block,
             "gain_nats": self.gain_nats,
-            "strength": "weak" if self.gain_nats < 10.0 else "clear",
+            "strength": "weak" if self.is_weak else "clear",
             "provisional": self.provisional,
             "probability": self.probability,
             "probability_of_any": self.probability_of_any,

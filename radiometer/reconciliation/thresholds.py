@@ -6,6 +6,7 @@ stands here and nowhere else. A nat is a factor of e in likelihood.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -104,3 +105,8 @@ ESSENTIAL_SIGMAS: Final = _row(
 )
 
 TABLE: Final[tuple[Threshold, ...]] = tuple(_ROWS.values())
+
+
+def is_open(gap: float, count: float) -> bool:
+    """Return whether the reduced χ² of so many held-out entries exceeds 1 by more than chance."""
+    return gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * math.sqrt(2.0 / max(count, 1.0)))

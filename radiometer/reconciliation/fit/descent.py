@@ -24,7 +24,7 @@ from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.shared_errors import chances_of_rows
-from radiometer.reconciliation.thresholds import CLOSED_GAP, SCATTER_SIGMAS
+from radiometer.reconciliation.thresholds import is_open
 from radiometer.reconciliation.tile_model import TileModel
 from radiometer.statistics.chances import frames_counted
 from radiometer.typing import Array
@@ -307,8 +307,7 @@ _SEES_WAVE: Final = ("variance", "neighbour_x", "neighbour_y", "row_temporal", _
 
 def is_misfit(state: FitState) -> bool:
     """Return whether structure remains: the gap of held-out settings exceeds 1 by more than chance."""
-    count = max(float(state.held_out.count[: state.settings].sum()), 1.0)
-    return state.gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * float(np.sqrt(2.0 / count)))
+    return is_open(state.gap, float(state.held_out.count[: state.settings].sum()))
 
 
 def scatter_of(state: FitState) -> float:

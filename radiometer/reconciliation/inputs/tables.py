@@ -27,7 +27,7 @@ from radiometer.importing.drive_table import ChannelDrive, DriveTable, read_driv
 from radiometer.importing.meter_table import MeterRow, read_meter_table
 from radiometer.numbers import with_u
 from radiometer.reconciliation.result import ByHand, FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
-from radiometer.reconciliation.thresholds import CLOSED_GAP, NAMED_NATS, SCATTER_SIGMAS
+from radiometer.reconciliation.thresholds import NAMED_NATS, is_open
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, paragraph, section, table
 from radiometer.typing import Array
@@ -509,11 +509,9 @@ def _limits(data: _Data, effects: Sequence[FoundEffect]) -> dict[str, Limit]:
 
 def _verdict(effects: Sequence[FoundEffect], gap: float, readings: int) -> Verdict:
     """Return the verdict; names are incomplete while the gap that they leave is more than chance."""
-    chance = 1.0 + SCATTER_SIGMAS * math.sqrt(2.0 / readings)
     names = {one.name for one in effects}
     if not names:
         return Verdict.AGREES
     if names == {"unnamed"}:
         return Verdict.UNNAMED
-    is_open = gap > max(CLOSED_GAP, chance)
-    return Verdict.INCOMPLETE if "unnamed" in names or is_open else Verdict.EFFECTS_FOUND
+    return Verdict.INCOMPLETE if "unnamed" in names or is_open(gap, readings) else Verdict.EFFECTS_FOUND
