@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
 
-# Where each public name is defined; a new one stands here and in the list below for type checkers. The daemon's are not
-# in that list: the daemon builds on what this package lists, and a type checker would go round in a circle.
+# Where each public name is defined; a new module stands in the list below for type checkers, too. The daemon's do not:
+# the daemon builds on what this package lists, and a type checker would go round in a circle.
 _HOMES = {
     "radiometer.api.adapt": (
         "AdaptationCurve", "AdaptationRun", "Bleach", "Instructions", "Protocols", "Retest", "Visits", "adapt_bleach",
@@ -70,127 +70,35 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
 
-if TYPE_CHECKING:
-    from radiometer.api.adapt import AdaptationCurve as AdaptationCurve
-    from radiometer.api.adapt import AdaptationRun as AdaptationRun
-    from radiometer.api.adapt import Bleach as Bleach
-    from radiometer.api.adapt import Instructions as Instructions
-    from radiometer.api.adapt import Protocols as Protocols
-    from radiometer.api.adapt import Retest as Retest
-    from radiometer.api.adapt import Visits as Visits
-    from radiometer.api.adapt import adapt_bleach as adapt_bleach
-    from radiometer.api.adapt import adapt_fit as adapt_fit
-    from radiometer.api.adapt import adapt_instructions as adapt_instructions
-    from radiometer.api.adapt import adapt_protocols as adapt_protocols
-    from radiometer.api.adapt import adapt_retest as adapt_retest
-    from radiometer.api.adapt import adapt_run as adapt_run
-    from radiometer.api.adapt import adapt_visits as adapt_visits
-    from radiometer.api.alpha_opic import AlphaOpicQuantities as AlphaOpicQuantities
-    from radiometer.api.alpha_opic import alpha_opic as alpha_opic
-    from radiometer.api.analyse import MapAnalysis as MapAnalysis
-    from radiometer.api.analyse import analyse as analyse
-    from radiometer.api.archive import Batch as Batch
-    from radiometer.api.archive import Passports as Passports
-    from radiometer.api.archive import Trends as Trends
-    from radiometer.api.archive import batch as batch
-    from radiometer.api.archive import passport as passport
-    from radiometer.api.archive import trend as trend
-    from radiometer.api.calibration import Calibrated as Calibrated
-    from radiometer.api.calibration import calibrate as calibrate
-    from radiometer.api.capture import BracketReport as BracketReport
-    from radiometer.api.capture import bracket as bracket
-    from radiometer.api.certificate import Certificate as Certificate
-    from radiometer.api.certificate import certificate as certificate
-    from radiometer.api.colour import CalibratedColour as CalibratedColour
-    from radiometer.api.colour import ColourReading as ColourReading
-    from radiometer.api.colour import colour_calibrate as colour_calibrate
-    from radiometer.api.colour import colour_measure as colour_measure
-    from radiometer.api.devices import Devices as Devices
-    from radiometer.api.devices import Diagnosis as Diagnosis
-    from radiometer.api.devices import doctor as doctor
-    from radiometer.api.devices import list_devices as list_devices
-    from radiometer.api.devices import new_bench as new_bench
-    from radiometer.api.devices import simulate_box as simulate_box
-    from radiometer.api.devices import simulate_camera as simulate_camera
-    from radiometer.api.files import Stack as Stack
-    from radiometer.api.files import read as read
-    from radiometer.api.files import read_photographs as read_photographs
-    from radiometer.api.flicker import FlickerReport as FlickerReport
-    from radiometer.api.flicker import flicker as flicker
-    from radiometer.api.importing import Imported as Imported
-    from radiometer.api.importing import import_capture as import_capture
-    from radiometer.api.led_flux import Flux as Flux
-    from radiometer.api.led_flux import flux as flux
-    from radiometer.api.light import BoxStatus as BoxStatus
-    from radiometer.api.light import ButtonPress as ButtonPress
-    from radiometer.api.light import CalibratedBox as CalibratedBox
-    from radiometer.api.light import Darkness as Darkness
-    from radiometer.api.light import EngineLaws as EngineLaws
-    from radiometer.api.light import ExposureAccount as ExposureAccount
-    from radiometer.api.light import LitChannel as LitChannel
-    from radiometer.api.light import light_account as light_account
-    from radiometer.api.light import light_blink as light_blink
-    from radiometer.api.light import light_calibrate as light_calibrate
-    from radiometer.api.light import light_law as light_law
-    from radiometer.api.light import light_off as light_off
-    from radiometer.api.light import light_pulse as light_pulse
-    from radiometer.api.light import light_set as light_set
-    from radiometer.api.light import light_status as light_status
-    from radiometer.api.light import light_watch_buttons as light_watch_buttons
-    from radiometer.api.logs import LogFinding as LogFinding
-    from radiometer.api.logs import log_fit as log_fit
-    from radiometer.api.meter import Meter as Meter
-    from radiometer.api.meter import open as open
-    from radiometer.api.photographs import measure_photographs as measure_photographs
-    from radiometer.api.quality import QualityPlan as QualityPlan
-    from radiometer.api.quality import QualityReport as QualityReport
-    from radiometer.api.quality import quality_plan as quality_plan
-    from radiometer.api.quality import quality_report as quality_report
-    from radiometer.api.quality import quality_take as quality_take
-    from radiometer.api.radiance import Radiance as Radiance
-    from radiometer.api.radiance import merge as merge
-    from radiometer.api.reading import measure as measure
-    from radiometer.api.reading import readings as readings
-    from radiometer.api.response import Response as Response
-    from radiometer.api.response import recover_response as recover_response
-    from radiometer.api.results import Reconciliation as Reconciliation
-    from radiometer.api.results import Separability as Separability
-    from radiometer.api.results import reconcile as reconcile
-    from radiometer.api.results import reconcile_plan as reconcile_plan
-    from radiometer.api.screen import CalibratedScreen as CalibratedScreen
-    from radiometer.api.screen import ScreenLevel as ScreenLevel
-    from radiometer.api.screen import VerifiedScreen as VerifiedScreen
-    from radiometer.api.screen import screen_calibrate as screen_calibrate
-    from radiometer.api.screen import screen_export as screen_export
-    from radiometer.api.screen import screen_import as screen_import
-    from radiometer.api.screen import screen_level as screen_level
-    from radiometer.api.screen import screen_verify as screen_verify
-    from radiometer.api.screen_report import DisplayReport as DisplayReport
-    from radiometer.api.screen_report import screen_report as screen_report
-    from radiometer.api.sensor import Sensor as Sensor
-    from radiometer.api.sensor import characterise as characterise
-    from radiometer.api.view import view as view
-    from radiometer.data.reading import Patch as Patch
-    from radiometer.data.reading import Reading as Reading
-    from radiometer.errors import CalibrationError as CalibrationError
-    from radiometer.errors import CaptureError as CaptureError
-    from radiometer.errors import ConfigurationError as ConfigurationError
-    from radiometer.errors import DamagedFileError as DamagedFileError
-    from radiometer.errors import DeviceError as DeviceError
-    from radiometer.errors import DeviceInUse as DeviceInUse
-    from radiometer.errors import DeviceLost as DeviceLost
-    from radiometer.errors import DeviceNotFound as DeviceNotFound
-    from radiometer.errors import DeviceTimeout as DeviceTimeout
-    from radiometer.errors import InputError as InputError
-    from radiometer.errors import LightEnded as LightEnded
-    from radiometer.errors import MeasurementError as MeasurementError
-    from radiometer.errors import MissingLibrary as MissingLibrary
-    from radiometer.errors import OutputError as OutputError
-    from radiometer.errors import RadiometerError as RadiometerError
-    from radiometer.errors import SettingOutOfRange as SettingOutOfRange
-    from radiometer.errors import UnsafeStimulus as UnsafeStimulus
-    from radiometer.errors import UnsettledError as UnsettledError
-    from radiometer.errors import UsageError as UsageError
+if TYPE_CHECKING:  # a type checker takes of each module what it defines
+    from radiometer.api.adapt import *  # noqa: F403
+    from radiometer.api.alpha_opic import *  # noqa: F403
+    from radiometer.api.analyse import *  # noqa: F403
+    from radiometer.api.archive import *  # noqa: F403
+    from radiometer.api.calibration import *  # noqa: F403
+    from radiometer.api.capture import *  # noqa: F403
+    from radiometer.api.certificate import *  # noqa: F403
+    from radiometer.api.colour import *  # noqa: F403
+    from radiometer.api.devices import *  # noqa: F403
+    from radiometer.api.files import *  # noqa: F403
+    from radiometer.api.flicker import *  # noqa: F403
+    from radiometer.api.importing import *  # noqa: F403
+    from radiometer.api.led_flux import *  # noqa: F403
+    from radiometer.api.light import *  # noqa: F403
+    from radiometer.api.logs import *  # noqa: F403
+    from radiometer.api.meter import *  # noqa: F403
+    from radiometer.api.photographs import *  # noqa: F403
+    from radiometer.api.quality import *  # noqa: F403
+    from radiometer.api.radiance import *  # noqa: F403
+    from radiometer.api.reading import *  # noqa: F403
+    from radiometer.api.response import *  # noqa: F403
+    from radiometer.api.results import *  # noqa: F403
+    from radiometer.api.screen import *  # noqa: F403
+    from radiometer.api.screen_report import *  # noqa: F403
+    from radiometer.api.sensor import *  # noqa: F403
+    from radiometer.api.view import *  # noqa: F403
+    from radiometer.data.reading import *  # noqa: F403
+    from radiometer.errors import *  # noqa: F403
 
 
 def home_of(name: str) -> str:

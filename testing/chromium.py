@@ -6,12 +6,13 @@ import asyncio
 import base64
 import contextlib
 import io
+import queue
 import re
 import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import aiohttp
 import numpy as np
@@ -94,6 +95,31 @@ class Browser:
             self.errors.append(str(message["params"]["entry"]))
         if message.get("method") == "Runtime.consoleAPICalled" and message["params"]["type"] in ("error", "assert"):
             self.errors.append(str(message["params"]["args"]))
+
+
+class Page(Protocol):
+    """A display or stimulus that a browser shows, its address announced into a queue when it is opened."""
+
+    def open(self) -> None:
+        """Wait until the page is there."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+@asynccontextmanager
+async def shows(browser: Browser, page: Page, addresses: queue.SimpleQueue[str], *, start: bool) -> AsyncIterator[None]:
+    """Have a browser show a page for the block, its Start pressed where it has one."""
+    opening = asyncio.create_task(asyncio.to_thread(page.open))
+    await browser.command("Page.navigate", url=await asyncio.to_thread(addresses.get))
+    if start:
+        await browser.wait_for("document.getElementById('state').textContent === 'connected'")
+        await browser.evaluate("document.getElementById('go').click()")
+    await opening
+    try:
+        yield
+    finally:
+        await asyncio.to_thread(page.close)
 
 
 @asynccontextmanager

@@ -13,7 +13,9 @@ from pathlib import Path
 from zlib import crc32
 
 from simulators.light_box.avr_box import rested_eeprom
+from testing.patience import within
 
+FIRMWARE = Path(__file__).resolve().parents[1] / "drivers" / "firmware" / "light_box"
 HOST = Path(__file__).resolve().parents[1] / "tests" / "unit" / "firmware" / "host"
 SOURCES = (
     "clock",
@@ -32,6 +34,15 @@ SOURCES = (
 SERIAL = "LB000007"
 EEPROM_BYTES = 1024
 FLAGS = ("-O1", "-std=gnu11", "-shared", "-fPIC", "-fshort-enums", "-Wall", "-Wextra", "-Werror", "-DF_CPU=16000000UL")
+
+
+def built_for_avr(folder: Path, *options: str) -> Path | None:
+    """Return the HEX file that `make` builds in a folder; None where its compiler is absent."""
+    if shutil.which("avr-gcc") is None:
+        return None
+    command = ["make", "-s", "-C", str(FIRMWARE), f"BUILD={folder}", *options]
+    subprocess.run(command, check=True, capture_output=True, timeout=within(120.0))
+    return folder / "light_box.hex"
 
 
 def build(firmware: Path, target: Path, *defines: str) -> Path:

@@ -9,11 +9,20 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 
 def eight_bits(dn: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Return digital numbers as a camera stores them in 8 bits."""
     return np.clip(np.rint(dn), 0, 255).astype(np.uint8)
+
+
+def write_jpeg(path: Path, dn: NDArray[np.float64], time_s: float, iso: int = 100, f_number: float = 8.0) -> None:
+    """Write digital numbers as a JPEG with EXIF; the folder is made."""
+    path.parent.mkdir(exist_ok=True)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update({33434: time_s, 33437: f_number, 34855: iso})
+    Image.fromarray(eight_bits(dn)).save(path, exif=exif, quality=100)
 
 
 def write_photographs(

@@ -107,12 +107,10 @@ class AravisCamera(NamedCamera):
 
     @property
     def capabilities(self) -> CameraCapabilities:
-        """Return its limits. Raises DeviceError unless open."""
         return self._open_session.capabilities
 
     @property
     def settings(self) -> CameraSettings:
-        """Return the settings in force, as read back. Raises DeviceError unless open."""
         return self._open_session.settings
 
     @property
@@ -122,12 +120,10 @@ class AravisCamera(NamedCamera):
 
     @property
     def lens(self) -> LensDescription:
-        """Return the lens in front of it, as configured."""
         return self._lens
 
     @property
     def counts(self) -> AcquisitionCounts:
-        """Return what went wrong and was put right since it was opened."""
         return self._tally.snapshot()
 
     @property
@@ -155,7 +151,6 @@ class AravisCamera(NamedCamera):
                 _LOG.warning("falsifying feature", camera=self._label, finding=str(finding))
 
     def close(self) -> None:
-        """Release the device; closing twice does nothing."""
         session, frames = self._session, self._frames
         self._session = self._frames = None
         if session is None:
@@ -173,13 +168,6 @@ class AravisCamera(NamedCamera):
                 give_up_in_background(session.camera, load_library().glib.Error)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set everything and return it as read back.
-
-        Raises:
-            SettingOutOfRange: If a value is outside the limits; nothing was changed.
-            DeviceLost: If the camera does not answer.
-            DeviceError: If the camera refuses it.
-        """
         session, frames = self._open_session, self._open_frames
         session.require_answer()
         session.access.check(settings)
@@ -191,12 +179,6 @@ class AravisCamera(NamedCamera):
         return session.settings
 
     def capture(self, count: int = 1) -> list[Frame]:
-        """Return complete frames exposed after this call, under the settings in force.
-
-        Raises:
-            DeviceTimeout: If they do not come, though the camera answers.
-            DeviceLost: If it stopped answering.
-        """
         frames, triggered = self._open_frames, self.settings.software_trigger
         try:
             return [frames.next() for _ in range(count)]
@@ -205,7 +187,6 @@ class AravisCamera(NamedCamera):
                 frames.stop()
 
     def stream(self) -> Generator[Frame, None, None]:
-        """Yield frames as they come until the iterator is closed. Raises DeviceTimeout or DeviceLost."""
         frames = self._open_frames
         try:
             while self._frames is frames:

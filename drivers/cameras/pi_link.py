@@ -178,7 +178,6 @@ class PiLink(FrameLink[PicameraDevice]):
         self._open.start(self._mode, controls)
 
     def grab(self) -> Grab:
-        """Return the next frame whose metadata has the settings in force. Raises DeviceTimeout if none has."""
         deadline_s = 2 * self._settings.exposure_s + 3.0
         for _ in range(MAX_STALE):
             request = self._open.request(deadline_s)
@@ -187,7 +186,6 @@ class PiLink(FrameLink[PicameraDevice]):
         raise DeviceTimeout(f"{self._identity.device_id}: keeps sending frames of other settings; close and reopen it")
 
     def stop(self) -> None:
-        """End the capture."""
         if self._device is not None:
             self._device.stop()
 

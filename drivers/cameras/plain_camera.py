@@ -182,18 +182,15 @@ class PlainCamera(NamedCamera):
 
     @property
     def identity(self) -> CameraIdentity:
-        """Return who the camera is."""
         return self._link.identity
 
     @property
     def capabilities(self) -> CameraCapabilities:
-        """Return its limits. Raises DeviceError unless open."""
         self._require_open()
         return self._link.capabilities
 
     @property
     def settings(self) -> CameraSettings:
-        """Return the settings in force, as read back. Raises DeviceError unless open."""
         return self._require_open()
 
     @property
@@ -245,7 +242,6 @@ class PlainCamera(NamedCamera):
         self._lost, self._frames = False, 0
 
     def close(self) -> None:
-        """Release the device; closing twice does nothing."""
         if self._settings is None:
             return
         self._settings = None
@@ -253,13 +249,6 @@ class PlainCamera(NamedCamera):
         self._link.close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set everything and return it as read back.
-
-        Raises:
-            SettingOutOfRange: If a value is outside the limits; nothing was changed.
-            DeviceLost: If the camera does not answer.
-            DeviceError: If the camera refuses it.
-        """
         self._require_open()
         self._check(settings)
         in_force = self._noted(lambda: self._link.apply(settings))
@@ -270,7 +259,6 @@ class PlainCamera(NamedCamera):
         return self._settings
 
     def capture(self, count: int = 1) -> list[Frame]:
-        """Return complete frames exposed after this call. Raises DeviceTimeout, DeviceLost."""
         self._require_open()
         self._noted(self._link.start)
         try:
@@ -279,7 +267,6 @@ class PlainCamera(NamedCamera):
             self._link.stop()
 
     def stream(self) -> Generator[Frame, None, None]:
-        """Yield frames as they come until the iterator is closed. Raises DeviceTimeout or DeviceLost."""
         self._require_open()
         self._noted(self._link.start)
         try:

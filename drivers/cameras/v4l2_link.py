@@ -226,7 +226,6 @@ class V4l2Link(FrameLink[LinuxpyDevice]):
         return self.apply(CameraSettings(0.01, pixel_format=self._limits.pixel_formats[0]))
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set exposure time and format, and return them as read back."""
         control_value = round(settings.exposure_s / EXPOSURE_UNIT_S)
         units = self._open.set_control(self._exposure_control, control_value)
         self._stale = _STALE_AFTER_CHANGE
@@ -234,7 +233,6 @@ class V4l2Link(FrameLink[LinuxpyDevice]):
         return self._settings
 
     def start(self) -> None:
-        """Begin to stream."""
         limits = self.capabilities
         self._open.start(self._codes[self._settings.pixel_format], limits.width, limits.height)
 
@@ -251,7 +249,6 @@ class V4l2Link(FrameLink[LinuxpyDevice]):
         return Grab(dn, bits, self._settings.exposure_s, 0.0, 0.0, frame.timestamp_s or time.monotonic())
 
     def stop(self) -> None:
-        """End streaming; a device that is gone needs no goodbye."""
         if self._device is not None:
             self._device.stop()
 

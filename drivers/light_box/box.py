@@ -161,24 +161,16 @@ class SerialLightBox(Opened):
 
     @property
     def identity(self) -> LightBoxIdentity:
-        """Return who the box is. Raises DeviceError unless open."""
         if self._identity is None:
             raise DeviceError(f"light box on {self.link.line.name} is not open; call open() first")
         return self._identity
 
     @property
     def channels(self) -> Mapping[str, ChannelCapabilities]:
-        """Return the channels by name. Raises DeviceError unless open."""
         self.identity  # noqa: B018 (raises)
         return dict(self._channels)
 
     def open(self) -> None:
-        """Open the port, say who we are, learn what the box can do; every channel is dark then.
-
-        Raises:
-            DeviceNotFound: If nothing on the port answers as a light box.
-            DeviceInUse: If another program holds the port.
-        """
         if self._identity is not None:
             return
         self.link.line.open()
@@ -195,7 +187,6 @@ class SerialLightBox(Opened):
             self._keeper.start()
 
     def close(self) -> None:
-        """Darken and release the box; closing twice does nothing."""
         self._closing.set()
         if self._keeper is not None:
             self._keeper.join()
@@ -206,16 +197,13 @@ class SerialLightBox(Opened):
         self.link.line.close()
 
     def set_level(self, channel: str, level: Level) -> ChannelState:
-        """Light a channel steadily and return its state as read back; raises as LightBox.set_level."""
         return self._shine("SL", channel, level, (), math.inf, math.inf)
 
     def ramp(self, channel: str, level: Level, duration_s: float) -> ChannelState:
-        """Move a channel's level linearly to another within `duration_s`, and stay there."""
         ms = self._milliseconds("duration", duration_s, 600.0)
         return self._shine("RA", channel, level, (ms,), math.inf, math.inf, ms / 1000.0)
 
     def pulse(self, channel: str, level: Level, duration_s: float) -> ChannelState:
-        """Light a channel for `duration_s`, timed by the box."""
         ms = self._milliseconds("duration", duration_s, 600.0)
         return self._shine("PU", channel, level, (ms,), ms / 1000.0, ms / 1000.0)
 
@@ -258,17 +246,9 @@ class SerialLightBox(Opened):
 
     @property
     def flash_exposure_j_sr_m2(self) -> float:
-        """Return the radiant exposure of one flash in J·sr⁻¹·m⁻². Raises CalibrationError where it is not known."""
         return self._flash_light().exposure_j_sr_m2
 
     def fire_flash(self) -> FlashState:
-        """Fire the photographic flash once and return what the box allows of it from now on.
-
-        Raises:
-            UnsafeStimulus: If it is too much for the eye, with all that was given before, or for the box's own limits.
-            CalibrationError: If the box's preset says nothing of a flash.
-            UsageError: If the box speaks version 1 of the protocol, which has no flash.
-        """
         light = self._flash_light()
         self._require_flash()
         radiance = light.exposure_bound_j_sr_m2 / light.duration_s
@@ -276,7 +256,6 @@ class SerialLightBox(Opened):
             return read_flash(self._name, answer)
 
     def flash_state(self) -> FlashState:
-        """Return what the box allows of its flash. Raises UsageError for a box of protocol version 1."""
         with self._exchanging():
             self._require_flash()
             return read_flash(self._name, self.link.request("FS"))
@@ -325,7 +304,6 @@ class SerialLightBox(Opened):
             return accepted
 
     def off(self, channel: str) -> None:
-        """Darken one channel."""
         with self._exchanging():
             self.link.request(f"OF {self._index(channel)}")
             self._require_dark(channel)
@@ -356,7 +334,6 @@ class SerialLightBox(Opened):
         self.darken()
 
     def safe(self) -> None:
-        """Darken every channel; never raises, for the box darkens itself where it cannot be reached."""
         with suppress(DeviceError):
             self.darken()
 
@@ -369,24 +346,20 @@ class SerialLightBox(Opened):
                 )
 
     def read_channel(self, channel: str) -> ChannelState:
-        """Return what a channel is doing."""
         with self._exchanging():
             fields = self.link.request(f"RB {self._index(channel)}")
             return read_state(self._name, channel, self._buckets[channel], fields)
 
     def status(self) -> LightBoxStatus:
-        """Return supply, temperature and error counts."""
         with self._exchanging():
             return read_status(self._name, self.link.request("ST"))
 
     def synchronise(self) -> ClockEstimate:
-        """Compare the clocks once more and return the estimate."""
         with self._exchanging():
             self._compare_clocks()
             return self.link.clock.estimate()
 
     def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
-        """Yield presses and releases as they come for `timeout_s`."""
         deadline_s = self.link.line.now() + timeout_s
         while (left_s := deadline_s - self.link.line.now()) > 0:
             with self._exchanging():

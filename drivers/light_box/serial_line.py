@@ -74,11 +74,9 @@ class SerialLine:
 
     @property
     def name(self) -> str:
-        """Return the port's name."""
         return self.port
 
     def now(self) -> float:
-        """Return the time in s on the clock that stamps the lines."""
         return self.clock()
 
     def open(self) -> None:
@@ -95,7 +93,6 @@ class SerialLine:
             raise _opening_error(self.port, error) from error
 
     def close(self) -> None:
-        """Release the port; closing twice does nothing."""
         port, self._serial = self._serial, None
         if port is not None:
             port.close()
@@ -115,11 +112,6 @@ class SerialLine:
         return started_s
 
     def read_line(self, timeout_s: float) -> ReceivedLine | None:
-        """Return the next line without its end, or None where none is complete within `timeout_s`.
-
-        Raises:
-            DeviceLost: If the port has gone.
-        """
         deadline_s = self.clock() + timeout_s
         while True:
             line, end, rest = self._buffer.partition(b"\n")

@@ -100,20 +100,16 @@ class BoxStage(Stage):
         self.protocol, self._zero_s = self.lights.protocol, self.clock()
 
     def now_s(self) -> float:
-        """Return the time in s since the stage was set up, or as `resume_at` set it."""
         return self.clock() - self._zero_s
 
     def wall_s(self) -> float | None:
-        """Return the time of day as Unix time in s; None where the box is simulated."""
         return self.wall_clock() if self.wall_clock else None
 
     def resume_at(self, time_s: float) -> None:
-        """Count on from a time, with the mark lit again. Raises DeviceError, UnsafeStimulus."""
         self._zero_s = self.clock() - time_s
         self._light_mark()
 
     def facts(self) -> dict[str, str | float]:
-        """Return which box it is, for the journal. Raises DeviceError."""
         known: dict[str, str | float] = {
             "box": self.box.identity.serial,
             "firmware": self.box.identity.firmware,
@@ -125,7 +121,6 @@ class BoxStage(Stage):
         return known
 
     def health(self) -> dict[str, str]:
-        """Return how the box is, for whoever watches. Raises DeviceError."""
         if self.wall_clock is None:  # asking would let simulated time pass
             return {"box": self.box.identity.serial}
         now = self.box.status()
@@ -137,12 +132,6 @@ class BoxStage(Stage):
         }
 
     def bleach(self, protocol: AdaptationProtocol) -> None:
-        """Light the bleaching channel for the protocol's time, timed by the box.
-
-        Raises:
-            DeviceError: If the box fails.
-            UnsafeStimulus: If it is too much for eye or box.
-        """
         if self.lights.by_flash:
             self._flash()
         else:
@@ -182,23 +171,14 @@ class BoxStage(Stage):
             self.sleep(FLASH_GAP_S if number < count - 1 else 0.1)
 
     def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
-        """Blink the spot once and return the presses in s from its onset. Raises DeviceError, UnsafeStimulus."""
         light = None if log10_level is None else self.lights.spot(log10_level)
         return self._blink_once(self.protocol.spot.channel, light)
 
     @property
     def checks_fixation(self) -> bool:
-        """Return whether the box has a light in the blind spot."""
         return self.protocol.fixation_check is not None and self.lights.blind_spot_w_sr_m2 > 0
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:
-        """Show the light in the blind spot once and return the presses in s from its onset.
-
-        Raises:
-            UsageError: If the box has none.
-            DeviceError: If the box fails.
-            UnsafeStimulus: If it is too much for the eye.
-        """
         check = self.protocol.fixation_check
         if check is None or not self.checks_fixation:
             return super(BoxStage, self).blink_blind_spot(trial, number)
@@ -213,11 +193,9 @@ class BoxStage(Stage):
         return [time_s - onset for time_s in presses if time_s >= onset]
 
     def rest(self, seconds: float) -> int:
-        """Let time of a pause pass and return how often the button was pressed. Raises DeviceLost."""
         return len(self._presses(self.box.buttons(seconds)))
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
         begun_s, held_s = self._longest
         if self._pressed_s is not None and self.clock() - self._pressed_s > held_s:
             begun_s, held_s = self._pressed_s, self.clock() - self._pressed_s

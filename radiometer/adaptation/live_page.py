@@ -82,11 +82,9 @@ class LivePage(Opened):
         self._server.soon(lambda: self._take(event))
 
     def greeting(self) -> Message:
-        """Return the whole state."""
         return self._message()
 
     def received(self, message: Message) -> None:
-        """Do what a button asks for."""
         match message.get("kind"):
             case "pause":
                 self._controls.pause(_BY)

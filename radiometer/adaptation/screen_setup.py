@@ -226,20 +226,16 @@ class ScreenStage(Stage):
         )
 
     def now_s(self) -> float:
-        """Return the time in s since the stage was set up, or as `resume_at` set it."""
         return self.clock() - self._zero_s
 
     def wall_s(self) -> float | None:
-        """Return the time of day as Unix time in s; None where time is simulated."""
         return self.wall_clock() if self.wall_clock else None
 
     def resume_at(self, time_s: float) -> None:
-        """Count on from a time, with the mark shown again. Raises DeviceError."""
         self._zero_s = self.clock() - time_s
         self.screen.show(self._rest)
 
     def facts(self) -> dict[str, Any]:
-        """Return what the journal should hold of the screen."""
         low, high = self.levels.reach
         return {
             "screen": self.calibration.name,
@@ -263,7 +259,6 @@ class ScreenStage(Stage):
         return "the page has no room for the blind spot" if has_check else "the protocol has no fixation_check"
 
     def health(self) -> dict[str, str]:
-        """Return how the screen is, for whoever watches."""
         wrong = self.screen.warnings()
         frames = "" if self._last is None else f"{1 / self._last.frame_s:.0f} frames/s"
         return {"screen": self.calibration.name, "page": "; ".join(wrong) or "as it should be", "shows": frames or "–"}
@@ -281,7 +276,6 @@ class ScreenStage(Stage):
         self.screen.show(self._rest)
 
     def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
-        """Blink the spot once and return the presses in s from its onset. Raises DeviceError."""
         lit = self._rest
         if log10_level is not None:
             rgb = self.levels.rgb(self.levels.nearest(log10_level))
@@ -294,12 +288,6 @@ class ScreenStage(Stage):
         return self._blind_spot is not None
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:
-        """Show the light in the blind spot once and return the presses in s from its onset.
-
-        Raises:
-            UsageError: If there is none.
-            DeviceError: If the screen fails.
-        """
         if self._blind_spot is None:
             raise UsageError(self._why_unchecked())
         return self._blink_once(ScreenPicture(shapes=(*self._rest.shapes, self._blind_spot)))
@@ -311,13 +299,11 @@ class ScreenStage(Stage):
         return list(seen.presses_s)
 
     def rest(self, seconds: float) -> int:
-        """Let time of a pause pass and return how often the button was pressed. Raises DeviceError."""
         seen = self.screen.rest(seconds)
         self._note(seen.hold)
         return seen.presses
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
         begun_s, lasted_s = self._held
         if lasted_s < at_least_s:
             return None
@@ -331,7 +317,6 @@ class ScreenStage(Stage):
             self._held = (begun_s, hold.lasted_s)
 
     def shown_log10(self, log10_level: float) -> float:
-        """Return the level that the screen shows where one is asked for: it has whole levels only."""
         return float(self.levels.log10[self.levels.nearest(log10_level)])
 
 
@@ -347,11 +332,9 @@ class ObservedScreen:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Return width and height of the screen in pixels."""
         return _SIMULATED_SIZE
 
     def show(self, picture: ScreenPicture) -> None:
-        """Show a picture. Raises DeviceError, SettingOutOfRange."""
         self._shown = picture
         self.watcher.display.show(DisplayPatch(_drive(picture.field)))
 

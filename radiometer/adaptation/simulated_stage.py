@@ -30,7 +30,6 @@ class SubjectStage(Stage):
     clock: SimulatedClock = field(default_factory=SimulatedClock)  # simulated time
 
     def now_s(self) -> float:
-        """Return the simulated time in s."""
         return self.clock.now_s()
 
     def bleach(self, protocol: AdaptationProtocol) -> None:
@@ -40,16 +39,13 @@ class SubjectStage(Stage):
         self.observer.dark_since_s = self.clock.now_s()
 
     def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
-        """Return the subject's presses."""
         return self._presses(log10_level, self.protocol.spot.peak_nm, trial, number)
 
     @property
     def checks_fixation(self) -> bool:
-        """Return whether the protocol has a light in the blind spot."""
         return self.protocol.fixation_check is not None
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:
-        """Return the subject's presses to the light in its blind spot."""
         check, peak_nm = self.protocol.fixation_check, self.protocol.fixation.peak_nm
         if check is None:
             return []

@@ -41,7 +41,6 @@ class MeterSource:
         return f"radiometer:{self.meter.instrument.camera.identity.serial}"
 
     def measure(self) -> Reading:
-        """Return one reading. Raises DeviceError, MeasurementError."""
         return self.meter.measure(self.patch)
 
 

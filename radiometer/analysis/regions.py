@@ -43,7 +43,7 @@ class RegionFigures:
     deviation: Quantity  # standard deviation over the pixels, their noise taken off; the camera's pattern is in u
     uniformity: Quantity  # lowest over highest
     good_share: float  # share of pixels with a value
-    u_rel_shared: float = 0.0  # relative uncertainty of the mean that its pixels share beyond what all pixels share
+    u_shared: float = 0.0  # uncertainty of the mean that its pixels share beyond what all pixels share, in `unit`
     flags: tuple[str, ...] = ()  # what makes a figure doubtful, a sentence each
 
 
@@ -71,8 +71,7 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
         )
     unit, count = found.unit, int(good.sum())
     level = float(values[good].mean())
-    by_level = float(shared[good].mean()) / max(abs(level), 1e-30)  # relative
-    common = math.hypot(found.u_rel_common, by_level)
+    u_level, common = float(shared[good].mean()), found.u_rel_common
     dim = (mask & (PixelMask.BELOW_NOISE | LOST)) == PixelMask.BELOW_NOISE
     # Of one that is black in every frame u is the value itself, but for what it shares with others. All have one value.
     black = dim & np.isclose(found.u_radiance[patch.slices], values, rtol=0.01)
@@ -80,35 +79,39 @@ def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5)
     open_to_0 = black | (dim & ((mask & PixelMask.EXTRAPOLATED) != 0))
     u_open = float(np.abs(values[open_to_0]).sum()) / math.sqrt(3.0)
     u_mean = math.hypot(math.sqrt(float(np.sum(own[good] ** 2))), u_open) / count
-    boxes, noise = _boxes(values, own, good, box_px)
+    (boxes, noise), (levels, _) = (_boxes(one, own, good, box_px) for one in (values, shared))
     ends = [int(boxes.argmin()), int(boxes.argmax())]
     low, high = (float(boxes[at]) for at in ends)
     u_low, u_high = (math.hypot(noise[at], _extreme_u(noise[at], values.size)) for at in ends)
+    shared_low, shared_high = (float(levels[at]) for at in ends)
     variance = float(values[good].var(ddof=1)) if count > 1 else math.nan  # of one pixel it is not known
     pattern = float(np.mean((found.u_rel_pattern * values[good]) ** 2))
     spread, u_spread = spread_beyond_noise(variance, float(np.mean(own[good] ** 2)) - pattern, count, pattern)
     uniformity = low / high if high > 0 else math.nan
     u_uniformity = u_low / max(high, 1e-30)
     if low > 0:
-        u_levels = u_of_ratio(low, high, by_level, by_level)
-        u_uniformity = uniformity * math.hypot(u_low / low, u_high / high, u_levels)
+        of_ends = u_low / high, low * u_high / high**2
+        u_uniformity = math.hypot(*of_ends, u_of_ratio(low, high, shared_low, shared_high))
+    by_level = min(u_level / max(abs(level), 1e-30), 1.0)
     return RegionFigures(
-        name, patch, Quantity(level, math.hypot(u_mean, level * common), unit),
-        Quantity(float(np.median(values[good])), math.hypot(1.2533 * u_mean, level * common), unit),
-        Quantity(low, math.hypot(u_low, low * common), unit), Quantity(high, math.hypot(u_high, high * common), unit),
-        Quantity(spread, math.hypot(u_spread, spread * common), unit),
-        Quantity(uniformity, u_uniformity, "1"), share, by_level, _flags(mask, black),
+        name, patch, Quantity(level, math.hypot(u_mean, u_level, level * common), unit),
+        Quantity(float(np.median(values[good])), math.hypot(1.2533 * u_mean, u_level, level * common), unit),
+        Quantity(low, math.hypot(u_low, shared_low, low * common), unit),
+        Quantity(high, math.hypot(u_high, shared_high, high * common), unit),
+        Quantity(spread, math.hypot(u_spread, spread * common, spread * by_level), unit),
+        Quantity(uniformity, u_uniformity, "1"), share, u_level, _flags(mask, black),
     )  # fmt: skip
 
 
-def u_of_ratio(one: float, other: float, u_rel_one: float, u_rel_other: float) -> float:
-    """Return the relative uncertainty of a ratio of two levels that what pixels of one level share brings.
+def u_of_ratio(one: float, other: float, u_one: float, u_other: float) -> float:
+    """Return the uncertainty of a ratio of two levels, one over other, by what pixels of one level share.
 
     The correlation of its errors at two levels is taken as the ratio of the lower to the higher. It is 1 where both are
     the same. It is small where they rest on other exposures and other parts of the response curve.
     """
-    alike = min(one, other) / max(one, other, 1e-30)
-    return math.sqrt(max(u_rel_one**2 + u_rel_other**2 - 2.0 * alike * u_rel_one * u_rel_other, 0.0))
+    alike = max(min(one, other), 0.0) / max(one, other, 1e-30)
+    parts = u_one / other, u_other * one / other**2
+    return math.sqrt(max(parts[0] ** 2 + parts[1] ** 2 - 2.0 * alike * parts[0] * parts[1], 0.0))
 
 
 def image_circle(found: RadianceMap, radius_px: float | None) -> tuple[Array, Array, float]:
@@ -168,10 +171,13 @@ def ratio_of(first: RegionFigures, second: RegionFigures, common_u_rel: float) -
     """
     if second.mean.value <= 0.0:
         raise MeasurementError(f"region {second.name}: its mean is not above 0, so the contrast has no bound")
-    ratio = first.mean.value / second.mean.value
-    noise = [math.sqrt(max(one.mean.u_rel**2 - common_u_rel**2 - one.u_rel_shared**2, 0.0)) for one in (first, second)]
-    levels = u_of_ratio(first.mean.value, second.mean.value, first.u_rel_shared, second.u_rel_shared)
-    return Quantity(ratio, ratio * math.hypot(*noise, levels), "1")
+    one, other = first.mean.value, second.mean.value
+    noise, its_noise = (
+        math.sqrt(max(each.mean.u**2 - (common_u_rel * each.mean.value) ** 2 - each.u_shared**2, 0.0))
+        for each in (first, second)
+    )
+    levels = u_of_ratio(one, other, first.u_shared, second.u_shared)
+    return Quantity(one / other, math.hypot(noise / other, its_noise * one / other**2, levels), "1")
 
 
 class Profile(NamedTuple):

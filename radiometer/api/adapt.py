@@ -90,7 +90,6 @@ class AdaptationRun(Result):
         return self.outcome.verdict is Verdict.PRACTICE
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         one = self.outcome
         return {
             "verdict": str(one.verdict),
@@ -154,13 +153,18 @@ def adapt_run(
 ) -> AdaptationRun:
     """Run a dark-adaptation test; an unfinished run of the same visit is taken up where it ends.
 
+    Each visit has its own journal, with date and time in its name. A finished run is never taken up. Calibration age,
+    safety and, with a camera or bench, the dark room are checked before the bleach. Every event is in the journal
+    before the next one happens. At a terminal p pauses and goes on, q ends the test; a press of the button that is held
+    for 2 s pauses too.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.adapt_run("quick", "S1", "s1.jsonl", simulate="never")
         <AdaptationRun no_response: 0 thresholds in s1.jsonl>
 
     Args:
-        protocol: Protocol file, or the name of a shipped one.
+        protocol: Protocol file, or the name of a shipped one (`adapt protocols`).
         subject: Pseudonym of the subject.
         out: Journal; SUBJECT-PROTOCOL-EYE-DATETIME.jsonl in this folder by default.
         csv: Table of thresholds; next to the journal where they can be fitted.
@@ -172,10 +176,10 @@ def adapt_run(
         white: Spectrum of the bleaching light.
         fixation: Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance by default.
         simulate: Simulated subject: "steady", "never", "always", "leaves", "wanders", "healthy" or "amd".
-        room: NotNegative of the simulated box's room in cd·m⁻².
+        room: Luminance of the simulated box's room in cd·m⁻².
         slow_s: Real time in s per simulated trial, to watch it.
         seed: Seed of catches and of the simulated subject.
-        eye: "right" or "left".
+        eye: Eye that looks, "right" or "left": the blind spot is on its temporal side.
         age: Age of the subject in years, for the head of journal and table.
         pupil: Diameter of the pupil in mm as measured, for the same, and to warn where it is below the protocol's.
         practice: Three minutes without a bleach, to learn the task; nothing of it is fitted.
@@ -293,7 +297,6 @@ class AdaptationCurve(Result):
     name: str
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return to_mapping(self.fit)
 
     def lines(self) -> list[str]:
@@ -340,6 +343,9 @@ def adapt_fit(
 ) -> AdaptationCurve:
     """Fit cone and rod branches to thresholds: plateau, rod–cone break, S2, rod intercept, final threshold.
 
+    One branch, cones and S2 (5 parameters) or cones, S2 and S3 (7) are tried; the AICc decides among those that make
+    sense.
+
     Examples:
         >>> import radiometer as rm
         >>> curve = rm.adapt_fit("thresholds.csv", bootstrap=0)
@@ -380,7 +386,6 @@ class Retest(Result):
     comparisons: tuple[Compared, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {one.name: one.to_mapping() for one in self.comparisons}
 
     def lines(self) -> Iterator[tuple[str, list[str]]]:
@@ -407,6 +412,9 @@ class Retest(Result):
 
 def adapt_retest(visits: Sequence[PathLike], *, mapped: StatementMap | Sequence[str] = ()) -> Retest:
     """Find how well repeated visits agree: differences of break, S2, rod intercept and plateau.
+
+    From three subjects on with limits of agreement (Bland and Altman), mean ± 1.96 standard deviations, and their 95 %
+    intervals.
 
     Examples:
         >>> import radiometer as rm
@@ -456,7 +464,6 @@ class Protocols(Result):
     protocols: tuple[AdaptationProtocol, ...]
 
     def to_json(self) -> str:
-        """Return the documented JSON form: a list."""
         return json_text([one.model_dump() for one in self.protocols])
 
     def to_mapping(self) -> dict[str, Any]:
@@ -487,7 +494,6 @@ class Instructions(Result):
     sentences: tuple[str, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"protocol": self.protocol, "instructions": list(self.sentences)}
 
     def lines(self) -> list[str]:
@@ -524,7 +530,6 @@ class Visits(Result):
     curves: tuple[AdaptationCurve, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "visits": [
                 {"name": label_of_visit(one.series, one.name), "facts": dict(one.series.facts), **one.to_mapping()}
@@ -595,6 +600,8 @@ class Bleach(Result):
         cones_bleached: Share of the cones' pigment.
         rods_bleached_range: Its range over published constants.
         cones_bleached_range: The same of the cones.
+        scotopic_ratio: Scotopic over photopic luminance that the rods were counted with.
+        natural_pupil: Whether the pupil is the natural one, not a stated one.
     """
 
     pupil_mm: float
@@ -604,9 +611,10 @@ class Bleach(Result):
     cones_bleached: float
     rods_bleached_range: tuple[float, float]
     cones_bleached_range: tuple[float, float]
+    scotopic_ratio: float
+    natural_pupil: bool
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __str__(self) -> str:
@@ -654,4 +662,6 @@ def adapt_bleach(
         bleached_fraction(trolands, duration, "cones"),
         bleached_range(trolands * scotopic_ratio, duration, "rods"),
         bleached_range(trolands, duration, "cones"),
+        scotopic_ratio,
+        pupil is None,
     )

@@ -54,14 +54,12 @@ class AlphaOpicQuantities(Drawn):
         return {one.receptor: one for one in self.quantities}[receptor]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         found = {
             one.receptor: {name: getattr(one, field) for name, field in _IN_JSON.items()} for one in self.quantities
         }
         return self.plain("source", "spectrum", "assumptions", quantities=found)
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the α-opic daylight efficacy ratios with their expanded uncertainty (k = 2)."""
         where = axes if axes is not None else new_axes()
         names = [one.receptor.replace("_", "-") for one in self.quantities]
         ratios = [one.daylight_ratio for one in self.quantities]

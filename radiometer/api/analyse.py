@@ -77,7 +77,6 @@ class MapAnalysis(Drawn):
     coverage: ClassVar[str] = "k = 2, < at 95 %"  # of all figures of a table
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         line = {} if self.profile is None else {"profile": self.profile._asdict()}
         names = (*_FIGURES, "good_share", "flags")
         regions = {
@@ -103,7 +102,8 @@ class MapAnalysis(Drawn):
             texts = {"deviation": one.deviation.text(_COVERAGE, bare=True)}
             texts |= self._texts({"mean": one.mean, "median": one.median})
             texts |= self._texts({"lowest": one.lowest, "highest": one.highest}, side_by_side=True)
-            texts["uniformity"] = _or_limit(one.uniformity, one.uniformity.u)
+            known = math.isfinite(one.uniformity.value)  # of pixels that are all 0 it is not
+            texts["uniformity"] = _or_limit(one.uniformity, one.uniformity.u) if known else "unknown"
             rows.append((one.name, *(texts[name] for name in names)))
         return rows
 
@@ -174,7 +174,6 @@ class MapAnalysis(Drawn):
         write_text_atomic(Path(path), page("Figures of a radiance map", outcome, parts, kind="analyse", origin=origin))
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the map in false colours with its regions and the line of its profile."""
         from matplotlib.patches import Rectangle
 
         where = Radiance({"mono": self.map}).plot(axes if axes is not None else new_axes())

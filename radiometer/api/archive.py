@@ -39,7 +39,6 @@ class Batch(Result):
     unfinished: tuple[Path, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             **asdict(self.summary), "table": str(self.table), "unfinished": [str(path) for path in self.unfinished]
         }  # fmt: skip
@@ -48,6 +47,19 @@ class Batch(Result):
         """Return table, rows and what was done."""
         one = self.summary
         return f"{self.table}: {one.rows_in_table} rows; {one.done} done, {one.skipped} as before"
+
+    @property
+    def notes(self) -> list[str]:
+        """Return what was left out, what failed, how much was done, and whether it was stopped."""
+        return [
+            *(
+                f"left out: {path} holds frames but no capture.yaml (unfinished, or `radiometer import` it first)"
+                for path in self.unfinished
+            ),
+            *(f"failed: {row['capture']}: {row['error']}" for row in self.summary.failures),
+            str(self),
+            *(["stopped by the user; run the same words again to go on"] if self.summary.interrupted else []),
+        ]
 
 
 @dataclass(frozen=True, repr=False)
@@ -63,7 +75,6 @@ class Trends(Result):
     source: str
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"trends": [one.to_mapping() for one in self.trends]}
 
     def write_report(self, path: PathLike) -> None:
@@ -86,7 +97,6 @@ class Passports(Result):
     cameras: tuple[Passport, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"cameras": [one.to_mapping() for one in self.cameras]}
 
     def __str__(self) -> str:
@@ -112,6 +122,9 @@ def batch(
     progress: Progress | None = None,
 ) -> Batch:
     """Do one job on every capture set of an archive and write one table of results.
+
+    What the table holds already of the same captures, settings and code is not done again. A capture set that fails
+    becomes a row with its error and does not stop the rest. An interrupt leaves a usable table.
 
     Examples:
         >>> import radiometer as rm
@@ -156,6 +169,9 @@ def batch(
 def trend(results: PathLike, quantity: str = "radiance") -> Trends:
     """Find the drift of a source or of the instrument over months, with its uncertainty.
 
+    Neighbours may be correlated and seasons may cycle: both are in the model, and a drift is claimed only where chance
+    would show it in fewer than one archive in a hundred.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.trend("history.csv")
@@ -176,6 +192,9 @@ def trend(results: PathLike, quantity: str = "radiance") -> Trends:
 
 def passport(archive: PathLike, *, progress: Progress | None = None) -> Passports:
     """Compare the sessions of each camera in an archive: what changed, what did not, and what was the light.
+
+    Fits one law of the dark current to all sessions, compares the stated gain with the gain from light and from darks,
+    and lists the figures that changed. Changes of the light are listed separately from changes of the camera.
 
     Examples:
         >>> import radiometer as rm

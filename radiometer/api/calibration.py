@@ -129,7 +129,6 @@ class Calibrated(Result):
         return self.calibration.scale
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         calibration = self.calibration
         report: dict[str, Any] = {
             "calibration": str(self.file) if self.file else None,
@@ -225,7 +224,7 @@ def calibrate(
         luminance: Its luminance in cd·m⁻², instead of the radiance.
         u_rel: Its relative standard uncertainty.
         luminance_meter_k: Constant K of the camera's light meter (ISO 2720) in cd·m⁻²·s.
-        k_u_rel: Relative standard uncertainty of K beyond the meter's ±1/6 stop; None takes what ISO 2720 leaves open.
+        k_u_rel: Relative standard uncertainty of K beyond the meter's ±1/6 stop; by default what ISO 2720 leaves open.
         f_number: f-number of the reference photograph, or of frames that do not state theirs.
         exposure_s: Exposure time of the reference photograph in s.
         iso: Its ISO speed: as really measured, or stated (with `measured_iso`); of photographs that state none, theirs.
@@ -235,7 +234,8 @@ def calibrate(
         pattern: Displayed pattern of a capture set that holds several.
         align: Photographs from the hand: "auto" (where they moved), "on", or "off".
         reference_dn: Pixel value of the metered surface; half of full scale by default.
-        dynamic_range: (M, time in s[, landed]) of regions brought to the reference value, which correct the exponent.
+        dynamic_range: (M, time in s[, landed]) of regions, which correct the exponent: the region at pixel value M of
+            the reference photograph lands on the reference value (or on `landed`) at that time.
         as_printed: Take settings at face value, not as stops.
         spectrum: Spectrum of the source, or a CSV; by default the line that the capture states, else equal energy to
             43 %.
@@ -250,7 +250,7 @@ def calibrate(
         model: Model of `reconcile`: readings are corrected for its effects.
         taps: Of a capture set: output amplifiers, "2x2" for columns × rows of equal parts, or "find". By default those
             that the capture set or the camera file states. Readings take them from the calibration.
-        stated: Uncertainties of readings that are known better, by name.
+        stated: Uncertainties of readings that are known better, by name, such as glare_u.
         progress: Called as files are read.
 
     Raises:

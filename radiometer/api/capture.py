@@ -34,6 +34,7 @@ class BracketReport(Result):
         coverage: Pixels that are well exposed twice, saturated, below noise; empty where a plan chose the exposures.
         not_reached: What the scene needs and the frames do not give, a sentence each.
         cut_short: Whether the time limit left exposures out.
+        of: Whose pixels the coverage counts: "pixels", or "patch's pixels".
     """
 
     capture: Path
@@ -43,9 +44,9 @@ class BracketReport(Result):
     coverage: dict[str, int]
     not_reached: tuple[str, ...] = ()
     cut_short: bool = False
+    of: str = "pixels"
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "capture": str(self.capture),
             "frames": self.frames,
@@ -80,6 +81,9 @@ def bracket(
 ) -> BracketReport:
     """Capture a set of exposures of an unmoving scene into a new folder.
 
+    Meters the scene and takes the fewest and shortest exposures that expose every pixel well at least twice, or a fixed
+    ladder. The folder holds `capture.yaml`, finished or not at all.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.bracket("out/even", bench="bench.yaml", shortest_s=0.001, longest_s=0.004)
@@ -89,7 +93,7 @@ def bracket(
 
     Args:
         out: Folder to create.
-        camera: "sim", or a camera's id, serial number or address; the bench's own by default.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:; the bench's own by default.
         bench: Bench file; the simulated bench by default.
         patch: Choose the exposures for this region only.
         stops: Fixed ladder: distance of the exposures in stops; 1 by default.
@@ -162,5 +166,6 @@ def _covered(written: CaptureSet, plan: ExposurePlan, region: Patch | None) -> B
         "saturated": int(reach.saturated.sum()),
         "below_noise": int(reach.below_noise.sum()),
     }
-    cut_short = plan.cut_short or late > 0
-    return BracketReport(written.path, len(written), lit, len(written) - len(lit), coverage, tuple(missing), cut_short)
+    cut_short, of = plan.cut_short or late > 0, "patch's pixels" if region else "pixels"
+    dark = len(written) - len(lit)
+    return BracketReport(written.path, len(written), lit, dark, coverage, tuple(missing), cut_short, of)

@@ -78,7 +78,6 @@ class Certificate(Result):
         return page(content.title, outcome, parts, kind="certificate", origin=origin)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         known = self.content
         results = {name: {**one.to_mapping(), "coverage_factor": k} for name, one, k in known.results}
         item = known.item.model_dump(mode="json")

@@ -125,7 +125,6 @@ class ColourReading(Drawn):
         return self.quantities[name]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return self.plain(
             "source", "kind", "signals", "flags", "assumptions", **self.quantities, patch=astuple(self.patch),
             covariance_xy=self.coordinates.xy_covariance, coverage_factor=2,

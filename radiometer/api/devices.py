@@ -19,6 +19,7 @@ from radiometer.bench.served_box import serve_box, served_box
 from radiometer.bench.served_camera import Faults, serve, served_camera
 from radiometer.data.serials import other_notation, serial_shown
 from radiometer.devices import CameraIdentity, Finding, Health, LightBoxIdentity
+from radiometer.errors import UsageError
 from radiometer.plausible import AnyCount, Duration, FilterDensity, FNumber, PerMille, Positive, Seed, Share
 
 
@@ -39,7 +40,6 @@ class Devices(Result):
     note: str | None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "cameras": [{**asdict(one), "serial_also": other_notation(one.serial)} for one in self.cameras],
             "light_boxes": [asdict(one) for one in self.light_boxes],
@@ -105,7 +105,6 @@ class Diagnosis(Result):
         return not any(one.health is Health.FAULT for one in self.findings)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"sound": self.sound, "findings": [one.to_mapping() for one in self.findings]}
 
     def __str__(self) -> str:
@@ -123,7 +122,7 @@ def doctor(camera: str | None = None, bench: PathLike | None = None) -> Diagnosi
         True
 
     Args:
-        camera: "sim", or a camera's id, serial number or address; the computer alone by default.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:; the computer alone by default.
         bench: Bench file; the simulated bench by default.
 
     Raises:
@@ -181,7 +180,11 @@ def simulate_camera(
     awkward: bool = False,
     ready: Callable[[str], None] = print,
 ) -> None:
-    """Serve a simulated Blackfly S over GigE Vision until an interrupt or a termination signal.
+    """Serve a simulated Blackfly S that any GenICam program can open, until Ctrl-C or a termination signal.
+
+    Its pictures come from the forward model: the bench's camera, lens and scene. As shipped, automatic exposure, gamma
+    and sharpening are on. Faults can also be set over the wire, by the features SimPacketLossPerMille, SimStall,
+    SimAnswerDelay and SimDisconnect.
 
     Args:
         scene: YAML file of a scene, a picture, or a kind of scene; the bench's by default.
@@ -189,13 +192,13 @@ def simulate_camera(
         bench: Bench file; the simulated bench by default.
         address: Address of a network interface of this computer.
         seed: Makes the noise; the bench's by default.
-        real_time: Frames take their exposure time.
+        real_time: Frames take their exposure time, or come as they are made.
         lose_per_mille: Packets lost of a thousand.
         answer_delay_s: Time in s by which frames and answers are late.
         stall_after: Stop sending after so many frames.
         drop_after: Fall silent after so many frames.
         frame_pool: Serve so many frames again and again; 0 makes every frame anew.
-        awkward: Be as awkward as a real camera.
+        awkward: As awkward as a real one: no Mono12, chunks, stale frames, locked features.
         ready: Called with one line once it is served.
 
     Raises:
@@ -226,7 +229,10 @@ def simulate_box(
     ready: Callable[[str], None] = print,
     entered: Callable[[float], bool] | None = None,
 ) -> None:
-    """Serve a simulated light box on a pseudo-terminal until an interrupt.
+    """Serve a simulated light box that any serial program can open, until stopped by Ctrl-C.
+
+    It is on a pseudo-terminal. The command's first line on standard output is the name of its port; on a terminal,
+    Enter presses the button for 0.2 s.
 
     Args:
         serial: Serial number: eight letters or digits.
@@ -244,10 +250,12 @@ def simulate_box(
         entered: Waits so many seconds and returns whether the button is to be pressed.
 
     Raises:
-        UsageError: If the serial number or the subject is not possible.
+        UsageError: If the serial number or the subject is not possible, or firmware runs with another clock or resets.
         OutputError: If the link cannot be made.
         MissingLibrary: If simavr is asked for and not installed.
     """
+    if firmware is not None and (clock_ppm or reset_every_s):
+        raise UsageError("--clock-ppm and --reset-every are of the simulated box, not of its firmware: leave them out")
     known_link, known_firmware = (Path(one) if one else None for one in (link, firmware))
     made = served_box(
         serial, known_link, firmware=known_firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed,

@@ -48,13 +48,11 @@ class FlickerReport(Drawn):
     row_time: Quantity | None = None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         measures = {one.name: getattr(self.measures, one.name) for one in fields(self.measures)}
         source, rate_hz, duration_s = self.waveform.origin, self.waveform.rate_hz, self.waveform.duration_s
         return self.plain("row_time", source=source, rate_Hz=rate_hz, duration_s=duration_s, **measures)
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw some periods of the light over its mean."""
         where = axes if axes is not None else new_axes()
         frequency = self.measures.frequency
         shown_s = self.waveform.duration_s if frequency is None else 4.0 / frequency.value

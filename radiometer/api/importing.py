@@ -29,7 +29,6 @@ class Imported(Result):
     capture_sets: tuple[WrittenSet, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"capture_sets": [_mapping(one) for one in self.capture_sets]}
 
     def __str__(self) -> str:
@@ -52,6 +51,10 @@ def import_capture(
     progress: Progress | None = None,
 ) -> Imported:
     """Turn frames and tables of any laboratory into capture sets.
+
+    Reports what was taken from where, what is missing, what is doubted and what of the files is not used. A number
+    without a known unit stops the import; `mapped` settles it. Frames of several cameras, bands or unknown gains
+    become a capture set each, in folders of their names.
 
     Examples:
         >>> import radiometer as rm

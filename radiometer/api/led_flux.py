@@ -79,10 +79,9 @@ class Flux(Result):
         return self.report.result
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             **self.report.to_mapping(),
-            "notes": [*self.report.contradictions, *self.notes],
+            "notes": [*self.report.warnings, *self.notes],
             "at_drive": None if self.driven is None else self.driven.to_mapping(),
         }
 
@@ -114,6 +113,9 @@ def flux(
     at_drive: NotNegative | None = None,
 ) -> Flux:
     """Find the radiant flux of a light-emitting diode.
+
+    Gives the flux through the sensor as the sum over unclipped pixels of one photograph, and what it lacks of the
+    emitted flux: clipped pixels, background, lens losses, and light that missed the lens.
 
     Examples:
         >>> import radiometer as rm

@@ -77,7 +77,6 @@ class LitChannel(Result):
     asked: float | None = None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         report: dict[str, Any] = {
             "box": self.box,
             "channel": self.state.channel,
@@ -130,7 +129,7 @@ def light_set(
         <LitChannel spot  steady  level 20000 of 65535, high current>
 
     Args:
-        channel: "bleach", "spot", "spot_red" or "fixation".
+        channel: "bleach", "field", "spot", "spot_green", "spot_red" or "fixation".
         radiance: Radiance in W·sr⁻¹·m⁻²; needs a calibrated channel.
         level: Raw level instead of a radiance, 0 to 65535.
         low: Raw level on the low current range.
@@ -181,11 +180,10 @@ def light_pulse(
         'spot'
 
     Args:
-        channel: As all further ones for `light_set`.
         duration_s: Length in s, at most 600.
 
     Raises:
-        RadiometerError: As `light_set`.
+        RadiometerError: As `light_set`, which has the other arguments.
     """
     drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     with _opened(box, calibration, preset, looks, notice) as opened:
@@ -222,14 +220,13 @@ def light_blink(
         'spot'
 
     Args:
-        channel: As all further ones for `light_set`.
         on_s: Bright time in s.
         off_s: Dark time in s.
         count: Number of blinks; 0 without end.
         hold_s: Stop after this time in s.
 
     Raises:
-        RadiometerError: As `light_set`.
+        RadiometerError: As `light_set`, which has the other arguments.
     """
     drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     lit_s = hold_s if hold_s is not None else (on_s + off_s) * count if count else None
@@ -255,7 +252,6 @@ class Darkness(Result):
     darkened_by: int | None = None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         if self.darkened_by is not None:
             return {"box": self.box, "darkened_by": self.darkened_by}
         return {"box": self.box, "dark": self.dark}
@@ -271,7 +267,7 @@ def light_off(
 ) -> list[Darkness]:
     """Darken every box that can be reached, or one of them, or one channel; also while another program holds it.
 
-    A program that holds a box darkens all of it.
+    A program that holds a box, such as the daemon, darkens all of it. The button of the box does so too, held for 3 s.
 
     Examples:
         >>> import radiometer as rm
@@ -309,7 +305,6 @@ class BoxStatus(Result):
     report: dict[str, Any]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return self.report
 
     def __str__(self) -> str:
@@ -350,7 +345,6 @@ class ButtonPress(Result):
     u_s: float
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"pressed": self.pressed, "time_s": self.time_s, "u_s": self.u_s}
 
     def __str__(self) -> str:
@@ -400,7 +394,6 @@ class ExposureAccount(Result):
     notes: tuple[str, ...] = ()
 
     def to_json(self) -> str:
-        """Return the documented JSON form: a list."""
         return json_text([asdict(one) for one in self.reports])
 
     def to_mapping(self) -> dict[str, Any]:
@@ -469,7 +462,6 @@ class CalibratedBox(Result):
     file: Path
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         known = self.calibration.channels
         report = {
             name: {
@@ -519,6 +511,9 @@ def light_calibrate(
     progress: Progress | None = None,
 ) -> CalibratedBox:
     """Measure the radiance of a box's channels over their levels with the camera, on both current ranges.
+
+    Levels come in random order, each after it has settled. The dark reading is subtracted; a reference level measured
+    in between determines the drift. With the file written, `radiometer light set spot --radiance 0.01` works.
 
     A journal next to the file keeps every level until it is written. After an interruption the same call goes on there.
 
@@ -602,7 +597,6 @@ class EngineLaws(Drawn):
         return found
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         differences = self.differences
         return {
             "taken": list(self.table.taken),

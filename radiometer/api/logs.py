@@ -41,11 +41,9 @@ class LogFinding(Result):
         return self.fit.state.log.size, self.fit.state.log.nights
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return self.result.to_mapping()
 
     def to_json(self) -> str:
-        """Return the documented JSON form as text."""
         return self.result.to_json()
 
     def __str__(self) -> str:
@@ -64,6 +62,10 @@ def log_fit(
     control: bool = True,
 ) -> LogFinding:
     """Name the term that the log of a camera under automatic exposure lacks against a reference meter.
+
+    Candidates are a constant black, wrong gain steps, another passband than the reference's, temperature, dark current,
+    a late shutter and a nonlinear response. The candidate that predicts each night best from the other nights is named,
+    with its size.
 
     Examples:
         >>> import radiometer as rm

@@ -136,7 +136,7 @@ def open(
         True
 
     Args:
-        source: A bench file (.yaml), "sim", or a camera's id, serial number or address; the simulated bench by default.
+        source: A bench file (.yaml), or a camera as for `measure`; the simulated bench by default.
         patch: (x, y, width, height) to read by default.
         calibration: Calibration file; the bench's own by default.
         uncalibrated: Use none: relative readings.

@@ -56,7 +56,6 @@ class QualityReport(Result):
     datasheet: Datasheet
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return self.datasheet.to_mapping()
 
     def write(self, path: PathLike) -> None:
@@ -98,7 +97,10 @@ def quality_take(
     ask: Ask | None = None,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Take the captures of one quality index that are missing, and return their folders.
+    """Take the captures of one quality index that are missing, asking for what each step needs; return their folders.
+
+    Without a terminal name one step at a time and arrange the bench yourself. A step named by a gain, such as 12dB, is
+    taken at that gain.
 
     Examples:
         >>> import radiometer as rm
@@ -109,9 +111,9 @@ def quality_take(
 
     Args:
         session: Folder of the session; made where it is missing.
-        procedure: Index to capture for.
+        procedure: Index to capture for, of those that `quality_plan` lists.
         steps: Steps to take; all by default.
-        camera: "sim", or a camera's id, serial number or address; the bench's own by default.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:; the bench's own by default.
         bench: Bench file; the simulated bench by default.
         patch: Region to read; the bench's by default.
         repeat: Frames of every exposure.

@@ -347,7 +347,7 @@ def merge(
 
     Args:
         source: Frames of one unmoving scene: a stack, a capture set, or a folder of photographs.
-        response: The camera's response, for relative values.
+        response: The camera's response (.yaml, .csv, .m, .rsp), for relative values; recovered where none is given.
         calibration: Calibration, or its file: values in W·sr⁻¹·m⁻².
         channel: Of a folder of colour photographs: "luminance", "red", "green", "blue" or "each"; by default each
             where no calibration and no response of one channel is given, else the calibration's, else luminance. Of a

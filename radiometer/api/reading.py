@@ -53,7 +53,7 @@ def measure(
         ('W sr-1 m-2', True)
 
     Args:
-        camera: "sim", or a camera's id, serial number or address; the bench's own by default.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:; the bench's own by default.
         patch: (x, y, width, height) in pixels; the bench's by default.
         bench: Bench file; the simulated bench by default.
         calibration: Calibration file; the bench's by default.

@@ -106,7 +106,6 @@ class Response(Drawn):
         self.curve.write(target)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "format": "radiometer-response-result/1",
             "curves": [estimate.to_mapping() for estimate in self.estimates],
@@ -174,11 +173,12 @@ def recover_response(
         sources: Stacks, brackets, capture sets or folders of photographs; one or several of one camera, fitted jointly.
         method: "auto", "debevec1997", "mitsunaga1999", "robertson1999", "linear_spline", or "all".
         channel: Of folders of colour photographs: "luminance", "red", "green", "blue" or "each".
-        known_ratio: Exposure ratio by the index of the shorter of two frames, for methods that find ratios themselves.
+        known_ratio: Exposure of frame PAIR+1 over that of frame PAIR (0: the two shortest), for methods that find
+            ratios themselves; fixes the exponent in place of the stated times.
         measured_iso: Of photographs: real ISO speed by stated one.
         align: Photographs from the hand: "auto" (where they moved), "on", or "off".
         output: Curve to write: .csv, .yaml, .m or .rsp.
-        plot: Picture to draw: .png, .pdf or .svg.
+        plot: Picture to draw: .png, .pdf or .svg; where the name is empty, as .png next to the output.
         force: Replace files that exist.
         progress: Called as the work goes on.
 
@@ -192,6 +192,7 @@ def recover_response(
         raise UsageError(
             f"--known-ratio is for methods that find the ratios themselves: --method {' or '.join(RATIO_METHODS)}"
         )
+    plot = Path(output or "response").with_suffix(".png") if plot == "" else plot
     target, drawn = (Path(one) if one is not None else None for one in (output, plot))
     several = [sources] if isinstance(sources, Stack | Bracket | str | os.PathLike) else list(sources)
     inputs = [Path(one) for one in several if isinstance(one, str | os.PathLike)]

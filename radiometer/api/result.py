@@ -61,7 +61,7 @@ class Result:
         with_checked_methods(cls)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the result as plain values."""
+        """Return the documented JSON form, as plain values."""
         raise NotImplementedError
 
     def plain(self, *names: str, **further: Any) -> dict[str, Any]:

@@ -55,7 +55,6 @@ class Separability(Result):
     plan: SeparabilityPlan
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return self.plan.to_mapping()
 
     def __str__(self) -> str:
@@ -140,7 +139,6 @@ class Reconciliation(Result):
         return self.done.write_report(Path(path))
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return self.done.result.to_mapping()
 
     def plot(self, axes: Axes | None = None) -> Axes:

@@ -74,7 +74,6 @@ class CalibratedScreen(Drawn):
     left_out: tuple[str, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         report = {"taken": list(self.taken), "doubts": list(self.doubts)} if self.taken or self.doubts else {}
         return {"file": None if self.file is None else str(self.file), **report, **self.calibration.to_mapping()}
 
@@ -134,7 +133,6 @@ class ScreenLevel(Result):
     target: float
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {"channel": self.channel, "level": self.level, "shown": self.shown.to_mapping(), "target": self.target}
 
     def __str__(self) -> str:
@@ -180,7 +178,7 @@ def screen_calibrate(
         <CalibratedScreen lcd: grey to 2... cd·m⁻²>
 
     Args:
-        out: Calibration file to write; none by default.
+        out: Calibration file to write.
         display: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
         name: Name of the screen; the display's by default.
         levels: "all", "quick", a count such as "33", or a list such as "0,16,255".
@@ -202,7 +200,7 @@ def screen_calibrate(
         export: Forms to write as well, such as "psychopy" or "ti3".
         plot: Picture of the curves to draw: .png, .pdf or .svg.
         seed: Seed of the random order.
-        force: Replace exports that exist.
+        force: Replace files that exist.
         announce: Called with the page's address.
         notice: Gets warnings of the page, and where patches are kept after an interruption.
         progress: Called after every patch.
@@ -286,7 +284,6 @@ class VerifiedScreen(Result):
         return self.verified.holds
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         return {
             "screen": self.calibration.name,
             "calibrated": self.calibration.created,
@@ -344,6 +341,8 @@ def screen_verify(
     progress: Progress | None = None,
 ) -> VerifiedScreen:
     """Measure some levels of a calibrated screen again, and find whether the calibration still holds.
+
+    `radiometer screen verify` ends with exit code 1 where it does not.
 
     Examples:
         >>> import radiometer as rm
@@ -479,7 +478,7 @@ def screen_export(
     force: bool = False,
     notice: Notice = unheard,
 ) -> list[Path]:
-    """Write a screen calibration in the forms of other programs, and return the files.
+    """Write a screen calibration in the forms of other programs.
 
     Examples:
         >>> import radiometer as rm
@@ -531,7 +530,7 @@ def screen_import(
 
     Args:
         file: ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table of level and luminance in cd·m⁻².
-        out: Calibration file to write; none by default.
+        out: Calibration file to write.
         name: Name of the screen; the file's own by default.
         white: Spectrum assumed for grey.
         primaries: Spectra of red, green and blue: a display type, or a CSV of them.

@@ -57,7 +57,6 @@ class DisplayReport(Result):
         return {one.method: one for one in self.sections}[method]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
         methods = {
             one.method: {
                 "title": one.title,

@@ -64,14 +64,14 @@ class Sensor(Result):
         taps: Figures of each output amplifier; empty where the camera has one.
         crosstalk: Shares of one tap's signal in another, where the frames determine them.
         limits: Limits of the camera that was driven, by name; None where the frames came from a folder.
-        remarks: What the EMVA 1288 descriptor that was written leaves out.
+        notes: What the EMVA 1288 descriptor that was written leaves out.
     """
 
     TAP_HEADINGS: ClassVar = HEADINGS
 
     characterisation: Characterisation
     limits: dict[str, Any] | None = None
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     taps: tuple[TapFigures, ...] = ()
     crosstalk: tuple[Crosstalk, ...] = ()
 
@@ -162,6 +162,9 @@ def characterise(
     progress: Progress | None = None,
 ) -> Sensor:
     """Find gain, noise, dark current, saturation and linearity of a camera after EMVA 1288.
+
+    Needs pairs of frames of steady, even light over exposure or level, and dark frames; a camera takes them.
+    Every figure carries its standard uncertainty.
 
     Examples:
         >>> import radiometer as rm

@@ -39,7 +39,7 @@ def view(
         Patch(x=40, y=24, width=16, height=16)
 
     Args:
-        camera: "sim", or a camera's id, serial number or address; the bench's own by default.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:; the bench's own by default.
         patch: (x, y, width, height) in pixels to begin with; the bench's by default.
         bench: Bench file, into which the page may write the patch; the simulated bench by default.
         port: Port of the page; 0 for any free one.

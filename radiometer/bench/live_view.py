@@ -76,7 +76,6 @@ class LiveView:
         self._server.run(self._server.send_all(message))
 
     def greeting(self) -> Message | None:
-        """Return the latest picture."""
         return self._latest
 
     def received(self, message: Message) -> None:

@@ -72,16 +72,13 @@ class ScreenBench:
         return {"camera": camera.description.name, "lens": lens, "calibration": calibration}
 
     def read(self) -> ScreenReading:
-        """Return one reading of the patch (a Meter). Raises DeviceError, MeasurementError."""
         return screen_reading(self.instrument.measure(), self.clock())
 
     def readings(self, places: Sequence[Patch]) -> list[Reading]:
-        """Return the radiance of places, all from one bracket. Raises DeviceError, MeasurementError."""
         bracket = self.instrument.at(_around(places)).take_bracket()
         return [self.instrument.at(place).read(bracket) for place in places]
 
     def map_of(self, area: Patch) -> RadianceMap:
-        """Return the radiance of every pixel of an area. Raises DeviceError, MeasurementError."""
         whole = merge(self.instrument.at(area).take_bracket(), self.instrument.setup)
         planes = {name: getattr(whole, name) for name in ("radiance", "u_radiance", "mask", "u_shared")}
         return replace(whole, **{name: plane[area.slices] for name, plane in planes.items() if plane is not None})

@@ -44,21 +44,21 @@ def parse_patch(text: str | None) -> Patch | None:
 
 
 @overload
-def parse_seconds(text: str, option: str) -> float: ...
+def parse_seconds(text: str | float, option: str) -> float: ...
 
 
 @overload
-def parse_seconds(text: str | None, option: str) -> float | None: ...
+def parse_seconds(text: str | float | None, option: str) -> float | None: ...
 
 
-def parse_seconds(text: str | None, option: str) -> float | None:
+def parse_seconds(text: str | float | None, option: str) -> float | None:
     """Return a time in s from "0.008", "1/125" or "8ms" / "500us"; None where nothing is given.
 
     Raises:
         UsageError: If it is no time above 0.
     """
-    if not text:
-        return None
+    if not isinstance(text, str) or not text:
+        return text or None
     try:
         number, spelling = read_number(text)
     except ValueError as error:
@@ -70,14 +70,6 @@ def parse_seconds(text: str | None, option: str) -> float | None:
     if not (math.isfinite(seconds) and seconds > 0):
         raise UsageError(f"{option} {text!r}: a time must be above 0")
     return seconds
-
-
-@overload
-def parse_exposure(text: str, option: str) -> float: ...
-
-
-@overload
-def parse_exposure(text: str | None, option: str) -> float | None: ...
 
 
 def parse_exposure(text: str | None, option: str) -> float | None:
@@ -187,9 +179,6 @@ def parse_bounds(text: str, option: str) -> tuple[float, float]:
     if not 0.0 < low < high < math.inf:
         raise UsageError(f"{option} {text!r}: needs 0 < LOW < HIGH")
     return low, high
-
-
-F_NUMBER_HELP: Final = "f-number (1 of a lens whose iris cannot change) where the frames or the bench do not state it."
 
 
 UNSTATED_ISO_HELP: Final = "Photographs: ISO speed of those that state none."

@@ -11,9 +11,9 @@ from typer.core import TyperCommand
 from typer.models import ParameterInfo
 
 from radiometer.argument_types import range_of
-from radiometer.cli.arguments import parse_f_number, parse_relative
+from radiometer.cli.arguments import parse_f_number, parse_relative, parse_seconds
 from radiometer.errors import UsageError
-from radiometer.plausible import LARGEST, Seed
+from radiometer.plausible import LARGEST
 
 
 def relative_option(name: str, text: str) -> Any:
@@ -23,6 +23,11 @@ def relative_option(name: str, text: str) -> Any:
     )
 
 
+def time_option(name: str) -> Any:
+    """Return a typer option of a time such as 0.2, 200ms or 1/125."""
+    return typer.Option(name, parser=lambda words: parse_seconds(words, name), metavar="TIME")
+
+
 _CAMERA = "sim, a GenICam id, serial number or address, or v4l2:, picamera:, gphoto2:."
 
 CameraOption = Annotated[str | None, typer.Option("--camera", help=_CAMERA)]
@@ -30,19 +35,8 @@ BenchOption = Annotated[Path | None, typer.Option("--bench", help="Bench file; t
 PatchOption = Annotated[
     str | None, typer.Option("--patch", help="Region X,Y,W,H in pixels; the bench's, else each capture's, by default.")
 ]
-CalibrationOption = Annotated[
-    Path | None, typer.Option("--calibration", help="Calibration file of the camera; the bench's by default.")
-]
 UncalibratedOption = Annotated[bool, typer.Option("--uncalibrated", help="Use no calibration: relative values.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="JSON on standard output.")]
-ReportOption = Annotated[
-    Path | None, typer.Option("--report", help="Report (HTML) to write: outcome, pictures, figures.")
-]
-BoxOption = Annotated[
-    str | None, typer.Option("--box", help="sim, a serial number or a port; the only one by default.")
-]
-BoxPresetOption = Annotated[Path | None, typer.Option("--preset", help="Light-box preset with safety bounds.")]
-WhiteOption = Annotated[str, typer.Option("--white", help="Spectrum assumed for white: white_led, cie_d65, a CSV …")]
 PrimariesOption = Annotated[
     str | None,
     typer.Option("--primaries", help="Spectra of red, green, blue: led_lcd, ccfl_lcd, oled, crt, or a CSV of them."),
@@ -57,14 +51,6 @@ FNumberOption = Annotated[
         help="f-number (1 of a lens whose iris cannot change) where the frames or the bench do not state it.",
     ),
 ]
-TapsOption = Annotated[
-    str | None,
-    typer.Option(
-        "--taps",
-        help="Output amplifiers: COLUMNSxROWS of equal parts (2x2), or find. Default: what the files state.",
-    ),
-]
-SeedOption = Annotated[Seed, typer.Option("--seed", help="Seed of the random draws.")]
 
 
 class OnceCommand(TyperCommand):

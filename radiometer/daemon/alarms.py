@@ -106,5 +106,5 @@ class Alarms:
     def clear(self, name: str, message: str = "back to normal") -> None:
         """Take an alarm down; one that is not up is left alone."""
         if self._active.pop(name, None) is not None:
-            _log.info("alarm cleared", name=name, message=message)
+            _log.warning("alarm cleared", name=name, message=message)
             self._on_change("cleared", name, message)

@@ -60,51 +60,41 @@ class WatchedCamera(Opened):
 
     @property
     def identity(self) -> CameraIdentity:
-        """Return who the camera is."""
         return self._camera.identity
 
     @property
     def capabilities(self) -> CameraCapabilities:
-        """Return its limits."""
         return self._camera.capabilities
 
     @property
     def settings(self) -> CameraSettings:
-        """Return the settings in force."""
         return self._camera.settings
 
     @property
     def description(self) -> CameraDescription:
-        """Return what its datasheet says."""
         return self._camera.description
 
     @property
     def lens(self) -> LensDescription:
-        """Return the lens in front of it."""
         return self._camera.lens
 
     @property
     def counts(self) -> AcquisitionCounts:
-        """Return what went wrong and was put right."""
         return self._camera.counts
 
     def open(self) -> None:
-        """Open the device."""
         self._camera.open()
 
     def close(self) -> None:
-        """Release the device."""
         self._camera.close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set everything and return it as read back."""
         with self._expected_within(GRACE_S):
             applied = self._camera.configure(settings)
         self._asked_s = settings.exposure_s
         return applied
 
     def capture(self, count: int = 1) -> list[Frame]:
-        """Return complete frames. Raises DeviceError, also where a frame states no possible exposure time."""
         with self._expected_within(GRACE_S + 2 * count * self._camera.settings.exposure_s):
             frames = self._camera.capture(count)
         for frame in frames:
@@ -112,13 +102,11 @@ class WatchedCamera(Opened):
         return frames
 
     def stream(self) -> Generator[Frame, None, None]:
-        """Yield frames as they come. Raises DeviceError as `capture` does."""
         for frame in self._camera.stream():
             self._look_at(frame)
             yield frame
 
     def set_shutter(self, *, closed: bool) -> None:
-        """Close or open the shutter."""
         self._camera.set_shutter(closed=closed)
 
     def _look_at(self, frame: Frame) -> None:
@@ -196,7 +184,6 @@ class BenchInstrument:
 
     @property
     def late_at(self) -> float | None:
-        """Return when the camera's call in progress begins to be late, on the monotonic clock; None without one."""
         camera = self._camera
         return camera.late_at if camera else None
 
@@ -209,13 +196,11 @@ class BenchInstrument:
         self._identity, self._limits = camera.identity, camera.capabilities
 
     def close(self) -> None:
-        """Release the camera."""
         camera, self._camera = self._camera, None
         if camera is not None:
             camera.close()
 
     def check(self) -> DeviceReport:
-        """Ask the camera for its settings, as a sign of life. Raises DeviceError."""
         camera = self._opened()
         _ = camera.settings
         counts = camera.counts
@@ -252,7 +237,6 @@ class BenchInstrument:
         return faults
 
     def reload_calibration(self) -> str:
-        """Read the calibration file again and return one line that names it. Raises CalibrationError."""
         fresh = self._read_calibration()
         if fresh is not None and self._camera is not None:
             situation_of(Setup(self._camera.description, self._camera.lens, fresh))  # refused here, not at each reading
@@ -261,12 +245,10 @@ class BenchInstrument:
 
     @property
     def response(self) -> ResponseCurve | None:
-        """Return the response curve in use."""
         return self._calibration.response if self._calibration else None
 
     @property
     def calibration_summary(self) -> Mapping[str, Any]:
-        """Return where the calibration comes from; empty where uncalibrated."""
         if self._calibration is None or self._path is None:
             return {}
         assumptions = list(self._calibration.provenance.assumptions)
@@ -334,7 +316,6 @@ class BenchLight:
 
     @property
     def name(self) -> str:
-        """Return the name for messages."""
         return self._name
 
     @property
@@ -370,13 +351,11 @@ class BenchLight:
         self._box = box
 
     def close(self) -> None:
-        """Switch every channel off and release the box."""
         self._box = None
         with suppress(DeviceError):  # lost, or not dark: its dead-man timer ends the light
             self._held.close()
 
     def check(self) -> DeviceReport:
-        """Ask the box for temperature, counts and what each channel really does. Raises DeviceError."""
         box = self._opened()
         status, levels = box.status(), {name: _level(box.read_channel(name)) for name in self._channels}
         self._look_at_limits(box)
@@ -384,7 +363,6 @@ class BenchLight:
         return DeviceReport(status.temperature_celsius, counts, levels)
 
     def set_level(self, channel: str, level: float) -> float:
-        """Set a channel's level, 0 to 1, and return it as read back. Raises DeviceError."""
         box = self._opened()
         if level == 0.0:
             box.off(channel)

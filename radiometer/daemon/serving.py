@@ -120,11 +120,15 @@ def serve(
     pva_prefix: str = "radiometer",
     announce: Callable[[str], None] = print,
 ) -> None:
-    """Measure and serve the readings over SCPI, HTTP, MQTT and EPICS pvAccess until a termination signal.
+    """Measure and serve the readings over SCPI, HTTP (with a web page), MQTT and EPICS pvAccess.
+
+    SIGTERM or Ctrl-C ends it, SIGHUP reloads the calibration. A camera that is lost is reported and reopened.
+    SCPI has no authentication: it listens on this machine only, or on another address for those listed with
+    `scpi_allow`. HTTP on another address needs a token.
 
     Args:
         bench: Bench file; the simulated bench by default.
-        camera: "sim", or a camera's id, serial number or address.
+        camera: "sim", an id, serial number or address, or v4l2:, picamera:, gphoto2:.
         calibration: Calibration file; the bench's by default.
         uncalibrated: Use none: relative values.
         box: Light box: "sim", a serial number or a port; none by default.
@@ -133,7 +137,7 @@ def serve(
         every_s: Time from one reading's start to the next's in s.
         on_demand: Measure only when a client asks.
         journal: Journal file; in the user's state folder by default.
-        keep_days: Delete readings and alarms older than this; none by default.
+        keep_days: Delete readings and alarms older than this, once an hour; none by default.
         journal_max_mb: Let the journal grow no larger; measuring pauses at the limit.
         scpi_address: Address for SCPI.
         scpi_port: Port for SCPI; 0 chooses one.
@@ -149,7 +153,7 @@ def serve(
         mqtt_prefix: First level of the MQTT topics.
         mqtt_user: User at the broker; the password is in RADIOMETER_MQTT_PASSWORD.
         mqtt_tls: Use TLS to the broker.
-        pva: Serve readings over EPICS pvAccess.
+        pva: Serve readings over EPICS pvAccess (needs p4p).
         pva_prefix: First part of the names of process variables.
         announce: Gets the addresses that are served.
 

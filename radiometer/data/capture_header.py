@@ -76,6 +76,7 @@ class CameraDescription(FileSection):
     band: str | int | None = None  # its place among the bands of a multispectral camera
     binning: Annotated[str | None, BeforeValidator(as_binning)] = None  # pixels that are one, along a row and a column
     mosaic: Literal["RGGB", "GRBG", "GBRG", "BGGR"] | None = None  # colour filters of 2 × 2 pixels, row by row
+    channel: Literal["red", "green", "blue"] | None = None  # of a mosaic: whose quantum efficiency it is
     taps: tuple[TapDescription, ...] | None = None  # of cameras with several output amplifiers
 
     @property

@@ -27,7 +27,7 @@ from radiometer.data.capture_header import (
 from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
-from radiometer.data.mosaic import COLOURS, in_planes, plane_of
+from radiometer.data.mosaic import COLOURS, in_planes, of_colour, plane_of
 from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import bounded_reader
@@ -220,7 +220,8 @@ class CaptureSet:
         colour = "green" if channel == "luminance" else channel
         if colour not in COLOURS:
             raise UsageError(f"{self.path}: --channel {channel}: of a mosaic of colours choose {', '.join(COLOURS)}")
-        return replace(self, colour=colour)
+        header = self.header.model_copy(update={"camera": of_colour(self.header.camera, colour)})
+        return replace(self, header=header, colour=colour)
 
     @property
     def mosaic_notes(self) -> tuple[str, ...]:

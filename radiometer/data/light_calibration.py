@@ -138,7 +138,6 @@ class LightCalibration:
         return choice.level, choice.current_range == HIGH_RANGE
 
     def highest_radiance(self, channel: str, level: int, high: bool) -> float | None:
-        """Return a radiance in W·sr⁻¹·m⁻² that a level stays below (k = 2); None where not measured."""
         name = HIGH_RANGE if high else LOW_RANGE
         known = self.channels.get(channel)
         if known is None or name not in known.ranges:

@@ -11,6 +11,7 @@ from radiometer.data.capture_header import CameraDescription, LensDescription, P
 from radiometer.data.reading import Patch
 
 COLOURS: Final = ("red", "green", "blue")
+LUMA: Final = (0.299, 0.587, 0.114)  # of them in the luminance of a photograph: ITU-R BT.601
 _SIDE: Final = 2  # pixels of a cell in each direction
 
 
@@ -34,6 +35,12 @@ def of_sensor(camera: CameraDescription) -> CameraDescription:
     if camera.mosaic is None or spacing_um is None:
         return camera
     return camera.model_copy(update={"pixel_spacing_um": spacing_um / _SIDE})
+
+
+def of_colour(camera: CameraDescription, colour: str) -> CameraDescription:
+    """Return the camera of the pixels of a colour, without a quantum efficiency that is not stated for them."""
+    known = {} if camera.channel == colour else {"quantum_efficiency": None}
+    return camera.model_copy(update={"channel": colour, **known})
 
 
 def in_planes(

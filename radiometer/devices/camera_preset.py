@@ -106,16 +106,18 @@ class CameraPreset(ConfigSection):
             camera: The camera as a capture or device describes it.
 
         Raises:
-            CalibrationError: If the file is of another camera or bit depth.
+            CalibrationError: If the file is of another camera, bit depth or colour.
         """
-        for name in ("model", "serial", "bit_depth"):
+        for name in ("model", "serial", "bit_depth", "mosaic", "channel"):
             mine, theirs = getattr(self.camera, name), getattr(camera, name)
-            if mine is not None and theirs is not None and mine != theirs:
+            if mine is not None and mine != theirs and (theirs is not None or name == "mosaic"):
+                what = "colour" if name == "channel" else "camera"
                 raise CalibrationError(
-                    f"{where} is of another camera: its {name} is {mine}, the camera's is {theirs}; "
-                    "use this camera's own file, or make one with `radiometer characterise`"
+                    f"{where} is of another {what}: its {name} is {mine}, in use is {theirs}; "
+                    f"use this {what}'s own file, or make one with `radiometer characterise`"
                 )
-        kept = {"vendor", "model", "serial", "bit_depth"}
+        kept = {"vendor", "model", "serial", "bit_depth", "mosaic", "channel"}
+        kept |= {"quantum_efficiency"} if camera.channel != self.camera.channel else set()
         kept |= {"pixel_spacing_um"} if camera.pixel_spacing_um is not None else set()  # of pixels as they are read
         stated = self.camera.model_dump(exclude_none=True, exclude=kept)
         return camera.model_copy(update={name: getattr(self.camera, name) for name in stated})

@@ -356,11 +356,9 @@ class MemoryStore:
         return False
 
     def now_s(self) -> float:
-        """Return the simulated time in s."""
         return self.clock()
 
     def look(self) -> Account:
-        """Return the account as it is now."""
         moment = Moment("simulated", self.clock(), self.clock())
         if self._account is None:
             self._account = Account(moment)
@@ -371,7 +369,6 @@ class MemoryStore:
 
     @contextmanager
     def change(self) -> Iterator[Account]:
-        """Let the block change the account."""
         yield self.look()
 
 
@@ -392,11 +389,9 @@ class FileStore:
     )
 
     def lives(self, holder: str) -> bool:
-        """Return whether another program that entered light still runs."""
         return holder != self.holder and self.running(holder)
 
     def simulates(self, holder: str, port: str) -> bool:
-        """Return whether what answers on a port is the simulation of a program that runs."""
         return self.simulating(holder, port)
 
     @property
@@ -405,11 +400,9 @@ class FileStore:
         return self.folder / FILE_NAME
 
     def now_s(self) -> float:
-        """Return the present uptime in s."""
         return self.moment().uptime_s
 
     def look(self) -> Account:
-        """Return the account as it is now, to read; the file is whole at any time, so no lock is needed."""
         return self._read()
 
     @contextmanager

@@ -15,14 +15,13 @@ from PIL import Image, UnidentifiedImageError
 from radiometer.data.decoding import decoded
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.guards import refuse_large_picture
+from radiometer.data.mosaic import COLOURS, LUMA
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import RAW_READER_BYTES, bounded_reader
 from radiometer.data.tiff_pixels import TIFF_MAGICS, read_one_picture
 from radiometer.errors import CaptureError
 
-CHANNELS: Final = ("red", "green", "blue")
 IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
-LUMA: Final = (0.299, 0.587, 0.114)  # ITU-R BT.601
 # A JPEG holds luma and two colour differences as whole numbers, 0.5 off at most each: a blue of 255 returns as 253.
 _ROUNDED_DN: Final = 2
 _PNG_START: Final = b"\x89PNG"
@@ -56,8 +55,8 @@ class Photograph:
         """Return the value of black of one channel, that of luminance weighted as it is; None where not stated."""
         if self.black_levels_dn is None:
             return None
-        if channel in CHANNELS:
-            return self.black_levels_dn[CHANNELS.index(channel)]
+        if channel in COLOURS:
+            return self.black_levels_dn[COLOURS.index(channel)]
         return float(np.dot(LUMA, self.black_levels_dn))
 
     def plane(self, channel: str) -> DigitalNumbers:
@@ -65,11 +64,11 @@ class Photograph:
         if self.is_grey:
             return self.values
         values: Any = self.values
-        if channel in CHANNELS:
-            return _plane(values[..., CHANNELS.index(channel)])
+        if channel in COLOURS:
+            return _plane(values[..., COLOURS.index(channel)])
         full_scale = (1 << self.bit_depth) - 1
         end = full_scale - (_ROUNDED_DN if self.bit_depth == 8 else 0)
-        return luma_of([values[..., k] for k in range(len(CHANNELS))], (end,) * len(CHANNELS), full_scale)
+        return luma_of([values[..., k] for k in range(len(COLOURS))], (end,) * len(COLOURS), full_scale)
 
 
 def luma_of(planes: Sequence[Any], saturated_dn: Sequence[int], full_scale_dn: int) -> DigitalNumbers:

@@ -53,11 +53,9 @@ class FileStore:
     options: ImportOptions = field(default_factory=ImportOptions)  # how they are taken
 
     def read(self, file: str) -> DigitalNumbers:
-        """Return the digital numbers of a frame by its name in the header."""
         return read_found(self.frames[file], self.options)
 
     def digest(self) -> str:
-        """Return the SHA-256 of the files and of how they are taken, in hexadecimal."""
         digest = hashlib.sha256(repr(self.options).encode())
         for file in dict.fromkeys(frame.file for frame in self.frames.values()):
             digest.update(file.name.encode())

@@ -16,14 +16,13 @@ import structlog
 
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.mosaic import COLOURS, LUMA
 from radiometer.data.pile_up import with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES
 from radiometer.data.white_level import WhiteLevel
 from radiometer.errors import CaptureError, UsageError
 from radiometer.importing.photograph_pixels import (
-    CHANNELS,
     IMAGE_SUFFIXES,
-    LUMA,
     Photograph,
     luma_of,
     read_photograph,
@@ -41,7 +40,7 @@ from radiometer.importing.photograph_times import (
 from radiometer.photographs.stated import LIST_GAIN, OF_CAMERA, OF_DEVELOPMENT, with_gain
 
 _LOG: Final = structlog.get_logger(__name__)
-CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
+CHANNEL_CHOICES: Final = (*COLOURS, "luminance", "each")
 _BITS_OF_PICTURES: Final = 8  # cameras develop JPEG files of 8 bits up to their full scale
 _NAMED: Final = 4  # photographs that a message names
 # So many pixels show whether two pictures may be copies; so many different numbers make a picture.
@@ -376,7 +375,7 @@ def _refuse_copies(folder: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
 def _channels_of(photograph: Photograph, channel: str) -> tuple[str, ...]:
     if photograph.is_grey:
         return ("mono",)
-    return CHANNELS if channel == "each" else (channel,)
+    return COLOURS if channel == "each" else (channel,)
 
 
 __all__ = ["CHANNEL_CHOICES", "PhotographFolder", "image_files", "read_photographs"]

@@ -217,7 +217,7 @@ def with_offset_of_response(
     if listed is not None:
         return bracket, f"{not_taken}: {listed} gives the exposures", False
     if not is_possible(offset.seconds, shortest_s):
-        return bracket, f"{not_taken}: it is too large for an exposure of {1e6 * shortest_s:.3g} µs", False
+        return bracket, f"{not_taken}: it is too large for an exposure of {shortest_s:.3g} s", False
     timed = [
         replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds))
         for f in bracket.light

@@ -56,7 +56,7 @@ FRAME_SIGNIFICANCE: Final = _row(
     "chance",
     "a period among frames that scatter at random, one of equal frames reported as an outlier by chance",
     "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py), series drawn at random "
-    "(tests/unit/reconciliation/test_repeats.py): none",
+    "(tests/unit/reconciliation/test_reconcile_places.py): none",
 )
 SCATTER_SIGMAS: Final = _row(
     "SCATTER_SIGMAS", 5.0, "sigma", "scatter without any trend, which no test along a covariate sees", _NULL

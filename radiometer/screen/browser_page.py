@@ -82,7 +82,6 @@ class BrowserPage(Opened):
             raise
 
     def close(self) -> None:
-        """Stop serving; closing twice does nothing."""
         if self._open:
             self._open = False
             self._server.stop({"kind": "end"})
@@ -171,17 +170,14 @@ class BrowserStimulus(BrowserPage):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Return width and height of the page in pixels of the screen."""
         seen = self._conditions
         return int(seen.get("width", 0)), int(seen.get("height", 0))
 
     def show(self, picture: ScreenPicture) -> None:
-        """Show a picture and return once it is painted. Raises DeviceTimeout, DeviceLost, DeviceError."""
         seen = self._ask({"kind": "show", "field": picture.field, "rest": _shapes(picture)})["seen"]
         _compare(picture, seen)
 
     def blink(self, lit: ScreenPicture, rest: ScreenPicture, on_s: float, cycle_s: float) -> Blink:
-        """Show `lit`, then `rest`, timed by the page. Raises DeviceTimeout, DeviceLost, DeviceError."""
         order = {"kind": "blink", "field": lit.field, "lit": _shapes(lit), "rest": _shapes(rest)}
         answer = self._ask({**order, "on_ms": 1e3 * on_s, "cycle_ms": 1e3 * cycle_s}, cycle_s)
         _compare(lit, answer["seen"])
@@ -194,7 +190,6 @@ class BrowserStimulus(BrowserPage):
         )
 
     def rest(self, seconds: float) -> Rest:
-        """Let time pass and return what was pressed. Raises DeviceTimeout, DeviceLost."""
         answer = self._ask({"kind": "rest", "ms": 1e3 * seconds}, seconds)
         return Rest(int(answer["presses"]), _hold(answer))
 

@@ -230,7 +230,6 @@ class AwkwardBlackfly(BlackflyGige):
         self.frames_cut = 0  # from which its link lost a packet
 
     def open(self) -> None:
-        """Serve the camera. Raises DeviceInUse if the address is taken, MissingLibrary without Aravis."""
         self._sender = GvspSender(self._address, self._first_frame_id)
         self._pipeline.clear()
         super().open()
@@ -238,7 +237,6 @@ class AwkwardBlackfly(BlackflyGige):
             self._pipeline.extend([_read_request(self._device)[0]] * PIPELINE_FRAMES)
 
     def close(self) -> None:
-        """Leave the network; closing twice does nothing."""
         super().close()
         sender, self._sender = self._sender, None
         if sender is not None:

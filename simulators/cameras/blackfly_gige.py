@@ -95,7 +95,6 @@ class BlackflyGige(Opened):
         return f"simulated camera {self._vendor} {self._model} {self._serial}"
 
     def open(self) -> None:
-        """Serve the camera. Raises DeviceInUse if the address is taken, MissingLibrary without Aravis."""
         features = self._features()
         with tempfile.TemporaryDirectory(prefix="radiometer-") as folder:
             description = Path(folder) / "blackfly.xml"
@@ -110,7 +109,6 @@ class BlackflyGige(Opened):
         self._worker.start()
 
     def close(self) -> None:
-        """Leave the network; closing twice does nothing."""
         self._closing.set()
         if self._worker is not None:
             self._worker.join()

@@ -50,20 +50,16 @@ class FilteredScene:
 
     @property
     def source(self) -> SourceDescription:
-        """Return kind of the light, and the wavelength that the radiance counts at."""
         return self.scene.source.model_copy(update={"wavelength_nm": _REFERENCE_NM})
 
     @property
     def patterns(self) -> tuple[str, ...]:
-        """Return the patterns of the scene."""
         return self.scene.patterns
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
-        """Return the patches of the scene."""
         return self.scene.patches(width, height)
 
     def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
-        """Return what the pixels see."""
         planes = {
             colour: self.scene.seen_through(partial(self.filters.responsivity, colour), width, height, pattern)
             for colour in COLOURS

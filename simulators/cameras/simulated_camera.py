@@ -91,18 +91,15 @@ class SimulatedCamera(Opened):
 
     @property
     def identity(self) -> CameraIdentity:
-        """Return who the camera is."""
         return self._identity
 
     @property
     def capabilities(self) -> CameraCapabilities:
-        """Return its limits. Raises DeviceError unless open."""
         self._require_open()
         return self._limits
 
     @property
     def settings(self) -> CameraSettings:
-        """Return the settings in force. Raises DeviceError unless open."""
         self._require_open()
         return self._settings
 
@@ -125,7 +122,6 @@ class SimulatedCamera(Opened):
 
     @property
     def lens(self) -> LensDescription:
-        """Return the lens of the model, with the f-number in force."""
         return self.model.lens.model_copy(update={"f_number": self._f_number})
 
     @property
@@ -151,14 +147,9 @@ class SimulatedCamera(Opened):
         self._since_change = self._counted = 0
 
     def close(self) -> None:
-        """Release the camera; closing twice does nothing."""
         self._open = False
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set everything and return it as read back. Raises SettingOutOfRange or DeviceError; nothing is changed then.
-
-        The black level, and its limits, count in DN of the pixel format that is asked for.
-        """
         self._require_open()
         self._refuse(settings)
         step = self._limits.exposure_step_s
@@ -178,13 +169,11 @@ class SimulatedCamera(Opened):
         return [self._expose() for _ in range(count)]
 
     def stream(self) -> Generator[Frame, None, None]:
-        """Yield frames until the iterator is closed or the camera is."""
         self._require_open()
         while self._open:
             yield self._expose()
 
     def set_shutter(self, *, closed: bool) -> None:
-        """Close or open the shutter. Raises DeviceError where it has none or is not open."""
         self._require_open()
         if not self._limits.has_shutter:
             raise DeviceError(f"{self._name}: has no shutter; cover the lens for dark frames")

@@ -102,11 +102,9 @@ class _Light(Effect):
     pattern: Any = parameter(0.0, "1", 0.0, np.inf, source="of each capture")  # noqa: RUF009
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the light that counts."""
         return signal * self.factor
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return the factor."""
         return self.factor
 
     def spatial_variance(self, signal: Signal, context: ExposureContext) -> Signal | float:
@@ -138,5 +136,4 @@ class _FurtherBlack(Offset):
     offset_dn: float = parameter(0.0, "DN", -np.inf, np.inf, source="fitted")
 
     def offset(self, context: ExposureContext) -> float:
-        """Return what is added, in DN."""
         return self.offset_dn

@@ -75,7 +75,6 @@ class SimulatedDisplay(Opened):
         self._open, self._on_since_s = True, self.clock.now_s()
 
     def close(self) -> None:
-        """Switch it off; closing twice does nothing."""
         self._open = False
 
     def show(self, patch: DisplayPatch) -> None:

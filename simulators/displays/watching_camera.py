@@ -30,12 +30,10 @@ class _Shown:
 
     @property
     def source(self) -> SourceDescription:
-        """Return a screen."""
         return SourceDescription(kind="screen", wavelength_nm=self.wavelength_nm)
 
     @property
     def patterns(self) -> tuple[str, ...]:
-        """Return the one pattern."""
         return ("default",)
 
     def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
@@ -44,7 +42,6 @@ class _Shown:
         return SceneImage((_HEADROOM * light).astype(np.float32), peak_radiance=_HEADROOM)
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
-        """Return nothing: what is shown changes."""
         return ()
 
 
@@ -66,7 +63,6 @@ class WatchingCamera(SimulatedCamera):
         return [self._frame() for _ in range(count)]
 
     def stream(self) -> Generator[Frame, None, None]:
-        """Yield frames until the iterator is closed."""
         while True:
             yield self._frame()
 

@@ -49,7 +49,6 @@ class AdcSaturation(CatalogueEffect):
         return ((signal > 0) & (signal < self._highest(context))).astype(signal.dtype)
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return DN within the range of each pixel's converter."""
         if not self.spread_dn:
             return self.mean(signal, context)
         uneven = context.fixed_rng(self.name).standard_normal(signal.shape, dtype=np.float32)
@@ -57,7 +56,6 @@ class AdcSaturation(CatalogueEffect):
         return np.clip(signal, 0.0, np.clip(highest, 0.0, context.full_scale_dn)).astype(signal.dtype)
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
-        """Return the moments of the clipped, nearly normal value."""
         if not self.spread_dn:
             return self._clipped(before, self._highest(context))
         spread = self.spread_dn * context.output_scale
@@ -80,7 +78,6 @@ class AdcSaturation(CatalogueEffect):
         return tuple(replace(start, spread_dn=_SPREAD * start.clip_dn) for start in cls.starts(context))
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the same with codes that scatter."""
         return () if self.spread_dn or not self.clip_dn else (replace(self, spread_dn=_SPREAD * self.clip_dn),)
 
     def free(self) -> tuple[str, ...]:

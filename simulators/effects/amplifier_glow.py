@@ -64,7 +64,6 @@ class AmplifierGlow(Offset):
         return dark_exposures_vary(context)
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the electrons of the glow."""
         geometry = context.geometry
         x, y = self.from_right * (geometry.sensor_width - 1), self.from_below * (geometry.sensor_height - 1)
         away = np.hypot(geometry.x_px - x, geometry.y_px - y) / np.hypot(geometry.sensor_width, geometry.sensor_height)

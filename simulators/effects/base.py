@@ -199,7 +199,6 @@ class UnitSlope(Effect):
     """An effect whose output grows by as much as its input."""
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
         return 1.0
 
 
@@ -207,7 +206,6 @@ class KeepsMean(UnitSlope):
     """An effect that scatters the signal about an unchanged mean: noise, or a pattern that averages out."""
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal unchanged."""
         return signal
 
 

@@ -86,7 +86,6 @@ class BrighterFatter(KeepsMean, CatalogueEffect):
         )
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the push that reaches beyond the nearest borders, unlike along rows and columns."""
         return () if self.reach_px > 1.0 else (self.with_parameters(reach_px=_FAR_PX),)
 
     def free(self) -> tuple[str, ...]:

@@ -226,8 +226,6 @@ class CatalogueEffect(Effect):
 
     @property
     def drifts(self) -> bool:
-        """Return whether it depends on time or temperature: the first frame of a series then differs from the
-        others."""
         return self.where in ("timestamp_s", "temperature_C")
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
@@ -266,11 +264,9 @@ class Scaling(CatalogueEffect):
         """Return the factor."""
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal times the factor."""
         return cast(Signal, (signal * self.factor(context)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Signal | float:
-        """Return the factor."""
         return self.factor(context)
 
 
@@ -282,7 +278,6 @@ class Offset(UnitSlope, CatalogueEffect):
         """Return what is added, in `unit_out`."""
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal plus the offset."""
         return cast(Signal, (signal + self.offset(context)).astype(signal.dtype))
 
 
@@ -300,7 +295,6 @@ class FixedOffsets(KeepsMean, CatalogueEffect):
     sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="engineering prior; refined on a real rig")
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with this camera's offsets."""
         rows, columns = signal.shape
         shape = {"": (rows, columns), "row": (rows, 1), "column": (1, columns)}[self.lines]
         pattern = context.fixed_rng(self.name).standard_normal(shape, dtype=np.float32)

@@ -37,11 +37,9 @@ class Crosstalk(KeepsMean, CatalogueEffect):
     further_down: float = parameter(0.0, "1", -0.1, 0.1, source="pixels and their wiring are not square")
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the electrons after diffusion."""
         return exchange_between_neighbours(signal, self.share, self.further_down)
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments of a tile whose pixels exchange charge."""
         mixed = exchange_moments(after, np.full((1, 1, 1), self.share), 1.0, self.further_down)
         return mixed.changed(edge_share=before.edge_share + self.share + 0.5 * self.further_down)
 
@@ -50,5 +48,4 @@ class Crosstalk(KeepsMean, CatalogueEffect):
         return () if self.further_down else (self.with_parameters(further_down=self.share / 10.0),)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the difference only where there is one."""
         return ("share", "further_down") if self.further_down else ("share",)

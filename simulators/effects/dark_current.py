@@ -41,7 +41,6 @@ class DarkCurrent(Offset):
 
     @property
     def drifts(self) -> bool:
-        """Return that it depends on the temperature."""
         return True
 
     def offset(self, context: ExposureContext) -> Any:

@@ -45,13 +45,11 @@ class DarkCurrentClamped(UnitSlope, CatalogueEffect):
         return cast(Signal, (signal + self.left_share * self.electrons(context)).astype(signal.dtype))
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with the thermal electrons' scatter about their mean."""
         expected = float(self.electrons(context))
         clamped = (1.0 - self.left_share) * expected
         return cast(Signal, (signal + rng.poisson(expected, signal.shape) - clamped).astype(signal.dtype))
 
     def variance(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return the thermal electrons' variance in e-²."""
         return self.electrons(context)
 
     def electrons(self, context: ExposureContext) -> Any:

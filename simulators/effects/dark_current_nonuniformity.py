@@ -86,7 +86,6 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
         return (self.with_parameters(**dict.fromkeys(_SMOOTH, 0.02)),)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal of the pixels that count."""
         pattern = np.maximum(self.electrons(context), _LEAST_E)
         signal = signal + self._smooth(context) * pattern
         average, spread = self._lognormal()
@@ -108,7 +107,6 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
         return cast(Signal, leaked.astype(signal.dtype))
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the numbers of pixels that stand out by 6 robust sigmas, or are unsteady."""
         (above,) = self._above(self._standing_out(before.mean, context, before.spatial_variance), powers=1)
         pixels: Any = getattr(context, "tile_pixels", 1.0)
 
@@ -175,7 +173,6 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
         return math.exp(square / 2), math.sqrt((math.exp(square) - 1.0) * math.exp(square))
 
     def spatial_variance(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return the pattern's variance in e-²: of the pixels that count."""
         whole = np.square(self.electrons(context))
         if getattr(context, "frames", None) is None:
             return whole
@@ -186,7 +183,6 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
         return whole * left / spread**2
 
     def pattern_e(self, context: ExposureContext) -> Any:
-        """Return the pattern's standard deviation in electrons."""
         return self.electrons(context)
 
     def excess_kurtosis(self) -> float:

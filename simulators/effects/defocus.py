@@ -41,7 +41,6 @@ class Defocus(UnitSlope, CatalogueEffect):
     evenness: float = parameter(0.0, "1", 0.0, 1.0, source="0 a Gaussian, 1 the disc of geometrical optics")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the blurred picture; tiles keep their distance from edges and stay as they are."""
         soft = blur_image(signal, self._sigma(context), context)
         if not self.evenness:
             return soft
@@ -49,7 +48,6 @@ class Defocus(UnitSlope, CatalogueEffect):
         return cast(Signal, ((1.0 - self.evenness) * soft + self.evenness * disc).astype(signal.dtype))
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with what blurs across an edge."""
         sigma = self._sigma(context)
         share = (1.0 - self.evenness) * blur_edge_share(sigma) + self.evenness * disc_edge_share(2.0 * sigma)
         return after.changed(edge_share=before.edge_share + share)

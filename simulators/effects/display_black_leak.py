@@ -28,5 +28,4 @@ class DisplayBlackLeak(Offset):
     share: float = parameter(0.0, "1", -0.05, 10.0, source="of white; a picture of a contrast of 1.1 is just seen")
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the leaked radiance in W·sr⁻¹·m⁻²."""
         return self.share * context.peak_radiance * context.settings.source_level

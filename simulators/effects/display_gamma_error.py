@@ -36,7 +36,6 @@ class DisplayGammaError(Scaling):
     bend: float = parameter(0.0, "1", -0.5, 0.5, source="change of the exponent per ln(level)")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return shown over stated radiance."""
         if context.code is None:
             return 1.0
         law = np.maximum(context.code, 1e-9) ** self.exponent

@@ -39,7 +39,6 @@ class DisplayNonuniformity(Scaling):
     quartic: tuple[float, ...] = parameter((), "1", -2.0, 2.0, source="the same")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the screen's radiance over that of its middle."""
         u, v = context.geometry.screen_xy()
         bent = self.c * u * u + self.d * u * v + self.e * v * v
         for terms in (self.cubic, self.quartic):
@@ -59,6 +58,5 @@ class DisplayNonuniformity(Scaling):
         return () if self.quartic else (self.with_parameters(quartic=(0.001,) * 5),)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: higher orders only where there are any."""
         cubic = (f"cubic[{n}]" for n in range(len(self.cubic)))
         return (*self.fitted, *cubic, *(f"quartic[{n}]" for n in range(len(self.quartic))))

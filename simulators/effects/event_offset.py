@@ -46,14 +46,12 @@ class EventOffset(Offset):
     event_s: float = parameter(0.0, "s", -1e9, 1e9, source="from the first capture on")
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the offset in DN; of a series of frames its mean."""
         since = _times_of_frames(context) - self.event_s
         lifted = np.where(since < 0, 0.0, self.offset_dn * np.exp(-np.maximum(since, 0.0) / self.tau_s))
         return np.nanmean(lifted, axis=-1)
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether times are known and there are captures on both sides of an event."""
         return np.unique(elapsed_s(context)).size >= 2 * _FEWEST
 
     @classmethod

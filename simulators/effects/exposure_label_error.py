@@ -62,7 +62,6 @@ class ExposureLabelError(Scaling):
         return ((self.label_s, self.ratio, self.from_s, self.to_s), *further)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: one ratio per label."""
         return ("ratio", *(f"further_ratios[{i}]" for i in range(len(self.further_ratios))))
 
     def joined(self, other: CatalogueEffect) -> CatalogueEffect:

@@ -40,7 +40,6 @@ class ExposureQuantisation(Scaling):
     profiled = "quantum_s"
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return realised over stated exposure time; at least one line."""
         time = np.asarray(context.settings.exposure_s)
         lines = np.maximum(np.floor(time / self.quantum_s + self.rounding + 1e-9), 1.0)
         return self.quantum_s * lines / time

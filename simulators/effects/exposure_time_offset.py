@@ -42,7 +42,6 @@ class ExposureTimeOffset(Scaling):
     above_db: float = parameter(0.0, "dB", -20.0, 100.0, source="that gain; between two of those in use")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return real over stated exposure time; never negative."""
         time = context.settings.exposure_s
         further: Any = 0.0
         if self.further_s:
@@ -58,5 +57,4 @@ class ExposureTimeOffset(Scaling):
         return tuple(self.with_parameters(further_s=self.offset_s / 10.0, above_db=g) for g in between.tolist())
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the change with gain only where there is one."""
         return ("offset_s", "further_s") if self.further_s else ("offset_s",)

@@ -38,7 +38,6 @@ class FirstFrameOffset(UnitSlope, CatalogueEffect):
         return cast(Signal, (signal + self.offset_dn * share).astype(signal.dtype))
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the first frame's difference from the others."""
         return after.changed(first_excess=before.first_excess + self.offset_dn)
 
     @classmethod

@@ -54,7 +54,6 @@ class FnumberTstopError(Scaling):
         return (cls(f_numbers=tuple(used.tolist()), errors_rel=(0.0,) * used.size),)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the table where there is one, but for the stop nearest f/4."""
         if not self.f_numbers:
             return ("error_per_stop",)
         reference = min(range(len(self.f_numbers)), key=lambda i: abs(math.log(self.f_numbers[i] / 4.0)))

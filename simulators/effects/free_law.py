@@ -131,12 +131,10 @@ class FreeLaw(CatalogueEffect):
         return np.stack([np.interp(seen, at, unit) for unit in np.eye(len(at))], axis=-1)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal with so much of what the effect does."""
         own = self.own.mean(signal, context)
         return cast(Signal, (signal + self.weight(signal, context) * (own - signal)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return d(mean)/d(signal); by differences where the law depends on the signal."""
         if {"signal", "patch_level"} & set(self.axes):
             step = 1e-4 * np.maximum(np.abs(signal), 1e-3 * np.maximum(largest(signal), 1e-30))
             return (self.mean(signal + step, context) - self.mean(signal - step, context)) / (2.0 * step)

@@ -38,14 +38,12 @@ class FullWellSaturation(CatalogueEffect):
     spread_rel: float = parameter(0.0, "1", 0.0, 0.2, source="scatter of the wells from pixel to pixel")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the electrons that stay in the pixel."""
         return np.minimum(signal, self._capacity_e(context))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Signal:
         return (signal < self._capacity_e(context)).astype(signal.dtype)
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
-        """Return the moments of the limited, nearly normal count."""
         well = self._capacity_e(context)
         if not self.spread_rel:
             return self._limited(before, well)
@@ -57,7 +55,6 @@ class FullWellSaturation(CatalogueEffect):
         return limited(before, lambda tail: censored_above(tail, well)) if is_reached(before, well) else before
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the electrons that stay in this camera's wells."""
         if not self.spread_rel:
             return self.mean(signal, context)
         uneven = context.fixed_rng(self.name).standard_normal(signal.shape, dtype=np.float32)

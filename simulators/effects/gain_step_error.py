@@ -36,7 +36,6 @@ class GainStepError(Scaling):
     errors_rel: tuple[float, ...] = parameter((), "1", -0.5, 0.5, source="relative error at these gains")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor by which the gain is off."""
         gain_db = np.asarray(context.settings.gain_db)
         law = 10.0 ** (gain_db * self.error_rel / 20.0)
         return law * (1.0 + np.interp(gain_db, self.gains_db, self.errors_rel)) if self.gains_db else law
@@ -50,7 +49,6 @@ class GainStepError(Scaling):
         return (cls(gains_db=tuple(steps.tolist()), errors_rel=(0.0,) * steps.size),)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the table where there is one, but for its lowest gain."""
         if not self.gains_db:
             return ("error_rel",)
         return tuple(f"errors_rel[{index}]" for index in range(1, len(self.gains_db)))

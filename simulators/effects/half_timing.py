@@ -37,6 +37,5 @@ class HalfTiming(Scaling):
     sideways: float = parameter(0.0, "1", 0.0, 1.0, source="1 where the halves are side by side: right against left")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return real over stated exposure of each half; never negative."""
         added = by_quarter(context, self.sideways * self.half_s, (1.0 - self.sideways) * self.half_s, 0.0)
         return np.maximum(1.0 + added / context.settings.exposure_s, 0.0)

@@ -70,7 +70,6 @@ class ImageLag(UnitSlope, CatalogueEffect):
         return ("share", *((law,) if law else ()), *(("noise",) if self.noise != 1.0 else ()))
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the electrons with those left behind."""
         return cast(Signal, (signal + self._left(signal, context)).astype(signal.dtype))
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:

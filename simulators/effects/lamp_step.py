@@ -38,12 +38,10 @@ class LampStep(Scaling):
     time_s: float = parameter(0.0, "s", -1e9, 1e9, source="from the first capture on")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return light at the frame's time over that at first."""
         return 1.0 + self.step_rel * (np.asarray(elapsed_s(context)) > self.time_s)
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether times are known and there are captures on both sides of a jump."""
         return np.unique(elapsed_s(context)).size >= 2 * _FEWEST
 
     @classmethod

@@ -48,7 +48,6 @@ class LedThermalDroop(Scaling):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the source level varies among lit frames."""
         level = np.asarray(context.settings.source_level)
         return bool(np.unique(level[level > 0]).size > 1)
 

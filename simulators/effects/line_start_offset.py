@@ -58,7 +58,6 @@ class LineStartOffset(Offset):
     slow_share: float = parameter(0.3, "1", 0.1, 1.0, source="share of a line; a longer one is a tilt")
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: of the slow part where there is one."""
         return (*self.fitted, "slow_dn", "slow_share") if self.slow_dn else self.fitted
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:

@@ -68,11 +68,9 @@ class MechanicalVignetting(Scaling):
         return tuple(cls(0.0, 2.0, 4.0, b * pupil, s * pupil ** (1.0 - w), w) for b, s, w in forms)
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the barrels in place of the law."""
         return () if self.barrel else self.covers(context)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the barrel's where there is one."""
         return ("barrel", "shift", "wander") if self.barrel else self.fitted
 
 

@@ -91,17 +91,14 @@ class MissingCodes(CatalogueEffect):
     added_codes: float = parameter(0.0, "1", 0.0, 1e9, source="half a step where it is rounded to the nearest")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the code that represents a value."""
         lifted = signal + self.added_codes
         whole = self.step_codes * np.floor((lifted + 1e-6) / self.step_codes)
         return cast(Signal, whole + np.clip(np.floor(lifted - whole + 1e-6), 0.0, self.kept_codes - 1.0))
 
     def keeps_only_every(self, period: int) -> bool:
-        """Tell whether only every so many-th code is left."""
         return self.kept_codes == 1.0 and self.step_codes % period == 0.0
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
-        """Return the moments of the coarser code."""
         # What is cut off follows from the value in front of the rounding; cutting is lower by half a code.
         before = before.unrounded or before
         narrow2 = np.maximum(before.variance, 1e-6)

@@ -24,7 +24,6 @@ class PhotonConversion(Effect):
     fill_factor: float = parameter(1.0, "1", 0.01, 1.0, source="EMVA 1288 counts photons on the whole pixel area")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the mean number of photons per pixel (all binned pixels together)."""
         return signal * self.slope(signal, context)
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:

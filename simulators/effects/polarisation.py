@@ -35,5 +35,4 @@ class Polarisation(Scaling):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the camera was turned."""
         return bool(np.ptp(np.asarray(context.geometry.screen_rotation_rad)) > 0)

@@ -38,5 +38,4 @@ class PsfBlur(UnitSlope, CatalogueEffect):
         return blur_image(signal, self.sigma_px, context)
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with what blurs across an edge."""
         return after.changed(edge_share=before.edge_share + blur_edge_share(np.full((1, 1, 1), self.sigma_px)))

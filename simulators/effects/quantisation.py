@@ -27,11 +27,9 @@ class Quantisation(Effect):
     unit_in = unit_out = DIGITAL_NUMBER
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return output DN, not rounded."""
         return signal * context.output_scale
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return output DN rounded to whole codes."""
         codes: Signal = np.rint(signal * context.output_scale)
         return codes
 
@@ -39,7 +37,6 @@ class Quantisation(Effect):
         return 1.0 / 12.0
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
-        """Return the moments of the rounded normal value."""
         return rounded(before.passed(self.mean(before.mean, context), self.slope(before.mean, context)))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:

@@ -47,7 +47,6 @@ class RandomTelegraphNoise(KeepsMean, CatalogueEffect):
     height_e: float = parameter(20.0, "e-", 0.5, 10000.0, source="mean height of a jump: 2 to 100 e-")
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with each jumping pixel at one of its two levels."""
         fixed = context.fixed_rng(self.name)
         height = (fixed.random(signal.shape) < self.share) * fixed.exponential(self.height_e, signal.shape)
         return cast(Signal, (signal + height * (rng.integers(0, 2, signal.shape) - 0.5)).astype(signal.dtype))

@@ -56,5 +56,4 @@ class ReadoutDarkCharge(Offset):
 
     @property
     def drifts(self) -> bool:
-        """Return that it depends on the temperature."""
         return True

@@ -47,5 +47,4 @@ class ReciprocityFailure(Scaling):
         return tuple(cls(p, float(np.quantile(times, q))) for q in (0.3, 0.5, 0.7) for p in (0.005, -0.005))
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the threshold only where there is one."""
         return ("exponent", "threshold_s") if self.threshold_s < _NO_THRESHOLD_S else ("exponent",)

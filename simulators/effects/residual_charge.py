@@ -50,14 +50,12 @@ class ResidualCharge(UnitSlope, CatalogueEffect):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether it is known when each frame was taken."""
         return context.past is not None
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         return cast(Signal, (signal + self._let_go(context)).astype(signal.dtype))
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return one outcome: each electron comes free by chance."""
         let_go = np.broadcast_to(self._let_go(context), signal.shape)
         return cast(Signal, (signal + rng.poisson(let_go)).astype(signal.dtype))
 
@@ -66,7 +64,6 @@ class ResidualCharge(UnitSlope, CatalogueEffect):
 
     @property
     def drifts(self) -> bool:
-        """Tell that the first frame of a series differs from the others."""
         return True
 
     def _let_go(self, context: ExposureContext) -> Any:

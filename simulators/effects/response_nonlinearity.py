@@ -36,7 +36,6 @@ class ResponseNonlinearity(CatalogueEffect):
     a3: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the electrons as the bent response gives them."""
         well = well_e(context)
         z = np.asarray(signal / well)
         bent = np.clip(z, 0.0, self._end())

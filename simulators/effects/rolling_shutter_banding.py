@@ -54,7 +54,6 @@ class RollingShutterBanding(KeepsMean, CatalogueEffect):
         )
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the bands as a wave along the rows."""
         left = np.square(self.modulation * np.sinc(self.frequency_hz * context.settings.exposure_s)) / 2.0
         bands = before.band_variance + left * np.square(before.mean)
         return after.changed(band_variance=bands, band_frequency=self.frequency_hz * self.row_time_s)

@@ -38,6 +38,5 @@ class RowDependentExposure(Scaling):
     lost_share: float = parameter(0.0, "1", -0.5, 0.5, source="at the last row: −0.01 to 0.06 in the same")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return real over stated exposure of each row; never negative."""
         down = context.geometry.row_fraction()
         return np.maximum(1.0 + (self.added_s / context.settings.exposure_s - self.lost_share) * down, 0.0)

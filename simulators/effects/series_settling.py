@@ -43,7 +43,6 @@ class SeriesSettling(Scaling):
         return 1.0 + self.excess_rel * share
 
     def ordered_variance(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return how the frames behind the first differ, as a variance."""
         frames: Any = getattr(context, "frames", 1.0)
         counted = np.maximum(frames - 1.0, 1.0)
         mean = self._powers(frames, 1.0, 1.0) / counted
@@ -52,7 +51,6 @@ class SeriesSettling(Scaling):
         return np.square(signal * self.excess_rel) * np.maximum(square - np.square(mean), 0.0) * unbiased
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the first frame's difference from the others."""
         frames: Any = getattr(context, "frames", 1.0)
         later = self._powers(frames, 1.0, 1.0) / np.maximum(frames - 1.0, 1.0)
         moved: Any = before.mean * self.excess_rel * np.where(frames > 1, 1.0 - later, 0.0)

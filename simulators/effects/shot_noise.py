@@ -26,7 +26,6 @@ class ShotNoise(KeepsMean):
         return rng.poisson(signal).astype(signal.dtype)
 
     def variance(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the expected number: a Poisson count's variance is its mean."""
         return np.maximum(signal, 0.0)
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:

@@ -18,9 +18,7 @@ class Shutter(Effect):
     unit_out = EXPOSURE
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return exposure in J·m⁻² for irradiance in W·m⁻²."""
         return signal * self.slope(signal, context)
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return the time in s that light was let in."""
         return context.settings.exposure_s * (1.0 - context.settings.is_dark)

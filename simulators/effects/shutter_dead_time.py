@@ -42,7 +42,6 @@ class ShutterDeadTime(CatalogueEffect):
         return cast(Signal, (signal * self.slope(signal, context)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return real over stated exposure time (of a whole run: its average)."""
         frames: Any = getattr(context, "frames", None)
         if frames is None:
             after = context.frame_index
@@ -54,7 +53,6 @@ class ShutterDeadTime(CatalogueEffect):
         return np.maximum(1.0 - dead_times * self.dead_time_s / context.settings.exposure_s, 0.0)
 
     def ordered_variance(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return how the frames of a run after its first differ, as a variance."""
         later: Any = getattr(context, "frames", 1.0) - 1.0
         step = self.growth * self.dead_time_s / context.settings.exposure_s
         return np.square(signal * step) * (later > 1.0) * later * (later + 1.0) / 12.0 if self.growth else 0.0
@@ -64,7 +62,6 @@ class ShutterDeadTime(CatalogueEffect):
         return 1.0 + self.growth * np.maximum(frames - 2.0, 0.0) / 2.0
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with what the first frame has more."""
         usual = self._usual(np.asarray(getattr(context, "frames", 1.0)))
         gained = before.mean * (1.0 - self._kept(usual, context))
         return after.changed(first_excess=after.first_excess + gained)

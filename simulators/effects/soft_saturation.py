@@ -56,7 +56,6 @@ class SoftSaturation(CatalogueEffect):
     charging: float = parameter(0.0, "1", 0.0, 1.0, source="1 where the rest fills up like a capacitor")
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the hardness only where it is not a plain one."""
         return self.fitted if self.charging or self.hardness in _PLAIN else (*self.fitted, "hardness")
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
@@ -76,7 +75,6 @@ class SoftSaturation(CatalogueEffect):
         return cast(Signal, (np.where(z > self.knee, soft, z) * well_e(context)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return d(mean)/d(signal), 1 below the knee."""
         width = max(self.ceiling - self.knee, _NARROWEST)
         y = np.maximum(signal / well_e(context) - self.knee, 0.0) / width
         return np.exp(-y) if self.charging else (1.0 + y**self.hardness) ** (-1.0 / self.hardness - 1.0)

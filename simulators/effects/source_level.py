@@ -17,7 +17,6 @@ class SourceLevel(Effect):
     unit_in = unit_out = RADIANCE
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return radiance at the frame's source level."""
         return signal * context.settings.source_level
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:

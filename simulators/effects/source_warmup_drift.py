@@ -40,14 +40,12 @@ class SourceWarmupDrift(Scaling):
     second_tau_s: float = parameter(1500.0, "s", 1.0, 1000000.0, source="its time constant")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return light at the frame's time over light in the end."""
         time = elapsed_s(context)
         slow = self.second_rel * np.exp(-time / self.second_tau_s) if self.second_rel else 0.0
         return 1.0 + self.amplitude_rel * np.exp(-time / self.tau_s) + slow
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether times are known and differ."""
         return bool(np.ptp(elapsed_s(context)) > 0)
 
     @classmethod
@@ -57,6 +55,5 @@ class SourceWarmupDrift(Scaling):
         return (cls(0.005, max(span / 20.0, 2.0), 0.005, max(span / 3.0, 5.0)),)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the second term only where there is one."""
         first = ("amplitude_rel", "tau_s")
         return (*first, "second_rel", "second_tau_s") if self.second_rel else first

@@ -41,7 +41,6 @@ class SpectralMismatch(Scaling):
     blue_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor of the channel that the pattern shows; 1 for all other patterns."""
         shown = np.asarray(context.settings.pattern)
         errors = (self.red_rel, self.green_rel, self.blue_rel)
         return 1.0 + sum(np.where(shown == c, e, 0.0) for c, e in zip(CHANNELS, errors, strict=True))

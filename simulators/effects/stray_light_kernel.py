@@ -76,7 +76,6 @@ class StrayLightKernel(CatalogueEffect):
         return (*others, *(self.with_parameters(share=0.0, wings=wings) for wings in (near, even)))
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: those of the wings where there are any, and of the scene beyond the border."""
         further = ("beyond",) if self.beyond != 1.0 else ()
         if not self.wings:
             return (*self.fitted, *further)

@@ -38,15 +38,12 @@ class ImageSurroundings:
         self._context = context
 
     def frame_mean(self, signal: Signal) -> float:
-        """Return the mean over the whole frame."""
         return self._context.frame_mean(signal)
 
     def column_mean(self, signal: Signal) -> Signal:
-        """Return the mean over each column, shape (1, width)."""
         return cast(Signal, signal.mean(axis=0, keepdims=True))
 
     def spread(self, signal: Signal, radius_fraction: float, beyond: float = 1.0) -> Signal:
-        """Return the signal spread by a Gaussian; beyond the border it goes on at a share of what it is there."""
         sigma = radius_fraction * max(signal.shape)
         step = max(1, int(sigma / 4.0))  # a wide Gaussian needs no fine picture
         height, width = signal.shape
@@ -59,7 +56,6 @@ class ImageSurroundings:
         return cast(Signal, cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR))
 
     def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
-        """Return the signal at the point reflected about the optical axis, spread first; 0 where that is outside."""
         if radius_fraction * max(signal.shape) > _SHARP_PX:
             signal = self.spread(signal, radius_fraction)
         geometry = self._context.geometry

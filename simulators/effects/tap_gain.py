@@ -38,5 +38,4 @@ class TapGain(OfTaps, Scaling):
     taps_rel: tuple[float, ...] = parameter((), "1", -0.4, 0.4, source="of every tap")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the gain over that of the sensor's mean."""
         return 1.0 + self.sizes(context)

@@ -44,12 +44,10 @@ class TapNoise(KeepsMean, OfTaps):
         return (0.0, high) if parameter == self.table else (low, high)
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with the noise of each quarter."""
         sigma = np.sqrt(self.variance(signal, context))
         return cast(Signal, (signal + sigma * rng.standard_normal(signal.shape)).astype(signal.dtype))
 
     def variance(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return σ² in e-²."""
         if self.taps_e2:
             return self.sizes(context) + np.mean(self.taps_e2) - min(0.0, *self.taps_e2)
         a, b, c = self.across_e2, self.along_e2, self.corner_e2

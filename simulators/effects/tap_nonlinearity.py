@@ -43,11 +43,9 @@ class TapNonlinearity(OfTaps):
         return super().usable(context) and context.camera.full_well_e is not None
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the bent signal in electrons."""
         return cast(Signal, (signal * (1.0 + self._bend(context) * signal)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return 1 + 2·q·n/n_full."""
         return 1.0 + 2.0 * self._bend(context) * signal
 
     def _bend(self, context: ExposureContext) -> Any:

@@ -36,5 +36,4 @@ class TapOffset(OfTaps, Offset):
     taps_dn: tuple[float, ...] = parameter((), "DN", -0.1, 0.1, source="of every tap", of_full_scale=True)
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the offset in DN."""
         return self.sizes(context)

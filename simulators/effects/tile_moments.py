@@ -101,12 +101,10 @@ class TileMoments(Moments):
 
     @property
     def variance_of_lines(self) -> tuple[Any, Any]:
-        """Return what pixels of one row or column share beyond their own: fixed pattern, and noise."""
         return self.fixed_column_variance + self.fixed_row_variance, self.row_variance
 
     @classmethod
     def exactly(cls, mean: Signal) -> Self:
-        """Return the moments of a signal that is known exactly."""
         nothing = np.zeros((1,) * mean.ndim)
         return cls(
             mean, variance=nothing, spatial_variance=nothing, common_variance=nothing, row_variance=nothing,

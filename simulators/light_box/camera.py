@@ -74,11 +74,9 @@ class HookedClock(SimulatedClock):
         self._now, self._wait = now, wait
 
     def now_s(self) -> float:
-        """Return the time in s."""
         return self._now()
 
     def advance(self, duration_s: float) -> None:
-        """Let time pass. Raises ValueError if the duration is negative."""
         if duration_s < 0:
             raise ValueError(f"cannot advance the clock by {duration_s} s; durations are 0 or more")
         self._wait(duration_s)

@@ -60,11 +60,9 @@ class VirtualLine:
     _buffer: bytes = b""
 
     def now(self) -> float:
-        """Return true time in s."""
         return self._time_s
 
     def open(self) -> None:
-        """Open the line; what waited is gone."""
         self._inward.clear()
         self._buffer = b""
 
@@ -77,14 +75,12 @@ class VirtualLine:
         self._time_s += duration_s
 
     def write(self, line: bytes) -> float:
-        """Send bytes and return when they left, in s."""
         arrival_s = self._time_s + len(line) * self.byte_time_s + self._latency()
         earliest_s = self._outward[-1][0] if self._outward else 0.0
         self._outward.append((max(arrival_s, earliest_s), self.faults.apply(line)))
         return self._time_s
 
     def read_line(self, timeout_s: float) -> Arrived | None:
-        """Return the next line, or None after `timeout_s`."""
         deadline_s = self._time_s + timeout_s
         while True:
             line, end, rest = self._buffer.partition(b"\n")

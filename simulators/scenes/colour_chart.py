@@ -46,7 +46,6 @@ class ColourChartScene(LitScene):
         return self.seen_through(np.ones_like, width, height, pattern)
 
     def seen_through(self, weight: Weight, width: int, height: int, pattern: str = "default") -> SceneImage:
-        """Return the radiance of the lights, weighted over the wavelength."""
         refuse_unknown_pattern(pattern, self.patterns)
         radiance = np.zeros((height, width), np.float32)
         values = [float(np.sum(one.spectral_radiance(_GRID_NM) * weight(_GRID_NM))) for one in self.lights]
@@ -55,7 +54,6 @@ class ColourChartScene(LitScene):
         return SceneImage(radiance, peak_radiance=max(values))
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
-        """Return the lights with their radiance over all wavelengths."""
         places = grid(len(self.lights), self.columns, self.margin, width, height)
         return tuple(
             described(one.name, patch, sum(radiance for *_, radiance in one.bands))

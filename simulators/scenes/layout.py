@@ -27,20 +27,16 @@ class LitScene(ConfigSection):
 
     @property
     def source(self) -> SourceDescription:
-        """Return kind and wavelength of the light."""
         return SourceDescription(kind=self.source_kind, wavelength_nm=self.wavelength_nm)
 
     @property
     def patterns(self) -> tuple[str, ...]:
-        """Return the one pattern."""
         return ("default",)
 
     def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
-        """Return what the sensor sees."""
         raise NotImplementedError
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
-        """Return the patches with their true radiance."""
         raise NotImplementedError
 
     def seen_through(self, weight: Weight, width: int, height: int, pattern: str = "default") -> SceneImage:

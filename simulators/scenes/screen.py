@@ -90,7 +90,6 @@ class ScreenScene(LitScene):
         return SceneImage(radiance, code, self.peak_radiance_W_per_sr_m2)
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
-        """Return the patches with the radiance of each pattern."""
         return tuple(self._described(patch) for patch in self.patches_px)
 
     def _described(self, patch: ScreenPatch) -> PatchDescription:

@@ -20,11 +20,9 @@ class UniformScene(LitScene):
     source_kind = "sphere"
 
     def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
-        """Return the same radiance at every pixel."""
         refuse_unknown_pattern(pattern, self.patterns)
         level = self.radiance_W_per_sr_m2
         return SceneImage(np.full((height, width), level, np.float32), peak_radiance=level)
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
-        """Return the whole field as one patch."""
         return (described("field", Patch(0, 0, width, height), self.radiance_W_per_sr_m2),)

@@ -5,7 +5,7 @@ import shutil
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,7 +31,7 @@ from testing.patience import ENDS_WITH_US, within
 from testing.wire import PORT_LOCK
 
 LOOPBACK = "127.0.0.1"
-_occupied: list[str] = []  # by another program, as was found
+_occupied = []  # by another program, as was found
 SMALL_REGION = Roi(16, 8, 64, 48)
 
 
@@ -51,7 +51,7 @@ class Subject:
 
 
 @pytest.fixture(scope="session")
-def aravis_installed() -> None:
+def aravis_installed():
     """Skip where Aravis is not installed."""
     try:
         load_library()
@@ -60,7 +60,7 @@ def aravis_installed() -> None:
 
 
 @pytest.fixture
-def gige_port() -> Iterator[None]:
+def gige_port():
     """Hold the one GigE Vision control port of the loopback interface against other test runs."""
     with PORT_LOCK.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -69,7 +69,7 @@ def gige_port() -> Iterator[None]:
         yield
 
 
-def port_comes_free() -> bool:
+def port_comes_free():
     """Tell whether a camera can be served on the loopback interface; one that stays is waited for once."""
     end = time.monotonic() + within(0.0 if _occupied else 60.0)
     while not (free := port_is_free()) and time.monotonic() < end:
@@ -78,7 +78,7 @@ def port_comes_free() -> bool:
     return free
 
 
-def port_is_free() -> bool:
+def port_is_free():
     """Tell whether a camera could be served on the loopback interface."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         try:
@@ -89,14 +89,14 @@ def port_is_free() -> bool:
 
 
 @pytest.fixture
-def fake_gige_process(aravis_installed: None, gige_port: None) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+def fake_gige_process(aravis_installed, gige_port):
     """Return a function that starts Debian's fake GigE Vision camera in its own process and waits until it answers."""
     program = shutil.which("arv-fake-gv-camera-0.8")
     if program is None:
         pytest.skip("arv-fake-gv-camera-0.8 is not installed: apt install aravis-tools")
-    running: list[subprocess.Popen[bytes]] = []
+    running = []
 
-    def start(*options: str) -> subprocess.Popen[bytes]:
+    def start(*options):
         words = [*ENDS_WITH_US, program, "-i", LOOPBACK, "-s", "GV77", *options]
         process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
         running.append(process)
@@ -111,7 +111,7 @@ def fake_gige_process(aravis_installed: None, gige_port: None) -> Iterator[Calla
         process.wait()
 
 
-def _simulated(radiance: float = 1.0) -> SimulatedCamera:
+def _simulated(radiance=1.0):
     preset = CameraPreset.shipped("BFS-U3-19S4M")
     model = CameraModel.ideal(preset.camera, LensDescription(focal_length_mm=16, f_number=4.0))
     scene = scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": radiance})
@@ -120,7 +120,7 @@ def _simulated(radiance: float = 1.0) -> SimulatedCamera:
 
 
 @pytest.fixture
-def blackfly(aravis_installed: None, gige_port: None) -> Iterator[BlackflyGige]:
+def blackfly(aravis_installed, gige_port):
     """Serve a simulated Blackfly of 160 × 120 pixels that looks at an even field, in this process."""
     camera = _simulated(radiance=0.4)
     limits = replace(default_limits(), width=160, height=120, has_shutter=False)
@@ -130,11 +130,11 @@ def blackfly(aravis_installed: None, gige_port: None) -> Iterator[BlackflyGige]:
 
 
 @pytest.fixture
-def serve_awkward(aravis_installed: None, gige_port: None) -> Iterator[Callable[..., AwkwardBlackfly]]:
+def serve_awkward(aravis_installed, gige_port):
     """Return a function that serves the Blackfly that is as awkward as the real one, before the same even field."""
-    running: list[AwkwardBlackfly] = []
+    running = []
 
-    def serve(**options: int) -> AwkwardBlackfly:
+    def serve(**options):
         limits = replace(default_limits(), width=160, height=120, has_shutter=False)
         running.append(AwkwardBlackfly(ForwardModelSource(_simulated(radiance=0.4).sensor), limits, **options))
         running[-1].open()
@@ -147,17 +147,17 @@ def serve_awkward(aravis_installed: None, gige_port: None) -> Iterator[Callable[
 
 
 @pytest.fixture
-def awkward(serve_awkward: Callable[..., AwkwardBlackfly]) -> AwkwardBlackfly:
+def awkward(serve_awkward):
     """Serve the awkward Blackfly."""
     return serve_awkward()
 
 
-def _picture_source() -> ForwardModelSource:
+def _picture_source():
     """Return pictures of the even field, 160 × 120 pixels."""
     return ForwardModelSource(_simulated(radiance=0.4).sensor)
 
 
-def _at_the_edge(kind: str) -> Subject:
+def _at_the_edge(kind):
     """Return a camera that people own, its library replaced by a simulated device at the library's edge."""
     if kind == "v4l2":
         webcam = SimulatedWebcam(_picture_source(), 160, 120)
@@ -177,7 +177,7 @@ def _at_the_edge(kind: str) -> Subject:
 
 
 @pytest.fixture(params=["simulated", "fake_1", "fake_gige", "blackfly", "awkward", "v4l2", "picamera", "gphoto2"])
-def subject(request: pytest.FixtureRequest) -> Subject:
+def subject(request):
     """Return each camera in turn."""
     if request.param == "simulated":
         return Subject("simulated", _simulated, lambda camera: camera)
@@ -194,7 +194,7 @@ def subject(request: pytest.FixtureRequest) -> Subject:
 
 
 @pytest.fixture
-def room_for_frames(subject: Subject) -> None:
+def room_for_frames(subject):
     """Skip where a full frame of a GigE camera that bursts cannot be held: no packet socket, small socket buffers."""
     status = Path("/proc/self/status").read_text(encoding="utf-8")
     capabilities = int(next(line for line in status.splitlines() if line.startswith("CapEff")).split()[1], 16)
@@ -204,7 +204,7 @@ def room_for_frames(subject: Subject) -> None:
 
 
 @pytest.fixture
-def camera(subject: Subject) -> Iterator[Camera]:
+def camera(subject):
     """Return the camera, opened."""
     made = subject.make()
     with made:

@@ -20,7 +20,7 @@ SIGNAL_DN = ELECTRONS / 5.95
 U_REL = 5 / np.sqrt(ELECTRONS * 160 * 120) + 0.02 / SIGNAL_DN  # five sigma of a mean, and the dark signal
 
 
-def opened() -> AravisCamera:
+def opened():
     return open_camera(LOOPBACK, lens=LensDescription(focal_length_mm=16, f_number=4.0))
 
 

@@ -11,7 +11,7 @@ from radiometer.errors import DeviceError, DeviceInUse, SettingOutOfRange
 
 
 @pytest.fixture
-def settings(subject, camera) -> CameraSettings:
+def settings(subject, camera):
     """Return settings that any camera can take, over a small region."""
     formats = camera.capabilities.pixel_formats
     return CameraSettings(

@@ -43,7 +43,7 @@ def serve(aravis_installed, gige_port, bench, project_root):
     """Return a function that serves the bench's camera in a process of its own."""
     running = []
 
-    def start(*options: str) -> subprocess.Popen[bytes]:
+    def start(*options):
         command = [sys.executable, "-m", "radiometer", "simulate", "camera", "--fast", "--bench", str(bench), *options]
         process = subprocess.Popen([*ENDS_WITH_US, *command], cwd=project_root, stdout=subprocess.DEVNULL)
         running.append(process)
@@ -143,7 +143,7 @@ def test_every_camera_is_found_by_its_serial_number(serve, bench, project_root):
     assert done.stdout.strip() == "FLIR-BFS-U3-19S4M-22500078 GigEVision 127.0.0.1", done.stderr
 
 
-def readme_commands(project_root) -> list[list[str]]:
+def readme_commands(project_root):
     """Return the words of the README's five commands."""
     section = (project_root / "README.md").read_text(encoding="utf-8").partition("## Five commands")[2]
     block = section.partition("```console\n")[2].partition("```")[0]

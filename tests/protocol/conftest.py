@@ -1,9 +1,5 @@
 """Two boxes that speak the light-box protocol, in their own time: the twin, and the firmware in simavr."""
 
-import shutil
-import subprocess
-from collections.abc import Iterator
-from pathlib import Path
 from zlib import crc32
 
 import pytest
@@ -11,7 +7,7 @@ import pytest
 from radiometer.errors import MissingLibrary
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from testing.patience import within
+from testing.firmware_board import built_for_avr
 
 SERIAL = "LB000007"
 
@@ -19,20 +15,20 @@ SERIAL = "LB000007"
 class Talker:
     """A box that is asked byte for byte; time passes only when the test lets it."""
 
-    def __init__(self, avr: AvrBox | None) -> None:
+    def __init__(self, avr):
         self.avr = avr
         self.twin = SimulatedLightBox(SimulatedBoxSettings(serial=SERIAL))
         self.run(0.1)
         self.boot = self.take()
 
-    def run(self, duration_s: float) -> None:
+    def run(self, duration_s):
         """Let box time pass."""
         if self.avr is not None:
             self.avr.run(duration_s)
         else:
             self.twin.advance(self.twin.time_s + duration_s)
 
-    def take(self) -> bytes:
+    def take(self):
         """Return what the box has sent since the last call."""
         if self.avr is not None:
             return self.avr.take_sent()
@@ -40,7 +36,7 @@ class Talker:
         self.twin.emitted.clear()
         return sent
 
-    def tell(self, raw: bytes) -> bytes:
+    def tell(self, raw):
         """Send bytes as they are and return what comes back within 20 ms."""
         if self.avr is not None:
             self.avr.send(raw)
@@ -49,46 +45,33 @@ class Talker:
         self.run(0.02)
         return self.take()
 
-    def ask(self, body: str) -> bytes:
+    def ask(self, body):
         """Send a request with its checksum and return what comes back."""
         return self.tell(f"{body}*{crc32(body.encode()):08X}\n".encode())
 
-    def duty(self, channel: str) -> float:
+    def duty(self, channel):
         """Return the duty at a channel's pin."""
         return self.avr.duty(channel) if self.avr is not None else self.twin.duty(channel)
 
-    def button(self, pressed: bool) -> None:
-        """Press or release the button now."""
-        if self.avr is not None:
-            self.avr.press(pressed=pressed)
-        else:
-            self.twin.press(self.twin.time_s, pressed=pressed)
 
-
-def built(project_root: Path, build: Path, *options: str) -> Path:
-    """Build the firmware; skip where the compiler is absent."""
-    if shutil.which("avr-gcc") is None:
-        pytest.skip("avr-gcc is not installed (Debian: gcc-avr, avr-libc)")
-    source = project_root / "drivers" / "firmware" / "light_box"
-    command = ["make", "-s", "-C", str(source), f"BUILD={build}", *options]
-    subprocess.run(command, check=True, capture_output=True, timeout=within(120.0))
-    return build / "light_box.hex"
+NO_COMPILER = "avr-gcc is not installed (Debian: gcc-avr, avr-libc)"
 
 
 @pytest.fixture(scope="session")
-def light_box_hex(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def light_box_hex(tmp_path_factory):
     """Return the firmware."""
-    return built(project_root, tmp_path_factory.mktemp("protocol_firmware"))
+    return built_for_avr(tmp_path_factory.mktemp("protocol_firmware")) or pytest.skip(NO_COMPILER)
 
 
 @pytest.fixture(scope="session")
-def small_bucket_hex(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small_bucket_hex(tmp_path_factory):
     """Return the firmware with energy budgets of a 400th and two flashes in a row: used up in seconds."""
-    return built(project_root, tmp_path_factory.mktemp("small_buckets"), "BUCKET_DIVISOR=400", "FLASHES=2")
+    folder = tmp_path_factory.mktemp("small_buckets")
+    return built_for_avr(folder, "BUCKET_DIVISOR=400", "FLASHES=2") or pytest.skip(NO_COMPILER)
 
 
 @pytest.fixture(params=["twin", "firmware"])
-def talker(request: pytest.FixtureRequest) -> Iterator[Talker]:
+def talker(request):
     """Return a freshly powered box."""
     if request.param == "twin":
         yield Talker(None)
@@ -97,9 +80,3 @@ def talker(request: pytest.FixtureRequest) -> Iterator[Talker]:
         yield Talker(AvrBox(request.getfixturevalue("light_box_hex"), serial=SERIAL))
     except MissingLibrary as missing:
         pytest.skip(str(missing))
-
-
-@pytest.fixture
-def twin() -> Talker:
-    """Return a freshly powered twin, for what would take the simulated firmware minutes."""
-    return Talker(None)

@@ -50,7 +50,7 @@ def test_refused_level_makes_not_one_edge(avr, ask):
     assert not avr.is_high_current("fixation")
 
 
-@pytest.mark.parametrize("level", [8, 100, 1000, 12345, 32768, 60000])
+@pytest.mark.parametrize("level", [8, 12345, 60000])
 def test_duty_at_the_spot_is_the_stated_step(avr, ask, level):
     """Over 32 dithering cycles the pin is high for the stated steps of 8192, within simavr's 2 cycles per edge."""
     ask("#00 HI 1")

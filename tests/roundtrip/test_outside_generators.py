@@ -16,18 +16,7 @@ from testing.outside.session import Secret
 FOLDER = Path(two.__file__).parent
 GENERATORS = {"two": (two, two_hidden.HIDDEN), "three": (three, three_hidden.HIDDEN)}
 HIDDEN = [(module, hidden) for module, table in GENERATORS.values() for hidden in table.values()]
-ALLOWED = {
-    "__future__",
-    "testing",
-    "collections",
-    "cv2",
-    "dataclasses",
-    "math",
-    "numpy",
-    "pathlib",
-    "typing",
-    "yaml",
-}
+ALLOWED = {"__future__", "testing", "collections", "cv2", "dataclasses", "math", "numpy", "pathlib", "typing", "yaml"}
 VEIL = Secret("law", "bracket", "veil", ("veiling_glare",), covariates=("patch_level",))
 
 
@@ -92,28 +81,23 @@ def answer(verdict, *effects, places=("signal",)):
     return {"verdict": verdict, "effects": list(effects), "localisation": [{"covariate": p} for p in places]}
 
 
-def test_a_right_name_among_the_alternatives_is_right():
-    """A plan that cannot tell two names gives both: that is the right answer."""
-    reported = judge(answer("effects_found", effect("ambient_light_leak", "veiling_glare")), VEIL)
-    assert reported["first"]
-    assert reported["exact"]
-    assert not reported["confident_wrong"]
-
-
-def test_a_wrong_name_without_the_right_one_is_confidently_wrong():
-    """What is sure and wrong counts; the same name as provisional is junk only."""
-    assert judge(answer("effects_found", effect("ambient_light_leak")), VEIL)["confident_wrong"]
-    provisional = judge(answer("incomplete", effect("ambient_light_leak")), VEIL)
-    assert provisional["junk"]
-    assert not provisional["confident_wrong"]
-
-
-def test_anything_more_than_the_name_is_not_exact():
-    """An unnamed rest next to the right name is first, and not exact."""
-    reported = judge(answer("incomplete", effect("veiling_glare"), effect("unnamed")), VEIL)
-    assert reported["first"]
-    assert not reported["exact"]
-    assert not reported["junk"]
+@pytest.mark.parametrize(
+    ("found", "first", "exact", "confident_wrong", "junk"),
+    [
+        # A plan that cannot tell two names gives both: that is the right answer.
+        (answer("effects_found", effect("ambient_light_leak", "veiling_glare")), True, True, False, False),
+        # What is sure and wrong counts; the same name as provisional is junk only.
+        (answer("effects_found", effect("ambient_light_leak")), False, False, True, True),
+        (answer("incomplete", effect("ambient_light_leak")), False, False, False, True),
+        # An unnamed rest next to the right name is first, and not exact.
+        (answer("incomplete", effect("veiling_glare"), effect("unnamed")), True, False, False, False),
+    ],
+)
+def test_names_are_judged(found, first, exact, confident_wrong, junk):
+    """A right name, alone or among alternatives, a wrong one that is sure or provisional, a rest."""
+    reported = judge(found, VEIL)
+    expected = {"first": first, "exact": exact, "confident_wrong": confident_wrong, "junk": junk}
+    assert {name: bool(reported[name]) for name in expected} == expected
 
 
 def test_a_place_counts_among_the_first_three():

@@ -62,16 +62,11 @@ def test_the_wheel_carries_the_manual_page():
 
 def test_the_container_is_built_in_two_stages_of_the_same_system():
     """Only what the first stage made is taken over; no compiler runs in the second."""
-    bases = [rest.split() for word, rest in instructions() if word == "FROM"]
+    places = [n for n, (word, _) in enumerate(instructions()) if word == "FROM"]
+    bases = [instructions()[n][1].split() for n in places]
     assert [base[0] for base in bases] == ["debian:12-slim", "debian:12-slim"]
     assert bases[0][1:] == ["AS", "build"]
-    last = [rest for word, rest in instructions()[len(instructions()) - instructions()[::-1].index(bases_entry()) :]]
-    assert not any("gcc" in rest for rest in last)
-
-
-def bases_entry() -> tuple[str, str]:
-    """Return the instruction that begins the last stage."""
-    return [one for one in instructions() if one[0] == "FROM"][-1]
+    assert not any("gcc" in rest for _, rest in instructions()[places[1] + 1 :])
 
 
 def test_every_path_that_the_container_copies_exists():

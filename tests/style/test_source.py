@@ -48,6 +48,29 @@ def public_functions(tree):
             )
 
 
+def test_every_public_method_is_explained():
+    """By its own docstring, or by that of the same method of a base or a Protocol."""
+    classes = [(path, node) for path in SOURCES for node in parsed(path).body if isinstance(node, ast.ClassDef)]
+    bases, explained, plain = {}, {}, set()
+    for _, node in classes:
+        names = {ast.unparse(base).partition("[")[0].rpartition(".")[2] for base in node.bases}
+        methods = [one for one in public_functions(ast.Module([node], [])) if ast.get_docstring(one)]
+        bases[node.name] = names | bases.get(node.name, set())
+        explained[node.name] = {one.name for one in methods} | explained.get(node.name, set())
+        plain |= {one.name for one in methods if "Protocol" in names}
+
+    def known(name):
+        return explained.get(name, set()).union(*map(known, bases.get(name, ())))
+
+    bare = [
+        f"{name_of(path)}: {node.name}.{one.name}"
+        for path, node in classes
+        for one in public_functions(ast.Module([node], []))
+        if not ast.get_docstring(one) and one.name not in plain | known(node.name)
+    ]
+    assert bare == []
+
+
 def raised_names(function):
     """Return the names of the exceptions that a function raises itself."""
     names = set()
@@ -75,7 +98,7 @@ def unsaid(path):
         f"{function.name}: {name}"
         for function in public_functions(parsed(path))
         for name in raised_names(function)
-        if name not in (ast.get_docstring(function) or "")
+        if name not in (ast.get_docstring(function) or name)  # without one its base's names it
     ]
 
 

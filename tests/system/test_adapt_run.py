@@ -63,15 +63,11 @@ def test_subject_who_cannot_be_fitted_is_exit_code_one_with_a_verdict(tmp_path, 
     assert not list(tmp_path.glob("*.csv"))  # nothing that could be fitted by mistake
 
 
-def _cut(journal):
-    """Cut a journal in its middle, as a crash does, and return what it held."""
-    whole = journal.read_bytes()
-    journal.write_bytes(whole[: len(whole) // 2])
-    return whole
-
-
 def test_second_visit_is_measured_and_an_unfinished_one_is_taken_up(tmp_path, monkeypatch):
-    """Two runs of a subject are two journals, whose names and heads state subject, eye and moment."""
+    """Two runs of a subject are two journals, whose names and heads state subject, eye and moment.
+
+    Naming that of a finished run again is misuse; the message states its date, and how its thresholds are read.
+    """
     monkeypatch.chdir(tmp_path)
     about = {"simulate": "steady", "eye": "left", "age": 31.0, "pupil": 6.0}
     first = rm.adapt_run("quick", "S7", visit="2026-03-02T14:30Z", **about)
@@ -86,24 +82,19 @@ def test_second_visit_is_measured_and_an_unfinished_one_is_taken_up(tmp_path, mo
     ]  # fmt: skip
     head = Path(str(second.table)).read_text()
     assert all(line in head for line in ("# subject: S7", "# eye: left", "# age_years: 31.0", "# pupil_mm: 6.0"))
-    whole = _cut(second.journal)
-    third = rm.adapt_run("quick", "S7", visit="2026-03-16T14:30Z", **about)
-    assert third.journal == second.journal
-    assert third.journal.read_bytes() == whole
-
-
-def test_finished_run_is_never_taken_up(tmp_path):
-    """Naming its journal again is misuse; the message states its date, and how its thresholds are read."""
-    journal = tmp_path / "j.jsonl"
-    rm.adapt_run("quick", "S7", journal, simulate="steady", visit="2026-03-02T14:30Z")
-    before = journal.read_bytes()
+    before = first.journal.read_bytes()
     with pytest.raises(rm.UsageError, match="finished run of 2026-03-02T14:30:00Z: `adapt fit"):
-        rm.adapt_run("quick", "S7", journal, simulate="steady")
-    assert journal.read_bytes() == before
-    from_table, from_journal = (rm.adapt_fit(file, bootstrap=0) for file in (tmp_path / "j.csv", journal))
+        rm.adapt_run("quick", "S7", first.journal, simulate="steady")
+    assert first.journal.read_bytes() == before
+    from_table, from_journal = (rm.adapt_fit(file, bootstrap=0) for file in (first.table, first.journal))
     assert from_journal.fit.estimates["plateau"].value == pytest.approx(
         from_table.fit.estimates["plateau"].value, abs=0.01
     )
+    whole = second.journal.read_bytes()
+    second.journal.write_bytes(whole[: len(whole) // 2])  # as a crash leaves it
+    third = rm.adapt_run("quick", "S7", visit="2026-03-16T14:30Z", **about)
+    assert third.journal == second.journal
+    assert third.journal.read_bytes() == whole
 
 
 def test_practice_run_bleaches_nothing_and_is_no_visit_of_the_test(tmp_path, monkeypatch):

@@ -27,7 +27,7 @@ from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.stimulus import ScreenPicture, Viewing
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
 from simulators.observers.observer import PRIMARY_NM, Habits, Observer
-from testing.chromium import headless
+from testing.chromium import headless, shows
 from testing.patience import within
 
 LEVELS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 192, 255)
@@ -83,7 +83,7 @@ def test_thresholds_are_the_simulated_eyes(oled, tmp_path):
     eye = eye_after_bleach(Eye(), 120.0, 300.0)
     fine = [(t, v) for t, v in zip(outcome.times_min, outcome.thresholds_log10, strict=True) if v > -2.0]
     errors = np.array([v - efficacy - eye.threshold_log10(t, PRIMARY_NM[2]) for t, v in fine])
-    expected = np.array([_by_limits(np.random.default_rng(n)) for n in range(2000)])
+    expected = np.array([_by_limits(np.random.default_rng(n)) for n in range(500)])
     assert outcome.verdict is Verdict.FLOOR_REACHED
     assert errors.size > 15
     assert errors.mean() == pytest.approx(expected.mean(), abs=4 * expected.std() / math.sqrt(errors.size) + 0.01)
@@ -159,16 +159,8 @@ async def shown(tmp_path):
     """Return the test's page in headless Chromium, its Start pressed."""
     addresses: queue.SimpleQueue[str] = queue.SimpleQueue()
     screen = BrowserStimulus(announce=addresses.put, page_timeout_s=60, start_timeout_s=60)
-    async with headless(tmp_path / "profile") as browser:
-        opening = asyncio.create_task(asyncio.to_thread(screen.open))
-        await browser.command("Page.navigate", url=await asyncio.to_thread(addresses.get))
-        await browser.wait_for("document.getElementById('state').textContent === 'connected'")
-        await browser.evaluate("document.getElementById('go').click()")
-        await opening
-        try:
-            yield screen, browser
-        finally:
-            await asyncio.to_thread(screen.close)
+    async with headless(tmp_path / "profile") as browser, shows(browser, screen, addresses, start=True):
+        yield screen, browser
 
 
 VIEWING = Viewing(300.0, 0.27)

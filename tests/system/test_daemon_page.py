@@ -16,6 +16,7 @@ from radiometer.daemon.timestamps import iso_time, now_us
 from radiometer.data import Patch, Quantity, Reading
 from testing.chromium import Browser, headless
 from testing.daemon_process import DaemonProcess
+from testing.report_checks import low_contrasts
 
 SIZES = ((1440, 900), (1920, 1080), (390, 844), (1280, 800))
 # What holds more than it shows, and would have a scroll bar of its own. Twelve patches fit no low screen.
@@ -28,39 +29,24 @@ JSON.stringify([...document.querySelectorAll("main :not(#patch-list)")].filter((
 _EVENTS = """
 JSON.stringify([...document.querySelectorAll("#event-list li")].map((e) => e.getBoundingClientRect().bottom
   - document.getElementById("event-list").getBoundingClientRect().bottom))"""
-# Contrast of text against what lies behind it (WCAG 2.1, 1.4.3), of all text that is shown and not switched off.
-_CONTRASTS = """
-(() => {
-  const parse = (c) => { const m = c.match(/[\\d.]+/g).map(Number); return m.length === 3 ? [...m, 1] : m; };
-  const lin = (v) => (v / 255 <= 0.03928 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4);
-  const lum = ([r, g, b]) => 0.2126 * lin(r) + 0.7152 * lin(g) + 0.0722 * lin(b);
-  const over = (top, under) => top.slice(0, 3).map((v, i) => v * top[3] + under[i] * (1 - top[3]));
-  const behind = (e) => {
-    const layers = [];
-    for (let n = e; n; n = n.parentElement) layers.unshift(parse(getComputedStyle(n).backgroundColor));
-    return layers.reduce((under, top) => over(top, under), [255, 255, 255]);
-  };
-  const low = [];
-  for (const e of document.querySelectorAll("body *")) {
-    const text = [...e.childNodes].filter((n) => n.nodeType === 3).map((n) => n.data.trim()).join("");
-    const style = getComputedStyle(e);
-    if (!text || !e.getBoundingClientRect().width || e.closest(":disabled, #stage, .uplot, .fresh .value")) continue;
-    const ground = behind(e), a = lum(over(parse(style.color), ground)), b = lum(ground);
-    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), size = parseFloat(style.fontSize);
-    if (ratio < (size >= 24 || (size >= 18.66 && +style.fontWeight >= 700) ? 3 : 4.5)) low.push([text, ratio]);
-  }
-  return JSON.stringify(low);
-})()"""
+_CONTRASTS = low_contrasts(":disabled, #stage, .uplot, .fresh .value", 3.0)
 _UNNAMED = """
 JSON.stringify([...document.querySelectorAll("button, input, a, [tabindex]")].filter((e) => !(e.textContent.trim()
   || e.getAttribute("aria-label") || e.getAttribute("aria-labelledby") || e.closest("label"))).map((e) => e.outerHTML))
 """
-# What a finger meets is 44 pixels tall and wide (WCAG 2.1, 2.5.5); a switch by its label.
-_UNTOUCHABLE = """
-JSON.stringify([...document.querySelectorAll("button, a, input")].map((e) => e.closest(".switch") || e).filter((e) => {
+
+
+def _smaller_than(high: float, wide: float, link: float, part: str) -> str:
+    """Return JavaScript that lists the controls whose part is smaller than so many pixels."""
+    return f"""
+JSON.stringify([...document.querySelectorAll("button, a, input")].map((e) => {part}).filter((e) => {{
   const b = e.getBoundingClientRect();
-  return b.width && (b.height < 43.5 || b.width < (e.tagName === "A" ? 30 : 43.5));
-}).map((e) => e.outerHTML.slice(0, 90)))"""
+  return b.width && (b.height < {high} || b.width < (e.tagName === "A" ? {link} : {wide}));
+}}).map((e) => e.outerHTML.slice(0, 90)))"""
+
+
+# What a finger meets is 44 pixels tall and wide (WCAG 2.1, 2.5.5); a switch by its label.
+_UNTOUCHABLE, _SMALL = _smaller_than(43.5, 43.5, 30, 'e.closest(".switch") || e'), _smaller_than(24, 20, 20, "e")
 # Where the tab key goes, by the number of stops: what has the focus, whether that is seen, and where it lies.
 _FOCUS = """
 (() => { const e = document.activeElement, b = e.getBoundingClientRect(), s = getComputedStyle(e);
@@ -78,11 +64,6 @@ _LATE_REPLIES = """
     return reply;
   };
 }"""
-_SMALL = """
-JSON.stringify([...document.querySelectorAll("button, a, input")].filter((e) => {
-  const b = e.getBoundingClientRect();
-  return b.width && (b.height < 24 || b.width < 20);
-}).map((e) => e.outerHTML.slice(0, 80)))"""
 
 
 @pytest.fixture(scope="module")
@@ -355,23 +336,22 @@ async def test_the_list_of_patches_is_folded_and_shows_what_was_last_read(daemon
         assert browser.errors == []
 
 
-@pytest.mark.parametrize(
-    "gone", ["/page.js", "/trends.js", "/response.js", "/uplot.js", "/page.css", "/status", "/events"]
-)
-async def test_lights_off_works_whatever_else_of_the_page_does_not(daemon, tmp_path, gone):
+async def test_lights_off_works_whatever_else_of_the_page_does_not(daemon, tmp_path):
     """One part that cannot be loaded stops no other; the button is seen and darkens the box."""
-    daemon.post("/light", {"channel": "spot", "level": 0.001})
     async with headless(tmp_path / "profile", SIZES[0]) as browser:
-        await browser.command("Network.setBlockedURLs", urls=[f"*{gone}*"])
-        await _shown_size(browser, daemon, SIZES[0])
-        await browser.wait_for("document.getElementById('lights-off')?.checkVisibility()")
-        if gone in ("/trends.js", "/response.js", "/uplot.js", "/events"):
-            await browser.wait_for("/±/.test(document.getElementById('expanded').textContent)")
-            await browser.wait_for("!!document.querySelector('#lights output')")
-        await asyncio.sleep(0.5)  # until the script is there, whose answer is looked for
-        await browser.evaluate("document.getElementById('lights-off').click()")
-        await browser.wait_for("document.getElementById('lights-status').textContent === 'all channels are off'")
-    assert set(daemon.get("/status")["light"].values()) == {0.0}
+        for gone in ("/page.js", "/trends.js", "/response.js", "/uplot.js", "/page.css", "/status", "/events"):
+            daemon.post("/light", {"channel": "spot", "level": 0.001})
+            await browser.command("Network.setBlockedURLs", urls=[f"*{gone}*"])
+            await browser.command("Network.clearBrowserCache")
+            await _shown_size(browser, daemon, SIZES[0])
+            await browser.wait_for("document.getElementById('lights-off')?.checkVisibility()")
+            if gone in ("/trends.js", "/response.js", "/uplot.js", "/events"):
+                await browser.wait_for("/±/.test(document.getElementById('expanded').textContent)")
+                await browser.wait_for("!!document.querySelector('#lights output')")
+            await asyncio.sleep(0.5)  # until the script is there, whose answer is looked for
+            await browser.evaluate("document.getElementById('lights-off').click()")
+            await browser.wait_for("document.getElementById('lights-status').textContent === 'all channels are off'")
+            assert set(daemon.get("/status")["light"].values()) == {0.0}, gone
 
 
 async def test_a_level_that_cannot_be_known_is_not_shown_as_dark(tmp_path):

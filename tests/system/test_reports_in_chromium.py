@@ -17,14 +17,7 @@ from radiometer.analysis.characterise.taps import TapFigures
 from radiometer.api.radiance import Radiance
 from radiometer.archive.trend import MONTH_S, fit_trend
 from radiometer.archive.trend_report import trend_report
-from radiometer.data import (
-    CameraDescription,
-    FrameSettings,
-    LensDescription,
-    PixelMask,
-    RadianceMap,
-    TapDescription,
-)
+from radiometer.data import CameraDescription, FrameSettings, LensDescription, PixelMask, RadianceMap, TapDescription
 from radiometer.data.reading import Contribution, Flag, Patch, Quantity, Reading
 from radiometer.reporting.reading_page import ReadingRecord, reading_html
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration

@@ -32,7 +32,6 @@ CHART = {"kind": "step_chart", "steps": {"count": 20, "lowest": 1e-4, "highest":
 REFERENCE_PATCH = Patch(60, 40, 80, 80)
 REFERENCE_RADIANCE = 1.0
 REFERENCE_U_REL = 0.001
-SEEDS = 20
 
 
 def camera_before(scene, seed):
@@ -72,11 +71,11 @@ def calibrated_on(radiance, seed):
     return replace(unscaled, scale=scale)
 
 
-@pytest.fixture(scope="module")
-def readings():
-    """Return true radiance and reading of 20 patches for each of 20 seeds."""
+@pytest.fixture(scope="module", params=[4, pytest.param(20, marks=pytest.mark.long)])
+def readings(request):
+    """Return true radiance and reading of 20 patches for each of some seeds."""
     rows = []
-    for seed in range(SEEDS):
+    for seed in range(request.param):
         true_reference = REFERENCE_RADIANCE * (1 + REFERENCE_U_REL * np.random.default_rng(seed).standard_normal())
         calibration = calibrated_on(true_reference, 1000 + 2 * seed)
         camera = camera_before(CHART, 1001 + 2 * seed)
@@ -88,24 +87,24 @@ def readings():
 
 
 def test_the_mean_error_stays_under_half_a_percent(readings):
-    """20 patches over 5 decades, 20 seeds: mean error of every patch, and of all, under 0.5 % of true radiance."""
-    errors = np.array([reading.radiance.value / true - 1 for true, reading in readings]).reshape(SEEDS, -1)
+    """20 patches over 5 decades: mean error of every patch over the seeds, and of all, under 0.5 % of true radiance."""
+    errors = np.array([reading.radiance.value / true - 1 for true, reading in readings]).reshape(-1, 20)
     assert np.isfinite(errors).all()
     assert abs(errors.mean()) < 0.005
     assert np.abs(errors.mean(axis=0)).max() < 0.005
 
 
 def test_the_stated_intervals_contain_the_truth(readings):
-    """95 ± 4 % of the k = 2 intervals contain the true radiance."""
+    """95 ± 4 % of the k = 2 intervals contain the true radiance; of 80 readings under 4 references, 91 % at least."""
     covered = [abs(reading.radiance.value - true) <= 2 * reading.radiance.u for true, reading in readings]
-    assert 0.91 <= np.mean(covered) <= 0.99
+    assert 0.91 <= np.mean(covered) <= (0.99 if len(covered) > 80 else 1.0)
 
 
 def test_the_stated_uncertainty_is_the_scatter_that_occurs(readings):
-    """Errors in units of their stated u scatter by 1: neither boast nor excuse (400 draws, half of them shared)."""
+    """Errors in units of their stated u scatter by 1: neither boast nor excuse."""
     pulls = np.array([(reading.radiance.value - true) / reading.radiance.u for true, reading in readings])
-    # 20 shared draws of the reference dominate: standard deviation known to 1/√40 = 16 %.
-    assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=2.5 * 0.16)
+    # The shared draws of the reference dominate: the standard deviation is known to 1/√40 = 16 % of 20, to 35 % of 4.
+    assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=2.5 / np.sqrt(2 * pulls.size / 20))
 
 
 def test_good_patches_carry_no_flag(readings):

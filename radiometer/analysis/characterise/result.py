@@ -161,6 +161,7 @@ class Characterisation:
             "quantum_efficiency": "eta",
         }
         sources = dict.fromkeys(camera, "as described before the characterisation")
+        sources |= {"channel": "colour whose pixels were read"} if "channel" in camera else {}
         for key, symbol in measured.items():
             if symbol in self.figures and key in camera:
                 sources[key] = f"measured: {symbol}, relative standard uncertainty {_percent(self.figures[symbol])}"

@@ -138,6 +138,7 @@ def led_flux(
         reference_w=reference,
         assumptions=(*scale.assumptions, *ways.assumptions()),
         clipped_everywhere=measured.clipped_everywhere,
+        is_cut=_reaches_the_edge(ways.light()),
     )
 
 
@@ -284,12 +285,16 @@ class _Ways:
 
     def _is_in_focus(self) -> bool:
         """Return whether the picture of the emitter has a plateau: half of the lit area is near its highest value."""
-        light = self.measured.irradiance - self.measured.background_w / self._area()
+        light = self.light()
         inside = _inside(light)
         if not inside.any():
             return False
         top = float(np.median(light[inside]))
         return bool((light > 0.8 * top).sum() >= 0.7 * (light > 0.2 * top).sum())
+
+    def light(self) -> NDArray[np.float64]:
+        """Return the irradiance by the source alone."""
+        return self.measured.irradiance - self.measured.background_w / self._area()
 
     def _area(self) -> float:
         return self.measured.irradiance.size * self.scale.pixel_area_m2
@@ -297,7 +302,7 @@ class _Ways:
     def _radiance_times_area(self) -> Quantity:
         assert self.emitter is not None
         assert self.emitter.diameter_mm is not None
-        light = self.measured.irradiance - self.measured.background_w / self._area()
+        light = self.light()
         plateau = light[_inside(light)]
         irradiance = float(plateau.mean())
         tau_u = self.lens.transmittance_u_rel or 0.0
@@ -333,8 +338,18 @@ class _Ways:
 
 def _inside(light: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return the pixels that are lit together with all their neighbours: the rim of a disc is partly dark."""
-    lit = (light > _PLATEAU_SHARE * float(np.percentile(light, 99.9))).astype(np.uint8)
-    return np.asarray(cv2.erode(lit, np.ones((3, 3), np.uint8), borderValue=0), dtype=bool)
+    return np.asarray(cv2.erode(_lit(light), np.ones((3, 3), np.uint8), borderValue=0), dtype=bool)
+
+
+def _reaches_the_edge(light: NDArray[np.float64]) -> bool:
+    """Return whether the source goes on beyond the edge: pixels there are lit, more than single ones."""
+    lit = cv2.medianBlur(_lit(light), 3)
+    lit[1:-1, 1:-1] = 0
+    return bool(lit.any())
+
+
+def _lit(light: NDArray[np.float64]) -> NDArray[np.uint8]:
+    return (light > _PLATEAU_SHARE * float(np.percentile(light, 99.9))).astype(np.uint8)
 
 
 def _exponent(half_angle_deg: float) -> float:

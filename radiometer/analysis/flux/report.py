@@ -42,6 +42,7 @@ class FluxReport:
     reference_w: float | None  # what the datasheet states; None where unknown
     assumptions: tuple[str, ...]  # what was assumed
     clipped_everywhere: int = 0  # pixels that clip even in the shortest exposure; above 0 every flux is a lower bound
+    is_cut: bool = False  # whether the source goes on beyond the edge of the picture, or of the region
 
     @property
     def flags(self) -> tuple[Flag, ...]:
@@ -57,8 +58,12 @@ class FluxReport:
         return self.on_sensor
 
     @property
-    def contradictions(self) -> tuple[str, ...]:
-        """Return what to say of two ways whose fluxes differ by more than k = 2 of both together, a sentence each."""
+    def warnings(self) -> tuple[str, ...]:
+        """Return what to say of a source that is cut, and of two ways that differ by more than k = 2."""
+        cut = "the source goes on beyond the edge of the picture, or of --region: its flux is larger; show all of it"
+        return (*((cut,) if self.is_cut else ()), *self._contradictions())
+
+    def _contradictions(self) -> tuple[str, ...]:
         if len(self.emitted) < 2:
             return ()
         (first, one), (second, other) = self.emitted.items()

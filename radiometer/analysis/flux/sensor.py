@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.merge.frames import dark_map
 from radiometer.analysis.reading.budget import frame_u_rel, spectral_u_rel
 from radiometer.analysis.signal.lens import known_f_number
 from radiometer.analysis.signal.model import (
@@ -88,9 +90,10 @@ def flux_scale(
         return _of_calibration(setup, settings, area_m2)
     eta, c, pitch_um = camera.quantum_efficiency, camera.conversion_gain_e_per_dn, camera.pixel_pitch_um
     if eta is None or c is None or pitch_um is None or wavelength_nm is None:
+        of_colour = "" if camera.channel is None else f" of {camera.channel} pixels (camera.channel)"
         raise CalibrationError(
-            "no calibration, and the capture does not state quantum_efficiency, conversion_gain_e_per_dn, "
-            "pixel_pitch_um and source.wavelength_nm: give --calibration, or add them"
+            f"no calibration, and the capture does not state quantum_efficiency{of_colour}, conversion_gain_e_per_dn, "
+            "pixel_pitch_um and source.wavelength_nm: give --calibration, add them, or give --camera-file"
         )
     black = BlackLevel(dn=camera.black_level_dn or 0.0)
     joule = c * photon_energy_j(wavelength_nm) / (eta * (pitch_um * 1e-6) ** 2)
@@ -189,11 +192,14 @@ def _merged(frames: list[Frame], dark: list[Frame], scale: FluxScale) -> _Map:
     levels = dark_levels([f.settings for f in frames], dark, model, scale.black)
     signal, variance, time = (np.zeros(frames[0].shape) for _ in range(3))
     shortest = np.zeros(frames[0].shape)
+    alike = Counter((one.settings.exposure_s, one.settings.gain_db) for one in frames)
     for frame, level in zip(frames, levels, strict=True):
-        x = model.table(frame.settings)[frame.dn] - level.signal
+        own, own_variance = dark_map(frame.settings, dark, model, level.signal)
+        x = model.table(frame.settings)[frame.dn] - (own.reshape(frame.shape) if own.size > 1 else own)
         good = frame.dn < model.saturation_dn(frame.settings)
         signal += np.where(good, x, 0.0)
-        variance += np.where(good, model.variance(np.maximum(x, 0.0), frame.settings), 0.0)
+        of_dark = own_variance * alike[frame.settings.exposure_s, frame.settings.gain_db]  # all of them share it
+        variance += np.where(good, model.variance(np.maximum(x, 0.0), frame.settings) + of_dark, 0.0)
         time += np.where(good, frame.settings.exposure_s, 0.0)
         if frame is frames[0]:
             shortest = x / frame.settings.exposure_s
@@ -220,6 +226,8 @@ def _background(whole: _Map, off: _Map | None, region: Patch | None) -> tuple[ND
     medians = [float(np.median(side)) for side in sides]
     count = shape[0] * shape[1]
     u_level = max((max(medians) - min(medians)) / 2, float(np.std(values)) / math.sqrt(values.size))
+    # A few bright pixels, hot ones or the source itself, are no level: what they add per pixel may be all over.
+    u_level = math.hypot(u_level, float(np.mean(values)) - level)
     return np.full(shape, level), u_level * count, "outermost twentieth of the frame"
 
 

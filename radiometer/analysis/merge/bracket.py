@@ -20,8 +20,8 @@ from radiometer.analysis.merge.displaced import (
     relative_shift,
     with_shift,
 )
-from radiometer.analysis.merge.finish import AtLevels, finish, merge_tables
-from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_excess, with_taps
+from radiometer.analysis.merge.finish import CENSORED_SIGMA, AtLevels, MergeTables, finish, finish_moved, merge_tables
+from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_excess, with_own_ends, with_taps
 from radiometer.analysis.merge.sums import (
     MANY,
     Images,
@@ -34,8 +34,10 @@ from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, doubted_gains, fluctuation
 from radiometer.analysis.signal.lens import (
+    doubtful_loss,
     falloff_known,
     flat_doubt,
+    is_as_scaled,
     known_f_number,
     lens_factor_sr,
     relative_sensitivity,
@@ -77,10 +79,46 @@ _ROUNDED_DN = 1.0  # the standard uncertainty of a black level counts as one of 
 _NOISE: Final = frozenset({"conversion_gain_e_per_dn", "read_noise_e"})
 _PIXELS_OF_NOISE: Final = 4096  # evenly over the picture: noise is then known to some per cent
 _PIXELS_OF_LIGHT: Final = 1024  # evenly over the picture: the median is then known to a 25th of a pixel's noise
-_LEAST_LIT: Final = 64  # pixels that say anything of a whole frame
+_BRIGHT_BLOCKS: Final = 256  # of 8 × 8 pixels, of which four count: a lamp may be small on a dark surround
+_LEAST_LIT: Final = 16  # pixels that say anything of a whole frame
+_NEARLY_AS_CLEAR: Final = 4.0  # in the variance of their noise: a quarter as bright
+_ROUNDS: Final = 8  # in which amplitudes of frames and light of pixels settle
+_SETTLED: Final = 1e-4  # an amplitude that moves by less
 _CLEAR_OF_NOISE: Final = 0.3  # noise over signal, up to which the median of rounded numbers follows the light
 _REPORTED_EXCESS: Final = 1.2  # of a variance
 _REPORTED_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
+
+
+def _pixels_of_light(dn: NDArray[Any]) -> NDArray[np.intp]:
+    """Return places of some pixels of a picture: evenly over it, and in its brightest blocks of 8 × 8.
+
+    How bright a block is, other pixels of it show, so that noise does not choose.
+    """
+    even = np.arange(0, dn.size, max(1, dn.size // _PIXELS_OF_LIGHT))
+    height, width = (size // 8 for size in dn.shape)
+    shown = [dn[y : 8 * height : 8, x : 8 * width : 8].astype(np.uint32) for y in (1, 5) for x in (1, 5)]
+    brightest = np.argsort(np.sum(shown, axis=0), axis=None)[-_BRIGHT_BLOCKS:]
+    corners = 8 * (brightest // max(width, 1)) * dn.shape[1] + 8 * (brightest % max(width, 1))
+    return np.unique(np.concatenate([even, *(corners + y * dn.shape[1] + x for y in (3, 7) for x in (3, 7))]))
+
+
+def _amplitudes(x: Array, exposures: Array) -> tuple[Array, Array]:
+    """Return the light of each frame relative to all, and what x would be by that of all, shape (frames, pixels).
+
+    Args:
+        x: Signal of the same pixels in every frame, shape (frames, pixels); NaN where it does not count.
+        exposures: Of the frames.
+    """
+    amplitude = np.ones(exposures.size)
+    whole = np.nansum(x, axis=0)
+    for _ in range(_ROUNDS):
+        expected = np.where(np.isfinite(x), exposures[:, None], np.nan)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            expected *= whole / np.nansum(expected * amplitude[:, None], axis=0)
+            before, amplitude = amplitude, np.nanmedian(x / expected, axis=1)
+        if np.abs(amplitude - before).max() < _SETTLED:
+            break
+    return amplitude, expected
 
 
 def on_all_cores(shape: tuple[int, int], work: Callable[[int, int], None]) -> None:
@@ -108,6 +146,30 @@ def blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
     step = block_size(width)
     for begin in range(start, stop, step):
         yield begin, min(begin + step, stop)
+
+
+def finish_sums(
+    sums: MergeSums, terms: Sequence[FrameTerms], kept: tuple[Any, ...], tables: MergeTables, factor: Any, begin: int
+) -> None:
+    """Turn sums into radiance, standard uncertainty and mask, in place.
+
+    Args:
+        sums: Of a run of pixels; they make room for the result.
+        terms: Of all frames, in the order of their bits.
+        kept: As of `MergeTables.kept`.
+        tables: Of these frames.
+        factor: Radiance per rate, of every pixel or of all (size 1), float32.
+        begin: First of the pixels in the picture that dark signals are of.
+    """
+    summed = sums.first, sums.second, sums.squares, sums.patterns(), sums.mask
+    pixels, lower = with_own_ends(terms, summed[3], begin)
+    own = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size, np.uint8)
+    if pixels.size:
+        finish_moved(summed, kept, *tables.arguments, pixels, lower, own)
+    finish(summed, kept, *tables.arguments, (factor, sums.first, sums.second))
+    if pixels.size:
+        scale = factor[pixels] if factor.size > 1 else factor
+        sums.first[pixels], sums.second[pixels], sums.mask[pixels] = own[0] * scale, np.sqrt(own[1]) * scale, own[2]
 
 
 def repair_defects(
@@ -212,7 +274,8 @@ class StreamingMerge:
         self._calibration, self._camera = setup.calibration, setup.camera
         self._through_lens = setup.calibration is None or setup.calibration.scale.f_number is not None
         self._of_noise: tuple[str, ...] = ()
-        self._lit: list[Array] = []  # x of some pixels of every frame, NaN where it clips
+        self._places: NDArray[np.intp] | None = None  # of pixels that show the light of whole frames
+        self._lit: list[Array] = []  # x of these pixels of every frame, NaN where it clips
         self._wander_rel = 0.0  # by what frames differ as a whole
         self._terms: list[FrameTerms] = []
         self._dark: list[Frame] = []
@@ -315,10 +378,7 @@ class StreamingMerge:
                 part = room.part(begin, end)
                 part.add(passes, begin)
                 part.take_lowest(self._terms)
-                # The sums make room for the result.
-                image = self._factor(begin, end - begin), part.first, part.second
-                summed = part.first, part.second, part.squares, part.patterns(), part.mask
-                finish(summed, kept, *tables.arguments, image)
+                finish_sums(part, self._terms, kept, tables, self._factor(begin, end - begin), begin)
             idle.append(kept)
 
         on_all_cores((height, width), work)
@@ -445,9 +505,7 @@ class StreamingMerge:
         tables = merge_tables(terms, self._model)
         place = self._factor_at(pixels)
         place = place * np.float32(self._terms[0].exposure / terms[0].exposure)
-        image = place, sums.first, sums.second
-        summed = sums.first, sums.second, sums.squares, sums.patterns(), sums.mask
-        finish(summed, tables.kept(), *tables.arguments, image)
+        finish_sums(sums, terms, tables.kept(), tables, place, 0)
         images[0][pixels], images[1][pixels], images[2][pixels] = sums.first, sums.second, sums.mask
 
     def _corrected(self, frame: Frame) -> Frame:
@@ -502,7 +560,7 @@ class StreamingMerge:
         table = None if model.linear and terms.dark.size == 1 else model.table(frame.settings).astype(np.float32)
         sample = MergeSample.of(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
         self._show(sample)
-        some = np.arange(0, sample.dn.size, max(1, sample.dn.size // _PIXELS_OF_LIGHT))
+        some = self._places = _pixels_of_light(frame.dn) if self._places is None else self._places
         low, top = sample.limits
         self._lit.append(np.where((sample.dn[some] >= low) & (sample.dn[some] < top), sample.signal_at(some), np.nan))
         return sample
@@ -624,17 +682,20 @@ class StreamingMerge:
         if calibration is None:
             return False
         flat = calibration.flat_field
-        if flat is None:
-            stated = calibration.uncertainties
-            of_known = {"cos4": stated.cos4_u_rel, "assumed": stated.falloff_u_rel}
-            part = of_known.get(falloff_known(self._camera, lens), 0.0)
-        else:
-            part = flat_doubt(calibration, lens, self._numbers())
+        known = "flat_field" if flat else falloff_known(self._camera, lens)
+        stated, numbers = calibration.uncertainties, self._numbers()
+        part = {
+            "flat_field": flat_doubt(calibration, lens, numbers) if flat else 0.0,
+            "cos4": stated.cos4_u_rel,
+            "assumed": stated.falloff_u_rel,
+        }.get(known, 0.0)
         if part == 0.0:
             return False
         rows, columns = np.ogrid[: radiance.shape[0], : radiance.shape[1]]
         place = relative_sensitivity(self._camera, lens, flat, (radiance.shape[0], radiance.shape[1]), columns, rows)
-        lost = np.abs(place - calibration.scale.conditions.sensitivity) / place if flat is None else np.abs(1.0 - place)
+        same = known == "cos4" or is_as_scaled(calibration, lens, numbers)
+        scaled = 1.0 / calibration.scale.conditions.sensitivity - 1.0
+        lost = np.abs(1.0 - place) if flat else doubtful_loss(1.0 / place - 1.0, scaled, same=same)
         doubt = part * lost * radiance
         np.hypot(shared, doubt.astype(np.float32), out=shared)
         return True
@@ -663,37 +724,50 @@ class StreamingMerge:
     def _wander(self) -> tuple[str, ...]:
         """Find by what frames differ as a whole beyond their noise, and return what to say of it.
 
-        Of pixels that no frame clips the middle one counts in every frame: what moves through the picture is no change
-        of the light.
+        Of the pixels that a frame shows well the middle one counts: what moves through the picture is no change of the
+        light.
         """
         calibration, model = self._calibration, self._model
         if calibration is None or not calibration.absolute or len(self._terms) < 2:
             return ()
-        exposures, x = np.array([one.exposure for one in self._terms]), np.array(self._lit)
-        with np.errstate(invalid="ignore"):
-            rate = x.sum(axis=0) / exposures.sum()  # NaN where a frame clips
-            noise = np.array(
-                [model.variance(rate * t, one.settings) for t, one in zip(exposures, self._terms, strict=True)]
-            )
-            expected = exposures[:, None] * rate
-            used = (np.sqrt(noise) < _CLEAR_OF_NOISE * expected).all(axis=0)
-        count = int(used.sum())
-        if count < _LEAST_LIT:
+        x, used, noise_rel = self._clear_pixels()
+        shown = used.sum(axis=1) >= _LEAST_LIT
+        terms = [one for one, here in zip(self._terms, shown, strict=True) if here]
+        if len(terms) < 2:
             return ()
-        amplitude = np.median(x[:, used] / expected[:, used], axis=1)
-        middle = np.median(expected[:, used], axis=1)
-        own = (math.pi / 2.0) * np.mean(noise[:, used] / expected[:, used] ** 2, axis=1) / count
-        curve = [model.curve_u_rel(value, one.settings) for value, one in zip(middle, self._terms, strict=True)]
-        dark = np.array([math.hypot(one.u_dark, one.u_unstated) for one in self._terms]) / middle
+        signal = np.where(used, x, np.nan)[shown]
+        amplitude, expected = _amplitudes(signal, np.array([one.exposure for one in terms]))
+        middle = np.nanmedian(expected, axis=1)
+        own = (math.pi / 2.0) * np.nanmean(np.where(used, noise_rel, np.nan)[shown], axis=1) / used[shown].sum(axis=1)
+        curve = [model.curve_u_rel(value, one.settings) for value, one in zip(middle, terms, strict=True)]
+        dark = np.array([math.hypot(one.u_dark, one.u_unstated) for one in terms]) / middle
         known = own + np.square(curve) + np.square(dark)
         self._wander_rel, evidence = fluctuation(amplitude, np.ones_like(amplitude), known, 1.0)
-        doubts = doubted_gains(amplitude, known, [one.settings.gain_db for one in self._terms])
+        doubts = doubted_gains(amplitude, known, [one.settings.gain_db for one in terms])
         if self._wander_rel < FLICKER_FLOOR_REL or not is_supported(evidence, FIVE_SIGMA):
             return doubts
         return (
             *doubts,
             f"the frames differ as a whole by {100 * self._wander_rel:.2g} % (standard deviation), which u holds",
         )
+
+    def _clear_pixels(self) -> tuple[Array, NDArray[np.bool_], Array]:
+        """Return x of some pixels, where a frame shows them clear of noise and of clipping, and their relative noise.
+
+        Shape (frames, pixels). A pixel counts by what all frames show of it: a choice by its own noise would be biased.
+        """
+        exposures, x = np.array([[one.exposure] for one in self._terms]), np.array(self._lit)
+        ends = np.array([[one.clips_at - CENSORED_SIGMA * one.sigma_clip] for one in self._terms])
+        seen = np.isfinite(x)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            expected = exposures * np.where(seen, x, 0.0).sum(axis=0) / np.where(seen, exposures, 0.0).sum(axis=0)
+            noise = [self._model.variance(one, k.settings) for one, k in zip(expected, self._terms, strict=True)]
+            noise_rel = np.array(noise) / expected**2
+            used = seen & (noise_rel < _CLEAR_OF_NOISE**2) & (expected > 0.0) & (expected < ends)
+        if x.shape[1] > _LEAST_LIT:  # in dim pixels the dark level hides the light of the bright ones
+            clearest = np.partition(np.where(used, noise_rel, np.inf), _LEAST_LIT, axis=1)[:, _LEAST_LIT, None]
+            used &= noise_rel <= _NEARLY_AS_CLEAR * clearest
+        return x, used & (used.sum(axis=0) >= 2), noise_rel
 
     def _doubt_pattern(
         self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]
@@ -753,7 +827,7 @@ class StreamingMerge:
         if off < _REPORTED_REL:
             return ()
         shortest = min(terms.settings.exposure_s for terms in self._terms)
-        text = f"the exposure of {1e6 * shortest:.3g} µs may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
+        text = f"the exposure of {shortest:.3g} s may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
         return (f"{text}, which u holds",)
 
     def _brightest_off(self) -> float:

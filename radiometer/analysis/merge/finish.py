@@ -27,10 +27,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.merge.frames import FrameTerms, longest_of
+from radiometer.analysis.merge.frames import FrameTerms, longest_of, with_shared_darks
 from radiometer.analysis.signal.model import SignalModel
 from radiometer.compiled import compiled, compiled_apart, compiled_within
 from radiometer.data.radiance_map import PixelMask
+from radiometer.errors import MeasurementError
 from radiometer.typing import Array
 
 NOISE_FLOOR_SIGMA = 2.0
@@ -395,7 +396,14 @@ def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables
     Args:
         terms: The frames in the order of their bits; exposures are counted in units of the first.
         model: Signal model of the camera.
+
+    Raises:
+        MeasurementError: If the dark signal of every frame fills it.
     """
+    if all(one.clips_at <= 0.0 for one in terms):
+        raise MeasurementError(
+            "the dark signal of every frame is full scale, so that no light can be seen; expose shorter"
+        )
     reference = terms[0].exposure
     kappa = 1.0 / model.electrons_per_unit
     frames = np.array(
@@ -405,14 +413,14 @@ def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables
                 *(_at_end(o, o.clips_at, o.sigma_clip, model), o.cut_at, _at_end(o, o.cut_at, o.sigma_cut, model)),
                 (o.exposure / reference) ** FIRST_POWER,
             ]
-            for o in terms
+            for o in with_shared_darks(terms)
         ]
     )
     if terms[longest_of(terms)].low_dn > 1:
         frames[longest_of(terms), 6] = -math.inf  # it counts whatever it shows
     agreement = _AGREEMENT_ASSUMED_REL if model.noise.assumed else _AGREEMENT_REL
-    lower_bound = float((frames[:, 2] / frames[:, 0]).max())
     darkest = float((model.table(terms[0].settings)[1] - model.table(terms[0].settings)[0]) / frames[:, 0].max())
+    lower_bound = max(float((frames[:, 2] / frames[:, 0]).max()), darkest)  # dark signal alone may fill a pixel
     return MergeTables(
         frames,
         kappa,
@@ -933,6 +941,43 @@ def _single(
     dark = d2 + share * (d1 - d2)
     variance += dark * dark
     return rate, variance, found | marks(rate, variance)
+
+
+@compiled
+def finish_moved(
+    sums: Any, kept: Any, tables: Any, quantisation: Any, pixels: Any, lower: Any, found: Any
+) -> None:  # pragma: no cover (compiled)
+    """Do as `_single` does for pixels whose frames end elsewhere than those of the others.
+
+    Args:
+        sums: As of `finish`; so are `kept`, `tables` and `quantisation`.
+        kept: Likewise.
+        tables: Likewise.
+        quantisation: Likewise.
+        pixels: Their places.
+        lower: x by which the ends of each frame are lower there, shape (pixels, frames).
+        found: Rates, variances and masks of these pixels, written.
+    """
+    bits, (known, records, levels) = sums[3], kept
+    frames, kappa, bounds, gains, curve, top, valid = tables
+    own, limits, record, slots = frames.copy(), bounds.copy(), np.zeros((1, RECORD_SIZE)), np.empty(1, np.uint16)
+    for j in range(pixels.size):
+        i = pixels[j]
+        own[:, 2], own[:, 6] = frames[:, 2] - lower[j], frames[:, 6] - lower[j]
+        limits[0] = max(np.max(own[:, 2] / own[:, 0]), bounds[1])
+        slots[0] = 0
+        _find_sets(bits[i : i + 1], slots, known, records, levels, frames, kappa, gains, top)
+        if bits[i]:
+            fill_record(record[0], np.uint64(bits[i]), own, kappa, gains, top)
+        slot = slots[0]
+        found[0][j], found[1][j], found[2][j] = _single(
+            sums,
+            (known, record, levels[slot : slot + 1]),
+            (own, kappa, limits, gains, curve, top, valid),
+            quantisation,
+            i,
+            0,
+        )
 
 
 @compiled

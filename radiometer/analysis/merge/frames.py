@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,8 @@ from radiometer.units import gain_factor
 
 # Below this many sigma of read noise above zero the black level cuts noise off, and the number 0 says little.
 _BLACK_HEADROOM_SIGMA = 4.0
+# An end of a frame that is off by less than this of its noise moves a pixel by less than its own noise.
+_MOVED_SIGMA = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +41,8 @@ class FrameTerms:
     u_dark: float  # uncertainty of the dark signal that all frames share
     black_dn: float  # black level in DN
     u_unstated: float = 0.0  # standard uncertainty of the signal of a dark current that nothing states
+    level: float = 0.0  # dark signal x that both ends are counted from: the whole frame's
+    dark_variance: float = 0.0  # variance of every pixel's `dark`, within `variance`; frames of one exposure share it
 
 
 def frame_terms(
@@ -61,7 +66,7 @@ def frame_terms(
     model = situation.model
     gain = gain_factor(settings.gain_db)
     level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
-    dark, extra = _dark_map(settings, dark_frames, model, level.signal)
+    dark, extra = dark_map(settings, dark_frames, model, level.signal)
     low, high = _lowest_dn(model, settings), math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
     cut_at = float(model.at_dn(model.table(settings), low - 0.5)) - level.signal if low > 0 else -math.inf
@@ -80,12 +85,41 @@ def frame_terms(
         math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)),
         model.black_of(settings),
         level.u_unstated,
+        level.signal,
+        extra,
     )
 
 
 def longest_of(terms: Sequence[FrameTerms]) -> int:
     """Return which frame has the longest exposure, the first of several: below a curve's data it counts as well."""
     return max(range(len(terms)), key=lambda k: terms[k].exposure)
+
+
+def with_own_ends(
+    terms: Sequence[FrameTerms], used: NDArray[np.uint16] | NDArray[np.uint64], begin: int
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the pixels whose own dark signal moves where their frames clip, and by how much.
+
+    Args:
+        terms: Of all frames, in the order of their bits.
+        used: Bits of the frames used in each pixel.
+        begin: First of these pixels in the picture.
+
+    Returns:
+        Places of the pixels; and x by which the ends of each frame are lower there, shape (pixels, frames).
+    """
+    uneven = [(k, one) for k, one in enumerate(terms) if one.dark.size > 1]
+    moved = np.zeros(used.size, bool)
+    for k, one in uneven:
+        off = np.abs(one.dark[begin : begin + used.size] - np.float32(one.level))
+        moved |= (off > _MOVED_SIGMA * one.sigma_clip) & (used >> used.dtype.type(k) & used.dtype.type(1) == 0)
+        if one.low_dn > 0:
+            moved |= off > _MOVED_SIGMA * one.sigma_cut
+    pixels = np.flatnonzero(moved)
+    lower = np.zeros((pixels.size, len(terms)))
+    for k, one in uneven:
+        lower[:, k] = one.dark[begin + pixels] - one.level
+    return pixels, lower
 
 
 def with_taps(terms: FrameTerms, frame: Frame, model: SignalModel) -> FrameTerms:
@@ -95,6 +129,15 @@ def with_taps(terms: FrameTerms, frame: Frame, model: SignalModel) -> FrameTerms
     slope = float(model.at_dn(model.slope, model.black_dn)) / terms.gain
     dark = np.asarray(terms.dark + slope * frame.black_offset_dn.ravel(), dtype=np.float32)
     return replace(terms, dark=dark, variance=terms.variance + (slope * frame.black_u_dn) ** 2)
+
+
+def with_shared_darks(terms: Sequence[FrameTerms]) -> list[FrameTerms]:
+    """Return frames in which the noise of dark frames counts as often as they share them: it does not average out."""
+    alike = Counter((one.settings.exposure_s, one.settings.gain_db) for one in terms)
+    others = [alike[one.settings.exposure_s, one.settings.gain_db] - 1 for one in terms]
+    return [
+        replace(one, variance=one.variance + more * one.dark_variance) for one, more in zip(terms, others, strict=True)
+    ]
 
 
 def with_excess(terms: FrameTerms, excess: Array, shot: float) -> FrameTerms:
@@ -112,6 +155,7 @@ def with_excess(terms: FrameTerms, excess: Array, shot: float) -> FrameTerms:
     return replace(
         terms,
         variance=dark * terms.variance,
+        dark_variance=dark * terms.dark_variance,
         sigma_clip=widened(terms.sigma_clip, terms.clips_at),
         sigma_cut=widened(terms.sigma_cut, terms.cut_at),
     )
@@ -135,10 +179,17 @@ def _lowest_dn(model: SignalModel, settings: FrameSettings) -> int:
     return 1 if model.linear else max(1, model.valid_dn[0] + round(black - model.black_dn))
 
 
-def _dark_map(
+def dark_map(
     settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: float
 ) -> tuple[NDArray[np.float32], float]:
-    """Return the dark signal of every pixel with the variance of that mean, or one level for all with none."""
+    """Return the dark signal x of every pixel, flat, with the variance of that mean, or one level for all with none.
+
+    Args:
+        settings: Of the light frame.
+        dark_frames: Frames with the shutter closed; those of the same exposure count.
+        model: Signal model of the camera.
+        level: Dark signal where there are none.
+    """
     matching = matching_darks(settings, dark_frames)
     if not matching:
         return np.full(1, level, np.float32), 0.0

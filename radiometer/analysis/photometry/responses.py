@@ -11,7 +11,7 @@ import numpy as np
 
 from radiometer.analysis.photometry.photometry import KINDS, Observer, spectral_mismatch_factor, spectrum
 from radiometer.data import SpectralResponse
-from radiometer.data.mosaic import COLOURS
+from radiometer.data.mosaic import COLOURS, LUMA
 from radiometer.typing import Array
 
 _SILICON_NM: Final = (500.0, 550.0, 600.0)  # assumed: silicon behind a lens and an infrared filter peaks between these
@@ -24,6 +24,7 @@ _LEAK: Final = 0.04
 _SHIFTS_NM: Final = (-10.0, 0.0, 10.0)
 _WIDER: Final = (0.75, 0.85, 1.0)
 _CUT_NM, _CUT_WIDTH_NM = 670.0, 8.0  # infrared filter
+_WHITES: Final = ("cie_d65", "cie_a")  # lights that photographs are balanced for
 _Table = tuple[tuple[float, ...], tuple[float, ...]]  # wavelengths in nm, and the response per watt at each
 
 
@@ -40,6 +41,19 @@ def colour_cameras(wavelength_nm: Array) -> Array:
     return np.stack(found)
 
 
+def _of_colour(wavelength_nm: Array, colour: str) -> Array:
+    """Return the responsivities that one colour of photographs and mosaics may have, shape (cameras, wavelengths).
+
+    A luminance is the luma of the sensor's own numbers, or of numbers that are balanced for daylight or a lamp.
+    """
+    cameras = colour_cameras(wavelength_nm)
+    if colour in COLOURS:
+        return np.asarray(cameras[:, COLOURS.index(colour)])
+    whites = [[[spectrum(name).integral(wavelength_nm, one) for one in own] for own in cameras] for name in _WHITES]
+    balanced = [cameras / np.array(white)[..., np.newaxis] for white in whites]
+    return np.vstack([np.tensordot(LUMA, one, (0, 1)) for one in (cameras, *balanced)])
+
+
 def _plausible(colours: tuple[str, ...]) -> tuple[Array, Array]:
     """Return wavelengths in nm, and responses per watt of pixels that may be of some colours, a row each.
 
@@ -49,7 +63,7 @@ def _plausible(colours: tuple[str, ...]) -> tuple[Array, Array]:
     """
     wavelength = np.arange(200.0, 1101.0, 5.0)
     if colours:
-        return wavelength, np.vstack([colour_cameras(wavelength)[:, COLOURS.index(one)] for one in colours])
+        return wavelength, np.vstack([_of_colour(wavelength, one) for one in colours])
     bells = [np.exp(-math.log(2.0) * ((wavelength - peak) / _HALF_WIDTH_NM) ** 2) for peak in _SILICON_NM]
     return wavelength, wavelength * np.stack([np.ones_like(wavelength), *bells])
 
@@ -62,7 +76,7 @@ def unknown_mismatch_u_rel(source: str, of_scale: str, colours: tuple[str, ...] 
     Args:
         source: Name of the spectrum that is read.
         of_scale: Name of the spectrum of the calibration.
-        colours: Colours that the pixels may be of; none of a sensor without filters.
+        colours: Colours that the pixels may be of, or "luminance"; none of a sensor without filters.
     """
     return _spread(of_scale, ((source,),), None, None, colours)
 
@@ -79,7 +93,7 @@ def unstated_light_u_rel(
         assumed: Name of the spectrum that the reading is made for.
         response: The camera's spectral response; None where unknown.
         observer: For a luminance, the observer; None for a radiance.
-        colours: Colours that the pixels may be of; none of a sensor without filters.
+        colours: Colours that the pixels may be of, or "luminance"; none of a sensor without filters.
     """
     kinds = tuple(KINDS.values())
     known = None if response is None else (response.wavelength_nm, response.relative)

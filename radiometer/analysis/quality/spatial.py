@@ -52,7 +52,11 @@ def _contrast(chosen: Tiles, read: Tiles) -> tuple[float, float]:
 
 
 def _tile_means(radiance: RadianceMap) -> tuple[Tiles, Tiles]:
-    """Return means and their u of every tile, from the black and from the white fields of a chequerboard."""
+    """Return means and their u of every tile, from the black and from the white fields of a chequerboard.
+
+    The u is that of the pixels' noise, or of what next but one pixels differ by where it is more: pixels that differ
+    in responsivity differ in each half otherwise.
+    """
     good = (radiance.mask & _UNUSABLE) == 0
     white = np.add.outer(np.arange(radiance.shape[0]), np.arange(radiance.shape[1])) % 2 == 1
     halves: list[Tiles] = []
@@ -64,9 +68,12 @@ def _tile_means(radiance: RadianceMap) -> tuple[Tiles, Tiles]:
                 used = half[cut]
                 if used.mean() < 0.25:
                     raise MeasurementError("a tenth of the picture clips; take shorter exposures of the even source")
-                noise = np.square(radiance.parts_of_u(cut)[0][used])
-                means.append(float(radiance.radiance[cut][used].mean(dtype=np.float64)))
-                errors.append(math.sqrt(float(noise.mean()) / float(used.sum())))
+                values = radiance.radiance[cut].astype(np.float64)
+                noise = float(np.square(radiance.parts_of_u(cut)[0][used]).mean())
+                apart = (values[:, 2:] - values[:, :-2])[used[:, 2:] & used[:, :-2]]
+                variance = max(noise, float(np.square(apart).mean()) / 2.0 if apart.size else 0.0)
+                means.append(float(values[used].mean()))
+                errors.append(math.sqrt(variance / float(used.sum())))
         halves.append((np.array(means), np.array(errors)))
     return halves[0], halves[1]
 

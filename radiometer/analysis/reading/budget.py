@@ -20,7 +20,7 @@ from radiometer.analysis.calibration.shared import Handling, channel_of, settle
 from radiometer.analysis.photometry.photometry import KINDS, Observer
 from radiometer.analysis.photometry.responses import unknown_mismatch_u_rel, unstated_light_u_rel
 from radiometer.analysis.reading.estimate import PatchEstimate
-from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr
+from radiometer.analysis.signal.lens import doubtful_loss, known_f_number, lens_factor_sr
 from radiometer.analysis.signal.model import DarkLevel, PatchFrame, SignalModel
 from radiometer.analysis.signal.situation import Situation, situation_of
 from radiometer.analysis.signal.taps import ReadOut
@@ -220,6 +220,7 @@ class Falloff:
 
     known: str
     u_of_flat: float = 0.0
+    as_calibrated: bool = True  # whether iris and focus are those of the calibration's scale
 
 
 def conditions_of(
@@ -422,16 +423,18 @@ def _handling(size: float, lens: LensDescription, stated: StatedUncertainties) -
 def _falloff(
     size: float, here: ScaleConditions, there: ScaleConditions, falloff: Falloff, stated: StatedUncertainties
 ) -> Term:
-    lost = abs(here.sensitivity - there.sensitivity) / here.sensitivity
     if falloff.known == "flat_field":
         return Term("flat field", size * falloff.u_of_flat, correlated=True, note="of the correction")
+    losses = 1.0 / here.sensitivity - 1.0, 1.0 / there.sensitivity - 1.0
     if falloff.known == "cos4":
+        lost = float(doubtful_loss(*losses, same=True))
         return Term("fall-off", size * stated.cos4_u_rel * lost, correlated=True, note="cos⁴ as declared for the lens")
-    if falloff.known == "assumed":
-        note = "no flat field: natural fall-off cos⁴ assumed"
-    else:
-        lost = UNKNOWN_FALLOFF * abs(here.field**2 - there.field**2)
+    note = "no flat field: natural fall-off cos⁴ assumed"
+    if falloff.known != "assumed":
+        losses = UNKNOWN_FALLOFF * here.field**2, UNKNOWN_FALLOFF * there.field**2
         note = "no flat field, and focal length or pixel size unknown: fall-off not corrected"
+    lost = float(doubtful_loss(*losses, same=falloff.as_calibrated))
+    note += "" if falloff.as_calibrated else "; another iris or focus than at calibration"
     return Term("fall-off", size * stated.falloff_u_rel * lost, correlated=True, note=note, flag=Flag.FALLOFF_ASSUMED)
 
 
@@ -813,7 +816,7 @@ def unstated_u_rel(calibration: Calibration, stated: StatedUncertainties, observ
 def _colours(calibration: Calibration) -> tuple[str, ...]:
     """Return the colours that its pixels may be of: its own; of a mosaic any; none of a sensor without filters."""
     own = channel_of(calibration)
-    return (own,) if own in COLOURS else COLOURS if calibration.camera.mosaic is not None else ()
+    return (own,) if own is not None else COLOURS if calibration.camera.mosaic is not None else ()
 
 
 def f_number_u_rel(

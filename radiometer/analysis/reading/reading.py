@@ -30,6 +30,7 @@ from radiometer.analysis.reading.estimate import PatchEstimate, estimate_patch
 from radiometer.analysis.signal.lens import (
     falloff_known,
     flat_doubt,
+    is_as_scaled,
     known_f_number,
     lens_factor_sr,
     relative_sensitivity,
@@ -244,9 +245,11 @@ def _falloff(
     place: NDArray[np.float64],
 ) -> Falloff:
     """Return what is known of the sensitivity over the picture."""
-    if calibration is None or (flat := calibration.flat_field) is None:
+    if calibration is None:
         return Falloff(falloff_known(camera, lens))
-    numbers = {one.settings.f_number or lens.f_number for one in chosen}
+    numbers, flat = {one.settings.f_number or lens.f_number for one in chosen}, calibration.flat_field
+    if flat is None:
+        return Falloff(falloff_known(camera, lens), as_calibrated=is_as_scaled(calibration, lens, numbers))
     doubt = flat_doubt(calibration, lens, numbers) * abs(1.0 - float(place.mean()))
     return Falloff("flat_field", math.hypot(flat.u_rel, doubt))
 

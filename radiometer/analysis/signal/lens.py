@@ -80,8 +80,26 @@ def flat_doubt(calibration: Calibration, lens: LensDescription, numbers: Collect
     """
     flat = calibration.flat_field
     assert flat is not None
-    same = flat.f_number is None or all(n is not None and abs(n / flat.f_number - 1.0) < 0.03 for n in numbers)
-    return 0.0 if same and is_focused_alike(calibration, lens) else 0.5
+    return 0.0 if _is_iris(flat.f_number, numbers) and is_focused_alike(calibration, lens) else 0.5
+
+
+def is_as_scaled(calibration: Calibration, lens: LensDescription, numbers: Collection[float | None]) -> bool:
+    """Return whether iris and focus are those of the calibration's scale; so they count where its iris is unknown."""
+    return _is_iris(calibration.scale.f_number, numbers) and is_focused_alike(calibration, lens)
+
+
+def doubtful_loss(here: ArrayLike, there: float, *, same: bool) -> NDArray[np.float64]:
+    """Return what a fall-off that was not measured brings to a value, as a factor of its relative uncertainty.
+
+    Its error is the same function of place at calibration and here, where iris and focus are the same: then only the
+    difference of the two losses counts. Else the lens vignettes otherwise, and both count.
+
+    Args:
+        here: Part that is lost of what remains, at the place of the value.
+        there: The same at the place of the calibration.
+        same: Whether iris and focus are those of the calibration.
+    """
+    return np.asarray(np.abs(np.subtract(here, there)) if same else np.hypot(here, there))
 
 
 def relative_sensitivity(
@@ -122,3 +140,7 @@ def falloff_known(camera: CameraDescription, lens: LensDescription) -> str:
     if lens.focal_length_mm is None or (camera.pixel_spacing_um or camera.pixel_pitch_um) is None:
         return "unknown"
     return "cos4" if lens.vignetting == "cos4" else "assumed"
+
+
+def _is_iris(f_number: float | None, numbers: Collection[float | None]) -> bool:
+    return f_number is None or all(n is not None and abs(n / f_number - 1.0) < 0.03 for n in numbers)

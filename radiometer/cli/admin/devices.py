@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import radiometer as rm
 from radiometer.cli.console import console, note
-from radiometer.cli.options import BenchOption, JsonOption
+from radiometer.cli.function import command_of
+from radiometer.cli.options import BenchOption
 
 
-def command(bench: BenchOption = None, json: JsonOption = False) -> None:
-    """List the cameras and boxes that can be opened."""
-    found = rm.list_devices(bench)
-    if json:
-        print(found.to_json())
-        return
+def _show(found: rm.Devices) -> None:
     for line in found.lines():
         console().print(line)
     for port in found.ports_in_use:
@@ -21,3 +17,6 @@ def command(bench: BenchOption = None, json: JsonOption = False) -> None:
         note("no camera found")
     if found.note:
         note(found.note)
+
+
+command = command_of("list_devices", _show, bench=BenchOption)

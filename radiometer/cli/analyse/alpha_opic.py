@@ -9,7 +9,6 @@ import typer
 from radiometer.cli.arguments import parse_size
 from radiometer.cli.console import show_remarks, show_table
 from radiometer.cli.function import command_of
-from radiometer.cli.options import relative_option
 from radiometer.numbers import unit_text
 
 if TYPE_CHECKING:
@@ -33,7 +32,6 @@ def _show(found: AlphaOpicQuantities) -> None:
 command = command_of(
     "alpha_opic", _show, results=("plot",), value=typer.Argument(), u=typer.Option("--u"),
     size_m=typer.Option("--size", parser=parse_size, metavar="M"),
-    spectrum_u_rel=relative_option("--spectrum-u-rel", "Relative u (k = 1) of each entry of the spectrum"),
     wavelength_u_nm=typer.Option("--wavelength-u"), distance_m=typer.Option("--distance"),
     u_distance_m=typer.Option("--distance-u"),
 )  # fmt: skip

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
 
-from radiometer.cli.arguments import parse_named, parse_patch
+from radiometer.cli.arguments import parse_named
 from radiometer.cli.console import show_remarks, show_table
 from radiometer.cli.function import command_of
-from radiometer.cli.options import FNumberOption, command_group, relative_option
+from radiometer.cli.options import FNumberOption, command_group
 from radiometer.numbers import unit_text
 
 if TYPE_CHECKING:
@@ -53,14 +53,12 @@ _FRAMES: Final[dict[str, Any]] = {
 }
 _calibrate = command_of(
     "colour_calibrate", _show_calibration, files=("out",), defaults={"out": Path("colour.yaml")}, **_FRAMES,
-    u_rel=relative_option("--u-rel", "Relative u (k = 1) that all known X, Y, Z share"),
-    out=typer.Option("--out", "-o"), white=typer.Option(metavar="NAME"),
+    white=typer.Option(metavar="NAME"),
     train_on=Annotated[Literal["chart", "responsivities"], typer.Option()],
 )  # fmt: skip
 _measure = command_of(
     "colour_measure", _show_reading, files=("maps", "report"), results=("plot",), **_FRAMES,
     defaults={"calibration": Path("colour.yaml")}, maps=typer.Option("--map"),
-    patch=typer.Option(parser=parse_patch, metavar="X,Y,W,H"),
 )  # fmt: skip
 app.command("calibrate")(_calibrate)
 app.command("measure")(_measure)

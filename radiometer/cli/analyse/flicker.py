@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from radiometer.cli.arguments import parse_exposure, parse_patch, parse_seconds
 from radiometer.cli.console import show_remarks, show_table
 from radiometer.cli.function import command_of
-from radiometer.cli.options import BenchOption, CameraOption, relative_option
+from radiometer.cli.options import BenchOption, CameraOption, time_option
 
 if TYPE_CHECKING:
     from radiometer import FlickerReport
@@ -36,8 +35,5 @@ def _show(found: FlickerReport) -> None:
 
 command = command_of(
     "flicker", _show, results=("plot",), source=typer.Argument(), camera=CameraOption, bench=BenchOption,
-    mapped=typer.Option("--map"), u_clock=relative_option("--u-clock", "Relative u (k = 1) of the sampling clock"),
-    row_time=typer.Option(parser=lambda text: parse_seconds(text, "--row-time"), metavar="S"),
-    exposure=typer.Option(parser=lambda text: parse_exposure(text, "--exposure"), metavar="S"),
-    patch=typer.Option(parser=parse_patch, metavar="X,Y,W,H"),
+    row_time=time_option("--row-time"),
 )  # fmt: skip

@@ -2,40 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 import radiometer as rm
-from radiometer.cli.console import console, progress
-from radiometer.cli.options import JsonOption
+from radiometer.cli.console import console
+from radiometer.cli.function import command_of
 
 if TYPE_CHECKING:
     from radiometer.api.archive import Passport
 
 
-def command(
-    archive: Annotated[
-        Path, typer.Argument(help="Folder of sessions at any depth: capture sets, FITS or raw TIFF frames.")
-    ],
-    json: JsonOption = False,
-) -> None:
-    """Compare the sessions of each camera in an archive.
-
-    Fits one law of the dark current to all sessions, compares the stated gain with the gain from light and from darks,
-    and lists the figures that changed. Changes of the light are listed separately from changes of the camera.
-    """
-    with progress(shown=not json) as shown:
-        found = rm.passport(archive, progress=shown)
-    if json:
-        print(found.to_json())
-        return
+def _show(found: rm.Passports) -> None:
     for one in found.cameras:
-        _show(one)
+        _show_camera(one)
 
 
-def _show(passport: Passport) -> None:
+def _show_camera(passport: Passport) -> None:
     out = console()
     out.print(f"[bold]{' '.join(passport.camera)}[/bold]: {len(passport.sessions)} sessions")
     for session in passport.sessions:
@@ -71,3 +53,6 @@ def _show(passport: Passport) -> None:
         out.print(f"{change.quantity}: {word} ({change.what})")
     for line in passport.light:
         out.print(f"light: {line}")
+
+
+command = command_of("passport", _show)

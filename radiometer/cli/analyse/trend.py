@@ -2,44 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
 import typer
 
 import radiometer as rm
-from radiometer.cli.console import console, note
-from radiometer.cli.options import JsonOption
-from radiometer.cli.outputs import writes
+from radiometer.cli.console import console
+from radiometer.cli.function import command_of
 from radiometer.numbers import with_u
 
 if TYPE_CHECKING:
     from radiometer.api.archive import Trend
-
-
-@writes("report")
-def command(
-    results: Annotated[Path, typer.Argument(help="Table written by `radiometer batch --do measure`.")],
-    quantity: Annotated[str, typer.Option(help="Quantity to follow.")] = "radiance",
-    report: Annotated[Path | None, typer.Option(help="Report (HTML) to write: outcome, histories, figures.")] = None,
-    json: JsonOption = False,
-) -> None:
-    """Find the drift of a source or of the instrument over months, with its uncertainty.
-
-    Neighbours may be correlated and seasons may cycle: both are in the model, and a drift is claimed only where chance
-    would show it in fewer than one archive in a hundred.
-    """
-    found = rm.trend(results, quantity)
-    if report:
-        found.write_report(report)
-    if json:
-        print(found.to_json())
-        return
-    for one in found.trends:
-        console().print(_sentence(one))
-    if report:
-        note(f"report: {report}")
-
 
 _VERDICTS: Final = {
     "drift": "[bold yellow]drifts[/bold yellow]",
@@ -56,3 +29,11 @@ def _sentence(trend: Trend) -> str:
         f"{with_u(drift, 2 * u, '% per month of the mean', k=2)} over {trend.time_s.size} readings{outliers}"
         + "".join(f"\n  {count} rows take no part: {reason}" for reason, count in trend.left_out.items())
     )
+
+
+def _show(found: rm.Trends) -> None:
+    for one in found.trends:
+        console().print(_sentence(one))
+
+
+command = command_of("trend", _show, results=("report",), quantity=typer.Option())

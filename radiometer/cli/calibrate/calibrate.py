@@ -2,134 +2,29 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Sequence
+from inspect import Parameter
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-import radiometer as rm
-from radiometer.cli.arguments import (
-    ISO_HELP,
-    parse_exposure,
-    parse_f_number,
-    parse_measured_iso,
-    parse_patch,
-    parse_radiance,
-    parse_seconds,
-)
-from radiometer.cli.console import console, note, progress
-from radiometer.cli.options import TapsOption, relative_option
-from radiometer.cli.outputs import writes
+from radiometer.cli.arguments import parse_patch, parse_radiance, parse_seconds
+from radiometer.cli.console import console
+from radiometer.cli.function import command_of
 from radiometer.errors import UsageError
 from radiometer.numbers import with_u
-from radiometer.plausible import FNumber, Iso, MeterConstant, Positive
 
 if TYPE_CHECKING:
-    from radiometer import Patch
-
-
-@writes("out")
-def command(
-    capture: Annotated[Path | None, typer.Argument(help="Capture set or photographs of the known source.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Calibration file to write.")] = None,
-    response: Annotated[Path | None, typer.Option(help="Response curve; linear above black without one.")] = None,
-    patch: Annotated[
-        str | None, typer.Option(help="The known source: X,Y,W,H, or a patch name of the capture.")
-    ] = None,
-    radiance: Annotated[
-        str | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻², or its calibration certificate (DCC, .xml).")
-    ] = None,
-    luminance: Annotated[Positive | None, typer.Option(help="Luminance in cd·m⁻², instead of the radiance.")] = None,
-    u_rel: Annotated[float | None, relative_option("--u-rel", "Its relative u (k = 1)")] = None,
-    meter_k: Annotated[
-        MeterConstant | None,
-        typer.Option("--luminance-meter-k", help="Constant K of the camera's light meter (ISO 2720)."),
-    ] = None,
-    k_u_rel: Annotated[
-        float | None,
-        relative_option("--k-u-rel", "Relative u (k = 1) of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720)"),
-    ] = None,
-    f_number: Annotated[
-        FNumber | None,
-        typer.Option(
-            parser=lambda text: parse_f_number(text, "--f-number"),
-            metavar="N",
-            help="f-number of the reference photograph, or of frames that do not state theirs.",
-        ),
-    ] = None,
-    exposure: Annotated[str | None, typer.Option(help="Its exposure time, such as 1/125.")] = None,
-    iso: Annotated[
-        Iso | None, typer.Option(help="Its ISO speed: as really measured, or stated (--measured-iso).")
-    ] = None,
-    measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
-    channel: Annotated[str, typer.Option(help="Of colour frames: luminance, red, green or blue.")] = "luminance",
-    pattern: Annotated[str | None, typer.Option(help="Pattern of a capture set that holds several.")] = None,
-    align: Annotated[
-        str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
-    ] = "auto",
-    reference_dn: Annotated[Positive | None, typer.Option(help="Its pixel value; half of full scale.")] = None,
-    dynamic_range: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="M,TIME[,LANDED]: the region at pixel value M of the reference photograph lands on the reference "
-            "value (or on LANDED) at TIME; once per region. Puts the exponent of the curve right."
-        ),
-    ] = None,
-    as_printed: Annotated[
-        bool, typer.Option("--as-printed", help="Take settings at face value, not as stops.")
-    ] = False,
-    spectrum: Annotated[
-        str | None, typer.Option(help="Spectrum of the source, or a CSV; equal energy to 43 % where not stated.")
-    ] = None,
-    black_level: Annotated[float | None, typer.Option(help="Black level in DN; the capture's by default.")] = None,
-    validity_days: Annotated[Positive, typer.Option(help="Days the calibration is valid for.")] = 365.0,
-    spectral_response: Annotated[
-        Path | None, typer.Option(help="CSV of wavelength in nm and relative response per watt of the camera.")
-    ] = None,
-    flat: Annotated[Path | None, typer.Option(help="Capture set of an evenly bright source: the flat field.")] = None,
-    flat_u_rel: Annotated[float, relative_option("--flat-u-rel", "Relative u (k = 1) of that source's evenness")] = 0.0,
-    camera: Annotated[str | None, typer.Option(help="Capture now with this camera: sim, id, serial, address.")] = None,
-    bench: Annotated[Path | None, typer.Option(help="Bench file for --camera.")] = None,
-    taps: TapsOption = None,
-    camera_file: Annotated[
-        Path | None, typer.Option(help="Camera file of `radiometer characterise`: gain, noise, saturation as measured.")
-    ] = None,
-    model: Annotated[
-        Path | None, typer.Option(help="Model of `radiometer reconcile`: readings are corrected for its effects.")
-    ] = None,
-    stated: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=U", help="Uncertainty of readings that you know better, such as glare_u=0.002."),
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Report as JSON on standard output.")] = False,
-) -> None:
-    """Give a response curve its absolute scale.
-
-    The scale comes from a source of known radiance or luminance (a capture set, or --camera), or from the constant K of
-    a light meter and the settings it asked for. With both, their ratio is printed and the less uncertain is used.
-    """
-    if out is None:
-        raise UsageError("-o FILE is missing: name the file to write the calibration to")
-    with progress(shown=not json) as shown:
-        found = rm.calibrate(
-            capture, out=out, response=response, patch=_patch(patch), radiance=parse_radiance(radiance),
-            luminance=luminance, u_rel=u_rel, luminance_meter_k=meter_k, k_u_rel=k_u_rel, f_number=f_number,
-            exposure_s=parse_exposure(exposure, "--exposure"), iso=iso,
-            measured_iso=parse_measured_iso(measured_iso), channel=channel, pattern=pattern, align=align,
-            reference_dn=reference_dn, dynamic_range=[_region(word) for word in dynamic_range or ()],
-            as_printed=as_printed, spectrum=spectrum, black_level=black_level, validity_days=validity_days,
-            spectral_response=spectral_response, flat=flat, flat_u_rel=flat_u_rel, camera=camera, bench=bench,
-            camera_file=camera_file, model=model, taps=taps, stated=dict(_stated(word) for word in stated or ()),
-            progress=shown,
-        )  # fmt: skip
-    for text in found.notes:
-        note(text)
-    print(found.to_json()) if json else show_report(found.to_mapping())
+    from radiometer import Calibrated, Patch
 
 
 def _patch(text: str | None) -> Patch | str | None:
     """Return a patch by its numbers, or its name in the capture set."""
     return text if text is None or "," not in text else parse_patch(text)
+
+
+def _regions(words: Sequence[str]) -> list[tuple[float, ...]]:
+    return [_region(word) for word in words]
 
 
 def _region(word: str) -> tuple[float, ...]:
@@ -151,7 +46,11 @@ def _region_form(word: str) -> str:
     )
 
 
-def _stated(word: str) -> tuple[str, float]:
+def _stated(words: Sequence[str]) -> dict[str, float]:
+    return dict(_known(word) for word in words)
+
+
+def _known(word: str) -> tuple[str, float]:
     name, _, text = word.partition("=")
     try:
         return name, float(text)
@@ -159,8 +58,8 @@ def _stated(word: str) -> tuple[str, float]:
         raise UsageError(f"--stated {word!r}: expected NAME=U, such as glare_u=0.002") from error
 
 
-def show_report(report: dict[str, Any]) -> None:
-    """Print the JSON form of a calibration's report for people."""
+def _show(found: Calibrated) -> None:
+    report: dict[str, Any] = found.to_mapping()
     out, scale = console(), report["scale"]
     method, budget = scale["method"].replace("_", " "), scale["budget"]
     shown = with_u(scale["value"], 2 * scale["u_rel"] * scale["value"], "J·m⁻² per unit of signal", k=2)
@@ -195,10 +94,18 @@ def show_report(report: dict[str, Any]) -> None:
         )
     for assumption in report["assumptions"]:
         out.print(f"assumed    {assumption}")
-    out.print(f"written    {report['calibration']}")
 
 
 def _shares(budget: dict[str, float]) -> dict[str, float]:
     """Return what part of the scale's variance each contribution makes up: the largest is what to work on next."""
     total = sum(u**2 for u in budget.values())
     return {name: u**2 / total for name, u in budget.items() if u > 0.0}
+
+
+command = command_of(
+    "calibrate", _show, files=("out",), defaults={"out": Parameter.empty}, capture=typer.Argument(),
+    converters={"dynamic_range": _regions, "stated": _stated},
+    patch=typer.Option(parser=_patch, metavar="X,Y,W,H|NAME"),
+    radiance=typer.Option(parser=parse_radiance, metavar="RADIANCE|FILE"),
+    dynamic_range=typer.Option(metavar="M,TIME[,LANDED]"), stated=typer.Option(metavar="NAME=U"),
+)  # fmt: skip

@@ -2,73 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import parse_patch
-from radiometer.cli.console import asker, console, note, progress
-from radiometer.cli.options import BenchOption, ReportOption, TapsOption, relative_option
-from radiometer.cli.outputs import writes
+from radiometer.cli.console import console
+from radiometer.cli.function import command_of
 from radiometer.numbers import with_u
-from radiometer.plausible import ExposureSteps, KnownRadiance
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-
-@writes("output", "report", "emva_descriptor", folder="keep")
-def command(
-    capture: Annotated[
-        Path | None, typer.Argument(help="Capture set, or EMVA 1288 descriptor file; or else --camera.")
-    ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Camera file (YAML) to write.")] = None,
-    camera: Annotated[
-        str | None, typer.Option(help="Drive this camera: sim, or a GenICam id, serial number or address.")
-    ] = None,
-    bench: BenchOption = None,
-    patch: Annotated[str | None, typer.Option(help="Look at this region X,Y,W,H only.")] = None,
-    channel: Annotated[str, typer.Option(help="Of colour cameras: red, green or blue.")] = "green",
-    radiance: Annotated[
-        KnownRadiance | None,
-        typer.Option(help="Known radiance of the region in W/(sr m2), for the quantum efficiency."),
-    ] = None,
-    radiance_u_rel: Annotated[float, relative_option("--radiance-u-rel", "Its relative u (k = 1)")] = 0.0,
-    steps: Annotated[ExposureSteps, typer.Option(help="With --camera: exposures from darkness to saturation.")] = 30,
-    keep: Annotated[Path | None, typer.Option(help="With --camera: keep the frames as a capture set here.")] = None,
-    report: ReportOption = None,
-    emva_descriptor: Annotated[
-        Path | None, typer.Option(help="EMVA 1288 descriptor file to write, for other programs.")
-    ] = None,
-    taps: TapsOption = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the camera file as JSON on standard output.")] = False,
-) -> None:
-    """Find gain, noise, dark current, saturation and linearity of a camera after EMVA 1288.
-
-    Needs pairs of frames of steady, even light over exposure or level, and dark frames; takes them itself from
-    --camera. Every figure carries its standard uncertainty.
-    """
-    with progress(shown=not json) as shown:
-        found = rm.characterise(
-            capture, parse_patch(patch), channel=channel, camera=camera, bench=bench, radiance=radiance,
-            radiance_u_rel=radiance_u_rel, steps=steps, keep=keep,
-            emva_descriptor=emva_descriptor, taps=taps, ask=asker(), progress=shown,
-        )  # fmt: skip
-    for remark in found.remarks:
-        note(remark)
-    if output:
-        found.write(output)
-    if report:
-        found.write_report(report)
-    if json:
-        print(found.to_json())
-        return
-    _show(found)
-    for written in (output, report):
-        if written:
-            note(f"wrote {written}")
 
 
 def _of_taps(found: rm.Sensor) -> Table:
@@ -99,3 +43,9 @@ def _show(found: rm.Sensor) -> None:
         out.print(f"tap {one.into} reads {share} of the signal of tap {one.of}")
     for remark in result.notes:
         out.print(f"[yellow]note[/yellow]  {remark}")
+
+
+command = command_of(
+    "characterise", _show, files=("emva_descriptor",), folder="keep", results=("output", "report"),
+    path=typer.Argument(metavar="CAPTURE"), output=typer.Option("-o", "--output", help="Camera file (YAML) to write."),
+)  # fmt: skip

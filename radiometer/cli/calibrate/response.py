@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -11,65 +10,11 @@ from typing import Annotated
 import typer
 
 import radiometer as rm
-from radiometer.api.response import DEFAULT_METHOD, METHODS, ResponseEstimate, median_uncertainty
-from radiometer.cli.arguments import ISO_HELP, parse_known_ratios, parse_measured_iso
-from radiometer.cli.console import note, progress
-from radiometer.cli.outputs import writes
-
-_METHOD_HELP = f"Method: {', '.join(METHODS)}, or all."
-_RATIO_HELP = (
-    "Exposure of frame PAIR+1 over that of frame PAIR (0: the two shortest), for methods that find ratios themselves; "
-    "fixes the exponent in place of the stated times; may be repeated."
-)
-_CHANNEL_HELP = "Channel of colour photographs: luminance, red, green, blue, or each (one curve per colour)."
+from radiometer.api.response import DEFAULT_METHOD, ResponseEstimate, median_uncertainty
+from radiometer.cli.arguments import parse_known_ratios
+from radiometer.cli.function import command_of
 
 _LN_2 = math.log(2.0)
-
-
-@writes("output")
-def command(
-    paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Capture sets or folders of photographs.")],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="Curve to write: .csv, .yaml, .m (pfstools) or .rsp (hdrgen)."
-        ),
-    ] = None,
-    plot: Annotated[
-        str | None,
-        typer.Option("--plot", metavar="[FILE]", help="Draw the curve; without FILE, next to the output as .png."),
-    ] = None,
-    channel: Annotated[str, typer.Option("--channel", help=_CHANNEL_HELP)] = "luminance",
-    method: Annotated[str, typer.Option("--method", help=_METHOD_HELP)] = DEFAULT_METHOD,
-    known_ratio: Annotated[
-        list[str] | None, typer.Option("--known-ratio", metavar="PAIR=RATIO", help=_RATIO_HELP)
-    ] = None,
-    measured_iso: Annotated[
-        list[str] | None, typer.Option("--measured-iso", metavar="STATED=REAL", help=ISO_HELP)
-    ] = None,
-    align: Annotated[
-        str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
-    ] = "auto",
-    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
-) -> None:
-    """Recover the camera response g(M) = ln H from brackets of exposures, with its uncertainty.
-
-    Several PATHs are fitted jointly: one camera, one response.
-    """
-    started = time.monotonic()
-    with progress(shown=not as_json) as shown:
-        found = rm.recover_response(
-            paths, method, channel=channel, known_ratio=parse_known_ratios(known_ratio),
-            measured_iso=parse_measured_iso(measured_iso), align=align, output=output, plot=_plot_path(plot, output),
-            force=force, progress=shown,
-        )  # fmt: skip
-    for text in found.notes:
-        note(text)
-    if as_json:
-        print(found.to_json())
-        return
-    _print_summary(found, time.monotonic() - started)
 
 
 def whole_words(words: Sequence[str]) -> list[str]:
@@ -81,15 +26,7 @@ def whole_words(words: Sequence[str]) -> list[str]:
     return result
 
 
-def _plot_path(plot: str | None, output: Path | None) -> Path | None:
-    if plot is None:
-        return None
-    if plot:
-        return Path(plot)
-    return (output or Path("response")).with_suffix(".png")
-
-
-def _print_summary(found: rm.Response, seconds: float) -> None:
+def _show(found: rm.Response) -> None:
     for estimate in found.estimates:
         print("\n".join(_summary(estimate)), end="\n\n" if len(found.estimates) > 1 else "\n")
     content = found.to_mapping()
@@ -101,7 +38,6 @@ def _print_summary(found: rm.Response, seconds: float) -> None:
         )
     for file in (*content["files"], *([content["plot"]] if content["plot"] else [])):
         print(f"written          {file}")
-    print(f"time             {seconds:.2f} s")
 
 
 def _summary(estimate: ResponseEstimate) -> list[str]:
@@ -128,3 +64,10 @@ def _summary(estimate: ResponseEstimate) -> list[str]:
         )
     lines += [f"assumed          {text}" for text in curve.provenance.assumptions]
     return lines + [f"note             {text}" for text in estimate.notes]
+
+
+command = command_of(
+    "recover_response", _show, files=("output",), defaults={"method": DEFAULT_METHOD, "force": False},
+    converters={"known_ratio": parse_known_ratios}, sources=typer.Argument(metavar="PATH..."), method=typer.Option(),
+    known_ratio=typer.Option(metavar="PAIR=RATIO"), plot=Annotated[str | None, typer.Option(metavar="[FILE]")],
+)  # fmt: skip

@@ -67,13 +67,11 @@ class Number:
 
     @property
     def form(self) -> str:
-        """Return what is accepted."""
         words = "".join(f" | {word}" for word in self.also if word != "MAXimum")
         unit = {"": "", "PCT": " (fraction, or PCT)"}.get(self.unit, f" ({self.unit.lower().replace('db', 'dB')})")
         return f"<{self.name}{unit}> | MINimum | MAXimum | DEFault{words}"
 
     def read(self, argument: Argument, station: Station) -> float | int | str:
-        """Return the value in the unit; a word of `also` as it is spelled there. Raises ScpiError."""
         if argument.kind is Kind.WORD:
             return self._word(argument.text, station)
         if argument.kind is not Kind.NUMBER:
@@ -120,11 +118,9 @@ class Boolean:
 
     @property
     def form(self) -> str:
-        """Return what is accepted."""
         return "ON | OFF | 1 | 0"
 
     def read(self, argument: Argument, station: Station) -> bool:
-        """Return the value. Raises ScpiError."""
         if argument.kind is Kind.WORD and argument.text.upper() in ("ON", "OFF"):
             return argument.text.upper() == "ON"
         if argument.kind is Kind.NUMBER and not argument.suffix:
@@ -140,11 +136,9 @@ class Text:
 
     @property
     def form(self) -> str:
-        """Return what is accepted."""
         return f'"{self.name}"'
 
     def read(self, argument: Argument, station: Station) -> str:
-        """Return the text. Raises ScpiError."""
         if argument.kind is not Kind.STRING:
             raise ScpiError(-104, f"{self.name}: a text in quotes is expected")
         return argument.text
@@ -159,11 +153,9 @@ class Choice:
 
     @property
     def form(self) -> str:
-        """Return what is accepted."""
         return " | ".join(self.words)
 
     def read(self, argument: Argument, station: Station) -> str:
-        """Return the word as the list spells it. Raises ScpiError."""
         if argument.kind is not Kind.WORD:
             raise ScpiError(-104, f"{self.name}: one of {self.form} is expected")
         for word in self.words:

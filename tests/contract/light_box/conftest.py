@@ -1,11 +1,8 @@
 """Benches for the light-box contract: the driver on the simulated twin, and on the real firmware in simavr."""
 
-import shutil
-import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
@@ -19,6 +16,7 @@ from radiometer.errors import MissingLibrary
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import SimulatedLightBox
 from simulators.light_box.pty_line import PtyServer, WiredLightBox
+from testing.firmware_board import built_for_avr
 from testing.patience import within
 
 # Steps of simavr's time where the machine is busy, far shorter than the driver waits for an answer.
@@ -48,7 +46,7 @@ class Rig:
     box_time_s: Callable[[], float]
     went_dark_s: Callable[[], float]
 
-    def wait_until(self, condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+    def wait_until(self, condition, timeout_s=5.0):
         """Poll until something holds; tell whether it ever did."""
         deadline_s = time.monotonic() + within(timeout_s)
         while time.monotonic() < deadline_s:
@@ -59,44 +57,38 @@ class Rig:
 
 
 @pytest.fixture(scope="session")
-def firmware(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the firmware as `make` does and return its HEX file; skip where the compiler is absent."""
-    if shutil.which("avr-gcc") is None:
-        pytest.skip("avr-gcc is not installed (Debian: gcc-avr, avr-libc)")
-    build = tmp_path_factory.mktemp("firmware")
-    source = project_root / "drivers" / "firmware" / "light_box"
-    subprocess.run(
-        ["make", "-s", "-C", str(source), f"BUILD={build}"], check=True, capture_output=True, timeout=within(120.0)
-    )
-    return build / "light_box.hex"
+def firmware(tmp_path_factory):
+    """Return the HEX file of the firmware; skip where its compiler is absent."""
+    missing = "avr-gcc is not installed (Debian: gcc-avr, avr-libc)"
+    return built_for_avr(tmp_path_factory.mktemp("firmware")) or pytest.skip(missing)
 
 
-def _driver(server: PtyServer, clock: Callable[[], float] = time.monotonic) -> SerialLightBox:
+def _driver(server, clock=time.monotonic):
     return SerialLightBox(
         BoxLink(SerialLine(server.port, clock=clock)),
         ExposureLedger(OPTICS, MemoryStore(clock, ("TWIN0001", "AVR00001"))),
     )
 
 
-def _twin_rig(link: Path) -> Rig:
+def _twin_rig(link):
     twin = SimulatedLightBox()
     server = PtyServer(WiredLightBox(twin), link=link)
     server.start()
 
-    def press(pressed: bool) -> None:
+    def press(pressed):
         with server.lock:
             twin.press(server.time_s(), pressed=pressed)
 
-    def high_current(channel: str) -> bool:
+    def high_current(channel):
         state = next(state for state in twin.channels if state.limits.name == channel)
         return state.high and state.driven_level > 0
 
-    dark_s: list[float] = []
+    dark_s = []
     twin.watch = lambda: dark_s.append(twin.box_ms / 1000) if twin.duty("bleach") == 0 else dark_s.clear()
     return Rig(server, _driver(server), twin.duty, high_current, press, lambda: twin.box_ms / 1000, lambda: dark_s[0])
 
 
-def _firmware_rig(link: Path, firmware: Path) -> Rig:
+def _firmware_rig(link, firmware):
     try:
         avr = AvrBox(firmware, lag_s=LAG_S)
     except MissingLibrary as missing:
@@ -104,20 +96,19 @@ def _firmware_rig(link: Path, firmware: Path) -> Rig:
     server = PtyServer(avr, link=link)
     server.start()
 
-    def press(pressed: bool) -> None:
+    def press(pressed):
         with server.lock:
             avr.press(pressed=pressed)
 
-    def duty(channel: str) -> float:
+    def duty(channel):
         with server.lock:
             return avr.duty(channel)
 
-    def went_dark_s() -> float:
+    def went_dark_s():
         last_high = avr.pins["bleach"].last_high()
-        assert last_high is not None
         return last_high / avr.avr.frequency_hz
 
-    def box_time_s() -> float:
+    def box_time_s():
         return float(avr.avr.time_s)
 
     # The driver waits in the box's time: simavr is given less of it where the machine is busy.
@@ -125,7 +116,7 @@ def _firmware_rig(link: Path, firmware: Path) -> Rig:
 
 
 @pytest.fixture(params=["twin", "firmware"])
-def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
+def rig(request, tmp_path):
     """Return a running box with an opened driver."""
     link = tmp_path / "box"
     made = _twin_rig(link) if request.param == "twin" else _firmware_rig(link, request.getfixturevalue("firmware"))

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from radiometer.errors import (
     DeviceInUse,
     DeviceLost,
     SettingOutOfRange,
-    UnsafeStimulus,
     UsageError,
 )
 from testing.patience import within
@@ -73,13 +71,6 @@ def test_box_itself_refuses_what_the_host_lets_through(rig):
         rig.box.link.request("SL 3 H 20001")
     assert rig.box.read_channel("fixation").mode is ChannelMode.OFF
     assert rig.duty("fixation") == 0
-
-
-def test_box_itself_refuses_too_much_energy(rig):
-    """A pulse above the energy budget is refused by the firmware and stays dark."""
-    with pytest.raises(UnsafeStimulus, match="energy budget"):
-        rig.box.link.request("PU 0 H 60000 600000")
-    assert rig.duty("bleach") == 0
 
 
 def test_pulse_ends_by_itself(rig):
@@ -167,14 +158,6 @@ def test_radiance_needs_a_calibration(rig):
         rig.box.set_level("spot", Radiance(0.01))
 
 
-def test_unsafe_stimulus_is_refused_before_it_starts(rig):
-    """What would use up too much of the retinal limit never reaches the box."""
-    rig.box.ledger.allowed_fraction = 0.001
-    with pytest.raises(UnsafeStimulus, match="IEC 62471"):
-        rig.box.set_level("spot", DriveLevel(60000))
-    assert rig.duty("spot") == 0
-
-
 def test_second_program_is_refused_because_the_box_is_in_use(rig):
     """The port is held exclusively."""
     other = SerialLightBox(BoxLink(SerialLine(rig.server.port)), rig.box.ledger)
@@ -195,7 +178,7 @@ def test_pulled_cable_is_a_lost_device_and_plugging_in_helps(rig):
     assert rig.box.set_level("spot", DriveLevel(100)).drive.level == 100
 
 
-def test_killed_host_leaves_the_bleach_dark(rig, project_root: Path):
+def test_killed_host_leaves_the_bleach_dark(rig, project_root):
     """A host killed with SIGKILL while the bleach is on: dark within 1.1 s of box time."""
     rig.box.close()
     script = (
@@ -211,7 +194,6 @@ def test_killed_host_leaves_the_bleach_dark(rig, project_root: Path):
     )
     host = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, cwd=project_root)
     try:
-        assert host.stdout is not None
         assert b"on\n" in iter(host.stdout.readline, b"")  # after what is logged
         assert rig.wait_until(lambda: rig.duty("bleach") > 0.7)
         time.sleep(1.2)
@@ -241,7 +223,7 @@ def test_bad_line_sets_no_wrong_level(rig):
     assert rig.wait_until(lambda: abs(rig.duty("spot") - expected) < 0.004)
 
 
-def _set_in_the_end(rig, level: int):
+def _set_in_the_end(rig, level):
     """Set a level; a box that has gone dark meanwhile, as on a computer too busy to run it, is opened again."""
     for _ in range(5):
         try:

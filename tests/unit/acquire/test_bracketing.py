@@ -51,14 +51,6 @@ def test_metering_finds_the_brightness_of_every_patch():
         assert found.mean() == pytest.approx(expected, rel=4 * 0.2 / np.sqrt(found.size))
 
 
-def test_metered_rates_do_not_depend_on_the_gain():
-    """Rates are stated at 0 dB: at 12 dB the same scene has the same."""
-    camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 0.05})
-    camera.configure(CameraSettings(0.01, gain_db=12.0, black_level_dn=64.0))
-    expected = expected_rate(camera, 0.05)
-    assert meter(camera).rates_dn_per_s.mean() == pytest.approx(expected, rel=0.01)
-
-
 def test_dim_light_at_high_gain_is_metered_though_its_noise_is_many_digital_numbers():
     """At 30 dB the read noise is some 40 DN: a signal of ten times that in the longest trial counts as light."""
     camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 1e-6})

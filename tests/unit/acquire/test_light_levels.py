@@ -262,9 +262,9 @@ def _bench(folder: Path, seed: int, hz: float, depth: float) -> Path:
 
 @pytest.mark.slow
 def test_sine_of_known_modulation_is_covered(tmp_path: Path) -> None:
-    """Over 8 seeds, frequency and SVM of a sine are within k·u in 93 %, within chance (6 of 8 or more)."""
+    """Frequency and SVM of a sine are within k·u (95 %) for three of four seeds or more."""
     inside = {"frequency": 0, "svm": 0}
-    for seed in range(8101, 8109):
+    for seed in range(8101, 8105):
         depth, hz = 0.1 + 0.05 * (seed % 7), 90.0 + 3.7 * (seed % 11)
         found = rm.flicker(bench=_bench(tmp_path, seed, hz, depth), duration=0.25).measures
         svm = depth * (1.0 + math.exp(-0.00518 * (hz - 306.6)))  # CIE TN 006:2016: one component
@@ -272,7 +272,7 @@ def test_sine_of_known_modulation_is_covered(tmp_path: Path) -> None:
         assert found.svm is not None
         inside["frequency"] += abs(found.frequency.value - hz) <= found.coverage_factor * found.frequency.u
         inside["svm"] += abs(found.svm.value - svm) <= found.coverage_factor * found.svm.u
-    assert min(inside.values()) >= 6, inside
+    assert min(inside.values()) >= 3, inside
 
 
 def test_long_exposure_is_reported_as_averaging(tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from radiometer.adaptation.adaptation_fit import (
     convex_sum_of_squares,
     earliest_visible_break,
     fit_adaptation,
-    makes_sense,
 )
 from radiometer.adaptation.bleach import (
     KINETICS,
@@ -115,28 +114,6 @@ def test_bootstrap_and_profile_agree():
 
 
 @pytest.mark.slow
-def test_rod_intercept_of_one_branch_is_where_it_crosses_a_stated_criterion():
-    """A quick test shows the rods alone: -4 + 3·exp(-t/6) meets -3 at 6·ln 3 min; -5 is met never, and not stated."""
-    times = np.arange(0.2, 7.0, 0.2)
-    noise = np.random.default_rng(3).normal(0, 0.1, times.size)
-    rods = ThresholdSeries(times, -4 + 3 * np.exp(-times / 6) + noise)
-    found = fit_adaptation(rods, FitRequest(criterion=-3.0, bootstrap_draws=60), np.random.default_rng(0))
-    assert not found.has_break
-    met = found.estimates["criterion_min"]
-    assert abs(met.value - 6 * np.log(3)) < 3 * met.u
-    assert met.u < 0.5
-    never = fit_adaptation(rods, FitRequest(criterion=-5.0, bootstrap_draws=0), np.random.default_rng(0))
-    assert "criterion_min" not in never.estimates
-
-
-def test_rod_intercept_is_where_s2_meets_the_criterion():
-    """At a criterion of -3.0: 9 + (2 + 2·exp(-9/1.6))/0.24 min."""
-    found = fit_adaptation(series(0.0), FitRequest(-3.0, bootstrap_draws=0), np.random.default_rng(0))
-    expected = 9 + (-3.0 - (-1 + 2 * np.exp(-9 / 1.6))) / -0.24
-    assert found.estimates["criterion_min"].value == pytest.approx(expected, rel=2e-3)
-
-
-@pytest.mark.slow
 def test_stimulus_uncertainty_widens_levels_and_not_slopes():
     """A scale uncertainty of 0.05 shifts thresholds, leaves slopes, and moves a stated criterion's time by u/|S2|."""
     data = series(0.05)
@@ -146,16 +123,6 @@ def test_stimulus_uncertainty_widens_levels_and_not_slopes():
     assert shared["plateau"].u == pytest.approx(np.hypot(plain["plateau"].u, 0.05), rel=1e-6)
     moved = 0.05 / abs(plain["s2_slope_per_min"].value)
     assert shared["criterion_min"].u == pytest.approx(np.hypot(plain["criterion_min"].u, moved), rel=1e-6)
-
-
-@pytest.mark.slow
-def test_rising_rods_make_no_sense():
-    """A fit whose "rod branch" does not fall is not physiological."""
-    times = np.arange(0.5, 20, 0.5)
-    flat = ThresholdSeries(times, -1 + 2 * np.exp(-times / 1.6) + np.random.default_rng(4).normal(0, 0.05, times.size))
-    fits = [fit_model(flat, model) for model in MODELS]
-    assert makes_sense(fits[0])
-    assert fit_adaptation(flat, QUICK, np.random.default_rng(0)).chosen.model is ONE_BRANCH
 
 
 @pytest.mark.parametrize(
@@ -329,18 +296,17 @@ def test_intervals_widen_in_squares_and_cut_equal_tails():
     ("nonlinear", "allowed"),
     [([1.6, 9.0], True), ([9.1, 9.0], False), ([1.6, 0.4], False), ([1.6, 30.1], False), ([0.2, 9.0], False),
      ([1.6, 9.0, 8.0], False), ([1.6, 9.0, 9.0], False), ([1.6, 9.0, 9.5], True), ([1.6, 9.0, 20.0], True),
-     ([1.6, 9.0, 31.0], False), ([58.0], True), ([60.0], False)],
+     ([1.6, 9.0, 31.0], False), ([58.0], True), ([60.0], False), ([0.3], True), ([0.28], False)],
 )  # fmt: skip
 def test_breaks_lie_inside_and_in_order(nonlinear, allowed):
-    """Time constants between a hundredth of the test and the break (twice the test where there is none)."""
+    """Time constants between a hundredth of the test and the break (twice the test where there is none).
+
+    It is the length of the test that counts, whenever it began.
+    """
     model = MODELS[len(nonlinear) - 1]
     assert model.allowed(BRANCH_TIMES, np.array(nonlinear)) is allowed
-
-
-@pytest.mark.parametrize(("tau", "allowed"), [(19.0, True), (21.0, False), (0.2, True), (0.05, False)])
-def test_a_time_constant_is_bounded_by_the_length_of_the_test(tau, allowed):
-    """From minute 10 to minute 20 it is 0.1 to 20 min, whenever the test began."""
-    assert ONE_BRANCH.allowed(np.linspace(10.0, 20.0, 40), np.array([tau])) is allowed
+    if len(nonlinear) == 1:
+        assert model.allowed(BRANCH_TIMES + 10.0, np.array(nonlinear)) is allowed
 
 
 def test_a_fit_keeps_what_each_threshold_is_known_to():
@@ -431,7 +397,6 @@ def test_rods_alone_have_no_break(seed):
     )
     assert not found.has_break
     assert found.evidence.deviance < LEAST_DEVIANCE
-    assert found.evidence.earliest_visible_min is not None
     assert f"a break earlier than {found.evidence.earliest_visible_min:.1f} min cannot be seen" in found.verdict
 
 
@@ -471,7 +436,7 @@ def _fit(*, rods=True, facts=None, **request):
         else -4.0 + 3.0 * np.exp(-REPORTED_MIN / 6.0)
     )
     series = ThresholdSeries(REPORTED_MIN, curve + noise, None, facts or {}, ("minutes were taken from seconds",))
-    asked = FitRequest(bootstrap_draws=20, **request)  # type: ignore[arg-type]
+    asked = FitRequest(bootstrap_draws=8, **request)
     return fit_adaptation(series, asked, np.random.default_rng(0))
 
 
@@ -491,10 +456,8 @@ def test_the_break_is_reported_with_its_interval(broken):
         r"log₁₀ units per min \(95\u00a0% intervals\)\.",
         page,
     )
-    assert text is not None
     time, half, slope, half_slope = map(float, text.groups())
     interval = broken.estimates["break_min"].profile
-    assert interval is not None
     assert half == pytest.approx((interval.high - interval.low) / 2, rel=0.05)
     assert abs(time - TRUE_BREAK_MIN) < 1.5 * half
     assert abs(slope + TRUE_S2) < 1.5 * half_slope

@@ -8,23 +8,22 @@ import pytest
 import radiometer as rm
 from radiometer.adaptation.box_setup import SIMULATED_CALIBRATION, BoxLights, BoxStage, open_box_stage
 from radiometer.adaptation.checks import judge_age, judge_room
-from radiometer.adaptation.protocol import SHIPPED, FlashBleach, read_protocol
+from radiometer.adaptation.protocol import SHIPPED, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.bench.boxes import open_light_box
 from radiometer.bench.served_box import served_box
 from radiometer.data.config_files import shipped_config
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.provenance import utc_now
-from radiometer.devices.light_box import ButtonEvent, ChannelMode, ChannelState, DriveLevel
 from radiometer.errors import (
     CalibrationError,
     ConfigurationError,
     DeviceError,
     MeasurementError,
-    SettingOutOfRange,
     UnsafeStimulus,
     UsageError,
 )
+from testing.recording_devices import RecordingBox
 
 NOW = dt.datetime(2026, 11, 21, tzinfo=dt.UTC)
 
@@ -123,39 +122,43 @@ def test_light_by_a_calibration_out_of_date_is_given_with_a_warning(tmp_path, cr
     assert any("not within its" in line for line in heard) == warned
 
 
-def test_flash_beyond_the_box_is_refused_with_the_time_it_would_need(quick):
-    """6e6 td·s in 20 ms are 19 kW/sr/m²; at 2.556 the same energy takes 152 s."""
-    flash = quick.model_copy(update={"bleach": FlashBleach(kind="flash", retinal_td_s=6e6, duration_s=0.02)})
-    assert "needs 152 s at least for 6e+06 td·s" in str(refusal(flash))
-
-
-def test_bleach_longer_than_the_firmware_allows_is_refused_before_it_begins():
-    """The white channel's energy budget ends 800 cd/m² after some 200 s; no half bleach is given."""
-    long = changed(read_protocol("led-only"), "bleach", luminance_cd_m2=800.0, duration_s=600.0)
-    refused = refusal(long)
-    assert isinstance(refused, UnsafeStimulus)
-    assert "energy budget" in str(refused)
+@pytest.mark.parametrize(
+    ("name", "section", "values", "kind", "words"),
+    [
+        # 6e6 td·s in 20 ms are 19 kW/sr/m²; at 2.556 the same energy takes 152 s.
+        (
+            "quick",
+            "bleach",
+            {"retinal_td_s": 6e6, "duration_s": 0.02},
+            Exception,
+            "needs 152 s at least for 6e+06 td·s",
+        ),
+        # The white channel's energy budget ends 800 cd/m² after some 200 s; no half bleach is given.
+        ("led-only", "bleach", {"luminance_cd_m2": 800.0, "duration_s": 600.0}, UnsafeStimulus, "energy budget"),
+        # Without its filter the spot does not get as dim as the rods see; what it reaches is stated.
+        ("quick", "spot", {"filter_density": 0.0}, MeasurementError, "reaches -1.91 to 3.16 log₁₀ scotopic cd·m⁻²"),
+        # A 505 nm protocol on a 453 nm LED would be wrong by a factor of two without anybody noticing.
+        ("quick", "spot", {"peak_nm": 505.0}, Exception, "505 nm"),
+        # 10⁻⁹ cd/m² is below what the red LED can be dimmed to: the message names the protocol's key.
+        ("quick", "fixation_check", {"luminance_cd_m2": 1e-9}, Exception, "fixation_check.luminance_cd_m2"),
+        # The red channel of the reference box stands in the blind spot: no one would see it as a test spot.
+        ("quick", "spot", {"channel": "spot_red", "peak_nm": 640.0}, Exception, "is 15.6° from it"),
+    ],
+)
+def test_light_that_the_box_cannot_give_is_refused_before_it_begins(name, section, values, kind, words):
+    """Flash, bleach, spot and light in the blind spot: each refusal says why, and what would do."""
+    refused = refusal(changed(read_protocol(name), section, **values))
+    assert isinstance(refused, kind)
+    assert words in str(refused)
 
 
 def test_bleach_beyond_the_exposure_limit_is_refused(quick):
     """With a ten-thousandth of the limit allowed, the flash (3.4e-4 of it) is refused by IEC 62471's name."""
     with open_box_stage(before_box(quick)) as (stage, checks):
-        stage.box.ledger.allowed_fraction = 1e-4  # type: ignore[attr-defined]
+        stage.box.ledger.allowed_fraction = 1e-4
         refused = checks[0]().refusal
     assert isinstance(refused, UnsafeStimulus)
     assert "IEC 62471" in str(refused)
-
-
-def test_spot_beyond_the_boxs_range_is_refused_with_the_range(quick):
-    """Without its filter the spot does not get as dim as the rods see; what it reaches is stated."""
-    refused = refusal(changed(quick, "spot", filter_density=0.0))
-    assert not isinstance(refused, SettingOutOfRange)
-    assert "reaches -1.91 to 3.16 log₁₀ scotopic cd·m⁻²" in str(refused)
-
-
-def test_channel_of_another_colour_is_refused(quick):
-    """A 505 nm protocol on a 453 nm LED would be wrong by a factor of two without anybody noticing."""
-    assert "505 nm" in str(refusal(changed(quick, "spot", peak_nm=505.0)))
 
 
 @pytest.mark.slow
@@ -207,13 +210,6 @@ def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick):
         assert "no_fixation_check" not in stage.facts()
 
 
-def test_light_in_the_blind_spot_beyond_the_channel_is_refused(quick):
-    """10⁻⁹ cd/m² is below what the red LED can be dimmed to: the message names the protocol's key."""
-    assert quick.fixation_check is not None
-    dim = quick.model_copy(update={"fixation_check": quick.fixation_check.model_copy(update={"luminance_cd_m2": 1e-9})})
-    assert "fixation_check.luminance_cd_m2" in str(refusal(dim))
-
-
 def _preset(path, text):
     """Write the reference preset with another place of its red channel."""
     whole = shipped_config("light_boxes/reference.yaml").read_text(encoding="utf-8")
@@ -231,11 +227,6 @@ def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
     with open_box_stage(before_box(quick, preset=_preset(tmp_path / "p.yaml", stated))) as (stage, _):
         assert not stage.checks_fixation
         assert why in str(stage.facts()["no_fixation_check"])
-
-
-def test_spot_of_a_channel_that_stands_elsewhere_is_refused(quick):
-    """The red channel of the reference box stands in the blind spot: no one would see it as a test spot."""
-    assert "is 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -261,14 +252,23 @@ def test_classic_is_the_test_of_the_literature():
         ("kind: limits", "kind: guess", "method"),
         ("end: {", "ende: {", "unknown key 'ende'"),
         ("duration_min: 40", "duration_min: 40, criterion_log10: -9", "outside the spot's levels"),
+        # Place and size of the light in the blind spot are those of the optic disc.
+        *(("share: 0.06", bad, bad.split(":")[0]) for bad in ("temporal_deg: 10", "below_deg: 8", "size_deg: 2.1")),
+        # The journal's file carries the name: it leads to no other folder.
+        *(("name: classic", f"name: '{name}'", "name") for name in ("../../x", "a/b", "", ".hidden")),
+        # A time or level far beyond any test is a slip of the pen, and would run without end.
+        ("on_s: 0.2", "on_s: 1.0e6", "on_s"), ("highest_log10: 0.15", "highest_log10: 300", "highest_log10"),
+        ("pause_between_s: 0.5", "pause_between_s: 1.0e9", "pause_between_s"),
+        ("watch: {", "watch: {most_blinks: 1000000, ", "most_blinks"),
+        ("end: {", "safety: {calibration_days: 1.0e9}\nend: {", "calibration_days"),
     ],
-)
+)  # fmt: skip
 def test_wrong_protocols_are_refused(tmp_path, project_root, old, new, message):
     """The error names what is wrong."""
     text = (project_root / "configs" / "protocols" / "classic.yaml").read_text()
     assert old in text
     file = tmp_path / "p.yaml"
-    file.write_text(text.replace(old, new))
+    file.write_text(text.replace(old, new, 1))
     with pytest.raises(ConfigurationError, match=message):
         read_protocol(file)
 
@@ -277,39 +277,6 @@ def test_unknown_protocol_lists_the_shipped_ones():
     """The way out is in the message."""
     with pytest.raises(ConfigurationError, match="classic, classic-blue, rapid, quick"):
         read_protocol("nothing.yaml")
-
-
-class RecordingBox:
-    """A box that notes what it is asked and hands out presses that were laid down."""
-
-    def __init__(self):
-        self.asked: list[tuple[object, ...]] = []
-        self.presses: list[float] = []
-        self.held: list[tuple[float, float]] = []
-        self.time = 100.0
-        self.level = 1000
-
-    def pulse(self, channel, level, duration_s):
-        self.asked.append((channel, level.radiance_w_sr_m2, duration_s))
-
-    def set_level(self, channel, level):
-        self.asked.append((channel, level.radiance_w_sr_m2))
-
-    def read_channel(self, channel):
-        return ChannelState(channel, ChannelMode.PULSE, DriveLevel(self.level), 0, 1.0)
-
-    def off(self, channel):
-        self.asked.append((channel, "off"))
-
-    def buttons(self, timeout_s):
-        self.time += timeout_s
-        for number, time_s in enumerate(self.presses):
-            yield ButtonEvent(True, time_s, 1e-4, time_s, number)
-            yield ButtonEvent(False, time_s + 0.1, 1e-4, time_s + 0.1, number + 1)
-        for begun_s, ended_s in self.held:
-            yield ButtonEvent(True, begun_s, 1e-4, begun_s, 0)
-            if ended_s <= self.time:
-                yield ButtonEvent(False, ended_s, 1e-4, ended_s, 1)
 
 
 @pytest.fixture
@@ -323,14 +290,27 @@ def stage(box):
         box.time += seconds
 
     lights = BoxLights(read_protocol("led-only"), 300.0, 600.0, 900.0, fixation_w_sr_m2=1e-4)
-    return BoxStage(box, lights, lambda: box.time, sleep)  # type: ignore[arg-type]
+    return BoxStage(box, lights, lambda: box.time, sleep)
 
 
-def test_bleach_is_the_protocols_light_and_then_the_mark(stage, box):
-    """300 cd/m² at 300 lm/W are 1 W/sr/m² for 120 s; the red mark follows."""
-    stage.bleach(stage.lights.protocol)
-    assert box.asked == [("bleach", pytest.approx(2.5), 150.0), ("fixation", 1e-4)]
-    assert stage.now_s() == pytest.approx(150.0)
+@pytest.mark.parametrize(
+    ("call", "asked", "now_s"),
+    [
+        # 750 cd/m² at 300 lm/W are 2.5 W/sr/m² for 150 s; the red mark follows.
+        (lambda stage: stage.bleach(stage.lights.protocol), [("bleach", 2.5, 150.0), ("fixation", 1e-4)], 150.0),
+        # −3 log scotopic cd/m² behind a filter of density 3 at 900 lm/W, for the protocol's 0.3 s, in a cycle of 1 s.
+        (lambda stage: stage.blink(-3.0, 0, 0), [("spot", 1.0 / 900, 0.3)], 1.0),
+        (lambda stage: stage.blink(None, 0, 0), [], 1.0),
+        # After a crash the time goes on, and the subject has something to look at again.
+        (lambda stage: stage.resume_at(500.0), [("fixation", 1e-4)], 500.0),
+    ],
+    ids=["bleach", "blink", "catch", "resumed"],
+)
+def test_each_light_is_the_protocols_for_its_time(stage, box, call, asked, now_s):
+    """Channel, radiance and duration are those asked of the box, and so long passes; a catch lights nothing."""
+    call(stage)
+    assert box.asked == [(name, pytest.approx(radiance), *more) for name, radiance, *more in asked]
+    assert stage.now_s() == pytest.approx(now_s)
 
 
 def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage, box):
@@ -338,7 +318,7 @@ def test_nothing_is_lit_once_another_program_has_switched_the_lights_off(stage, 
 
     def sleep(seconds):
         box.time += seconds
-        box.switched_off = box.time >= 102.0  # type: ignore[attr-defined]
+        box.switched_off = box.time >= 102.0
 
     stage.sleep, stage.wall_clock = sleep, lambda: 1.7e9
     stage.bleach(stage.lights.protocol)
@@ -374,23 +354,10 @@ def test_stop_ends_the_bleach(stage, box):
     assert stage.now_s() == pytest.approx(2.0, abs=0.3)
 
 
-def test_blink_is_one_pulse_of_the_levels_radiance(stage, box):
-    """-3 log scotopic cd/m² behind a filter of density 3 at 900 lm/W, for the protocol's 0.3 s, in a cycle of 1 s."""
-    stage.blink(-3.0, 0, 0)
-    assert box.asked == [("spot", pytest.approx(1.0 / 900), 0.3)]
-    assert stage.now_s() == pytest.approx(1.0)
-
-
 def test_presses_count_from_the_onset_and_releases_do_not(stage, box):
     """A press before the onset is not an answer."""
     box.presses = [99.9, 100.4]
     assert stage.blink(-3.0, 0, 0) == [pytest.approx(0.4)]
-
-
-def test_catch_lights_nothing(stage, box):
-    """No level, no pulse."""
-    stage.blink(None, 0, 0)
-    assert box.asked == []
 
 
 def test_flash_gives_its_scotopic_troland_seconds(stage, box):
@@ -398,13 +365,6 @@ def test_flash_gives_its_scotopic_troland_seconds(stage, box):
     stage.lights = BoxLights(read_protocol("quick"), 300.0, 600.0, 900.0)
     stage.bleach(stage.lights.protocol)
     assert box.asked == [("bleach", pytest.approx(4e5 / 15 / 28.274 / 600, rel=1e-4), 15.0)]
-
-
-def test_resuming_counts_on_with_the_mark_lit(stage, box):
-    """After a crash the time goes on, and the subject has something to look at again."""
-    stage.resume_at(500.0)
-    assert stage.now_s() == pytest.approx(500.0)
-    assert box.asked == [("fixation", 1e-4)]
 
 
 def test_long_press_is_reported_once_and_a_short_one_never(stage, box):

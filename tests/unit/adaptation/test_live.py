@@ -16,7 +16,6 @@ from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.live_text import LiveText, event_line, live_lines
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.session import Prompter, prompts_after
-from radiometer.data.event_journal import Event
 from radiometer.errors import DeviceInUse, DeviceTimeout
 from radiometer.reporting.terminal_chart import TerminalChart
 from testing.patience import within
@@ -136,7 +135,7 @@ def test_prompts_follow_the_phases():
 @pytest.mark.parametrize("given", [0, 1, 2])
 def test_prompts_that_a_crash_left_out_are_given_once(tmp_path, given):
     """With none, one or both of two prompts in the journal, taking it up leaves both there, in order."""
-    heard: list[Event] = []
+    heard = []
     with RunJournal(tmp_path / "j") as journal:
         journal.write("dark", 120.0, steady=True)
         for say in ("dark", "mark")[:given]:
@@ -272,9 +271,9 @@ async def test_every_browser_gets_the_whole_state_and_what_follows(page):
         for number in range(21, 40):
             page.publish(_page_trial(number))
         fitted = await _until(first, "phase", "fixation")
-        while len(fitted["points"]) != fitted["fit"]["count"]:  # type: ignore[arg-type, index]
+        while len(fitted["points"]) != fitted["fit"]["count"]:
             fitted = await _until(first, "kind", "state")
-        assert len(fitted["points"]) == 22  # type: ignore[arg-type]
+        assert len(fitted["points"]) == 22
 
 
 async def test_prompts_are_reported_as_they_come_and_not_again(page):

@@ -7,21 +7,27 @@ import sys
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from scipy.stats import t as student
 
-import radiometer as rm
+from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.methods import Ascent, QuestPlusSearch, Staircase
+from radiometer.adaptation.methods import Ascent, QuestPlusSearch, Staircase, begin
 from radiometer.adaptation.outcome import Verdict
 from radiometer.adaptation.protocol import (
+    AdaptationProtocol,
+    DownUpMethod,
     LimitsMethod,
     QuestPlusMethod,
     Spot,
     StaircaseMethod,
     read_protocol,
 )
+from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.run import run_test
-from radiometer.errors import DeviceLost, MissingLibrary
-from simulators.observers.eye_kinetics import Eye, eye_after_bleach
+from radiometer.adaptation.run_facts import facts_of, intercept_of, method_bias
+from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.data.validation import validate
+from radiometer.errors import ConfigurationError, DeviceLost, MissingLibrary
 from testing.scripted_adaptation import ScriptedStage, eye, threshold
 
 SPOT = Spot(device="light_box", channel="spot", peak_nm=453, lowest_log10=-3.0, highest_log10=1.0)
@@ -78,37 +84,6 @@ def test_a_spot_whose_levels_are_reversed_is_refused():
             Spot(device="light_box", channel="spot", peak_nm=453, lowest_log10=-3.0, highest_log10=highest)
 
 
-@pytest.fixture(scope="module")
-def classic(tmp_path_factory):
-    """Return the journal of a whole run of the classic protocol by the steady observer, its thresholds next to it."""
-    journal = tmp_path_factory.mktemp("classic") / "run.jsonl"
-    rm.adapt_run("classic", "S1", journal, simulate="steady")
-    return journal
-
-
-def test_break_is_that_of_the_eye_after_the_protocols_bleach(classic):
-    """9,000 cd/m² for 180 s through 7 mm: the fit finds the break of that eye, within 1 min (95 % of a run: 0.8)."""
-    found = rm.adapt_fit(classic.with_suffix(".csv"), bootstrap=0).fit.estimates["break_min"].value
-    expected = eye_after_bleach(Eye(pupil_mm=7.0), 9000.0, 180.0).break_min(505.0)
-    assert expected is not None
-    assert found == pytest.approx(expected, abs=1.0)
-
-
-def test_weak_bleach_of_a_screen_shows_no_break(tmp_path):
-    """120 cd/m² for 5 min bleach a few per cent of the rods, which lead from the first minute on."""
-    rm.adapt_run("screen-only", "S1", tmp_path / "run.jsonl", simulate="steady")
-    assert not rm.adapt_fit(tmp_path / "run.csv", bootstrap=0).fit.has_break
-
-
-def test_false_alarms_are_as_rare_as_the_subjects_habit(classic):
-    """A blink without light is answered in 1 % of the cases, whichever trials are drawn as catches."""
-    with RunJournal(classic) as journal:
-        dark = [blink for blink in journal.of_kind("blink") if blink["log10_level"] is None and "of" not in blink]
-    pressed = sum(bool(blink["presses_s"]) for blink in dark)
-    assert len(dark) > 50
-    assert pressed <= 5  # 1 % of about 120: more than 5 in one of 1000 runs
-
-
 QUEST_SPOT = Spot(device="light_box", channel="spot", peak_nm=453)
 
 METHOD = QuestPlusMethod(kind="questplus")
@@ -129,8 +104,6 @@ def test_threshold_lies_within_its_stated_uncertainty():
         search = QuestPlusSearch(QUEST_SPOT, METHOD, last=-3.0)
         while search.threshold is None and not search.exhausted:
             search.answer(seen=rng.random() < seen_probability(search.level, alpha))
-        assert search.threshold is not None
-        assert search.u_log10 is not None
         assert search.u_log10 <= METHOD.stop_sd_log10
         squares.append(((search.threshold - alpha) / search.u_log10) ** 2)
     assert chi2.ppf(0.001, 24) < sum(squares) < chi2.ppf(0.999, 24)
@@ -143,15 +116,6 @@ def test_answers_of_one_kind_only_are_no_threshold(seen):
     while not search.exhausted:
         search.answer(seen=seen)
     assert search.threshold is None
-
-
-def test_same_answers_give_the_same_levels():
-    """A search that is lived through again after a crash goes on at the level where it was."""
-    first, second = QuestPlusSearch(QUEST_SPOT, METHOD, last=-2.0), QuestPlusSearch(QUEST_SPOT, METHOD, last=-2.0)
-    for seen in (True, False, True):
-        assert first.level == second.level
-        first.answer(seen=seen)
-        second.answer(seen=seen)
 
 
 def test_absent_library_is_named_with_the_way_to_get_it(monkeypatch):
@@ -193,3 +157,206 @@ def test_run_taken_up_in_the_middle_of_a_search_has_the_same_events(tmp_path, pr
     errors = [v - threshold(60 * t) for t, v in zip(whole.times_min, whole.thresholds_log10, strict=True)]
     assert max(map(abs, errors)) < 0.3  # 3 u; this eye is a step, 0.1 log10 wide with the levels
     assert whole.to_csv().startswith("time_min,log10_threshold,u_log10_threshold\n")
+
+
+# Rod intercepts, and the bias of methods.
+
+
+TIMES = np.arange(0.5, 12.0, 0.25)
+RULE = InterceptRule(-2.301, 6.5, source="J")
+
+
+def falling(times=TIMES):
+    """Return cones at −1.5 until 3 min, then −0.24 per min: −2.301 is met at 6.3375 min."""
+    return -1.5 - 0.24 * np.maximum(times - 3.0, 0.0)
+
+
+def test_intercept_is_where_the_line_meets_the_criterion():
+    """Without noise exactly; what all thresholds are wrong by moves it by 1/0.24 min per log10 unit."""
+    met = rod_intercept(ThresholdSeries(TIMES, falling()), RULE, 0.03)
+    assert met.time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
+    assert met.u_min == pytest.approx(0.03 / 0.24, rel=0.05)
+
+
+def test_its_interval_holds_the_truth():
+    """Of 200 noisy series (0.12 log10 units) 95 % ± 4.6 % hold it, and wild presses hardly move it."""
+    rng, truth = np.random.default_rng(8), 3 + 0.801 / 0.24
+    held = []
+    for _ in range(200):
+        noisy = falling() + rng.normal(0, 0.12, TIMES.size)
+        held.append(rod_intercept(ThresholdSeries(TIMES, noisy), RULE).interval.holds(truth))
+    assert 0.90 <= np.mean(held) <= 1.0
+    wild = falling()
+    wild[[10, 20, 28]] -= 1.5
+    assert rod_intercept(ThresholdSeries(TIMES, wild), RULE).time_min == pytest.approx(truth, abs=0.1)
+
+
+@pytest.mark.parametrize("last", [7.0, 9.0])
+def test_its_uncertainty_is_that_of_the_line_read_backwards(last):
+    """By the covariance of level and slope and their derivatives, near the middle of the window and near its end."""
+    times = np.arange(3.5, last, 0.25)
+    levels = falling(times) + 0.05 * (-1.0) ** np.arange(times.size)  # alike in size, so that each counts in full
+    found = rod_intercept(ThresholdSeries(times, levels), RULE)
+    near = np.abs(times - found.time_min) <= 3.0
+    (slope, level), covariance = np.polyfit(times[near], levels[near], 1, cov="unscaled")
+    dof = np.count_nonzero(near) - 2
+    scatter = np.sum((levels - slope * times - level)[near] ** 2) / dof
+    back = np.array([-(-2.301 - level) / slope**2, -1.0 / slope])
+    expected = float(np.sqrt(back @ covariance @ back * scatter))
+    assert found.time_min == pytest.approx((-2.301 - level) / slope)
+    assert found.u_min == pytest.approx(expected, rel=1e-3)
+    half = 0.5 * (found.interval.high - found.interval.low)
+    assert half == pytest.approx(expected * student.ppf(0.975, dof), rel=1e-3)
+
+
+def test_a_wild_threshold_counts_less_as_much_as_it_is_off():
+    """By Huber: half at twice 1.5 robust standard deviations; pairs above and below leave the line where it was."""
+    times = np.repeat(np.arange(3.5, 9.1, 0.5), 2)
+    off = np.where(np.isin(np.arange(times.size) // 2, (1, 5, 10)), 1.5 * 1.4826 * 2.0 * 0.05, 0.05)
+    found = rod_intercept(ThresholdSeries(times, falling(times) + off * (-1.0) ** np.arange(times.size)), RULE)
+    near = np.abs(times - found.time_min) <= 3.0
+    weights = np.where(off > 0.05, 0.5, 1.0)[near]
+    _, covariance = np.polyfit(times[near], falling(times)[near], 1, w=np.sqrt(weights), cov="unscaled")
+    back = np.array([3.0 + 0.801 / 0.24, 1.0]) / 0.24
+    scatter = np.sum(weights * off[near] ** 2) / (np.count_nonzero(near) - 2)
+    assert found.time_min == pytest.approx(3.0 + 0.801 / 0.24)
+    assert found.u_min == pytest.approx(float(np.sqrt(back @ covariance @ back * scatter)), rel=1e-3)
+
+
+@pytest.mark.parametrize(("count", "read"), [(4, False), (5, True), (6, True)])
+def test_five_thresholds_make_a_line(count, read):
+    """Fewer have no intercept; of thresholds far apart the five nearest make it, and no further one."""
+    times = np.array([0.25, 2.25, 4.25, 6.25, 8.25, 10.25])[-count:]
+    levels = RULE.criterion_log10 - 0.24 * (times - 6.3) + np.where(times < 1.0, 0.3, 0.0)
+    found = rod_intercept(ThresholdSeries(times, levels), RULE)
+    assert (found is not None) == read
+    if read:
+        assert found.time_min == pytest.approx(6.3)
+        assert found.u_min == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_is_not_reached_has_no_time():
+    """A curve that stays above, one that begins below, and a rising one have no intercept."""
+    for levels in (falling() + 3.0, falling() - 3.0, -falling() - 4.0):
+        assert rod_intercept(ThresholdSeries(TIMES, levels), RULE) is None
+
+
+def test_only_a_protocol_with_the_published_conditions_reports_one():
+    """`rapid` has one; another size, wavelength, place, criterion or bleach is refused; classic reports none."""
+    rapid = read_protocol("rapid")
+    assert rapid.intercept.limit_min == 6.5
+    assert 0.76 <= rapid.bleach.rods_bleached() <= 0.82
+    assert read_protocol("classic").intercept is None
+    assert intercept_of(facts_of(read_protocol("classic"))) is None
+    whole = rapid.model_dump()
+    for change in (
+        {"spot": {**whole["spot"], "size_deg": 5.0}},
+        {"spot": {**whole["spot"], "peak_nm": 453.0}},
+        {"spot": {**whole["spot"], "eccentricity_deg": 12.0}},
+        {"bleach": {**whole["bleach"], "duration_s": 20.0}},
+        {"bleach": {**whole["bleach"], "pupil_mm": None}},
+        {"intercept": {**whole["intercept"], "criterion_log10": -3.0}},
+    ):
+        with pytest.raises(ConfigurationError, match="its limit holds for"):
+            validate(AdaptationProtocol, {**whole, **change}, "x", ConfigurationError)
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "low", "high"),
+    [
+        ("spot", "size_deg", 1.5, 2.5), ("spot", "peak_nm", 500.0, 510.0), ("spot", "eccentricity_deg", 4.0, 6.0),
+        ("intercept", "criterion_log10", np.log10(0.0049), np.log10(0.0051)), ("bleach", "rods_bleached", 0.76, 0.82),
+    ],
+)  # fmt: skip
+def test_the_published_conditions_hold_to_their_bounds(monkeypatch, part, name, low, high):
+    """A size, wavelength, place, criterion or bleach just within is taken, one just beyond is refused by its name."""
+    rapid = read_protocol("rapid")
+    whole, edge = rapid.model_dump(), 0.01 * (high - low)
+    for value, taken in ((low - edge, False), (low + edge, True), (high - edge, True), (high + edge, False)):
+        if part == "bleach":
+            monkeypatch.setattr(type(rapid.bleach), name, lambda self, value=value: value)
+            changed = whole
+        else:
+            changed = {**whole, part: {**whole[part], name: float(value)}}
+        if taken:
+            assert validate(AdaptationProtocol, changed, "x", ConfigurationError).intercept is not None
+        else:
+            with pytest.raises(ConfigurationError, match=name.replace("rods_bleached", "bleached rods")):
+                validate(AdaptationProtocol, changed, "x", ConfigurationError)
+
+
+@pytest.mark.slow
+def test_facts_of_a_run_lead_to_its_intercept():
+    """What stands before the thresholds gives criterion and limit back, and the fit says both."""
+    rule = intercept_of(facts_of(read_protocol("rapid"), 0.01))
+    assert (rule.criterion_log10, rule.limit_min) == (-2.301, 6.5)
+    noise = np.random.default_rng(1).normal(0, 0.05, TIMES.size)
+    series = ThresholdSeries(TIMES, falling() + noise)
+    fit = fit_adaptation(series, FitRequest(bootstrap_draws=0, intercept=rule), np.random.default_rng(0))
+    assert fit.estimates["rod_intercept_min"].value == pytest.approx(6.34, abs=0.3)
+    assert "not judged: the limit of 6.5 min" in intercept_verdict(fit)
+    assert "the bleach of this run lasted for 38 s" in intercept_verdict(fit)
+    plain = fit_adaptation(series, FitRequest(bootstrap_draws=0), np.random.default_rng(0))
+    assert "rod_intercept_min" not in plain.estimates
+    assert intercept_verdict(plain) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("limit_min", "bleach_s", "judgement"),
+    [
+        (3.0, 0.00025, "later than the limit of 3 min"),
+        (9.0, 0.00025, "within the limit of 9 min"),
+        (6.34, 0.00025, "cannot be distinguished from the limit of 6.34 min"),
+        (3.0, 38.0, "not judged: the limit of 3 min"),
+        (3.0, None, "not judged: the limit of 3 min"),
+    ],
+)
+def test_intercept_is_judged_where_its_limit_was_published_for_such_a_bleach(limit_min, bleach_s, judgement):
+    """The line falls through the criterion at 6.34 min; a bleach of seconds is no flash, an unknown one is unknown."""
+    noise = np.random.default_rng(1).normal(0, 0.05, TIMES.size)
+    rule = InterceptRule(-2.301, limit_min, bleach_s=bleach_s)
+    series = ThresholdSeries(TIMES, falling() + noise)
+    fit = fit_adaptation(series, FitRequest(bootstrap_draws=0, intercept=rule), np.random.default_rng(0))
+    assert judgement in intercept_verdict(fit)
+
+
+def test_classic_bleaches_nine_tenths_and_the_screen_protocols_show_recovery():
+    """`classic` bleaches 90 % or more of the rods by the calculator; those that cannot show a break say so."""
+    for name in ("classic", "classic-blue"):
+        assert read_protocol(name).bleach.rods_bleached() >= 0.9
+    assert {name: read_protocol(name).shows for name in ("steady-low", "screen-only", "quick", "classic")} == {
+        "steady-low": "recovery",
+        "screen-only": "recovery",
+        "quick": "recovery",
+        "classic": "break",
+    }
+    assert facts_of(read_protocol("quick"))["shows"] == "recovery"
+
+
+@pytest.mark.parametrize(
+    "method", [LimitsMethod(), LimitsMethod(start_below_log10=0.3), DownUpMethod(kind="down_up")], ids=str
+)
+def test_bias_of_a_method_is_what_it_does(method):
+    """2000 searches by a Weibull observer of slope 3.5 with its 63 % point at −2 come out at the stated bias."""
+    spot = Spot(device="light_box", channel="spot_green", peak_nm=505.0)
+    rng, last, found = np.random.default_rng(5), -2.0, []
+    for _ in range(2000):
+        search = begin(spot, method, last, float(rng.random()))
+        while search.threshold is None:
+            search.answer(seen=bool(rng.random() < 1 - np.exp(-(10 ** (3.5 * (search.level + 2.0))))))
+        found.append(last := search.threshold)
+    u_mean = np.std(found) / np.sqrt(1000)  # neighbours hang together a little
+    assert np.mean(found) + 2.0 == pytest.approx(method_bias(method).log10, abs=4 * u_mean + 0.005)
+
+
+def test_three_down_one_up_goes_down_while_it_is_seen():
+    """Seen: 0.3 lower; unseen: 0.1 higher, until it is seen again: that level is the threshold."""
+    spot = Spot(device="light_box", channel="spot_green", peak_nm=505.0)
+    search = begin(spot, DownUpMethod(kind="down_up"), -1.0)
+    levels = []
+    for seen in (True, True, False, False, True):
+        levels.append(round(search.level, 3))
+        search.answer(seen=seen)
+    assert levels == [-0.8, -1.1, -1.4, -1.3, -1.2]
+    assert search.threshold == pytest.approx(-1.2)

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-import yaml
 
 from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.controls import Controls
@@ -17,9 +16,8 @@ from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.session import prompts_after
-from radiometer.data.config_files import shipped_config
 from radiometer.data.event_journal import read_events
-from radiometer.errors import ConfigurationError, DeviceLost, InputError, MeasurementError, OutputError, UsageError
+from radiometer.errors import DeviceLost, InputError, MeasurementError, OutputError, UsageError
 from testing.scripted_adaptation import ScriptedStage, eye, threshold
 
 
@@ -203,13 +201,15 @@ def stage(classic):
 
 
 def test_pause_stops_the_blinks_and_the_eye_adapts_on(tmp_path, stage):
-    """From 300 s to 360 s nothing is shown; the test still ends 40 min after the bleach."""
+    """From 300 s to 360 s nothing is shown, whatever is pressed; the test still ends 40 min after the bleach."""
     controls = Controls()
     stage.at = {300.0: controls.pause, 360.0: controls.resume}
+    stage.presses_in_pause = [330.0]
     outcome, journal = _run(tmp_path / "j", stage, controls)
     (pause,), (resume,) = journal.of_kind("pause"), journal.of_kind("resume")
     assert pause["by"] == resume["by"] == "operator"
     assert pause["time_s"] == pytest.approx(300.0, abs=4.0)  # a blink under way, or the rest after it, ends first
+    assert resume["time_s"] == pytest.approx(360.0, abs=0.5)
     assert resume["paused_s"] == pytest.approx(resume["time_s"] - pause["time_s"], abs=1e-3)
     assert not [b for b in journal.of_kind("blink") if pause["time_s"] <= b["onset_s"] < resume["time_s"]]
     assert outcome.verdict is Verdict.COMPLETE
@@ -253,15 +253,6 @@ def test_press_that_became_a_long_one_is_no_answer(tmp_path, stage):
     outcome, journal = _run(tmp_path / "j", stage)
     assert journal.of_kind("pause")[0]["voids"] == trial["sequence"]
     assert trial["minutes"] not in outcome.times_min
-
-
-def test_operators_pause_is_not_ended_by_a_press(tmp_path, stage):
-    """Only the operator knows why."""
-    controls = Controls()
-    stage.at = {300.0: controls.pause, 400.0: controls.resume}
-    stage.presses_in_pause = [330.0]
-    _, journal = _run(tmp_path / "j", stage, controls)
-    assert journal.of_kind("resume")[0]["time_s"] == pytest.approx(400.0, abs=0.5)
 
 
 def test_pause_without_an_end_ends_the_test(tmp_path, stage):
@@ -370,16 +361,6 @@ def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path, sta
     assert journal.of_kind("resume")[0]["paused_s"] == 0.0
 
 
-def test_stop_during_the_bleach_lets_nothing_blink(tmp_path, stage):
-    """Lights off while the bleach is on ends the test before the first blink."""
-    controls = Controls()
-    controls.stop("lights off")
-    outcome, journal = _run(tmp_path / "j", stage, controls)
-    assert outcome.verdict is Verdict.STOPPED
-    assert journal.of_kind("stop")[0]["by"] == "lights off"
-    assert journal.of_kind("blink") == []
-
-
 class StageWithBlindSpot(ScriptedStage):
     """A scripted stage with a light in the blind spot."""
 
@@ -485,31 +466,14 @@ def test_check_that_a_crash_has_cut_stays_one(tmp_path, short):
     assert [t["seen"] for t in checks[:4]] == [False, False, True, False]
 
 
-@pytest.mark.parametrize("wrong", ["temporal_deg: 10", "below_deg: 8", "size_deg: 5"])
-def test_light_next_to_the_blind_spot_is_refused(tmp_path, project_root, wrong):
-    """Its place and size are those of the optic disc."""
-    text = (project_root / "configs" / "protocols" / "classic.yaml").read_text()
-    (tmp_path / "p.yaml").write_text(text.replace("{share: 0.06}", "{" + wrong + "}"))
-    with pytest.raises(ConfigurationError, match=wrong.split(":")[0]):
-        read_protocol(tmp_path / "p.yaml")
-
-
-def test_events_read_back_in_order(tmp_path):
-    """What was written is what is read, numbered."""
-    with RunJournal(tmp_path / "j") as journal:
-        journal.write("start", 0.0, subject="A")
-        journal.write("trial", 1.5, threshold=-1.0)
-    events = read_events(tmp_path / "j")
-    assert [e["kind"] for e in events] == ["start", "trial"]
-    assert events[1] == {"sequence": 1, "kind": "trial", "time_s": 1.5, "threshold": -1.0}
-
-
 def test_half_written_line_is_cut_and_the_next_event_follows(tmp_path):
-    """A crash in the middle of a write costs that event only."""
+    """A crash in the middle of a write costs that event only; what was written is what is read, numbered."""
     file = tmp_path / "j"
     with RunJournal(file) as journal:
-        journal.write("start", 0.0)
+        journal.write("start", 0.0, subject="A")
         journal.write("trial", 1.0)
+    first = {"sequence": 0, "kind": "start", "time_s": 0.0, "subject": "A"}
+    assert read_events(file) == [first, {"sequence": 1, "kind": "trial", "time_s": 1.0}]
     file.write_bytes(file.read_bytes()[:-7])
     with RunJournal(file) as journal:
         assert len(journal.events) == 1
@@ -542,7 +506,7 @@ def test_damage_in_the_middle_is_refused_with_its_line(tmp_path, damage):
 
 def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path, monkeypatch):
     """Without a word each event waits for the disk; one that need not last only leaves the program."""
-    synced: list[int] = []
+    synced = []
     monkeypatch.setattr(os, "fsync", synced.append)
     with RunJournal(tmp_path / "j") as journal:
         journal.write("start", 0.0)
@@ -569,28 +533,3 @@ def test_a_full_disk_names_the_journal_and_keeps_what_was_measured(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     with RunJournal(file) as journal:
         assert [event["kind"] for event in journal.events] == ["start"]
-
-
-@pytest.mark.parametrize("name", ["../../x", "a/b", "", ".hidden"])
-def test_a_protocols_name_leads_to_no_other_folder(tmp_path, project_root, name):
-    """The journal's file carries it."""
-    text = (project_root / "configs/protocols/quick.yaml").read_text()
-    (tmp_path / "p.yaml").write_text(text.replace("name: quick", f"name: '{name}'", 1))
-    with pytest.raises(ConfigurationError, match="name"):
-        read_protocol(tmp_path / "p.yaml")
-
-
-@pytest.mark.parametrize(
-    "line",
-    ["pause_between_s: 1.0e9", "on_s: 1.0e6", "highest_log10: 300", "most_blinks: 1000000", "calibration_days: 1.0e9"],
-)
-def test_a_protocol_with_an_endless_time_or_level_is_refused(tmp_path, line):
-    """A time or level far beyond any test is a slip of the pen, and would run without end."""
-    name = line.split(":")[0]
-    text = shipped_config("protocols/classic.yaml").read_text(encoding="utf-8")
-    section = {"pause_between_s": "watch", "most_blinks": "watch", "calibration_days": "safety"}.get(name, "spot")
-    kept = yaml.safe_load(text)
-    kept.setdefault(section, {}).update(yaml.safe_load(line))
-    (tmp_path / "p.yaml").write_text(yaml.safe_dump(kept), encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=name):
-        read_protocol(tmp_path / "p.yaml")

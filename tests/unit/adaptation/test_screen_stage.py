@@ -6,71 +6,46 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
+from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.screen_setup import ScreenStage, SpotLevels, field_code, mark_code, within_reach
 from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
-from radiometer.screen.stimulus import Blink, Hold, Rest, ScreenPicture, Viewing
+from radiometer.screen.stimulus import Hold, Viewing
+from testing.recording_devices import RecordingScreen
 
 BLACK, WHITE = 3e-4, 0.7  # radiance of black and white in W/sr/m2
 EFFICACIES = {"grey": (320.0, 750.0), "red": (200.0, 60.0), "blue": (90.0, 1000.0)}
 
 
-def _curve(name: str, share: float, u_rel: float = 1e-3) -> ChannelCurve:
+def _curve(name, share, u_rel=1e-3):
     levels = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 160, 192, 224, 255)
     values = tuple(BLACK + (WHITE - BLACK) * share * (n / 255) ** 2.2 for n in levels)
     return ChannelCurve(name, levels, values, tuple(u_rel * v for v in values), 0.01, *EFFICACIES[name], "assumed")
 
 
 @pytest.fixture
-def screen() -> ScreenCalibration:
+def screen():
     """Return a calibrated screen of 224 cd/m² with a shining black."""
     curves = {"grey": _curve("grey", 1.0), "red": _curve("red", 0.25), "blue": _curve("blue", 0.3)}
     return ScreenCalibration("desk", curves, created="2026-11-21T12:00:00.000000Z", pixel_mm=0.27)
 
 
-class RecordingScreen:
-    """A screen that notes what it is asked, on a clock of its own, and presses as it is asked to."""
-
-    def __init__(self) -> None:
-        self.time, self.size = 50.0, (1920, 1080)
-        self.shown: list[ScreenPicture] = []
-        self.blinks: list[tuple[ScreenPicture, ScreenPicture, float, float]] = []
-        self.presses: tuple[float, ...] = ()
-        self.hold = Hold()
-
-    def show(self, picture: ScreenPicture) -> None:
-        self.shown.append(picture)
-
-    def blink(self, lit: ScreenPicture, rest: ScreenPicture, on_s: float, cycle_s: float) -> Blink:
-        self.blinks.append((lit, rest, on_s, cycle_s))
-        self.time += cycle_s
-        return Blink(self.presses, self.hold, on_s, 1 / 60, 1 / 60)
-
-    def rest(self, seconds: float) -> Rest:
-        self.time += seconds
-        return Rest(len(self.presses), self.hold)
-
-    def warnings(self) -> list[str]:
-        return ["the page is not full screen: press F11"]
-
-
 @pytest.fixture
-def protocol(screen: ScreenCalibration) -> AdaptationProtocol:
+def protocol(screen):
     return within_reach(read_protocol("screen-only"), SpotLevels.of(screen, "blue"))
 
 
 @pytest.fixture
-def watched() -> RecordingScreen:
+def watched():
     return RecordingScreen()
 
 
 @pytest.fixture
-def stage(screen: ScreenCalibration, protocol: AdaptationProtocol, watched: RecordingScreen) -> ScreenStage:
+def stage(screen, protocol, watched):
     return ScreenStage(watched, screen, protocol, Viewing(600.0, 0.27), lambda: watched.time)
 
 
-def _added(code: int) -> float:
+def _added(code):
     """Return what a code of blue adds to black, log10 of scotopic cd/m²: the truth behind the calibration."""
     return math.log10((WHITE - BLACK) * 0.3 * (code / 255) ** 2.2 * EFFICACIES["blue"][1])
 

@@ -4,7 +4,6 @@ import bz2
 import gzip
 import math
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -137,22 +136,6 @@ def test_what_cannot_be_taken_is_named(text, message, tmp_path):
     assert message in str(refused.value)
 
 
-@pytest.mark.slow
-def test_fit_reads_seconds_and_decibels_and_finds_the_break(tmp_path, capsys):
-    """An attenuation table in seconds gives break and S2 of the curve: 9 min, −0.24."""
-    times = np.arange(0.5, 22.0, 0.5)
-    curve = -1 + 2 * np.exp(-np.minimum(times, 9) / 1.6) - 0.24 * np.maximum(times - 9, 0)
-    curve += np.random.default_rng(3).normal(0, 0.03, times.size)
-    file = tmp_path / "people.csv"
-    rows = [f"{60 * t:.1f};{str(round(40 - 10 * y, 3)).replace('.', ',')}" for t, y in zip(times, curve, strict=True)]
-    file.write_text("# from a perimeter\nTime (s);Attenuation (dB)\n" + "\n".join(rows) + "\n")
-    assert run(["adapt", "fit", str(file), "--bootstrap", "0"]) == 0
-    printed = capsys.readouterr()
-    assert "rod–cone break at 9." in printed.out or "rod–cone break at 8.9" in printed.out
-    assert "S2 slope -0.24" in printed.out or "S2 slope -0.23" in printed.out
-    assert "dB attenuation" in printed.err
-
-
 def test_two_thresholds_of_one_minute_are_both_kept():
     """Both stand in the series; a time that goes back is refused."""
     assert ThresholdSeries(np.array([1.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.4])).time_min.tolist() == [1.0, 2.0, 2.0]
@@ -163,37 +146,37 @@ def test_two_thresholds_of_one_minute_are_both_kept():
 NIL = "254"
 
 
-def _symbol(name: str) -> list[str]:
+def _symbol(name):
     return ["1", "262153", str(len(name)), name]
 
 
-def _reals(values: list[float]) -> list[str]:
+def _reals(values):
     return ["14", str(len(values)), *map(repr, values)]
 
 
-def _strings(values: list[str]) -> list[str]:
+def _strings(values):
     return ["16", str(len(values)), *(word for value in values for word in ("262153", str(len(value)), value))]
 
 
-def _dark(time: list[float], thrs: list[float], names: tuple[str, str] = ("time", "thrs")) -> list[str]:
+def _dark(time, thrs, names=("time", "thrs")):
     """Return a list of class "dark" as R serialises it: R Internals, section 1.8 (a list with attributes: 787)."""
     attributes = ["1026", *_symbol("names"), *_strings([*names])]
     attributes += ["1026", *_symbol("class"), *_strings(["dark"]), NIL]
     return ["787", "2", *_reals(time), *_reals(thrs), *attributes]
 
 
-def _rds(words: list[str]) -> bytes:
+def _rds(words):
     """Return what `saveRDS(ascii = TRUE, version = 2)` writes."""
     return "\n".join(["A", "2", "197888", "131840", *words, ""]).encode()
 
 
-def _rda(named: dict[str, list[str]]) -> bytes:
+def _rda(named):
     """Return what `save(ascii = TRUE, version = 2)` writes: a pairlist of named objects."""
     pairs = [word for name, words in named.items() for word in ("1026", *_symbol(name), *words)]
     return b"RDA2\n" + _rds([*pairs, NIL])
 
 
-PACKED: dict[str, Callable[[bytes], bytes]] = {"plain": lambda raw: raw, "gzip": gzip.compress, "bzip2": bz2.compress}
+PACKED = {"plain": lambda raw: raw, "gzip": gzip.compress, "bzip2": bz2.compress}
 
 
 @pytest.mark.parametrize("packed", PACKED)
@@ -246,7 +229,7 @@ def test_without_its_reader_the_line_for_r_is_reported(tmp_path, monkeypatch):
         read_table(tmp_path / "x.rds")
 
 
-def _trials(threshold_db: float, *, reaction: bool = True) -> str:
+def _trials(threshold_db, *, reaction=True):
     """Return three ascents of an OPI session: 2 dB brighter per trial until seen, from 6 dB dimmer."""
     head = '"onset_s","level","seen",' + ('"time"' if reaction else '"x"')
     rows, onset_s = [], 30.0

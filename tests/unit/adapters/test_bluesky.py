@@ -18,6 +18,7 @@ from radiometer.bench.boxes import open_light_box
 from radiometer.bench.light_bench import open_light_camera
 from radiometer.data import Patch, Quantity, Reading
 from radiometer.errors import DeviceError, UsageError
+from testing.daemon_process import write_small_bench
 
 
 class Told:
@@ -25,17 +26,17 @@ class Told:
 
     origin = "radiometer:stated"
 
-    def __init__(self, *readings: Reading | Exception) -> None:
+    def __init__(self, *readings):
         self._readings = list(readings)
 
-    def measure(self) -> Reading:
+    def measure(self):
         first = self._readings.pop(0)
         if isinstance(first, Exception):
             raise first
         return first
 
 
-def _reading(value: float, luminance: Quantity | None = None, unit: str = "W sr-1 m-2") -> Reading:
+def _reading(value, luminance=None, unit="W sr-1 m-2"):
     return Reading(Quantity(value, 0.01 * value, unit), Patch(0, 0, 4, 4), "stated", luminance)
 
 
@@ -87,13 +88,13 @@ def test_light_bench_opens_both_devices(engine):
 
 
 @pytest.mark.slow
-def test_scan_over_a_motor_and_count_read_the_meters_patch(engine):
+def test_scan_over_a_motor_and_count_read_the_meters_patch(engine, tmp_path):
     """The still scene reads the same at each place of a motor; the patch is the source's, not the bench's."""
-    with rm.open("sim") as meter:
-        whole, dim = meter.measure(), meter.measure((0, 0, 40, 40))
+    with rm.open(write_small_bench(tmp_path)) as meter:
+        whole, dim = meter.measure(), meter.measure((95, 30, 20, 20))
         with init_devices():
             motor = SimMotor(instant=True)
-            detector = RadiometerDetector(MeterSource(meter, Patch(0, 0, 40, 40)))
+            detector = RadiometerDetector(MeterSource(meter, Patch(95, 30, 20, 20)))
         _, events = _run(engine, bp.scan([detector], motor, -1, 1, 2))
         _, counted = _run(engine, bp.count([detector], num=1))
     assert [event["motor"] for event in events] == [-1, 1]

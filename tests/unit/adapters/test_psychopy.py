@@ -13,10 +13,10 @@ class Told:
 
     origin = "radiometer:stated"
 
-    def __init__(self, luminance: Quantity | None, *flags: Flag) -> None:
+    def __init__(self, luminance, *flags):
         self.luminance, self.flags = luminance, flags
 
-    def measure(self) -> Reading:
+    def measure(self):
         return Reading(Quantity(0.5, 0.01, "W sr-1 m-2"), Patch(0, 0, 4, 4), "stated", self.luminance, flags=self.flags)
 
 

@@ -100,7 +100,7 @@ def test_the_uncertainty_holds_for_noisy_records():
     rng = np.random.default_rng(46_001)
     t = light_at(RATE_HZ, 0.1)
     inside = {"modulation_depth": 0, "flicker_index": 0, "svm": 0, "frequency": 0}
-    for _ in range(40):
+    for _ in range(20):
         depth, frequency = rng.uniform(0.1, 0.6), rng.uniform(95.0, 130.0)
         light = 1.0 + depth * np.sin(2.0 * np.pi * frequency * t + rng.uniform(0, 6)) + rng.normal(0, 0.02, t.size)
         found = measure_flicker(Waveform(light, RATE_HZ, "noisy"))
@@ -114,7 +114,7 @@ def test_the_uncertainty_holds_for_noisy_records():
             one = getattr(found, name)
             k = 2.0 if name == "frequency" else found.coverage_factor
             inside[name] += abs(one.value - value) <= k * one.u
-    assert min(inside.values()) >= 37, inside
+    assert min(inside.values()) >= 18, inside  # of half the u a third would be outside
 
 
 def test_the_uncertainty_of_a_severity_holds_what_noise_adds():
@@ -133,20 +133,20 @@ def test_the_uncertainty_of_a_severity_holds_what_noise_adds():
 def test_the_uncertainty_holds_for_a_cusp(rate_hz: float, noise: float) -> None:
     """A rectified sinusoid of eight periods: no finite series has the depth of its cusps, nor a sample between them."""
     rng, inside = np.random.default_rng(46_003), 0
-    for _ in range(15):
+    for _ in range(8):
         frequency, low, phase = rng.uniform(95.0, 125.0), rng.uniform(0.0, 0.5), rng.uniform()
         cycles = frequency * light_at(rate_hz, 8.0 / frequency) + phase
         light = low + (1.0 - low) * np.abs(np.sin(np.pi * cycles)) + rng.normal(0.0, noise, cycles.size)
         measures = measure_flicker(Waveform(light, rate_hz, "rectified"))
         found, k = measures.modulation_depth, measures.coverage_factor
         inside += abs(found.value - (1.0 - low) / (1.0 + low)) <= k * found.u < 0.5 * found.value
-    assert inside >= 13
+    assert inside >= 7
 
 
 NO_SHRINKING = (Phase.explicit, Phase.reuse, Phase.generate)  # a failing draw is as telling as a smaller one
 
 
-@settings(max_examples=60, deadline=None, phases=NO_SHRINKING)
+@settings(max_examples=25, deadline=None, phases=NO_SHRINKING)
 @given(st.floats(5.0, 40.0), st.floats(6.0, 40.0), st.floats(0.02, 1.0), st.floats(0.0, 1.0))
 def test_coarse_samples_of_a_sinusoid_show_its_extremes_and_its_area(samples, periods, depth, phase):
     """Between the samples as well: a sinusoid has one amplitude, whatever its phases."""
@@ -158,7 +158,7 @@ def test_coarse_samples_of_a_sinusoid_show_its_extremes_and_its_area(samples, pe
         assert one.u < 0.001 * depth
 
 
-@settings(max_examples=60, deadline=None, phases=NO_SHRINKING)
+@settings(max_examples=25, deadline=None, phases=NO_SHRINKING)
 @given(st.floats(5.0, 100.0), st.floats(0.1, 0.9), st.floats(0.05, 1.0), st.floats(0.0, 1.0), st.booleans())
 def test_coarse_samples_of_a_rectangle_do_not_ring(samples, duty, depth, phase, whole):
     """A Fourier series of a step overshoots by 9 %; the levels themselves are what was sampled."""
@@ -336,7 +336,7 @@ def test_decimals_of_a_table_move_its_times_and_are_no_jitter(tmp_path, form):
     assert read_waveform(tmp_path / "lamp.csv")[0].rate_hz == pytest.approx(16_000.0, rel=1e-3)
 
 
-LAMPS = ("CFL", "GE_Align_PM", "Feit_60W", "Sylvania_60W", "Bedtime_Bulb", "IKEA_Lunnom", "Hue_Color_Evening")
+LAMPS = ("CFL", "Feit_60W", "IKEA_Lunnom", "Hue_Color_Evening")
 
 
 def windowed_svm(light: np.ndarray, rate_hz: float) -> float:
@@ -390,7 +390,7 @@ def test_measured_lamps_agree_with_other_meters(shared_data, lamp):
     phase=st.floats(0.0, 6.28),
     offset=st.floats(0.0, 1.0),
 )
-@settings(max_examples=8, deadline=None, phases=NO_SHRINKING)
+@settings(max_examples=5, deadline=None, phases=NO_SHRINKING)
 def test_light_that_is_rounded_to_steps_holds_the_rounding_in_u(step, depth, phase, offset):
     """A sinusoid of 100 Hz in few codes, alike in every period: depth, index 1/π of it and SVM are within 3 u."""
     assume(depth > 2.0 * step)  # five codes or more

@@ -6,7 +6,7 @@ import pytest
 from radiometer.analysis.flicker import Flicker, measure_flicker, waveform_of_rows
 from radiometer.typing import Array
 
-ROWS_PER_PERIOD, DEPTH = 500, 0.3
+ROWS_PER_PERIOD, DEPTH = 250, 0.3
 TRUE = {"modulation_depth": DEPTH, "flicker_index": DEPTH / np.pi, "svm": 1.17061}
 
 
@@ -14,7 +14,7 @@ def measured(rows: Array, noise: np.random.Generator) -> Flicker:
     """Return the measures of a frame whose rows have these digital numbers above black on average."""
     light = 64.0 + rows[:, None] * np.ones((1, 16))
     pixels = np.round(noise.normal(light, np.sqrt(light / 2.0)))
-    return measure_flicker(waveform_of_rows(pixels, 20e-6, 1e-7, "frame", 64.0))
+    return measure_flicker(waveform_of_rows(pixels, 40e-6, 1e-7, "frame", 64.0))
 
 
 def falls_off(kind: str, at: Array) -> Array:
@@ -23,12 +23,15 @@ def falls_off(kind: str, at: Array) -> Array:
     return np.asarray((1.0 + tangent**2) ** -2)
 
 
-@pytest.mark.parametrize("periods", [2, 2.4, 4, 8])
+@pytest.mark.parametrize("periods", [2, 2.4, 8])
 def test_the_truth_is_within_u_of_a_frame_without_a_flat(periods: float) -> None:
-    """Over fall-offs and phases: nearly all of the figures are within U, and none is off by twice that."""
+    """Over fall-offs and phases: nearly all of the figures are within U, and none is off by twice that.
+
+    With half of that U a third of these 24 figures would be outside.
+    """
     index, noise, off = np.arange(round(periods * ROWS_PER_PERIOD)), np.random.default_rng(48_009), list[float]()
-    for kind in ("none", "usual", "deep", "beside the middle"):
-        for phase in (0.0, 0.25, 0.5, 0.8):
+    for n, kind in enumerate(("none", "usual", "deep", "beside the middle")):
+        for phase in ((0.0, 0.5), (0.25, 0.8))[n % 2]:
             light = 1.0 + DEPTH * np.sin(2.0 * np.pi * (index / ROWS_PER_PERIOD + phase))
             found = measured(3000.0 * light * falls_off(kind, np.linspace(-1.0, 1.0, index.size)), noise)
             for name, true in TRUE.items():

@@ -378,6 +378,9 @@ def test_what_pixels_of_one_level_share_is_not_averaged_away():
     even = replace(own, radiance=np.full((40, 80), 10.0, np.float32), u_radiance=level, u_shared=level)
     lux = vertical_illuminance(even, "equidistant", 180.0, 0.0, None)
     assert lux.u / lux.value == pytest.approx(0.03, rel=0.01)
+    nothing = region_figures(replace(even, radiance=np.zeros((40, 80), np.float32)), "dark", Patch(0, 0, 40, 40))
+    assert [nothing.mean.u, nothing.lowest.u] == pytest.approx([0.3, 0.3], rel=1e-5)
+    assert ratio_of(nothing, bright, 0.0).u == pytest.approx(0.003, rel=1e-5)
 
 
 def test_a_file_keeps_what_pixels_share(tmp_path):

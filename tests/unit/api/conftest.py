@@ -3,7 +3,6 @@
 import shutil
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -12,6 +11,7 @@ from radiometer.daemon.journal import Journal
 from radiometer.data import Patch, Quantity, Reading
 from radiometer.data.reading import Contribution
 from testing.colour_bench import capture_colours, write_colour_bench, write_colour_chart
+from testing.photograph_folder import write_photographs
 from testing.scripted_adaptation import SubjectCurve
 from testing.sky_log import Camera, sky_log, write
 
@@ -43,27 +43,11 @@ def desk(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> Path:
     write_colour_bench(folder / "colours.yaml")
     write_colour_chart(folder / "colours.csv")
     capture_colours(folder / "colours.yaml", folder / "colours")
-    (folder / "photographs").mkdir()
     ramp = np.geomspace(100, 4000, 96)[None, :, None] * np.ones((64, 1, 3)) * np.array([0.8, 1.0, 0.6])
-    lines = []
-    for number, time_s in enumerate((0.02, 0.04, 0.08)):
-        grey = np.clip(ramp * time_s, 0, 255).astype(np.uint8)
-        cv2.imwrite(str(folder / "photographs" / f"{number}.png"), grey)
-        lines.append(f"{number}.png {time_s}\n")
-    (folder / "photographs" / "exposures.txt").write_text("".join(lines), encoding="utf-8")
-    assert (
-        run(
-            [
-                "merge",
-                str(folder / "out" / "chart"),
-                "--calibration",
-                str(folder / "calibration.yaml"),
-                "-o",
-                str(folder / "map.tiff"),
-            ]
-        )
-        == 0
-    )
+    times = (0.02, 0.04, 0.08)
+    write_photographs(folder / "photographs", [np.clip(ramp * s, 0, 255).astype(np.uint8) for s in times], times)
+    words = ["--calibration", str(folder / "calibration.yaml"), "-o", str(folder / "map.tiff")]
+    assert run(["merge", str(folder / "out" / "chart"), *words]) == 0
     _write_tables(folder)
     with Journal(folder / "journal.sqlite") as journal:
         journal.append([_reading(0.30, Patch(40, 24, 16, 16)), _reading(0.31, Patch(40, 24, 16, 16))])

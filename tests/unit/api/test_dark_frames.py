@@ -67,16 +67,14 @@ def measured(folder: Path) -> tuple[float, float]:
     return reading.radiance.value, reading.radiance.u
 
 
-def merged(folder: Path) -> tuple[float, float]:
+def merged(folder: Path | rm.Stack) -> tuple[float, float]:
     found = rm.merge(folder, calibration=calibration())
     part = np.s_[12:28, 20:36]
     return float(np.mean(found.value[part])), float(np.hypot(found.u_rel_common, np.median(found.u[part])))
 
 
 def stacked(folder: Path) -> tuple[float, float]:
-    found = rm.merge(rm.read(folder), calibration=calibration())
-    part = np.s_[12:28, 20:36]
-    return float(np.mean(found.value[part])), float(np.hypot(found.u_rel_common, np.median(found.u[part])))
+    return merged(rm.read(folder))
 
 
 def calibrated(folder: Path) -> tuple[float, float]:

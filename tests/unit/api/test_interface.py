@@ -59,6 +59,9 @@ def test_a_meter_reads_a_patch_and_says_what_it_is(bench):
         first, second = meter.measure(), meter.measure(patch=(4, 4, 12, 12))
         assert "BFS-U3-19S4M" in repr(meter)
         assert "uncalibrated" in repr(meter)
+    meter.close()  # again: does nothing, and the camera is free for the next
+    with rm.open(bench, uncalibrated=True) as again:
+        assert again.calibration is None
     gap = first.radiance.value - second.radiance.value
     assert abs(gap) < 4 * np.hypot(first.radiance.u, second.radiance.u)
     assert second.patch == rm.Patch(4, 4, 12, 12)
@@ -93,15 +96,6 @@ def test_a_camera_that_bins_is_not_read_as_one_that_does_not(stated, tmp_path):
                 ask()
 
 
-def test_a_closed_meter_is_closed_once(bench):
-    """Closing again does nothing; the camera is free for the next."""
-    meter = rm.open(bench, uncalibrated=True)
-    meter.close()
-    meter.close()
-    with rm.open(bench, uncalibrated=True) as again:
-        assert again.calibration is None
-
-
 def test_threads_that_share_a_meter_take_turns():
     """Each gets the reading of its own patch, of a camera behind the GenICam library too."""
     try:
@@ -123,16 +117,12 @@ def test_a_bracket_keeps_light_and_dark_apart(stack):
 
 
 def test_a_capture_set_is_read_as_it_was_taken(stack, capture):
-    """Frames, camera and lens come back from disk."""
+    """Frames, camera and lens come back from disk; that it is no folder of photographs is stated with the way out."""
     again = rm.read(capture)
     assert again.camera == stack.camera
     assert again.lens.f_number == stack.lens.f_number
     for mine, theirs in zip(stack.bracket.light, again.bracket.light, strict=True):
         assert np.array_equal(mine.dn, theirs.dn)
-
-
-def test_a_capture_set_is_no_folder_of_photographs(capture):
-    """The error says which function reads it."""
     with pytest.raises(CaptureError, match=r"use radiometer\.read"):
         rm.read_photographs(capture)
 
@@ -203,10 +193,7 @@ def test_a_response_is_recovered_drawn_and_written(tmp_path):
     assert pyplot.gca() in drawn.figure.axes  # what `plt.savefig` writes
     pyplot.close(drawn.figure)
     assert response._repr_html_().startswith('<figure><img alt="&lt;Response by linear_spline')
-
-
-def test_a_response_of_a_sphere_says_how_few_stops_its_data_cover():
-    """Light that is nearly even at times close together: what lies outside of the data is extrapolated."""
+    # Light of a sphere, nearly even, at times close together: what lies outside of the data is extrapolated.
     found = rm.recover_response(_gradient(32_000.0, (0.01, 0.011, 0.012, 0.014)), method="linear_spline")
     assert any("stops only: readings outside them are extrapolated" in one for one in found.estimate.notes)
 
@@ -269,10 +256,12 @@ def in_a_new_process(code: str) -> str:
 
 
 def test_all_names_can_be_had_and_are_listed():
-    """Every name of `__all__` is there, documented, and shown by dir()."""
+    """Every name of `__all__` is there, documented, shown by dir(); another is refused with the nearest that is."""
     for name in rm.__all__:
         assert getattr(rm, name).__doc__
     assert set(rm.__all__) <= set(dir(rm))
+    with pytest.raises(AttributeError, match=r"no attribute 'Bracket'; did you mean 'bracket'\?"):
+        _ = rm.Bracket
 
 
 def test_every_name_of_a_page_is_there(project_root):
@@ -289,12 +278,6 @@ def test_every_name_of_a_page_is_there(project_root):
     assert [one for one in sorted(used) if not hasattr(importlib.import_module(one[0]), one[1])] == []
 
 
-def test_what_is_not_listed_is_private():
-    """A name that is not public is refused with the nearest that is."""
-    with pytest.raises(AttributeError, match=r"no attribute 'Bracket'; did you mean 'bracket'\?"):
-        _ = rm.Bracket
-
-
 @pytest.mark.parametrize(("error", "code"), [(rm.UsageError, 2), (rm.CalibrationError, 1), (rm.DeviceError, 1)])
 def test_every_error_can_be_caught_by_its_public_root(error, code):
     """A program catches RadiometerError and finds the exit code of the command line."""
@@ -308,18 +291,3 @@ def test_importing_loads_neither_numpy_nor_any_room():
     """`import radiometer` alone costs nothing."""
     code = "import sys, radiometer; print([m for m in sys.modules if m.startswith(('numpy', 'radiometer.'))])"
     assert in_a_new_process(code) == "[]"
-
-
-@pytest.mark.parametrize(
-    ("call", "named"),
-    [
-        (lambda capture: rm.light_set("spot", level=100, hold_s=float("nan"), no_eye=True, box="sim"), "hold_s"),
-        (lambda capture: rm.light_blink("spot", 0.1, 0.1, level=100, hold_s=-5.0, no_eye=True, box="sim"), "hold_s"),
-        (lambda capture: rm.calibrate(capture, patch=(10, 10, 8, 8), radiance=1.0, u_rel=-0.2), "u_rel"),
-        (lambda capture: rm.bracket("never", camera="sim", darks=-1), "darks is -1"),
-    ],
-)
-def test_numbers_that_the_commands_refuse_are_refused_in_python_too(capture, call, named):
-    """Times that are none, uncertainties below 0, fewer than no frames."""
-    with pytest.raises(rm.RadiometerError, match=named):
-        call(capture)

@@ -103,17 +103,18 @@ class Bench:
         (copy / "capture.yaml").write_text(yaml.safe_dump(header))
         return copy
 
+    def scaled(self, name: str) -> Calibration:
+        """Return a calibration under the conditions of the first frame of a set."""
+        header = CaptureSet.read(self.folder / name).header
+        conditions = ScaleConditions(temperature_c=header.frames[0].settings.temperature_c)
+        scale = Scale(value=1e-6, u_rel=0.01, method="known_radiance", f_number=4.0, conditions=conditions)
+        return Calibration(header.camera, header.lens, scale, None, SensorNoise.of(header.camera))
+
     def radiance(self, name: str, change: Change) -> tuple[float, float]:
         """Return the mean radiance of a place of a set, and the relative u that all pixels share."""
-        header = CaptureSet.read(self.folder / name).header
-        first = header.frames[0].settings
-        there = Scale(
-            value=1e-6, u_rel=0.01, method="known_radiance", f_number=4.0,
-            conditions={"temperature_c": first.temperature_c},  # type: ignore[arg-type]
-        )  # fmt: skip
-        known = Calibration(header.camera, header.lens, there, None, SensorNoise.of(header.camera))
-        channel = "green" if header.camera.mosaic else None
-        where = place("white") if header.camera.mosaic else (35, 25, 10, 10)
+        known = self.scaled(name)
+        channel = "green" if known.camera.mosaic else None
+        where = place("white") if known.camera.mosaic else (35, 25, 10, 10)
         found = rm.merge(self.with_header(name, change), calibration=known, channel=channel).maps
         one = next(iter(found.values()))
         return float(one.radiance[rm.Patch(*where).slices].mean()), one.u_rel_common
@@ -128,12 +129,7 @@ class Bench:
 
     def flux(self, change: Change) -> tuple[float, float]:
         """Return the flux that radiance and area of the disc give, and the relative u of the flux on the sensor."""
-        header = CaptureSet.read(self.folder / "diode").header
-        there = Scale(
-            value=1e-6, u_rel=0.01, method="known_radiance", f_number=4.0,
-            conditions={"temperature_c": 40.0},  # type: ignore[arg-type]
-        )  # fmt: skip
-        known = Calibration(header.camera, header.lens, there, None, SensorNoise.of(header.camera))
+        known = self.scaled("diode")
         found = rm.flux(self.with_header("diode", change), calibration=known, half_angle=60.0, diameter=3.0).report
         return found.emitted["radiance_times_area"].value, found.on_sensor.u_rel
 

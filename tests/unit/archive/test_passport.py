@@ -99,14 +99,10 @@ def test_a_sensor_that_ages_follows_no_one_law():
     assert [change.changed for change in found.changes if change.quantity == "dark current"] == [True]
 
 
-def test_a_dark_current_that_falls_with_the_temperature_follows_no_law():
-    """Light that leaks in is no dark current: neither of the laws is fitted to it."""
-    assert fit_dark_law([session("a", temperatures=(-10, 0, 10), doubling_k=-4.8)]) is None
-    assert fit_dark_law([session("a", temperatures=(-10, 10), doubling_k=-4.8)]) is None
-
-
-def test_temperatures_that_go_with_sessions_judge_nothing():
-    """One temperature per session, or one session, cannot separate an older sensor from a warmer one."""
+def test_what_shows_no_law_is_fitted_by_none_and_judges_nothing():
+    """Light that leaks in falls with the temperature; one temperature per session, or one session, tells no ageing."""
+    for temperatures in ((-10, 0, 10), (-10, 10)):
+        assert fit_dark_law([session("a", temperatures=temperatures, doubling_k=-4.8)]) is None
     for sessions in ([session("a", temperatures=(-10,)), session("b", temperatures=(10,))],
                      [session("a", temperatures=(-10, 0, 10))]):  # fmt: skip
         law = fit_dark_law(sessions)
@@ -160,15 +156,11 @@ def series(levels, exposure_s=1.0):
     return LightSeries(exposure_s, 0.0, 1.0, "default", names, tuple(float(v) for v in levels))
 
 
-def test_a_lamp_that_jumped_within_a_session():
-    """A step of 1 % between the fifth and the sixth of ten frames is named with its place and size."""
+def test_a_lamp_that_jumped_or_wandered_within_a_session():
+    """A step of 1 % between the fifth and the sixth of ten frames, and scatter of 0.4 %; 0.02 % is nothing."""
     rng = np.random.default_rng(4)
     levels = 1000.0 * (1 + rng.normal(0, 2e-4, 10)) * np.where(np.arange(10) >= 5, 1.01, 1.0)
     assert "jumped by +0.99 % between f4 and f5" in light_line("a", series(levels))
-
-
-def test_a_lamp_that_wanders_and_one_that_is_steady():
-    """Scatter of 0.4 % is stated as such; 0.02 % is nothing."""
     rng = np.random.default_rng(4)
     assert "wandered" in light_line("a", series(1000.0 * (1 + rng.normal(0, 4e-3, 8))))
     assert light_line("a", series(1000.0 * (1 + rng.normal(0, 2e-4, 8)))) is None
@@ -240,7 +232,7 @@ def test_two_nights_of_one_camera(archive):
     assert [c.changed for c in found.changes if c.quantity in ("K", "dark current")] == [False, False]
 
 
-def test_the_command_reports_people_the_same(archive, capsys):
+def test_the_command_reports_people_the_same(archive, tmp_path, capsys):
     """Sessions by date, the law of the dark current, the stated gain, and each figure as changed or not."""
     assert run(["passport", str(archive)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
@@ -251,10 +243,6 @@ def test_the_command_reports_people_the_same(archive, capsys):
     assert ": one law" in printed
     assert "gain: " in printed
     assert re.search(r"K: unchanged \(", printed)
-
-
-def test_an_archive_without_sessions(tmp_path):
-    """The message says what was looked for."""
     with pytest.raises(InputError, match="no capture set"):
         find_sessions(tmp_path)
 

@@ -7,7 +7,6 @@ import socket
 import threading
 import time
 import tty
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +27,7 @@ from testing.patience import within
 
 
 @pytest.fixture(autouse=True)
-def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _own_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
 
@@ -37,7 +36,7 @@ def test_light_off_works_while_another_program_holds_the_box(capsys):
     """The box on its port is lit and held; `light off` has its holder darken it, and says who that was."""
     with served_box("HELD0001", None).server as server, open_light_box(server.port) as opened:
         opened.box.set_level("spot", DriveLevel(1000))
-        done: list[int] = []
+        done = []
         asking = threading.Thread(target=lambda: done.append(run(["light", "off", "--json"])))
         asking.start()
         asking.join(within(20.0))
@@ -84,7 +83,7 @@ def test_light_off_finds_the_holder_of_a_port_by_the_port(tmp_path, monkeypatch,
     with served_box("HELD0001", tmp_path / "link").server as server, open_light_box(server.port) as opened:
         opened.box.set_level("spot", DriveLevel(1000))
         monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path / "other"))
-        done: list[int] = []
+        done = []
         port = server.port if link else os.path.realpath(server.port)
         asking = threading.Thread(target=lambda: done.append(run(["light", "off", "--box", port])))
         asking.start()
@@ -108,7 +107,7 @@ def test_a_box_that_stays_lit_is_an_error_of_every_program(tmp_path):
 class StaysLit(LineFaults):
     """Makes another request of every one for darkness."""
 
-    def apply(self, raw: bytes) -> bytes:
+    def apply(self, raw):
         """Return what arrives."""
         return request_line(int(raw[1:3], 16), "ST") if b" OF " in raw else raw
 
@@ -124,7 +123,7 @@ def test_light_off_darkens_all_that_answer_whatever_else_is_there(capsys, tmp_pa
         assert run(["light", "off"]) == 0
         assert {line.split()[2] for line in capsys.readouterr().out.splitlines()} == {"ONES0001:", "TWOS0001:"}
 
-        def refuse() -> None:
+        def refuse():
             raise OSError
 
         with holding("MUTE0001", "/dev/mute", refuse):
@@ -136,7 +135,7 @@ def test_light_off_darkens_all_that_answer_whatever_else_is_there(capsys, tmp_pa
 
 def test_light_off_asks_only_the_holder_of_the_box_named(capsys):
     """Another box stays as it is."""
-    dark: list[str] = []
+    dark = []
     with (
         holding("AAAA0001", "/dev/a", lambda: dark.append("a")),
         holding("BBBB0001", "/dev/b", lambda: dark.append("b")),
@@ -176,7 +175,7 @@ def test_a_port_is_reported_whole_however_deep_its_folder_is():
 def test_a_holder_that_does_not_darken_is_named():
     """The message gives the process and the ways that are left."""
 
-    def stuck() -> None:
+    def stuck():
         raise OSError("the port has gone")
 
     with holding("AAAA0001", "/dev/a", stuck):
@@ -187,9 +186,9 @@ def test_a_holder_that_does_not_darken_is_named():
 
 def test_pages_darken_every_box_that_is_held():
     """Lights off of a page asks all holders, the one after a stuck one too, and says who is dark."""
-    dark: list[str] = []
+    dark = []
 
-    def stuck() -> None:
+    def stuck():
         raise OSError("the port has gone")
 
     assert darken_held() == "no program holds a light box, so none is lit"
@@ -269,7 +268,7 @@ class Stranger:
     port: str
     master: int
 
-    def received(self) -> bytes:
+    def received(self):
         os.set_blocking(self.master, False)
         try:
             return os.read(self.master, 65536)
@@ -278,7 +277,7 @@ class Stranger:
 
 
 @pytest.fixture
-def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stranger]:
+def stranger(tmp_path, monkeypatch):
     """Return such a device; no other port exists, and no one waits for a boot loader."""
     monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
@@ -292,7 +291,7 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Strang
     os.close(slave)
 
 
-def _plug(monkeypatch: pytest.MonkeyPatch, *ports: SerialPort) -> None:
+def _plug(monkeypatch, *ports):
     monkeypatch.setattr(boxes, "list_serial_ports", lambda: list(ports))
 
 

@@ -36,31 +36,31 @@ def test_a_sound_camera_has_no_warning():
         assert {finding.health for finding in check_camera(sound)} == {Health.OK}
 
 
-def test_a_bent_response_is_found():
-    """A gamma of 0.9 is found as half the exposure not giving half the signal."""
-    with camera(BentCamera) as bent:
-        bent.configure(CameraSettings(0.01, black_level_dn=0))
-        finding = check_linearity(bent, 0.0)
-    assert finding.health is Health.WARNING
-    assert "gives 0.535" in finding.message  # 0.5**0.9 = 0.5359
-
-
-def test_too_little_light_is_reported_instead_of_judged():
-    """Without light there is no verdict on linearity, but a cure."""
-    with camera(radiance=1e-9) as unlit:
-        unlit.configure(CameraSettings(0.01, black_level_dn=64))
-        finding = check_linearity(unlit, 64.0)
-    assert finding.health is Health.NOTE
-    assert finding.cure
-
-
-def test_a_dark_signal_cut_off_at_zero_is_found():
-    """With black level 0 half of the noise is cut off; the cure is a higher black level."""
-    with camera() as cut:
-        cut.configure(CameraSettings(0.01, black_level_dn=0))
-        finding, _ = check_dark_level(cut)
-    assert finding.health is Health.WARNING
-    assert "raise the black level" in finding.cure
+@pytest.mark.parametrize(
+    ("made", "black_dn", "check", "health", "words"),
+    [
+        (
+            {"kind": BentCamera},
+            0,
+            lambda c: check_linearity(c, 0.0),
+            Health.WARNING,
+            "gives 0.535",
+        ),  # 0.5**0.9 = 0.5359
+        ({"radiance": 1e-9}, 64, lambda c: check_linearity(c, 64.0), Health.NOTE, "light"),
+        ({}, 0, lambda c: check_dark_level(c)[0], Health.WARNING, "raise the black level"),
+        ({}, 64, check_temperature, Health.OK, ""),
+        ({"temperature_c": 75.0}, 64, check_temperature, Health.WARNING, ""),
+    ],
+    ids=["gamma", "too dark to judge", "noise cut off at zero", "warm", "above 65 °C"],
+)
+def test_what_ails_a_camera_is_found(made, black_dn, check, health, words):
+    """Half the exposure gives not half the signal, light shows nothing, dark noise is cut off, heat: with the cure."""
+    with camera(**made) as examined:
+        examined.configure(CameraSettings(0.01, black_level_dn=black_dn))
+        finding = check(examined)
+    assert finding.health is health
+    assert words in f"{finding.message} {finding.cure}"
+    assert finding.cure or health is not Health.NOTE
 
 
 def test_the_dark_level_is_measured_with_the_shutter_closed():
@@ -69,13 +69,6 @@ def test_the_dark_level_is_measured_with_the_shutter_closed():
         lit.configure(CameraSettings(0.01, black_level_dn=64))
         _, level_dn = check_dark_level(lit)
     assert level_dn == pytest.approx(64.0, abs=5 * 0.95 / np.sqrt(2 * 80 * 60) + 0.01)
-
-
-@pytest.mark.parametrize(("temperature_c", "health"), [(40.0, Health.OK), (75.0, Health.WARNING)])
-def test_a_hot_sensor_is_found(temperature_c, health):
-    """A sensor above 65 °C is a warning."""
-    with camera(temperature_c=temperature_c) as warm:
-        assert check_temperature(warm).health is health
 
 
 LENS = LensDescription(focal_length_mm=16, f_number=4.0, transmittance=0.95, vignetting="cos4")
@@ -116,7 +109,7 @@ def test_dark_frames_take_the_data_sheet_s_doubt_away():
 
 def test_a_cap_is_asked_for_and_taken_off_again():
     """By hand, whatever the light: covered once, uncovered once, dark frames in the bracket."""
-    asked: list[bool] = []
+    asked = []
     taken = replace(instrument(BRIGHT, shutter=False), cover=asked.append).take_bracket()
     assert asked == [True, False]
     assert taken.dark

@@ -5,7 +5,6 @@ import base64
 import io
 import threading
 from dataclasses import replace
-from typing import Any
 
 import aiohttp
 import pytest
@@ -31,7 +30,7 @@ def test_patch_drawn_on_the_page_is_printed_and_written_into_the_bench_file(tmp_
     """The page gets picture, histogram and clipping; a rectangle becomes the patch, comments of the file stay."""
     bench, printed = tmp_path / "lab.yaml", list[str]()
     bench.write_text("format: radiometer-bench/1\n" + BENCH, encoding="utf-8")
-    address: list[str] = []
+    address = []
     ready = threading.Event()
 
     def announce(url):
@@ -41,7 +40,7 @@ def test_patch_drawn_on_the_page_is_printed_and_written_into_the_bench_file(tmp_
     def run():
         found.append(rm.view(bench=bench, frames=40, every_s=0.05, announce=announce, notice=printed.append))
 
-    found: list[rm.Patch] = []
+    found = []
     shown = threading.Thread(target=run)
     shown.start()
     assert ready.wait(60)
@@ -104,8 +103,8 @@ class LostCamera:
 @pytest.mark.parametrize("away", [0, 2])
 def test_a_camera_that_is_back_is_open_with_its_settings(away):
     """It is let go, opened again after as many pauses as it was away for, and only then set."""
-    camera: Any = LostCamera(away)
-    pauses: list[float] = []
+    camera = LostCamera(away)
+    pauses = []
 
     def pause(seconds):
         pauses.append(seconds)
@@ -120,7 +119,7 @@ def test_a_camera_that_is_back_is_open_with_its_settings(away):
 def test_each_reason_is_reported_once_and_a_camera_that_does_not_open_is_let_go(monkeypatch):
     """Who waits hears of a new reason and not of the same one again; between two tries nothing is held open."""
     reasons = ["unplugged", "unplugged", "in use", "in use"]
-    camera: Any = LostCamera(0)
+    camera = LostCamera(0)
     plain_open, others = camera.open, ["4712", "4711"]
 
     def fail_first():
@@ -131,8 +130,8 @@ def test_each_reason_is_reported_once_and_a_camera_that_does_not_open_is_let_go(
         plain_open()
 
     monkeypatch.setattr(camera, "open", fail_first)
-    reported: list[str] = []
-    held: list[bool] = []
+    reported = []
+    held = []
     reopen(camera, CameraSettings(exposure_s=0.003), reported.append, lambda _s: held.append(camera.is_open))
     another = reported.pop()
     assert "another device answers, camera Fake F-1 4712, in place of camera Fake F-1 4711" in another
@@ -141,7 +140,7 @@ def test_each_reason_is_reported_once_and_a_camera_that_does_not_open_is_let_go(
 
 def test_a_camera_that_can_never_be_opened_is_not_waited_for(monkeypatch):
     """Without its library no pause helps: the error comes at the first try."""
-    camera: Any = LostCamera(0)
+    camera = LostCamera(0)
 
     def fail():
         raise MissingLibrary("aravis")

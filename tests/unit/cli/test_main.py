@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 import pytest
 import structlog
-import typer
 
 import radiometer as rm
 from radiometer.bench.boxes import calibration_file
@@ -46,28 +45,28 @@ from testing.patience import within
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_every_listed_command_explains_itself(name, capsys):
-    """Each line of the table leads to a module with a help text."""
+    """Each line of the table leads to a module that says what it does, with a help text."""
+    assert importlib.import_module(COMMANDS[name].module).__doc__
     assert run([name, "--help"]) == 0
     assert "Usage" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_every_command_is_documented(name):
-    """A command's module says what it does."""
-    assert importlib.import_module(COMMANDS[name].module).__doc__
-
-
 @pytest.mark.slow
-def test_the_overview_imports_nothing_heavy():
-    """Help must come at once: neither NumPy nor typer may be loaded for it."""
+@pytest.mark.parametrize(
+    ("words", "heavy", "shown"),
+    [
+        (["--help"], {"numpy", "scipy", "cv2", "typer", "rich", "pydantic", "matplotlib"}, "measure"),
+        (["flicker", "--help"], {"scipy", "radiometer.api.flicker"}, "--duration"),
+    ],
+)
+def test_help_imports_nothing_heavy(words, heavy, shown):
+    """Help and completion answer at once: a library of arrays, and a command's function, are imported when called."""
     script = (
-        "import sys; from radiometer.cli.main import run; run(['--help']);"
-        "heavy = {'numpy', 'scipy', 'cv2', 'typer', 'rich', 'pydantic', 'matplotlib'} & set(sys.modules);"
-        "sys.exit(repr(sorted(heavy)) if heavy else 0)"
+        f"import sys; from radiometer.cli.main import run; run({words}); sys.exit(repr({heavy} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.stderr == ""
-    assert "measure" in done.stdout
+    assert done.stderr.strip() == "set()"
+    assert shown in done.stdout
 
 
 MISUSE = [
@@ -116,6 +115,22 @@ MISUSE = [
     ("screen calibrate -o x.yaml --display oled --export xlsx", 2, "xlsx"),
     ("screen calibrate -o x.yaml --display oled --channels gray", 2, "gray"),
     ("screen calibrate -o x.yaml", 2, "--camera"),
+    *(
+        (f"screen report --display {words} -o x.html", 2, message)
+        for words, message in (
+            ("plasma", "--area X,Y,W,H"), ("lcd --methods smell", "smell"),
+            ("lcd --methods viewing_angle", "viewing_angle"),
+            ("lcd --geometry sideways", "sideways"), ("lcd --points 12", "--points"), ("lcd --checkers 4", "4"),
+            ("lcd --checkers 3x3", "3x3"), ("lcd --angles left", "left"), ("lcd --angles=-90,90", "90"),
+            ("lcd --levels few", "few"),
+            ("oled --area 0,0,30,20 --warm-up 0 --methods white", "move the camera closer"),
+        )
+    ),
+    ("screen report --camera 22500001 -o x.html", 2, "--area X,Y,W,H"),
+    ("measure --linear", 2, "--linear"),
+    ("measure --linear --photographs . --calibration none.yaml", 2, "--linear"),
+    ("merge . --linear --response c.csv -o a.exr", 2, "leave --response out"),
+    ("light set spot --level 9 --box sim --eye both", 2, "--eye"),
     ("adapt run nothing --subject A --simulate steady", 2, "nothing"),
     ("adapt run classic --subject A --simulate asleep", 2, "asleep"),
     ("adapt run classic --subject A --simulate steady --box LB000001", 2, "--box"),
@@ -254,27 +269,62 @@ class _Terminal(io.StringIO):
         return True
 
 
-def _given_options(command, *path):
+def _options(command, *path):
     """Yield each option of a command and of those below it, after the words of its command."""
     for option in command.params:
         if option.param_type_name == "option" and option.name != "help":
             yield path, option
     for name, inner in getattr(command, "commands", {}).items():
-        yield from _given_options(inner, *path, name)
+        yield from _options(inner, *path, name)
+
+
+def _senseless(option):
+    """Yield values that an option cannot take, each with what the message holds besides the option."""
+    long, limits = max(option.opts, key=len), option.type_descriptor.parameter_info
+    if option.type_descriptor.annotation is float or (limits.min, limits.max) != (None, None):
+        yield from (("nan", ""), ("inf", ""))
+    if limits.min is not None:
+        yield f"{limits.min - 1}", ""
+    if limits.max is not None:
+        yield f"{limits.max * 2}", ""
+    if long.endswith("-u-rel"):  # 500 % or 5 %?
+        yield "5", f"{long} 5: is 500 %; write 5%"
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_an_option_of_one_value_is_not_given_twice(name, tmp_path, monkeypatch, capsys):
-    """The last value would win without a word; `--no-x` after `--x` likewise. Whatever the values, nothing happens."""
+def test_an_option_takes_one_sensible_value(name, tmp_path, monkeypatch, capsys):
+    """No number outside its range, no NaN, no infinity, no share that may be per cent, and none twice.
+
+    The last of two would win without a word; `--no-x` after `--x` likewise. Whatever the values, nothing happens.
+    """
     monkeypatch.chdir(tmp_path)
-    for path, option in _given_options(application(name), name):
-        value = [] if option.is_flag else ["1"]
-        words = [*path, option.opts[0], *value, (option.secondary_opts or option.opts)[0], *value]
-        if option.multiple or (option.is_flag and not option.secondary_opts):
-            continue
-        assert run(words) == 2, words
-        assert capsys.readouterr().err == f"error: {max(option.opts, key=len)} is given twice; give it once\n"
+    for path, option in _options(application(name), name):
+        long = max(option.opts, key=len)
+        for value, message in _senseless(option):
+            assert run([*path, f"{long}={value}"]) == 2, (path, long, value)
+            printed = " ".join(capsys.readouterr().err.split())
+            assert long in printed
+            assert message in printed
+        if not option.multiple and (not option.is_flag or option.secondary_opts):
+            value = [] if option.is_flag else ["1"]
+            words = [*path, option.opts[0], *value, (option.secondary_opts or option.opts)[0], *value]
+            assert run(words) == 2, words
+            assert capsys.readouterr().err == f"error: {long} is given twice; give it once\n"
     assert not list(tmp_path.iterdir())
+
+
+def test_the_options_of_a_command_have_the_ranges_of_its_function():
+    """Those of the bleach and of a photograph's reference, as examples of each way in which commands are made."""
+    for words, name, low, high in (
+        (("adapt", "bleach"), "--pupil", 1.0, 9.0),
+        (("alpha-opic",), "--wavelength-u", 0.0, 50.0),
+        (("calibrate",), "--luminance-meter-k", 5.0, 30.0),
+    ):
+        (option,) = (
+            one for path, one in _options(application(words[0]), words[0]) if path == words and name in one.opts
+        )
+        limits = option.type_descriptor.parameter_info
+        assert (limits.min, limits.max) == (low, high)
 
 
 def _documented_with_an_option_twice():
@@ -292,23 +342,19 @@ def test_a_documented_option_may_be_given_as_often_as_the_page_gives_it(words, t
     assert "is given twice" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("text", "value"), [("0.05", 0.05), ("5%", 0.05), ("5 %", 0.05), ("0", 0.0), (None, None)])
-def test_a_relative_quantity_is_a_fraction_or_per_cent(text, value):
-    """Both forms give the same number."""
-    assert parse_relative(text, "--u-rel") == pytest.approx(value)
-
-
-@pytest.mark.parametrize(("text", "seconds"), [("1/125", 0.008), ("8ms", 0.008), ("125s", 125.0), ("30", 30.0)])
-def test_an_exposure_time_with_its_unit_or_a_plausible_number(text, seconds):
-    """Times that mean one thing alone are taken."""
-    assert parse_exposure(text, "--from") == pytest.approx(seconds)
-    assert parse_seconds("600", "--for") == 600.0  # a light may well be on for ten minutes
-
-
-@pytest.mark.parametrize(("text", "number"), [("4", 4.0), ("f/2.8", 2.8), ("F/16", 16.0)])
-def test_an_f_number_as_it_is_written(text, number):
-    """The number alone, or with f/ before it."""
-    assert parse_f_number(text, "--f-number") == number
+@pytest.mark.parametrize(
+    ("parse", "text", "value"),
+    [
+        *((parse_relative, text, 0.05) for text in ("0.05", "5%", "5 %")), (parse_relative, "0", 0.0),
+        (parse_relative, None, None), (parse_exposure, "1/125", 0.008), (parse_exposure, "8ms", 0.008),
+        (parse_exposure, "125s", 125.0), (parse_exposure, "30", 30.0),
+        (parse_seconds, "600", 600.0),  # a light may well be on for ten minutes
+        (parse_f_number, "4", 4.0), (parse_f_number, "f/2.8", 2.8), (parse_f_number, "F/16", 16.0),
+    ],
+)  # fmt: skip
+def test_a_quantity_is_taken_as_it_is_written(parse, text, value):
+    """A fraction or per cent, a time with its unit or a plausible number, an f-number with f/ before it or without."""
+    assert parse(text, "--option") == pytest.approx(value)
 
 
 @pytest.mark.parametrize(
@@ -331,24 +377,6 @@ def test_each_bound_is_taken_and_one_step_beyond_is_misuse(parse, taken, refused
     for text in refused:
         with pytest.raises(UsageError):
             parse(text, *option)
-
-
-def _options(command, *path):
-    """Yield each option of a command and of those below it, after the words of its command."""
-    yield from ((*path, option.opts[0]) for option in command.params)
-    for name, inner in getattr(command, "commands", {}).items():
-        yield from _options(inner, *path, name)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_relative_quantity_of_five_is_misuse(name, capsys, tmp_path, monkeypatch):
-    """5 may be 500 % or 5 %: whatever the command, the message says what to write."""
-    monkeypatch.chdir(tmp_path)
-    for words in _options(application(name), name):
-        if words[-1].endswith("-u-rel"):
-            assert run([*words, "5"]) == 2, words
-            assert f"{words[-1]} 5: is 500 %; write 5%" in " ".join(capsys.readouterr().err.split())
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture
@@ -450,41 +478,19 @@ def _failed(message):
         structlog.get_logger("test").exception("advice failed", what="the limits")
 
 
-@pytest.mark.parametrize("verbosity", [0, 1])
-def test_an_error_is_one_line(verbosity, capsys):
-    """What failed, which error, what it says and where: one line, no traceback."""
-    configure_logging(verbosity)
-    _failed("by nothing")
-    (line,) = capsys.readouterr().err.splitlines()
-    for part in ("advice failed", "the limits", "ZeroDivisionError", "by nothing", "test_main.py:"):
-        assert part in line
-
-
-def test_who_asks_for_everything_gets_the_traceback_without_its_variables(capsys):
-    """At DEBUG the traceback is plain: the lines of code, not what the variables hold."""
+def test_an_error_is_one_line_and_everything_on_demand(capsys):
+    """What failed, which error, what it says and where: no traceback. At DEBUG it is plain, without the variables."""
+    for verbosity in (0, 1):
+        configure_logging(verbosity)
+        _failed("by nothing")
+        (line,) = capsys.readouterr().err.splitlines()
+        for part in ("advice failed", "the limits", "ZeroDivisionError", "by nothing", "test_main.py:"):
+            assert part in line
     configure_logging(2)
     _failed("by nothing")
     printed = capsys.readouterr().err
     assert "Traceback" in printed
     assert "49999" not in printed
-
-
-def _numbers(command, *path):
-    """Yield each option of a command and of those below it that takes a number, after the words of its command."""
-    for option in command.params:
-        if option.param_type_name == "option" and option.type_descriptor.annotation is float:
-            yield (*path, option.opts[0])
-    for name, inner in getattr(command, "commands", {}).items():
-        yield from _numbers(inner, *path, name)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_no_option_takes_what_is_no_number(name, tmp_path, monkeypatch):
-    """A limit lets nan pass, and without one infinity passes, too; each is refused before anything happens."""
-    monkeypatch.chdir(tmp_path)
-    for words in _numbers(application(name), name):
-        assert [run([*words, value]) for value in ("nan", "inf")] == [2, 2], words
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_log_that_cannot_be_written_ends_no_program(monkeypatch):
@@ -502,17 +508,13 @@ def test_a_log_that_cannot_be_written_ends_no_program(monkeypatch):
         os.close(target)
 
 
-def test_an_event_without_an_error_says_nothing_of_one(capsys):
-    """A plain warning stays as it is."""
+def test_an_event_is_one_line_and_what_libraries_say_is_for_who_asks_for_everything(capsys):
+    """A plain warning says nothing of an error; what tifffile logs of a damaged file comes at DEBUG alone."""
     configure_logging()
     structlog.get_logger("test").warning("camera warms up", kelvin=3.5)
     (line,) = capsys.readouterr().err.splitlines()
     assert "kelvin" in line
     assert "error=" not in line
-
-
-def test_what_a_library_says_of_a_damaged_file_is_for_who_asks_for_everything(capsys):
-    """Ours is the one line; what tifffile logs next to it comes at DEBUG alone."""
     for verbosity, lines in ((0, []), (1, []), (2, ["invalid value offset"]), (0, [])):
         configure_logging(verbosity)
         logging.getLogger("tifffile").error("invalid value offset")
@@ -543,7 +545,7 @@ def test_a_command_has_the_parameters_of_its_function_and_its_words(path):
     assert document.startswith(" ".join(found.text.split()))
     parameters = {name: one for name, one in inspect.signature(function).parameters.items() if name not in _SERVED}
     entries = [*found.arguments, *found.options]
-    own = [name for name, _ in entries if name.split()[0] in ("--plot", "--csv", "--json")]
+    own = [name for name, _ in entries if name.split()[0] in ("--plot", "--csv", "--json", "--open")]
     own += ["--force"] * ("force" not in parameters and any(name.startswith("--force") for name, _ in entries))
     own += ["--report"] * ("report" not in parameters and any(name.startswith("--report") for name, _ in entries))
     assert len(entries) == len(parameters) + len(own)
@@ -552,21 +554,11 @@ def test_a_command_has_the_parameters_of_its_function_and_its_words(path):
     assert all(f"[default: {number}" in shown for number in numbers if not isinstance(number, bool))
 
 
-def test_the_help_of_a_command_imports_no_library_of_arrays():
-    """Help and completion answer at once: the function is imported when it is called."""
-    code = (
-        "import sys; from radiometer.cli.main import run; run(['flicker', '--help']); "
-        "print('scipy' in sys.modules, 'radiometer.api.flicker' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "False False"
-
-
 # Every command that writes checks its outputs before its work: their folder, and that nothing is overwritten.
 
 
 _WRITES = re.compile(r"\b(write|written(?! by)|draw|drawn|create|keep the frames)\b", re.IGNORECASE)
-_JOURNALS = {("batch", "out"), ("adapt run", "out"), ("serve", "journal")}  # taken up where they end, never replaced
+_JOURNALS = {("batch", "output"), ("adapt run", "out"), ("serve", "journal")}  # taken up where they end, never replaced
 
 
 def _leaves(path, found):
@@ -577,18 +569,7 @@ def _leaves(path, found):
         yield from _leaves((*path, name), single)
 
 
-def _commands():
-    for name, entry in COMMANDS.items():
-        module = importlib.import_module(entry.module)
-        if hasattr(module, "command"):
-            app = typer.Typer()
-            app.command(name=name)(module.command)
-            yield (name,), typer.main.get_command(app)
-        elif isinstance(module.app, typer.Typer):
-            yield from _leaves((name,), typer.main.get_command(module.app))
-
-
-_ALL = list(_commands())
+_ALL = [leaf for name in COMMANDS for leaf in _leaves((name,), application(name))]
 _OUTPUTS = [
     pytest.param(path, command, name, id=f"{'-'.join(path)}-{name}")
     for path, command in _ALL
@@ -721,39 +702,25 @@ def test_devices_are_listed_and_what_is_not_there_is_reported(capsys, words, cod
     assert shown in printed.out + printed.err
 
 
-def test_a_scene_with_an_unknown_kind_is_refused(tmp_path):
-    """The message names the file and the kinds that there are."""
-    file = tmp_path / "scene.yaml"
-    file.write_text("kind: moonlight\n", encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=r"scene\.yaml.*moonlight"):
-        served_camera(scene=str(file))
+@pytest.mark.parametrize(
+    ("what", "text", "message"),
+    [
+        ("scene", "kind: moonlight\n", r"served\.yaml.*moonlight"),
+        ("bench", "format: radiometer-bench/1\ncamera: {kind: genicam, id: '1'}\n"
+         "lens: {focal_length_mm: 16, f_number: 4}\n", "only a simulated one can be served"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_served_is_refused(tmp_path, what, text, message):
+    """A scene of an unknown kind, and a bench with a real camera."""
+    (tmp_path / "served.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=message):
+        served_camera(**{what: tmp_path / "served.yaml" if what == "bench" else str(tmp_path / "served.yaml")})
 
 
-def test_only_a_simulated_bench_can_be_served(tmp_path):
-    """A bench with a real camera has nothing to serve."""
-    file = tmp_path / "bench.yaml"
-    file.write_text(
-        "format: radiometer-bench/1\ncamera: {kind: genicam, id: '1'}\nlens: {focal_length_mm: 16, f_number: 4}\n",
-        encoding="utf-8",
-    )
-    with pytest.raises(ConfigurationError, match="only a simulated one can be served"):
-        served_camera(file)
-
-
-@pytest.mark.parametrize("kind", ["uniform", "screen", "led"])
-def test_a_kind_of_scene_can_be_named(kind):
-    """A scene that needs nothing reported is named by its kind."""
-    assert served_camera(scene=kind, serial="5").label == "simulated camera FLIR BFS-U3-19S4M 5"
-
-
-def test_a_picture_can_be_the_scene(tmp_path):
-    """A picture file is a scene of its own."""
-    file = tmp_path / "scene.png"
-    cv2.imwrite(str(file), np.full((20, 30), 128, np.uint8))
-    assert served_camera(scene=str(file)).label
-
-
-def test_the_awkward_camera_has_a_hexadecimal_number_unless_one_is_given():
-    """It is known by model and number; those of the bench are not its own."""
+def test_a_scene_is_a_kind_or_a_picture(tmp_path):
+    """What needs nothing reported is named by its kind; the awkward camera has a hexadecimal number of its own."""
+    cv2.imwrite(str(tmp_path / "scene.png"), np.full((20, 30), 128, np.uint8))
+    for scene in ("uniform", "screen", "led", str(tmp_path / "scene.png")):
+        assert served_camera(scene=scene, serial="5").label == "simulated camera FLIR BFS-U3-19S4M 5"
     assert served_camera(awkward=True).label == "simulated camera FLIR Blackfly S BFS-PGE-19S4M 0138C343"
     assert served_camera(awkward=True, serial="0138C344").label.endswith("0138C344")

@@ -108,13 +108,6 @@ def test_numbers_of_12_bits_in_files_of_16_are_white_where_they_end(tmp_path, ca
     assert ratio == pytest.approx(np.full(12, ratio.mean()), rel=0.015)
 
 
-@pytest.mark.parametrize("words", [["--linear"], ["--linear", "--photographs", ".", "--calibration", "none.yaml"]])
-def test_linear_belongs_to_uncalibrated_photographs(words, capsys):
-    """With a camera, or with a calibration that knows the response, --linear is misuse."""
-    assert run(["measure", *words]) == 2
-    assert "--linear" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("command", ["response", "merge", "reconcile"])
 def test_folders_of_photographs_within_a_folder_are_named(chart, tmp_path, capsys, command):
     """A folder of folders holds no photographs itself: those of its folders that do are stated."""

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from radiometer.analysis.response.shutter_offset import is_possible
 from radiometer.cli.main import run
@@ -26,6 +25,7 @@ from radiometer.data import (
 )
 from radiometer.photographs.response import offset_in_words, shutter_offset_of, with_offset_of_response
 from radiometer.photographs.scene import Photographs, prepared
+from testing.photograph_folder import write_jpeg
 
 OFFSET_S, U_S = 3e-5, 4e-6
 LABELS_S = tuple(2.0**-k for k in (13, 12, 11, 10))
@@ -52,17 +52,11 @@ def bracket(*labels_s: float) -> Bracket:
 @pytest.fixture
 def photographs(tmp_path):
     """Return a folder of four linear photographs whose EXIF times are too short by the offset, and a response."""
-    folder = tmp_path / "photographs"
-    folder.mkdir()
-    rng = np.random.default_rng(5)
+    folder, rng = tmp_path / "photographs", np.random.default_rng(5)
     light = rng.uniform(0.05, 3.0, (40, 60))
     for k, label in enumerate(LABELS_S):
         dn = 100.0 * light * (label + OFFSET_S) / 2.0**-12 + rng.normal(0.0, 0.5, light.shape)
-        exif = Image.Exif()
-        exif.get_ifd(0x8769).update({33434: label, 33437: 8.0, 34855: 100})
-        Image.fromarray(np.clip(np.rint(dn), 0, 255).astype(np.uint8)).save(
-            folder / f"p{k}.jpg", exif=exif, quality=100
-        )
+        write_jpeg(folder / f"p{k}.jpg", dn, label)
     of_offset().write(tmp_path / "offset.yaml")
     curve().write(tmp_path / "plain.yaml")
     return folder
@@ -102,10 +96,7 @@ def test_a_calibration_and_its_readings_have_it(tmp_path, capsys):
     for name, radiance, label in (("known", 1.0, 2.0**-13), ("other", 0.5, 2.0**-9)):
         dn = np.full((24, 36), 60.0 * radiance * (label + OFFSET_S) / 2.0**-11)
         dn = np.random.default_rng(6).normal(dn, 0.7)
-        exif = Image.Exif()
-        exif.get_ifd(0x8769).update({33434: label, 33437: 8.0, 34855: 100})
-        (tmp_path / name).mkdir()
-        Image.fromarray(np.rint(dn).astype(np.uint8)).save(tmp_path / name / "p.jpg", exif=exif, quality=100)
+        write_jpeg(tmp_path / name / "p.jpg", dn, label)
     known, other = str(tmp_path / "known"), str(tmp_path / "other")
     patch, scale = ["--patch", "4,4,20,16"], ["--calibration", str(tmp_path / "cal.yaml")]
     source = ["--radiance", "1", "--u-rel", "0.01", "--response", str(tmp_path / "offset.yaml")]
@@ -144,31 +135,28 @@ def test_a_model_that_holds_an_offset_takes_its_own():
 
 
 def test_every_exposure_is_longer_by_it():
-    """Frames keep their numbers, dark ones their times, and what is stated says how much."""
+    """Frames keep their numbers, dark ones their times, and what is stated says how much.
+
+    It is not taken where it is the whole of the shortest exposure: the response is of another kind of shutter.
+    """
     timed, text, taken = with_offset_of_response(bracket(*LABELS_S), of_offset(), None)
     assert [frame.settings.exposure_s for frame in timed.light] == [label + OFFSET_S for label in sorted(LABELS_S)]
     assert [frame.settings.exposure_s for frame in timed.dark] == [1.0]
-    assert timed.origin == "here"
-    assert (text, taken) == (SAID, True)
-
-
-def test_it_is_not_taken_where_it_is_the_whole_of_the_shortest_exposure():
-    """Then the response is of another kind of shutter: labels stay, which is stated."""
+    assert (timed.origin, text, taken) == ("here", SAID, True)
     short = bracket(3e-5, 1e-3)
     timed, text, taken = with_offset_of_response(short, of_offset(), None)
     assert timed is short
-    assert (text, taken) == (f"{NOT_TAKEN}: it is too large for an exposure of 30 µs", False)
+    assert (text, taken) == (f"{NOT_TAKEN}: it is too large for an exposure of 3e-05 s", False)
     assert with_offset_of_response(bracket(3.1e-5, 1e-3), of_offset(), None)[2]
 
 
 def test_no_shutter_is_off_by_more_than_its_curtains():
     """By 0.9 ms or by a stop of the shortest exposure, either way."""
-    assert is_possible(8.99e-4, 1.0)
-    assert not is_possible(9.01e-4, 1.0)
-    assert is_possible(9.9e-5, 1e-4)
-    assert not is_possible(1e-4, 1e-4)
-    assert is_possible(-4.9e-5, 1e-4)
-    assert not is_possible(-5e-5, 1e-4)
+    for offset_s, shortest_s, possible in (
+        (8.99e-4, 1.0, True), (9.01e-4, 1.0, False), (9.9e-5, 1e-4, True), (1e-4, 1e-4, False),
+        (-4.9e-5, 1e-4, True), (-5e-5, 1e-4, False),
+    ):  # fmt: skip
+        assert is_possible(offset_s, shortest_s) is possible
 
 
 @pytest.mark.parametrize(
@@ -183,16 +171,11 @@ def test_no_shutter_is_off_by_more_than_its_curtains():
     ],
 )
 def test_a_response_that_has_none_changes_nothing(parameters):
-    """Nor does one whose file holds no number there."""
-    labelled = bracket(*LABELS_S)
-    assert shutter_offset_of(curve(**parameters)) is None
-    assert with_offset_of_response(labelled, curve(**parameters), None) == (labelled, None, False)
-
-
-def test_without_a_response_nothing_changes():
-    """Linear photographs have none."""
+    """Nor does one whose file holds no number there, nor none, as of linear photographs."""
     labelled = bracket(*LABELS_S)
     assert with_offset_of_response(labelled, None, "exposures.txt") == (labelled, None, False)
+    assert shutter_offset_of(curve(**parameters)) is None
+    assert with_offset_of_response(labelled, curve(**parameters), None) == (labelled, None, False)
 
 
 def test_a_response_of_the_same_photographs_reports_it_in_the_map():

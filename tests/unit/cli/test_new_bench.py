@@ -31,13 +31,8 @@ def test_a_real_camera_and_its_lens(tmp_path):
     assert config.patch.patch == Patch(10, 20, 30, 40)
     assert config.calibration is None
     assert config.scene is None
-
-
-def test_a_lens_of_which_nothing_is_known_stays_unknown(tmp_path):
-    """No focal length: no lens is made up."""
-    path = tmp_path / "bench.yaml"
-    assert run(["new-bench", str(path), "--camera", "22500001"]) == 0
-    assert read_bench(path)[0].lens is None
+    assert run(["new-bench", str(tmp_path / "no-lens.yaml"), "--camera", "22500001"]) == 0
+    assert read_bench(tmp_path / "no-lens.yaml")[0].lens is None  # no focal length: no lens is made up
 
 
 @pytest.mark.slow
@@ -58,16 +53,12 @@ def hidden_library(monkeypatch):
     load_library.cache_clear()
 
 
-def test_a_missing_library_is_a_fault_with_exit_code_1(hidden_library, capsys):
-    """Without the library the doctor still runs, says so with the packages, and leaves with 1."""
+def test_a_missing_library_and_a_camera_that_is_not_there_are_faults(hidden_library, capsys):
+    """Without the library the doctor still runs, names the packages, and leaves with 1; the camera is a finding."""
     assert run(["doctor"]) == 1
     out = capsys.readouterr().out
     assert "FAULT" in out
     assert "apt install" in out
-
-
-def test_a_camera_that_is_not_there_is_a_fault(hidden_library, capsys):
-    """A camera that cannot be opened is reported among the findings."""
     assert run(["doctor", "--camera", "4711", "--json"]) == 1
     printed = json.loads(capsys.readouterr().out)
     last = printed["findings"][-1]
@@ -148,27 +139,26 @@ def test_a_reading_without_a_bench_is_not_calibrated_by_the_simulated_one(real, 
 
 
 def test_a_bracket_of_a_patch_speaks_of_the_patch_only(real, tmp_path, capsys):
-    """Pixels outside the patch, which no one asked for, are neither counted nor complained of."""
-    words = ["bracket", str(tmp_path / "set"), "--camera", "20497219", "--patch", "42,22,8,6"]
-    assert run([*words, "--json"]) == 0
+    """Pixels outside the patch, which no one asked for, are neither counted nor complained of.
+
+    A dark patch is reported to be dark, with the place it has in the frame.
+    """
+    words = ["--camera", "20497219", "--patch", "42,22,8,6"]
+    assert run(["bracket", str(tmp_path / "set"), *words, "--json"]) == 0
     stated = json.loads(capsys.readouterr().out)
     assert (stated["pixels"], stated["well_exposed_twice"], stated["below_noise"]) == (48, 48, 0)
-    words[1] = str(tmp_path / "again")
-    assert run(words) == 0
+    assert run(["bracket", str(tmp_path / "again"), *words]) == 0
     printed = capsys.readouterr().err
     assert "100.00 % of the patch's pixels are well exposed" in printed
     assert "not reached" not in printed
-
-
-def test_what_a_patch_lacks_is_named_in_the_frames_pixels(real, tmp_path, capsys):
-    """A dark patch is reported to be dark, with the place it has in the frame."""
-    words = ["bracket", str(tmp_path / "set"), "--camera", "20497219", "--patch", "2,40,6,4"]
-    assert run([*words, "--from", "100us", "--to", "200us"]) == 0
-    assert "24 of 24 pixels stay under the noise floor" in (printed := capsys.readouterr().err)
+    words = ["--camera", "20497219", "--patch", "2,40,6,4", "--from", "100us", "--to", "200us"]
+    assert run(["bracket", str(tmp_path / "dark"), *words]) == 0
+    printed = capsys.readouterr().err
+    assert "24 of 24 pixels stay under the noise floor" in printed
     assert "(within x 2, y 40, 6 × 4)" in printed
 
 
-def test_watching_survives_a_camera_that_comes_back(real, monkeypatch):
+def test_watching_survives_a_camera_that_comes_back(real, monkeypatch, capsys):
     """A camera lost in the second reading is opened anew, and its reading follows with the same number."""
     monkeypatch.setattr(RealCamera, "lost_at", (9,))
     stated: list[str] = []
@@ -177,10 +167,6 @@ def test_watching_survives_a_camera_that_comes_back(real, monkeypatch):
     assert real[0].openings == 2
     assert any("stopped answering; waiting for it" in line for line in stated)
     assert stated[-1].endswith("is back")
-
-
-def test_without_watch_a_lost_camera_is_an_error(real, monkeypatch, capsys):
-    """A single reading of a camera that is lost fails, and says so."""
-    monkeypatch.setattr(RealCamera, "lost_at", (1,))
+    monkeypatch.setattr(RealCamera, "lost_at", (1,))  # a single reading of a camera that is lost fails
     assert run(["measure", "--camera", "20497219", "--patch", "42,22,8,6"]) == 1
     assert "stopped answering" in capsys.readouterr().err

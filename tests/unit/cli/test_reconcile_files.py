@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from radiometer.analysis.response.estimate import ResponseEstimate, telling
 from radiometer.api import results
@@ -13,6 +12,7 @@ from radiometer.cli.main import run
 from radiometer.data import ResponseCurve
 from radiometer.errors import MeasurementError, OutputError
 from radiometer.reconciliation.result import ReconcileResult, Verdict
+from testing.photograph_folder import eight_bits, write_photographs
 
 
 class _Answered:
@@ -48,32 +48,20 @@ def test_an_unwritable_file_costs_no_answer(option, monkeypatch, tmp_path, capsy
 
 
 def test_a_defect_of_the_report_costs_no_answer(monkeypatch, tmp_path, capsys):
-    """What no one foresaw while a picture is drawn is reported after the verdict, too."""
+    """What no one foresaw while a picture is drawn is reported after the verdict, too.
+
+    `--json` gives the object with no report in it, the error goes to the other stream.
+    """
     words = _words(monkeypatch, tmp_path, ValueError("nothing to draw"))
     with pytest.raises(ValueError, match="nothing to draw"):
         run([*words, "--report", str(tmp_path / "report.html")])
     assert "simulation and measurement agree" in capsys.readouterr().out
-
-
-def test_a_program_gets_the_answer_without_the_file(monkeypatch, tmp_path, capsys):
-    """`--json` gives the object with no report in it, the error goes to the other stream."""
     words = _words(monkeypatch, tmp_path, OutputError("report.html: no space left on the disk"))
     assert run([*words, "--json", "--report", str(tmp_path / "report.html")]) == 1
     out, err = capsys.readouterr()
     answer = json.loads(out)
-    assert answer["verdict"] == "agrees"
-    assert answer["gap"]["before"] == 1.25
-    assert answer["report"] is None
+    assert (answer["verdict"], answer["gap"]["before"], answer["report"]) == ("agrees", 1.25, None)
     assert "no space left" in err
-
-
-def photographs(folder, times_s, picture):
-    """Write one picture per exposure time, and the list of the times."""
-    folder.mkdir()
-    for index in range(len(times_s)):
-        Image.fromarray(picture(index)).save(folder / f"{index}.png")
-    (folder / "exposures.txt").write_text("".join(f"{i}.png {t}\n" for i, t in enumerate(times_s)))
-    return folder
 
 
 @pytest.mark.parametrize("method", ["auto", "mitsunaga1999"])
@@ -82,10 +70,8 @@ def test_frames_that_all_look_alike_give_no_curve(tmp_path, capsys, method):
     rng = np.random.default_rng(1)
     ramp = np.linspace(10.0, 240.0, 96)[None, :].repeat(72, axis=0)
 
-    def alike(index):
-        return np.clip(np.rint(ramp + rng.normal(0.0, 0.5, ramp.shape)), 0, 255).astype(np.uint8)
-
-    folder = photographs(tmp_path / "alike", (0.01, 0.02, 0.04, 0.08), alike)
+    pictures = (eight_bits(ramp + rng.normal(0.0, 0.5, ramp.shape)) for _ in range(4))
+    folder = write_photographs(tmp_path / "alike", pictures, (0.01, 0.02, 0.04, 0.08))
     assert run(["response", str(folder), "--method", method, "-o", str(tmp_path / "curve.yaml")]) == 1
     printed = capsys.readouterr().err
     assert printed.startswith("error: ")
@@ -116,10 +102,8 @@ def test_no_map_is_made_with_a_curve_that_says_nothing(tmp_path, capsys):
     """Plain walls that grow by 1.5 DN a stop: `merge` refuses as `response` does, and writes neither curve nor map."""
     rng = np.random.default_rng(0)
 
-    def wall(index):
-        return np.rint(rng.normal(100.0 + 1.5 * index, 1.0, (60, 80))).astype(np.uint8)
-
-    folder = photographs(tmp_path / "walls", (1, 2, 4, 8), wall)
+    pictures = (eight_bits(rng.normal(100.0 + 1.5 * k, 1.0, (60, 80))) for k in range(4))
+    folder = write_photographs(tmp_path / "walls", pictures, (1, 2, 4, 8))
     assert run(["response", str(folder)]) == 1
     by_itself = capsys.readouterr().err.splitlines()[-1]
     assert run(["merge", str(folder), "-o", str(tmp_path / "map.exr")]) == 1

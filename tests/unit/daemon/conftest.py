@@ -1,10 +1,7 @@
 """A running station on a fake instrument and light box, its servers and clients."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,23 +12,23 @@ from radiometer.daemon.station import Station
 from radiometer.data import Patch, Quantity, Reading
 from testing.fake_station import PORTS, QUICK, FakeBox, FakeInstrument, HttpClient, LineClient
 from testing.patience import within
-from testing.watched_sqlite import Watched, watch
+from testing.watched_sqlite import watch
 
 
 @pytest.fixture
-def instrument() -> FakeInstrument:
+def instrument():
     """Return a fake instrument, not yet open."""
     return FakeInstrument()
 
 
 @pytest.fixture
-def box() -> FakeBox:
+def box():
     """Return a fake light box, not yet open."""
     return FakeBox()
 
 
 @pytest.fixture
-async def station(instrument: FakeInstrument, box: FakeBox, tmp_path: Path) -> AsyncIterator[Station]:
+async def station(instrument, box, tmp_path):
     """Return a running station on the fakes."""
     running = Station(instrument, Journal(tmp_path / "journal.sqlite"), box=box, times=QUICK)
     await running.start()
@@ -40,23 +37,23 @@ async def station(instrument: FakeInstrument, box: FakeBox, tmp_path: Path) -> A
 
 
 @pytest.fixture
-def connections(monkeypatch: pytest.MonkeyPatch) -> list[Watched]:
+def connections(monkeypatch):
     """Return the connections to SQLite that are opened from now on."""
     return watch(monkeypatch)
 
 
 @pytest.fixture
-def make_reading() -> Callable[..., Reading]:
+def make_reading():
     """Return a maker of readings."""
     template = Reading(Quantity(1.0, 0.01, "W sr-1 m-2"), Patch(0, 0, 10, 10), "4711")
     return lambda **changes: replace(template, **changes)
 
 
 @pytest.fixture
-def eventually() -> Callable[..., Awaitable[None]]:
+def eventually():
     """Return a wait for a condition, 20 s unless stated otherwise."""
 
-    async def wait(condition: Callable[[], object], deadline_s: float = 20.0) -> None:
+    async def wait(condition, deadline_s=20.0):
         async with asyncio.timeout(within(deadline_s)):
             while not condition():
                 await asyncio.sleep(0.005)
@@ -65,7 +62,7 @@ def eventually() -> Callable[..., Awaitable[None]]:
 
 
 @pytest.fixture
-async def scpi(station: Station) -> AsyncIterator[ScpiServer]:
+async def scpi(station):
     """Return an SCPI server on a free loopback port."""
     server = ScpiServer(station)
     PORTS[server] = await server.listen_tcp("127.0.0.1", 0)
@@ -74,11 +71,11 @@ async def scpi(station: Station) -> AsyncIterator[ScpiServer]:
 
 
 @pytest.fixture
-async def connect(scpi: ScpiServer) -> AsyncIterator[Callable[[], Awaitable[LineClient]]]:
+async def connect(scpi):
     """Return a maker of clients of that server."""
-    clients: list[LineClient] = []
+    clients = []
 
-    async def make() -> LineClient:
+    async def make():
         clients.append(LineClient(*await asyncio.open_connection("127.0.0.1", PORTS[scpi], limit=2**22)))
         return clients[-1]
 
@@ -88,7 +85,7 @@ async def connect(scpi: ScpiServer) -> AsyncIterator[Callable[[], Awaitable[Line
 
 
 @pytest.fixture
-async def client(connect: Callable[[], Awaitable[LineClient]]) -> LineClient:
+async def client(connect):
     """Return one client whose error queue is empty."""
     line_client = await connect()
     await line_client.send("*CLS")
@@ -96,11 +93,11 @@ async def client(connect: Callable[[], Awaitable[LineClient]]) -> LineClient:
 
 
 @pytest.fixture
-async def serve(station: Station) -> AsyncIterator[Callable[..., Awaitable[HttpClient]]]:
+async def serve(station):
     """Return a starter of HTTP servers, each with options of its own, that gives a client."""
-    servers: list[tuple[HttpServer, HttpClient]] = []
+    servers = []
 
-    async def start(**options: Any) -> HttpClient:
+    async def start(**options):
         server = HttpServer(station, **options)
         servers.append((server, HttpClient(await server.listen("127.0.0.1", 0))))
         return servers[-1][1]
@@ -112,6 +109,6 @@ async def serve(station: Station) -> AsyncIterator[Callable[..., Awaitable[HttpC
 
 
 @pytest.fixture
-async def http(serve: Callable[..., Awaitable[HttpClient]]) -> HttpClient:
+async def http(serve):
     """Return a client of a server with default limits."""
     return await serve()

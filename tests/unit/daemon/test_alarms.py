@@ -4,7 +4,6 @@ import asyncio
 import json
 import math
 import time
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,6 @@ from radiometer.errors import CalibrationError, DeviceError, LightEnded, Measure
 from testing.box_station import box_station, seconds_until
 from testing.fake_station import QUICK, HttpClient, LineClient
 
-Eventually = Callable[..., Awaitable[None]]
 ROOT = Path(__file__).resolve().parents[3]
 LAMP = Patch(5, 6, 7, 8)
 
@@ -43,27 +41,27 @@ class World:
     instrument: Any
     box: Any
 
-    def fail(self, patch: Patch | None) -> None:
+    def fail(self, patch):
         """Let one patch be saturated."""
         whole = self.instrument.measure
 
-        def measure(settings: Any) -> Any:
+        def measure(settings):
             if settings.patch == patch:
                 raise MeasurementError("every pixel is saturated")
             return whole(settings)
 
         self.instrument.measure = measure
 
-    def heal(self) -> None:
+    def heal(self):
         del self.instrument.measure
 
-    def hide_journal(self, *, hidden: bool) -> None:
+    def hide_journal(self, *, hidden):
         path = self.station.journal_path
         names = [path, path.with_name("elsewhere.sqlite")]
         names[not hidden].rename(names[hidden])
 
-    async def reload(self, error: Exception | None) -> None:
-        def reload_calibration() -> str:
+    async def reload(self, error):
+        def reload_calibration():
             if error is not None:
                 raise error
             return "calibration.yaml"
@@ -75,12 +73,12 @@ class World:
             return
 
 
-def _do(obj: Any, name: str, value: Any) -> None:
+def _do(obj, name, value):
     setattr(obj, name, value)
 
 
 # By the name of an alarm: what breaks, and what mends. "mqtt" and "period" have modules of tests of their own.
-CASES: dict[str, tuple[Callable[[World], Any], Callable[[World], Any]]] = {
+CASES = {
     "camera": (lambda w: _do(w.instrument, "unplugged", True), lambda w: _do(w.instrument, "unplugged", False)),
     "light box": (lambda w: _do(w.box, "unplugged", True), lambda w: _do(w.box, "unplugged", False)),
     "light red": (
@@ -110,7 +108,7 @@ CASES: dict[str, tuple[Callable[[World], Any], Callable[[World], Any]]] = {
 }
 
 
-def _kind(name: str) -> str:
+def _kind(name):
     """Return the kind of an alarm as the table has it."""
     for word in ("lamp", "red"):
         name = name.replace(word, {"lamp": "PATCH", "red": "CHANNEL"}[word])
@@ -164,12 +162,12 @@ async def test_an_alarm_is_up_as_long_as_its_cause(name, station, instrument, bo
 async def test_no_number_of_the_camera_makes_anything_but_json(station, instrument, serve, eventually, monkeypatch):
     """NaN and infinity in a reading, in a temperature, in counters and in the calibration: null on every interface."""
 
-    def refuse(constant: str) -> None:
+    def refuse(constant):
         raise AssertionError(f"{constant} is no JSON")
 
     whole = instrument.measure
 
-    def measure(settings: Any) -> Any:
+    def measure(settings):
         made = whole(settings)
         odd = Quantity(math.nan, math.inf, "W sr-1 m-2")
         return replace(made, reading=replace(made.reading, radiance=odd, luminance=odd, exposures_s=(math.nan,)))
@@ -193,7 +191,6 @@ async def test_no_number_of_the_camera_makes_anything_but_json(station, instrume
     assert (await http.get("/metrics")).status == 200
     for _ in range(4):  # as many come at least: of the patch, of its two readings, of the end of measuring
         event = await listener.next()
-        assert event is not None
         json.loads(event.line, parse_constant=refuse)
 
 
@@ -218,11 +215,11 @@ async def test_clients_that_do_not_read_delay_no_reading(station, scpi, serve, i
     deaf = []
     for _ in range(10):
         _, writer = await asyncio.open_connection("127.0.0.1", ports[b"HTTP" in request_bytes], limit=1024)
-        writer.transport.pause_reading()  # type: ignore[attr-defined]
+        writer.transport.pause_reading()
         writer.write(request_bytes)
         deaf.append(writer)
     begun = station.shown.latest.sequence if station.shown.latest else 0
-    await eventually(lambda: station.shown.latest and station.shown.latest.sequence > begun + 300)
+    await eventually(lambda: station.shown.latest and station.shown.latest.sequence > begun + 60)
     assert station.troubles() == []
     for writer in deaf:
         writer.transport.abort()
@@ -234,18 +231,18 @@ async def test_clients_that_do_not_read_delay_no_reading(station, scpi, serve, i
 class _Bench:
     """Lets time pass in steps, with a measurement begun and a reading come every so often."""
 
-    def __init__(self, every_s: float | None) -> None:
+    def __init__(self, every_s):
         self.now = 1000.0
-        self.changes: list[tuple[str, str]] = []
+        self.changes = []
         self.alarms = Alarms(lambda kind, name, message: self.changes.append((kind, name)))
         self.lateness = Lateness(self.alarms, clock=lambda: self.now)
         self.lateness.follow(every_s)
 
     @property
-    def up(self) -> set[str]:
+    def up(self):
         return {alarm.name for alarm in self.alarms.active}
 
-    def measure(self, pace_s: float, count: int, *, reads: bool = True) -> None:
+    def measure(self, pace_s, count, *, reads=True):
         for _ in range(count):
             self.lateness.begun("shared")
             if reads:
@@ -254,7 +251,7 @@ class _Bench:
                 self.now += pace_s / 4
                 self.lateness.look()
 
-    def wait(self, seconds: float, *, able: bool = True, paused: bool = False) -> None:
+    def wait(self, seconds, *, able=True, paused=False):
         end = self.now + seconds
         while self.now < end:
             self.now += 0.5
@@ -262,7 +259,7 @@ class _Bench:
 
 
 @given(every_s=st.floats(0.05, 3600.0), slower=st.floats(1.0, 1.05))
-def test_a_period_that_is_kept_is_no_alarm(every_s: float, slower: float) -> None:
+def test_a_period_that_is_kept_is_no_alarm(every_s, slower):
     """Neither is a machine that is a little late at every turn."""
     bench = _Bench(every_s)
     bench.measure(slower * every_s, max(20, round(25 / every_s)))
@@ -270,7 +267,7 @@ def test_a_period_that_is_kept_is_no_alarm(every_s: float, slower: float) -> Non
 
 
 @given(every_s=st.floats(0.05, 3600.0), slower=st.floats(1.8, 4.5))
-def test_a_period_that_is_not_kept_is_one_alarm_until_it_is(every_s: float, slower: float) -> None:
+def test_a_period_that_is_not_kept_is_one_alarm_until_it_is(every_s, slower):
     """It does not flap at a steady pace; its end needs the pace that was asked for."""
     bench = _Bench(every_s)
     bench.measure(slower * every_s, max(20, round(25 / every_s)))
@@ -280,7 +277,7 @@ def test_a_period_that_is_not_kept_is_one_alarm_until_it_is(every_s: float, slow
 
 
 @pytest.mark.parametrize(("every_s", "after_s"), [(0.0, 10.0), (1.0, 10.0), (60.0, 300.0)])
-def test_only_a_reading_ends_the_alarm_that_none_comes(every_s: float, after_s: float) -> None:
+def test_only_a_reading_ends_the_alarm_that_none_comes(every_s, after_s):
     """Five periods and ten seconds after the last one; measurements that begin and come to nothing end nothing."""
     bench = _Bench(every_s)
     bench.measure(max(every_s, 0.1), 3)
@@ -294,7 +291,7 @@ def test_only_a_reading_ends_the_alarm_that_none_comes(every_s: float, after_s: 
     assert "reading" not in bench.up
 
 
-def test_a_patch_with_a_name_is_missed_by_its_name() -> None:
+def test_a_patch_with_a_name_is_missed_by_its_name():
     """Readings of the shared patch do not hide it; where it is deleted or nothing is measured, nothing is missed."""
     bench = _Bench(1.0)
     for name in ("lamp", "wall"):
@@ -308,7 +305,7 @@ def test_a_patch_with_a_name_is_missed_by_its_name() -> None:
     assert bench.up == set()
 
 
-def test_a_lost_camera_is_its_own_alarm_and_no_period_is_missed_meanwhile() -> None:
+def test_a_lost_camera_is_its_own_alarm_and_no_period_is_missed_meanwhile():
     """Hours without a camera: readings are missed, the period is not; after its return it has its window again."""
     bench = _Bench(1.0)
     bench.wait(3600.0, able=False)
@@ -365,7 +362,7 @@ async def test_light_that_is_off_by_one_step_of_the_box_is_an_alarm(station, box
     await station.light.set_level("red", 0.5)
     looks = 0
 
-    def check() -> DeviceReport:
+    def check():
         nonlocal looks
         looks += 1
         return DeviceReport(30.0, {}, {"red": 0.5 + off})
@@ -381,7 +378,6 @@ async def test_the_level_of_a_lost_box_is_unconfirmed(station, client, box, even
     await station.light.set_level("red", 0.5)
     assert (station.status()["light"]["red"], station.status()["light_confirmed"]) == (0.5, True)
     box.unplugged = True
-    assert station.light.keeper is not None
     await eventually(lambda: station.light.keeper.state is DeviceState.LOST)
     assert (station.status()["light"]["red"], station.status()["light_confirmed"]) == (None, False)
     await client.send("*CLS")
@@ -415,7 +411,7 @@ async def test_a_channel_that_fails_does_not_keep_the_next_one_lit(station, box)
     await station.light.set_level("red", 0.5)
     whole = box.set_level
 
-    def failing(channel: str, level: float) -> float:
+    def failing(channel, level):
         if channel == "white":
             raise DeviceError("its driver is hot")
         return float(whole(channel, level))
@@ -445,18 +441,17 @@ async def test_darkness_comes_before_all_light_that_waits(way, station, box, ask
     assert box.levels["red"] == 0.0
     assert len(asked) == before
     assert sum(isinstance(one, LightEnded) for one in outcomes) > 20
-    assert station.light.keeper is not None
     assert station.light.keeper.state is DeviceState.READY
     assert await station.light.set_level("red", 0.5) == 0.5  # what is asked for afterwards is given
 
 
 @pytest.fixture
-def asked(box: Any) -> list[float]:
-    """Let the fake box take 30 ms for a level, and return the levels that it is asked for."""
-    levels: list[float] = []
+def asked(box):
+    """Let the fake box take 10 ms for a level, and return the levels that it is asked for."""
+    levels = []
 
-    def slow(channel: str, level: float) -> float:
-        time.sleep(0.03)
+    def slow(channel, level):
+        time.sleep(0.01)
         levels.append(level)
         box.levels[channel] = level
         return level

@@ -10,7 +10,7 @@ import pytest
 
 from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.patches import MAIN, PatchLimits
-from radiometer.data import Flag, Patch
+from radiometer.data import Flag
 from radiometer.errors import UsageError
 from testing.patience import within
 
@@ -33,7 +33,9 @@ async def _read(client, name):
 
 
 async def test_client_reads_the_reading(served, station, eventually):
-    """Value, unit, description, time of the reading, no alarm; before any reading the value is invalid."""
+    """Value, unit, description, time, no alarm; before any reading the value is invalid; nothing can be written."""
+    from p4p.client.thread import RemoteError
+
     _, client = served
     before = await _read(client, "radiance")
     assert math.isnan(before.value)
@@ -53,18 +55,8 @@ async def test_client_reads_the_reading(served, station, eventually):
     luminance = await _read(client, "luminance")
     assert (luminance.value, luminance.display.units) == (100.0, "cd m-2")
     assert (await _read(client, "u_luminance")).value == 2.0
-
-
-async def test_a_moved_patch_has_no_value(served, station, eventually):
-    """After a change of the place the value is invalid until the next measurement, as before the first."""
-    _, client = served
-    await station.acquisition.measure()
-    await eventually(lambda: station.shown.latest is not None)
-    assert (await _read(client, "radiance")).value == 17.0
-    station.configure(patch=Patch(1, 1, 2, 3))
-    found = await _read(client, "radiance")
-    assert math.isnan(found.value)
-    assert (found.alarm.severity, found.alarm.message) == (3, "no reading yet")
+    with pytest.raises(RemoteError):
+        await asyncio.to_thread(client.put, "lab:4711:radiance", 5.0, timeout=within(20.0))
 
 
 async def test_alarms_and_limits_are_epics_own(served, station, instrument, eventually):
@@ -104,15 +96,6 @@ async def test_map_is_an_nt_nd_array(served, station):
     assert {a.name: a.value for a in found.attribute}["unit"] == "W sr-1 m-2"
     await asyncio.to_thread(watching.close)
     await asyncio.to_thread(client.disconnect)  # else p4p keeps the channel for 20 s more
-
-
-async def test_nothing_can_be_written(served, station):
-    """A put is refused."""
-    from p4p.client.thread import RemoteError
-
-    _, client = served
-    with pytest.raises(RemoteError):
-        await asyncio.to_thread(client.put, "lab:4711:radiance", 5.0, timeout=within(20.0))
 
 
 def test_prefix_without_letters_is_misuse():
@@ -158,23 +141,23 @@ async def test_a_flagged_reading_is_a_minor_alarm(served, station, instrument, m
     assert (await _read(client, "flags")).value == f"{Flag.DRIFT},{Flag.GAIN}"
 
 
-@pytest.mark.parametrize(("low", "high"), [(20.0, None), (None, 10.0), (None, None)])
-async def test_only_the_limit_that_is_set_alarms(served, station, eventually, low, high):
+async def test_only_the_limit_that_is_set_alarms(served, station, eventually):
     """An unset limit is NaN without a severity; luminance has no limits; lifting the limit ends the alarm."""
     _, client = served
-    station.patches.set_limits(MAIN, PatchLimits(low=low, high=high))
-    for _ in range(2):
-        await station.acquisition.measure()
-    unlimited = (low, high) == (None, None)
-    await eventually(lambda: station.shown.latest if unlimited else station.alarms.active)
-    found = (await _read(client, "radiance")).valueAlarm
-    for limit, severity, value in (
-        (found.lowAlarmLimit, found.lowAlarmSeverity, low),
-        (found.highAlarmLimit, found.highAlarmSeverity, high),
-    ):
-        assert severity == (0 if value is None else 2)
-        assert math.isnan(limit) if value is None else limit == value
-    assert found.active is not unlimited
-    assert not (await _read(client, "luminance")).valueAlarm.active
-    station.patches.set_limits(MAIN, PatchLimits())
-    assert (await _read(client, "radiance")).alarm.severity == 0
+    for low, high in ((20.0, None), (None, 10.0), (None, None)):
+        station.patches.set_limits(MAIN, PatchLimits(low=low, high=high))
+        for _ in range(2):
+            await station.acquisition.measure()
+        unlimited = (low, high) == (None, None)
+        await eventually(lambda unlimited=unlimited: station.shown.latest if unlimited else station.alarms.active)
+        found = (await _read(client, "radiance")).valueAlarm
+        for limit, severity, value in (
+            (found.lowAlarmLimit, found.lowAlarmSeverity, low),
+            (found.highAlarmLimit, found.highAlarmSeverity, high),
+        ):
+            assert severity == (0 if value is None else 2)
+            assert math.isnan(limit) if value is None else limit == value
+        assert found.active is not unlimited
+        assert not (await _read(client, "luminance")).valueAlarm.active
+        station.patches.set_limits(MAIN, PatchLimits())
+        assert (await _read(client, "radiance")).alarm.severity == 0

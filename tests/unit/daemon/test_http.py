@@ -3,8 +3,10 @@
 import asyncio
 import json
 import logging
+import re
 from logging.handlers import BufferingHandler
-from typing import Any, get_args
+from typing import get_args
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -51,7 +53,7 @@ async def test_history_filters(http, station):
     for _ in range(5):
         await station.acquisition.measure()
 
-    async def numbers(query: str) -> list[int]:
+    async def numbers(query):
         reply = await http.get(f"/readings?{query}")
         return [reading["sequence"] for reading in reply.json()]
 
@@ -62,9 +64,9 @@ async def test_history_filters(http, station):
     assert await numbers("flag=saturated") == []
 
 
-@pytest.mark.parametrize(
-    ("path", "message"),
-    [
+async def test_wrong_queries_are_refused_with_the_reason(http):
+    """Status 400 and JSON that says what is allowed."""
+    for path, message in (
         ("/readings?limit=0", "limit: Input should be greater than or equal to 1"),
         ("/readings?limit=abc", "limit: Input should be a valid integer"),
         ("/readings?since=yesterday", "ISO 8601"),
@@ -81,18 +83,15 @@ async def test_history_filters(http, station):
         ("/events?limit=5001", "limit: Input should be less than or equal to 5000"),
         ("/frame.png?width=63", "width: Input should be greater than or equal to 64"),
         ("/frame.png?width=2049", "width: Input should be less than or equal to 2048"),
-    ],
-)
-async def test_wrong_queries_are_refused_with_the_reason(http, path, message):
-    """Status 400 and JSON that says what is allowed."""
-    reply = await http.get(path)
-    assert reply.status == 400
-    assert message in reply.json()["error"]["message"]
+    ):
+        reply = await http.get(path)
+        assert reply.status == 400, path
+        assert message in reply.json()["error"]["message"], path
 
 
-@pytest.mark.parametrize(
-    ("body", "status"),
-    [
+async def test_wrong_bodies_are_refused_and_change_nothing(http, station):
+    """Out of range, unknown, malformed or too large."""
+    for body, status in (
         (b'{"patch": {"x": 1}}', 400),
         (b'{"patch": {"x": 1.5, "y": 2, "width": 3, "height": 4}}', 400),
         (b'{"nonsense": 1}', 400),
@@ -102,21 +101,18 @@ async def test_wrong_queries_are_refused_with_the_reason(http, path, message):
         (b'{"exposure_s": 1e9}', 400),
         (b'{"gain_db": -1}', 400),
         (b"x" * 16_385, 413),  # one byte over 16 KiB
-    ],
-)
-async def test_wrong_bodies_are_refused_and_change_nothing(http, station, body, status):
-    """Out of range, unknown, malformed or too large."""
-    before = station.settings
-    for path in ("/measure", "/settings"):
-        reply = await http.post(path, data=body, headers={"Content-Type": "application/json"})
-        assert reply.status == status, reply.text
-    assert station.settings == before
-    assert station.shown.latest is None
+    ):
+        before = station.settings
+        for path in ("/measure", "/settings"):
+            reply = await http.post(path, data=body, headers={"Content-Type": "application/json"})
+            assert reply.status == status, reply.text
+        assert station.settings == before, body
+        assert station.shown.latest is None, body
 
 
-def _numbers(model: type[BaseModel]) -> dict[str, Any]:
+def _numbers(model):
     """Return the fields of a body that take numbers and no text, with those of its parts, as the body's keys."""
-    found: dict[str, Any] = {}
+    found = {}
     for name, field in model.model_fields.items():
         kinds = get_args(field.annotation) or (field.annotation,)
         parts = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
@@ -125,16 +121,15 @@ def _numbers(model: type[BaseModel]) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("wrong", ["0.5", "1", "NaN", "", True, False, [1], {"value": 1}])
-@pytest.mark.parametrize(
-    ("path", "key"), [(one.path, key) for one in ROUTES if one.body is not None for key in _numbers(one.body)]
-)
-async def test_what_is_no_number_is_refused_in_every_body(http, path, key, wrong):
+async def test_what_is_no_number_is_refused_in_every_body(serve):
     """Text, truth values and lists in place of each number of each request: 400, and the key is named."""
-    outer, _, inner = key.partition(".")
-    reply = await http.post(path, json={outer: {inner: wrong} if inner else wrong})
-    assert reply.status == 400
-    assert any(word in reply.text for word in ("number", "integer", "Field required"))
+    http = await serve(limits=Limits(http_requests_per_s=1e4))
+    for wrong in ("0.5", "1", "NaN", "", True, False, [1], {"value": 1}):
+        for path, key in ((one.path, key) for one in ROUTES if one.body is not None for key in _numbers(one.body)):
+            outer, _, inner = key.partition(".")
+            reply = await http.post(path, json={outer: {inner: wrong} if inner else wrong})
+            assert reply.status == 400, (path, key, wrong)
+            assert any(word in reply.text for word in ("number", "integer", "Field required")), (path, key, wrong)
 
 
 async def test_the_stream_replays_and_follows_without_gap(http, station):
@@ -142,7 +137,7 @@ async def test_the_stream_replays_and_follows_without_gap(http, station):
     station.set_every(0.005)
     while station.shown.latest is None or station.shown.latest.sequence < 10:
         await asyncio.sleep(0.01)
-    numbers: list[int] = []
+    numbers = []
     async with http.session.get("/readings/stream", headers={"Last-Event-ID": "3"}) as reply:
         assert reply.content_type == "text/event-stream"
         async for raw in reply.content:
@@ -171,7 +166,6 @@ async def test_the_stream_as_json_lines(http, station, asked):
     await station.acquisition.measure()
     async with http.session.get("/readings/stream?after=0", **asked) as reply:
         line = await asyncio.wait_for(reply.content.readline(), within(20.0))
-    assert station.shown.latest is not None
     assert json.loads(line) == station.shown.latest.to_mapping()
 
 
@@ -239,26 +233,15 @@ async def test_the_description_covers_every_route(http):
     assert references <= set(served["components"]["schemas"])
 
 
-async def test_the_page_needs_nothing_from_outside(http):
-    """No part of the page names another host."""
-    for path in ("/", "/page.js", "/trends.js", "/response.js", "/page.css"):
-        reply = await http.get(path)
-        text = reply.text.replace("http://www.w3.org/2000/svg", "")
-        assert "http:" not in text
-        assert "https:" not in text
-
-
-@pytest.mark.parametrize(
-    "path", ["/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/page/../../journal.sqlite", "//etc/passwd"]
-)
-async def test_no_path_reaches_the_file_system(http, path):
+async def test_no_path_reaches_the_file_system(http):
     """Whatever the path, only routes of the table are served."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", http.port)
-    writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
-    head = await reader.read()
-    writer.close()
-    assert head.split(b"\r\n")[0].split()[1] in (b"404", b"400")
-    assert b"root:" not in head
+    for path in ("/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/page/../../journal.sqlite", "//etc/passwd"):
+        reader, writer = await asyncio.open_connection("127.0.0.1", http.port)
+        writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
+        head = await reader.read()
+        writer.close()
+        assert head.split(b"\r\n")[0].split()[1] in (b"404", b"400"), path
+        assert b"root:" not in head, path
 
 
 async def test_nonsense_is_refused_without_filling_the_log(http):
@@ -291,7 +274,7 @@ async def test_rates_and_connections_are_limited(serve):
 
 async def test_the_end_with_a_silent_client_is_no_error(station):
     """A connection without a request is ended with the daemon; nothing is reported when its time is over."""
-    errors: list[dict[str, Any]] = []
+    errors = []
     asyncio.get_running_loop().set_exception_handler(lambda loop, context: errors.append(context))
     server = HttpServer(station, limits=Limits(head_s=0.2))
     reader, writer = await asyncio.open_connection("127.0.0.1", await server.listen("127.0.0.1", 0))
@@ -313,36 +296,36 @@ async def test_listeners_are_limited(serve):
 
 
 async def test_the_page_is_part_of_the_package(http, project_root):
-    """Every file of the page folder is served as it is, the licence of what others wrote among them."""
+    """Every file of the page folder is served as it is, licences too; none of ours names another host."""
     page = project_root / "radiometer/daemon/http/page"
-    served = []
-    for path in [route.path for route in ROUTES if route.method == "GET" and route.public]:
-        reply = await http.get(path)
-        served.append(reply.body)
+    served = [(await http.get(route.path)).body for route in ROUTES if route.method == "GET" and route.public]
     for file in (path for path in page.rglob("*") if path.is_file()):
-        assert file.read_bytes() in served, file.name
+        content = file.read_bytes()
+        assert content in served, file.name
+        outside = re.findall(rb"https?:", content.replace(b"http://www.w3.org/2000/svg", b""))
+        assert outside == [] or file.parent.name == "uplot", file.name
     assert b"MIT License" in (page / "uplot/LICENSE").read_bytes()
 
 
-@pytest.mark.parametrize("route", [route for route in ROUTES if route.method == "GET"], ids=lambda route: route.path)
-async def test_every_get_route_answers_and_head_like_it_without_a_body(http, station, route):
+async def test_every_get_route_answers_and_head_like_it_without_a_body(http, station):
     """Status 200, the content type that the table says, security headers; HEAD has no body, and an end."""
     await station.acquisition.measure()
-    async with asyncio.timeout(within(20)):
-        reply = await http.head(route.path)
-    assert (reply.status, reply.content_type, reply.body) == (200, route.reply, b"")
-    if "stream" not in route.path:
-        reply = await http.get(route.path)
-        assert (reply.status, reply.content_type) == (200, route.reply)
-        assert "default-src 'none'" in reply.headers["Content-Security-Policy"]
+    for route in (route for route in ROUTES if route.method == "GET"):
+        async with asyncio.timeout(within(20)):
+            reply = await http.head(route.path)
+        assert (reply.status, reply.content_type, reply.body) == (200, route.reply, b"")
+        if "stream" not in route.path:
+            reply = await http.get(route.path)
+            assert (reply.status, reply.content_type) == (200, route.reply)
+            assert "default-src 'none'" in reply.headers["Content-Security-Policy"], route
 
 
-@pytest.mark.parametrize("age", ["9" * 30 + "d", "9" * 400 + "d", "999999w", "9999-99-99", "0000-01-01"])
-async def test_times_beyond_all_calendars_are_refused(http, age):
+async def test_times_beyond_all_calendars_are_refused(http):
     """An age longer than the calendar, or a time that does not exist, is the client's mistake: 400."""
-    for name in ("since", "until"):
-        reply = await http.get("/readings", params={name: age})
-        assert reply.status == 400
+    for age in ("9" * 30 + "d", "9" * 400 + "d", "999999w", "9999-99-99", "0000-01-01"):
+        for name in ("since", "until"):
+            reply = await http.get("/readings", params={name: age})
+            assert reply.status == 400, age
 
 
 async def test_the_table_is_the_whole_range(http, station):
@@ -353,8 +336,6 @@ async def test_the_table_is_the_whole_range(http, station):
         reply = await http.get(f"/readings?format={form}")
         assert len(reply.text.splitlines()) == 8 + header
         assert ("readings.csv" in reply.headers.get("Content-Disposition", "")) is (form == "csv")
-        reply = await http.get(f"/readings?format={form}&after=6")
-        assert len(reply.text.splitlines()) == 2 + header
         reply = await http.get(f"/readings?format={form}&limit=2")
         assert len(reply.text.splitlines()) == 2 + header
     reply = await http.get("/readings?format=csv&until=1h")
@@ -393,36 +374,31 @@ async def test_a_port_that_is_taken_is_told(http, station):
         await HttpServer(station).listen("127.0.0.1", http.port)
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
+async def test_a_query_is_taken_up_to_its_bounds(http, station):
+    """The lowest and the highest number are served, and a boolean in every spelling."""
+    await station.acquisition.measure()
+    for path in (
         "/readings?limit=1", "/readings?limit=20000", "/readings?clean", "/readings?clean=on", "/readings?clean=True",
         "/readings?clean=0&after=4611686018427387903", "/trend?points=10", "/trend?points=5000", "/events?limit=1",
         "/events?limit=5000", "/frame.png?width=64", "/frame.png?width=2048",
-    ],
-)  # fmt: skip
-async def test_a_query_is_taken_up_to_its_bounds(http, station, path):
-    """The lowest and the highest number are served, and a boolean in every spelling."""
-    await station.acquisition.measure()
-    reply = await http.get(path)
-    assert reply.status == 200, reply.text
+    ):  # fmt: skip
+        reply = await http.get(path)
+        assert reply.status == 200, reply.text
 
 
-@pytest.mark.parametrize(
-    ("accept", "query", "kind"),
-    [("*/*", {}, "application/json"), ("text/csv", {}, "text/csv"), ("*/*", {"format": "csv"}, "text/csv"),
-     ("application/x-ndjson", {}, "application/x-ndjson"),
-     ("text/csv", {"format": "json"}, "application/json"),
-     ("*/*", {"format": "jsonl"}, "application/x-ndjson")],
-)  # fmt: skip
-async def test_the_form_of_a_history_is_asked_for(http, station, accept, query, kind):
+async def test_the_form_of_a_history_is_asked_for(http, station):
     """By the query, else by the Accept header, else it is JSON; each form holds the same readings."""
     for _ in range(3):
         await station.acquisition.measure()
-    reply = await http.get("/readings", params={**query, "limit": "2"}, headers={"Accept": accept})
-    assert reply.content_type == kind
-    rows = reply.json() if kind == "application/json" else reply.text.splitlines()[kind == "text/csv" :]
-    assert len(rows) == 2
+    for accept, query, kind in (
+        ("*/*", {}, "application/json"), ("text/csv", {}, "text/csv"), ("*/*", {"format": "csv"}, "text/csv"),
+        ("application/x-ndjson", {}, "application/x-ndjson"), ("text/csv", {"format": "json"}, "application/json"),
+        ("*/*", {"format": "jsonl"}, "application/x-ndjson"),
+    ):  # fmt: skip
+        reply = await http.get("/readings", params={**query, "limit": "2"}, headers={"Accept": accept})
+        assert reply.content_type == kind, (accept, query)
+        rows = reply.json() if kind == "application/json" else reply.text.splitlines()[kind == "text/csv" :]
+        assert len(rows) == 2, (accept, query)
 
 
 @pytest.mark.parametrize("size", [None, 256, 4096])
@@ -481,18 +457,15 @@ HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"
 octets = st.integers(0, 255)
 
 
-@pytest.mark.parametrize("sign", ["\0", "\t", " ", "\u00a0", "\u200b", "\u202e", "\ufeff", "\ue000", "\ud800"])
-@pytest.mark.parametrize("visible", ["", "a-token-so-long-as-it"])
-def test_a_token_of_what_cannot_be_seen_is_refused(station, sign, visible):
+def test_a_token_of_what_cannot_be_seen_is_refused(station):
     """Zero bytes, blanks, marks of no width, private and half characters, alone or at the end of a good token."""
-    with pytest.raises(UsageError, match=r"invisible characters.*openssl"):
-        HttpServer(station, token=visible + sign * 20)
+    for sign in ("\0", "\t", " ", "\u00a0", "\u200b", "\u202e", "\ufeff", "\ue000", "\ud800"):
+        for visible in ("", "a-token-so-long-as-it"):
+            with pytest.raises(UsageError, match=r"invisible characters.*openssl"):
+                HttpServer(station, token=visible + sign * 20)
 
 
-@pytest.mark.parametrize(
-    "sent", [b"Bearer \xff\xfe", b"Bearer \xed\xa0\x80", "Bearer schlüssel-zum-haus".encode("latin-1")]
-)
-async def test_a_token_of_any_bytes_is_refused_without_an_error(serve, sent):
+async def test_a_token_of_any_bytes_is_refused_without_an_error(serve):
     """What is no UTF-8 is a wrong token like any other: 401; in UTF-8 it opens."""
     http = await serve(token="schlüssel-zum-haus")
 
@@ -505,13 +478,14 @@ async def test_a_token_of_any_bytes_is_refused_without_an_error(serve, sent):
         writer.close()
         return reply.split(b" ", 2)[1]
 
-    assert await status(sent) == b"401"
+    for sent in (b"Bearer \xff\xfe", b"Bearer \xed\xa0\x80", "Bearer schlüssel-zum-haus".encode("latin-1")):
+        assert await status(sent) == b"401", sent
     assert await status("Bearer schlüssel-zum-haus".encode()) == b"200"
 
 
-@pytest.mark.parametrize(
-    ("headers", "status"),
-    [
+async def test_only_pages_of_this_host_and_origin_may_change_anything(http):
+    """Scheme aside, host and port must be those asked; no header at all is no browser."""
+    for headers, status in (
         ({}, 200), ({"Host": "localhost:PORT"}, 200), ({"Host": "LOCALHOST:PORT"}, 200), ({"Host": "[::1]:80"}, 200),
         ({"Host": "evil.example:PORT"}, 403), ({"Host": "127.0.0.1.evil.example"}, 403),
         ({"Host": "localhost@evil.example"}, 403), ({"Origin": "http://127.0.0.1:PORT"}, 200),
@@ -521,12 +495,9 @@ async def test_a_token_of_any_bytes_is_refused_without_an_error(serve, sent):
         ({"Sec-Fetch-Site": "none"}, 200), ({"Sec-Fetch-Site": "same-site"}, 403),
         ({"Sec-Fetch-Site": "cross-site", "Origin": "http://127.0.0.1:PORT"}, 403),
         ({"Content-Type": "text/plain"}, 415),
-    ],
-)  # fmt: skip
-async def test_only_pages_of_this_host_and_origin_may_change_anything(http, headers, status):
-    """Scheme aside, host and port must be those asked; no header at all is no browser."""
-    sent = {name: value.replace("PORT", str(http.port)) for name, value in headers.items()}
-    assert (await http.post("/events", json={"message": "x"}, headers=sent)).status == status
+    ):  # fmt: skip
+        sent = {name: value.replace("PORT", str(http.port)) for name, value in headers.items()}
+        assert (await http.post("/events", json={"message": "x"}, headers=sent)).status == status
 
 
 @given(octets, octets, octets, octets, st.integers(0, 32))
@@ -542,19 +513,18 @@ def test_a_network_holds_the_addresses_that_share_its_bits(a, b, c, d, prefix):
         assert is_allowed(f"::ffff:{text}", networks) is inside
 
 
-@pytest.mark.parametrize(
-    ("address", "loopback"),
-    [("127.0.0.1", True), ("127.8.9.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("::", False),
-     ("192.168.1.1", False), ("10.0.0.1", False), ("", False), ("example", False)],
-)  # fmt: skip
-async def test_only_loopback_may_be_open_without_a_token(station, address, loopback):
+async def test_only_loopback_may_be_open_without_a_token(station):
     """Every other address is refused with the way out before anything listens."""
-    assert is_loopback(address) is loopback
-    if not loopback:
-        server = HttpServer(station)
-        with pytest.raises(UsageError, match="--token-file"):
-            await server.listen(address, 0)
-        await server.close()
+    for address, loopback in (
+        ("127.0.0.1", True), ("127.8.9.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("::", False),
+        ("192.168.1.1", False), ("10.0.0.1", False), ("", False), ("example", False),
+    ):  # fmt: skip
+        assert is_loopback(address) is loopback, address
+        if not loopback:
+            server = HttpServer(station)
+            with pytest.raises(UsageError, match="--token-file"):
+                await server.listen(address, 0)
+            await server.close()
 
 
 @pytest.mark.parametrize(
@@ -588,25 +558,18 @@ async def test_every_reply_carries_the_headers_that_keep_the_page_whole(http):
             assert reply.json()["error"]["status"] == status
 
 
-@pytest.mark.parametrize(
-    ("error", "status", "message"),
-    [
+async def test_what_a_measurement_ends_in_is_reported_as_json(http, station, monkeypatch):
+    """Our own errors in their words, a bug without them; with the headers of every reply, and the next is served."""
+    for error, status, message in (
         (KeyError("secret"), 500, "unexpected error; the daemon's log has the particulars"),
         (TimeoutError(), 504, "no reading within the deadline"), (TimeoutError("late"), 504, "late"),
         (DeviceLost("gone"), 503, "gone"), (MeasurementError("dark"), 422, "dark"),
-    ],
-)  # fmt: skip
-async def test_what_a_measurement_ends_in_is_reported_as_json(http, station, monkeypatch, error, status, message):
-    """Our own errors in their words, a bug without them; with the headers of every reply, and the next is served."""
-
-    async def failing(*_, **__):
-        raise error
-
-    monkeypatch.setattr(station.acquisition, "measure", failing)
-    reply = await http.post("/measure", json={})
-    assert (reply.status, reply.json()) == (status, {"error": {"status": status, "message": message}})
-    assert {name: reply.headers.get(name) for name in HEADERS} == HEADERS
-    assert (await http.get("/status")).status == 200
+    ):  # fmt: skip
+        monkeypatch.setattr(station.acquisition, "measure", mock.AsyncMock(side_effect=error))
+        reply = await http.post("/measure", json={})
+        assert (reply.status, reply.json()) == (status, {"error": {"status": status, "message": message}}), status
+        assert {name: reply.headers.get(name) for name in HEADERS} == HEADERS, status
+        assert (await http.get("/status")).status == 200, status
 
 
 async def test_who_is_connected_when_the_server_closes_is_hung_up_on(station):
@@ -627,24 +590,21 @@ async def test_who_is_connected_when_the_server_closes_is_hung_up_on(station):
 TOKEN = "a-token-of-some-length"
 
 
-@pytest.mark.parametrize(
-    ("peer", "allowed"),
-    [
+def test_the_allow_list_lets_in_whom_it_names(station):
+    """Loopback always, members of a network, no one else; without a list no one but loopback."""
+    for peer, allowed in (
         ("127.0.0.1", True), ("::1", True), ("::ffff:127.0.0.1", True),
         ("192.168.1.7", True), ("192.168.2.7", False), ("10.0.0.7", True), ("10.0.0.8", False),
         ("::ffff:192.168.1.7", True), ("::ffff:192.168.2.7", False), ("fd00::1", True), ("fe00::1", False),
         ("fd00::5%eth0", True), ("fe80::1%eth0", False),
         ("8.8.8.8", False), ("", False), ("nonsense", False), ("192.168.1.7.evil.example", False),
-    ],
-)  # fmt: skip
-def test_the_allow_list_lets_in_whom_it_names(station, peer, allowed):
-    """Loopback always, members of a network, no one else; without a list no one but loopback."""
-    networks = parse_networks(["192.168.1.0/24", "10.0.0.7", "fd00::/8"])
-    assert is_allowed(peer, networks) is allowed
-    assert is_allowed(peer, ()) is (peer in ("127.0.0.1", "::1", "::ffff:127.0.0.1"))
-    server = ScpiServer(station, allow=networks)
-    assert bool(server.refusal((peer, 5025))) is not allowed
-    assert bool(ScpiServer(station).refusal((peer, 5025))) is not is_allowed(peer, ())
+    ):  # fmt: skip
+        networks = parse_networks(["192.168.1.0/24", "10.0.0.7", "fd00::/8"])
+        assert is_allowed(peer, networks) is allowed, peer
+        assert is_allowed(peer, ()) is (peer in ("127.0.0.1", "::1", "::ffff:127.0.0.1")), peer
+        server = ScpiServer(station, allow=networks)
+        assert bool(server.refusal((peer, 5025))) is not allowed, peer
+        assert bool(ScpiServer(station).refusal((peer, 5025))) is not is_allowed(peer, ()), peer
 
 
 async def test_without_the_token_nothing_but_the_public_is_served(serve, station):
@@ -672,10 +632,10 @@ async def test_without_the_token_nothing_but_the_public_is_served(serve, station
         assert (await http.get("/status", headers={"Authorization": word + TOKEN})).status == 200
 
 
-@pytest.mark.parametrize("path", ["/light", "/light/off", "/settings", "/measure", "/patches", "/events"])
-async def test_another_site_changes_nothing(http, station, box, path):
+async def test_another_site_changes_nothing(http, station, box):
     """A post with a foreign origin, and one for a foreign host name, is 403; a read for a foreign host too."""
-    for headers in ({"Origin": "http://evil.example"}, {"Host": "evil.example"}, {"Sec-Fetch-Site": "same-site"}):
-        assert (await http.post(path, json={}, headers=headers)).status == 403
-    assert (await http.get("/status", headers={"Host": "evil.example"})).status == 403
-    assert (station.shown.latest, set(box.levels.values())) == (None, {0.0})
+    for path in ("/light", "/light/off", "/settings", "/measure", "/patches", "/events"):
+        for headers in ({"Origin": "http://evil.example"}, {"Host": "evil.example"}, {"Sec-Fetch-Site": "same-site"}):
+            assert (await http.post(path, json={}, headers=headers)).status == 403, (path, headers)
+        assert (await http.get("/status", headers={"Host": "evil.example"})).status == 403, (path, headers)
+        assert (station.shown.latest, set(box.levels.values())) == (None, {0.0}), (path, headers)

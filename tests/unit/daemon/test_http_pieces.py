@@ -135,13 +135,9 @@ def test_the_frame_shown_is_the_longest_in_which_less_than_a_thousandth_clips(cl
         Frame(np.full((64, 64), 225, np.uint16), 12, FrameSettings(0.01)),
     ]
     reading = Reading(Quantity(2.0, 0.1, "1"), Patch(0, 0, 4, 4), "1")
-    frame = Measurement(reading, tuple(pictures)).frame
-    assert frame is not None
-    assert frame.settings.exposure_s == shown
-    white = [replace(one, dn=np.full((64, 64), 4095, np.uint16)) for one in pictures]
-    last = Measurement(reading, tuple(white)).frame
-    assert last is not None
-    assert last.settings.exposure_s == 0.01
+    assert Measurement(reading, tuple(pictures)).frame.settings.exposure_s == shown
+    white = tuple(replace(one, dn=np.full((64, 64), 4095, np.uint16)) for one in pictures)
+    assert Measurement(reading, white).frame.settings.exposure_s == 0.01
     assert Measurement(reading).frame is None
 
 
@@ -195,30 +191,18 @@ def _contrast(one, other):
     return (bright + 0.05) / (dark + 0.05)
 
 
-def test_the_contrast_is_that_of_the_guideline():
-    """Black on white is 21, and #767676 the palest grey that is legible on white: 4.54."""
-    assert _contrast((0, 0, 0), (255, 255, 255)) == pytest.approx(21.0)
-    assert _contrast((0x76, 0x76, 0x76), (255, 255, 255)) == pytest.approx(4.54, abs=0.005)
-
-
 @pytest.mark.parametrize("theme", _THEMES)
 def test_every_colour_of_a_theme_can_be_distinguished_from_what_it_lies_on(theme):
-    """Text and lines of plots on cards and on the page; the rims of fields and sliders on cards."""
+    """Text, lines of plots, rims of fields and sliders; the red theme lights nothing but red: rods stay adapted."""
     palette = _palette(theme)
     for name, needed in _NEEDED.items():
         assert _contrast(palette[name], palette["card"]) >= needed, (theme, name)
-    for name in ("ink", "quiet"):
-        assert _contrast(palette[name], palette["ground"]) >= 4.5, (theme, name)
-    assert _contrast(palette["on-accent"], palette["accent"]) >= 4.5
-    assert _contrast(palette["bad"], palette["alarm"]) >= 4.5
+    for one, other in (("ink", "ground"), ("quiet", "ground"), ("on-accent", "accent"), ("bad", "alarm")):
+        assert _contrast(palette[one], palette[other]) >= 4.5, (theme, one)
+    assert theme != "red" or all(colour[1:] == (0, 0) for colour in palette.values())
 
 
-def test_the_red_theme_lights_nothing_but_red():
-    """Rods stay adapted: neither green nor blue in any of its colours."""
-    assert all(colour[1:] == (0, 0) for colour in _palette("red").values())
-
-
-@pytest.mark.parametrize(("spread", "message"), [(19.0, "linear"), (20.0, "linear"), (21.0, "log")])
+@pytest.mark.parametrize(("spread", "message"), [(20.0, "linear"), (21.0, "log")])
 def test_a_scene_of_more_than_twenty_to_one_is_drawn_in_logarithms(spread, message):
     """A factor between the half-per-cent dimmest and the 0.2 % brightest; 0 in it is a ten-thousandth at least."""
     radiance = np.repeat(np.array([1.0, spread], np.float32), 2048).reshape(64, 64)

@@ -10,7 +10,6 @@ import shutil
 import sqlite3
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from contextlib import asynccontextmanager, suppress
@@ -18,18 +17,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
+from hypothesis import settings
+from hypothesis.stateful import run_state_machine_as_test
 
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump
 from radiometer.daemon.journal import SCHEMA_VERSION, Journal, JournalError, JournalSizeError, default_journal_path
-from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, TrendPoint, to_csv
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time, now_us, parse_moment
-from radiometer.data import Contribution, Flag, Patch, Quantity, Reading
+from radiometer.data import Contribution, Flag, Patch, Quantity
 from radiometer.errors import InputError, OutputError, UsageError
+from testing.journal_machine import JournalMachine
 from testing.watched_sqlite import refusing
 
 
@@ -111,39 +110,6 @@ def test_every_cell_of_a_row_is_what_its_heading_says(tmp_path, make_reading):
     assert (bare["luminance"], bare["u_luminance"], bare["luminance_unit"]) == ("", "", "")
 
 
-def test_a_full_journal_refuses_and_loses_nothing(tmp_path, make_reading):
-    """At the size limit appending raises, what was committed stays, and the numbers go on once there is room."""
-    path = tmp_path / "j.sqlite"
-    committed: list[Reading] = []
-
-    def fill(journal):
-        while True:
-            committed.extend(journal.append([make_reading()] * 20))
-
-    with Journal(path, max_bytes=200_000) as limited, pytest.raises(JournalError, match=r"0\.2 MB of --journal-max-mb"):
-        fill(limited)
-    with Journal(path) as journal:
-        (numbered,) = journal.append([make_reading()])
-    count = len(committed)
-    assert count > 0
-    assert numbered.sequence == count + 1
-    assert JournalReader(path).bounds() == (1, count + 1, count + 1)
-
-
-@pytest.mark.slow
-def test_a_locked_journal_is_named_as_such(tmp_path, make_reading):
-    """A file locked by another program raises JournalError, and works again once it is free."""
-    path = tmp_path / "j.sqlite"
-    with Journal(path) as journal:
-        other = sqlite3.connect(path, isolation_level=None)
-        other.execute("BEGIN EXCLUSIVE")
-        with pytest.raises(JournalError, match="locked"):
-            journal.append([make_reading()])
-        other.execute("ROLLBACK")
-        other.close()
-        assert [reading.sequence for reading in journal.append([make_reading()])] == [1]
-
-
 @pytest.mark.parametrize("content", [b"not a database at all, but long enough to look like one" * 40, b"\0" * 4096])
 def test_a_file_that_is_no_journal_is_refused(tmp_path, content):
     """Foreign content, and a place below a file: neither overwritten nor reported as a passing trouble."""
@@ -199,20 +165,12 @@ def test_a_journal_that_another_program_has_changed_is_refused(change, tmp_path,
             use()
 
 
-@pytest.mark.slow
 def test_a_long_query_ends_at_its_deadline(tmp_path, make_reading):
     """A reader gives up rather than hold a thread for ever."""
     with Journal(tmp_path / "j.sqlite") as journal:
-        journal.append([make_reading()] * 20_000)
+        journal.append([make_reading()] * 2_000)
     with pytest.raises(InputError, match="takes more than 0 s"):
         JournalReader(tmp_path / "j.sqlite", deadline_s=-1.0).lines(ReadingFilter(flag="none"))
-
-
-def test_moments_are_iso_times_or_ages():
-    """Both forms give µs since 1970; anything else is refused with the allowed forms."""
-    assert iso_time(parse_moment("2026-11-20T12:00:00.25+01:00")) == "2026-11-20T11:00:00.250000Z"
-    with pytest.raises(UsageError, match="ISO 8601"):
-        parse_moment("yesterday")
 
 
 def test_a_journal_of_a_newer_form_is_left_alone(tmp_path, make_reading):
@@ -279,19 +237,6 @@ def test_a_journal_that_is_not_there_is_not_made_by_reading(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_log_that_was_cut_is_reported_unless_a_checkpoint_cut_it(tmp_path, make_reading):
-    """Readings that are in the log alone would be missing after a crash."""
-    path = tmp_path / "j.sqlite"
-    with Journal(path) as journal:
-        journal.append([make_reading()] * 5)
-        with sqlite3.connect(path) as other:
-            other.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-        assert journal.append([make_reading()])[0].sequence == 6
-        os.truncate(path.with_name("j.sqlite-wal"), 100)
-        with pytest.raises(JournalError, match="cut"):
-            journal.append([make_reading()])
-
-
 def test_readings_that_were_lost_after_a_crash_are_reported(tmp_path, make_reading):
     """Their numbers are not given to others before a person has decided so; a journal begun anew has lost none."""
     path, crashed = tmp_path / "j.sqlite", tmp_path / "crashed.sqlite"
@@ -352,146 +297,13 @@ def test_two_daemons_on_one_journal_are_refused_whatever_its_name(tmp_path, make
 
 START_US = 1_790_000_000_000_000
 HOUR_US = 3_600_000_000
-values = st.floats(0.1, 100.0).map(lambda value: round(value, 3))
-flags = st.sampled_from([(), (), (Flag.SATURATED,), (Flag.BELOW_NOISE, Flag.UNCALIBRATED)])
-streams = st.sampled_from(["", "", "lamp", "own"])
-hours = st.sampled_from([0, 0, 1, 1, 2, 5, 30, 60])  # few, so that minutes are shared
-
-
-class JournalMachine(RuleBasedStateMachine):
-    """Does to a journal and to a list the same."""
-
-    make_reading = None
-
-    def __init__(self):
-        super().__init__()
-        self.folder = Path(tempfile.mkdtemp())
-        self.path = self.folder / "j.sqlite"
-        self.journal = Journal(self.path)
-        self.journal.open()
-        self.kept, self.last, self.patches, self.notes, self.dropped_us = [], 0, {}, 0, None
-
-    def teardown(self):
-        self.journal.close()
-        shutil.rmtree(self.folder)
-
-    @rule(entries=st.lists(st.tuples(hours, values, flags, streams), max_size=4))
-    def append(self, entries):
-        """Readings are numbered on, and come back with their numbers."""
-        readings = [
-            type(self).make_reading(
-                time=iso_time(START_US + hour * HOUR_US),
-                radiance=Quantity(value, 0.01 * value, "W·sr⁻¹·m⁻²"),
-                flags=which,
-                name="lamp" if stream == "lamp" else "",
-                session="visitor" if stream == "own" else "",
-            )
-            for hour, value, which, stream in entries
-        ]
-        given = [reading.sequence for reading in self.journal.append(readings)]
-        assert given == list(range(self.last + 1, self.last + 1 + len(entries)))
-        self.last += len(entries)
-        for number, (hour, value, which, stream) in zip(given, entries, strict=True):
-            self.kept.append(
-                (number, START_US + hour * HOUR_US, value, which, f"patch {stream}" if stream == "lamp" else stream)
-            )
-
-    @rule(hour=hours)
-    def drop(self, hour):
-        """What was made before the first young reading goes, the newest never."""
-        before_us = START_US + hour * HOUR_US
-        young = [entry[0] for entry in self.kept if entry[1] >= before_us]
-        first = min(young) if young else self.last
-        gone = [entry for entry in self.kept if entry[0] < first]
-        assert self.journal.drop_older(before_us) == len(gone)
-        self.kept = self.kept[len(gone) :]
-        self.dropped_us = max(before_us, self.dropped_us or 0)
-
-    @rule()
-    def reopen(self):
-        """Nothing is lost by closing."""
-        self.journal.close()
-        self.journal = Journal(self.path)
-        self.journal.open()
-
-    @rule()
-    def fail(self):
-        """A transaction that cannot be committed leaves nothing behind."""
-        reading = type(self).make_reading()
-        with refusing("INTO trend"), pytest.raises(JournalError):  # after the readings have gone in
-            self.journal.append([reading, reading])
-
-    @rule(name=st.sampled_from("ab"), line=st.sampled_from([None, "{}", '{"x": 1}']))
-    def keep_patch(self, name, line):
-        """The newest line of a name counts; None forgets it."""
-        self.journal.keep_patch(name, line)
-        self.patches.pop(name, None)
-        if line is not None:
-            self.patches[name] = line
-        assert self.journal.patches() == dict(sorted(self.patches.items()))
-
-    @rule(
-        since=st.none() | hours,
-        until=st.none() | hours,
-        after=st.none() | st.integers(0, 20),
-        limit=st.none() | st.integers(0, 5),
-        flag=st.sampled_from([None, None, "saturated", "uncalibrated"]),
-        clean=st.booleans(),
-        newest=st.booleans(),
-        stream=st.sampled_from([None, None, "", "patch lamp", "own"]),
-    )
-    def ask(self, since, until, after, limit, flag, clean, newest, stream):
-        """A filter gives exactly what a list comprehension gives."""
-        since_us, until_us = (None if hour is None else START_US + hour * HOUR_US for hour in (since, until))
-        row_filter = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest, stream)
-        found = [json.loads(line)["sequence"] for line in JournalReader(self.path).lines(row_filter)]
-        expected = [
-            number
-            for number, at_us, _, which, where in self.kept
-            if (since_us is None or at_us >= since_us)
-            and (until_us is None or at_us < until_us)
-            and (after is None or number > after)
-            and (flag is None or flag in map(str, which))
-            and not (clean and which)
-            and (stream is None or where == stream)
-        ]
-        expected = expected[::-1] if newest else expected
-        assert found == expected[:limit]
-
-    @rule(stream=st.sampled_from(["", "patch lamp"]), fine=st.booleans())
-    def trend(self, stream, fine):
-        """Counts, extremes and means of a stream are those of its readings, from readings or from minutes."""
-        span = (START_US, START_US + HOUR_US) if fine else (START_US, START_US + 100 * HOUR_US)
-        if not fine and self.dropped_us is not None:
-            return  # minutes are deleted by their time, readings by their place
-        points = JournalReader(self.path).trend(stream, *span)
-        own = [entry for entry in self.kept if entry[4] == stream and span[0] <= entry[1] < span[1]]
-        assert sum(point.count for point in points) == len(own)
-        assert sum(point.flagged for point in points) == sum(bool(entry[3]) for entry in own)
-        assert sum(point.value * point.count for point in points) == pytest.approx(sum(entry[2] for entry in own))
-        assert sum(point.u * point.count for point in points) == pytest.approx(sum(0.01 * entry[2] for entry in own))
-        assert JournalReader(self.path).trend("own", START_US, START_US + 100 * HOUR_US) == []
-        for point in points:
-            inside = [entry for entry in own if abs(entry[1] - point.time_us) <= HOUR_US / 2]
-            assert (point.low, point.high) == (min(e[2] for e in inside), max(e[2] for e in inside))
-
-    @invariant()
-    def numbers_have_no_hole(self):
-        """Lowest, highest and count are the list's."""
-        expected = (self.kept[0][0], self.kept[-1][0], len(self.kept)) if self.kept else (0, 0, 0)
-        assert JournalReader(self.path).bounds() == expected
 
 
 @pytest.mark.usefixtures("connections")
 def test_a_journal_is_a_list_that_stays(make_reading):
     """Numbers, filters, trend, deletion, patches and failures agree with a plain list, in any order."""
     JournalMachine.make_reading = staticmethod(make_reading)
-    run_state_machine_as_test(
-        JournalMachine,
-        settings=settings(
-            max_examples=25, stateful_step_count=15, deadline=None, suppress_health_check=list(HealthCheck)
-        ),
-    )
+    run_state_machine_as_test(JournalMachine, settings=settings(max_examples=25, stateful_step_count=15))
 
 
 def test_a_trend_point_stands_in_the_middle_of_its_time(tmp_path, make_reading):
@@ -541,9 +353,12 @@ async def test_what_cannot_be_deleted_is_an_alarm(tmp_path, make_reading, monkey
 @pytest.mark.parametrize(
     ("text", "age_s"), [("90s", 90), ("15min", 900), ("15m", 900), ("1.5h", 5400), ("7d", 604_800), ("2w", 1_209_600)]
 )
-def test_ages_are_what_their_units_say(text, age_s):
-    """Each unit in s."""
+def test_moments_are_ages_or_iso_times(text, age_s):
+    """Each unit in s; times in µs since 1970; anything else is refused with the allowed forms."""
     assert parse_moment(text, now=START_US) == START_US - age_s * 1_000_000
+    assert iso_time(parse_moment("2026-11-20T12:00:00.25+01:00")) == "2026-11-20T11:00:00.250000Z"
+    with pytest.raises(UsageError, match="ISO 8601"):
+        parse_moment("yesterday")
 
 
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
@@ -573,7 +388,7 @@ def written(path, given):
 
 def day(reader, stream, minutes):
     """Return value, u, lowest, highest, count and count of flagged of every so many minutes of a day."""
-    points: list[TrendPoint] = reader.trend(stream, BASE_US, BASE_US + DAY_US, 1440 // minutes)
+    points = reader.trend(stream, BASE_US, BASE_US + DAY_US, 1440 // minutes)
     return [(p.value, p.u, p.low, p.high, p.count, p.flagged) for p in points]
 
 
@@ -601,22 +416,19 @@ def test_deletion_deletes_all_that_is_old(tmp_path, make_reading):
         assert ([event["kind"] for event in reader.events()], reader.bounds()) == (["remark"], (5, 5, 1))
 
 
-def test_the_bounds_of_a_trend_are_from_the_first_to_before_the_last(tmp_path, make_reading):
-    """A reading at the end of a span belongs to the next; the minute in which a long span ends is in it."""
-    reader = written(tmp_path / "j.sqlite", readings(make_reading))
-    assert sum(p.count for p in reader.trend("", BASE_US, BASE_US + MINUTE_US)) == 3
-    assert sum(p.count for p in reader.trend("", BASE_US - DAY_US, BASE_US + 3 * MINUTE_US)) == 4
-    assert sum(p.count for p in reader.trend("", BASE_US - DAY_US, BASE_US + 3 * MINUTE_US + 1)) == 5
-    row_filter = ReadingFilter(since_us=BASE_US + 10_000_000, until_us=BASE_US + 60_000_000)
-    assert len(reader.lines(row_filter)) == 2
-
-
 def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes(tmp_path, make_reading):
-    """The five readings stand each by itself over 7500 s; of a microsecond more, the three minutes they are in."""
+    """The five readings stand each by itself over 7500 s; of a microsecond more, the three minutes they are in.
+
+    A minute in which a long span ends is in it, and a point is a microsecond at least.
+    """
     reader = written(tmp_path / "j.sqlite", readings(make_reading))
     longest = 7_500_000_000
     assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest)] == [1] * 5
     assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest + 1)] == [3, 1, 1]
+    for end_us, count in ((3 * MINUTE_US, 4), (3 * MINUTE_US + 1, 5)):
+        assert sum(point.count for point in reader.trend("", BASE_US - DAY_US, BASE_US + end_us)) == count
+    (point,) = reader.trend("", BASE_US - 5, BASE_US + 5, 1500)
+    assert (point.value, point.count, abs(point.time_us - BASE_US) <= 1) == (1.0, 1, True)
 
 
 def test_of_many_events_the_newest_thousand_are_reported(tmp_path):
@@ -633,23 +445,6 @@ def test_of_many_events_the_newest_thousand_are_reported(tmp_path):
     assert numbers_of() == list(range(1, 1001))
     assert numbers_of(limit=2) == [999, 1000]
     assert numbers_of(since_us=BASE_US + 5, until_us=BASE_US + 8) == [5, 6, 7]
-
-
-def test_a_trend_finer_than_its_span_is_one_of_microseconds(tmp_path, make_reading):
-    """Ten microseconds in 1500 points: each reading stands by itself."""
-    reader = written(tmp_path / "j.sqlite", readings(make_reading))
-    (point,) = reader.trend("", BASE_US - 5, BASE_US + 5, 1500)
-    assert (point.value, point.count) == (1.0, 1)
-    assert abs(point.time_us - BASE_US) <= 1
-
-
-def test_what_clients_measure_for_themselves_is_in_no_trend(tmp_path, make_reading):
-    """Readings of a session are kept, listed as `own`, and drawn nowhere; those of a named patch under its name."""
-    reader = written(tmp_path / "j.sqlite", readings(make_reading, session="http-1"))
-    assert [day(reader, stream, 1) for stream in ("", "own")] == [[], []]
-    assert len(reader.lines(ReadingFilter(stream="own"))) == 5
-    named = written(tmp_path / "k.sqlite", readings(make_reading, name="lamp"))
-    assert [len(day(named, stream, 1)) for stream in ("", "patch lamp")] == [0, 3]
 
 
 def test_a_budget_is_of_its_own_reading(tmp_path, make_reading):
@@ -670,16 +465,6 @@ def test_what_was_handed_out_survives_a_power_cut(tmp_path, connections):
         (connection,) = connections
         assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
         assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
-
-
-def test_a_limit_of_bytes_is_one(tmp_path, connections):
-    """A journal of at most 200 kB stays below them."""
-    with Journal(tmp_path / "j.sqlite", max_bytes=200_000):
-        (connection,) = connections
-        (size,), (count,) = (
-            connection.execute(f"PRAGMA {name}").fetchone() for name in ("page_size", "max_page_count")
-        )
-        assert size * count <= 150_000 < size * (count + 1)  # the rest is SQLite's log
 
 
 def kept_of(path, before_us):
@@ -815,20 +600,19 @@ async def test_readings_that_waited_are_taken_in_once(tmp_path, make_reading):
     assert len(JournalReader(path).lines(ReadingFilter())) == 1 + 2 + 3
 
 
-@pytest.mark.parametrize(
-    "harm",
-    [
-        lambda line: b"\xff" + line, lambda line: line[:-9], lambda _: b"[]", lambda _: b"null", lambda _: b"{}",
-        lambda line: line.replace(b'"flags"', b'"f"'), lambda line: line.replace(b'"value": 5.0', b'"value": "x"'),
-        lambda line: line.replace(b'"time": "2', b'"time": "x'), lambda line: line.replace(b'e": 0.02', b'e": [0.02]'),
-    ],
+DAMAGES = (
+    lambda line: b"\xff" + line, lambda line: line[:-9], lambda _: b"[]", lambda _: b"null", lambda _: b"{}",
+    lambda line: line.replace(b'"flags"', b'"f"'), lambda line: line.replace(b'"value": 5.0', b'"value": "x"'),
+    lambda line: line.replace(b'"time": "2', b'"time": "x'), lambda line: line.replace(b'e": 0.02', b'e": [0.02]'),
 )  # fmt: skip
-async def test_a_damaged_line_of_readings_that_waited_stays_and_stops_nothing(tmp_path, make_reading, harm, eventually):
+
+
+async def test_damaged_lines_of_readings_that_waited_stay_and_stop_nothing(tmp_path, make_reading, eventually):
     """The others are taken in, once; an event and an alarm name the file until it is moved away."""
     path, _ = waited(tmp_path, make_reading)
     (file,) = tmp_path.glob("*waiting*")
     first, *others = file.read_bytes().splitlines(keepends=True)
-    damaged = harm(first.rstrip())
+    damaged = b"\n".join(harm(first.rstrip()) for harm in DAMAGES)
     file.write_bytes(b"".join([*others, damaged]))
     for start in (1, 2):
         alarms = Alarms(lambda *_: None)
@@ -837,7 +621,7 @@ async def test_a_damaged_line_of_readings_that_waited_stays_and_stops_nothing(tm
             await eventually(lambda alarms=alarms: alarms.active)
             assert len(JournalReader(path).lines(ReadingFilter())) == 2 + start
             assert file.read_bytes() == damaged
-            assert f"of {file.name} {2 - start} readings were taken in; 1 damaged lines" in alarms.message_of("journal")
+            assert f"of {file.name} {2 - start} readings were taken in; 9 damaged lines" in alarms.message_of("journal")
             assert JournalReader(path).events()[-1]["message"] == alarms.message_of("journal")
             if start == 2:
                 file.rename(tmp_path / "looked at")
@@ -860,7 +644,7 @@ def test_a_start_states_that_the_run_before_had_no_stop(tmp_path):
 
 async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path, make_reading):
     """Three that wait fill room for three; once they are committed there is room again, in the order they came."""
-    given: list[tuple[int, float]] = []
+    given = []
 
     def on_commit(reading, origin, seconds):
         given.append((reading.sequence, reading.radiance.value))
@@ -950,23 +734,6 @@ def test_a_journal_is_recognised_by_its_first_bytes(tmp_path, make_reading):
     assert int.from_bytes(header[60:64], "big") == SCHEMA_VERSION
 
 
-async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path):
-    """What is queued of patches alone is committed at the end; the last stated of each counts; a forgotten one goes."""
-    writer = writer_of(tmp_path / "j.sqlite")
-    await writer.open()
-    writer.keep_patch("lamp", "first")
-    writer.keep_patch("gone", "there")
-    task = asyncio.create_task(writer.run())
-    while await writer.patches() != {"lamp": "first", "gone": "there"}:
-        await asyncio.sleep(0)
-    task.cancel()
-    writer.keep_patch("lamp", "second")
-    writer.keep_patch("gone", None)
-    await writer.close()
-    with Journal(tmp_path / "j.sqlite") as again:
-        assert again.patches() == {"lamp": "second"}
-
-
 @pytest.mark.parametrize(
     ("code", "kind", "message"),
     [
@@ -983,22 +750,6 @@ def test_what_sqlite_refuses_is_reported_with_its_way_out(tmp_path, make_reading
                 journal.append([make_reading(), make_reading()])
             assert type(refusal.value) is kind
         assert [reading.sequence for reading in journal.append([make_reading()])] == [1]
-
-
-def test_a_journal_opens_itself_where_it_is_written_to(tmp_path, make_reading, connections):
-    """No one has to have opened it, at first and after it was closed; then another daemon may open it."""
-    journal = Journal(tmp_path / "j.sqlite")
-    for number in (1, 2):
-        assert [reading.sequence for reading in journal.append([make_reading()])] == [number]
-        journal.note("remark", str(number))
-        journal.close()
-        journal.close()
-        with pytest.raises(sqlite3.ProgrammingError, match="closed"):
-            connections[-1].execute("SELECT 1")
-    with Journal(tmp_path / "j.sqlite") as other:
-        assert [reading.sequence for reading in other.append([make_reading()])] == [3]
-    reader = JournalReader(tmp_path / "j.sqlite")
-    assert [event["message"] for event in reader.events()] == ["1", "2"]
 
 
 @pytest.mark.parametrize("max_bytes", [300_000, 2_000_000])
@@ -1023,7 +774,7 @@ def in_another_program(statement, *arguments):
     subprocess.run(command, check=True)
 
 
-HARMS: dict[str, str] = {
+HARMS = {
     "emptied": "open(sys.argv[1], 'w').close()",
     "halved": "os.truncate(sys.argv[1], os.stat(sys.argv[1]).st_size // 2)",
     "older copy": "shutil.copyfile(sys.argv[2], sys.argv[1])",
@@ -1110,7 +861,7 @@ async def test_readings_wait_where_an_overwritten_journal_cannot_be_read(harm, t
     assert numbers(path) == list(range(1, 3003))
 
 
-OTHERS: dict[str, str] = {
+OTHERS = {
     "reader": "sqlite3.connect(f'file:{sys.argv[1]}?mode=ro', uri=True).execute('SELECT * FROM readings').fetchall()",
     "backup": "sqlite3.connect(sys.argv[1]).backup(sqlite3.connect(sys.argv[2]))",
     "checkpoint": "sqlite3.connect(sys.argv[1]).execute('PRAGMA wal_checkpoint(PASSIVE)').fetchall()",

@@ -6,7 +6,6 @@ import math
 import struct
 from collections.abc import Coroutine
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, Parameter
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.status import QUEUE_LENGTH, Register, Status
 from radiometer.daemon.scpi.table import command_table
-from radiometer.data import Flag, Patch, Quantity, Reading, ResponseCurve
+from radiometer.data import Flag, Patch, Quantity, ResponseCurve
 from radiometer.errors import (
     CalibrationError,
     DeviceLost,
@@ -51,7 +50,7 @@ units = st.lists(st.tuples(headers, st.booleans(), st.integers(0, 3)), min_size=
 NUMBERS = st.decimals(-(10**6), 10**6, allow_nan=False, allow_infinity=False, places=6)
 
 
-def read(parameter: Any, text: str) -> Any:
+def read(parameter, text):
     """Return what a parameter makes of the one argument of a message."""
     ((unit,), error) = split_message(f"X {text}")
     assert error is None
@@ -59,7 +58,7 @@ def read(parameter: Any, text: str) -> Any:
     return parameter.read(argument, None)
 
 
-def number(unit: str = "", limits: ParameterLimits = WIDE, **more: Any) -> Number:
+def number(unit="", limits=WIDE, **more):
     return Number("value", unit, lambda station: limits, **more)
 
 
@@ -208,24 +207,10 @@ def test_numbers_are_written_as_the_standard_says(value, text):
     assert formats.number(value) == text
 
 
-def test_the_elements_of_a_reading_come_in_the_order_asked_for():
-    """Value, u, time, number and flags of radiance or luminance; what is not there is not a number."""
-    reading = Reading(
-        Quantity(2.0, 0.25, "W sr-1 m-2"), Patch(0, 0, 1, 1), "1", Quantity(300.0, 4.0, "cd m-2"),
-        flags=(Flag.SATURATED, Flag.UNCALIBRATED), sequence=17, time="2026-01-02T03:04:05Z",
-    )  # fmt: skip
-    asked = ("SEQuence", "UNCertainty", "READing", "FLAGs", "TIME")
-    tail = '"saturated uncalibrated","2026-01-02T03:04:05Z"'
-    assert formats.reading_elements(reading, "RADiance", asked) == f"17,2.500000000E-01,2.000000000E+00,{tail}"
-    assert formats.reading_elements(reading, "LUMinance", asked) == f"17,4.000000000E+00,3.000000000E+02,{tail}"
-    unknown = replace(reading, luminance=None)
-    assert formats.reading_elements(unknown, "LUMinance", ("READing", "UNCertainty")) == "9.91E+37,9.91E+37"
-
-
 class Clock:
     now_s = 100.0
 
-    def __call__(self) -> float:
+    def __call__(self):
         return self.now_s
 
 
@@ -255,51 +240,32 @@ def test_no_more_than_rate_and_burst_is_let_through(per_s, pauses):
     assert bucket.take() > 0.0
 
 
-# What each setting does to the next measurement: message, field, value.
-SETTINGS = [
-    ("SENS:EXP 4 MS", "exposure_s", 0.004),
-    ("SENS:EXP:TIME 20 US", "exposure_s", 2e-5),
-    ("SENS:EXP MAX", "exposure_s", 30.0),
-    ("SENS:EXP DEF", "exposure_s", 0.01),
-    ("SENS:EXP 1;EXP:AUTO ON", "auto_exposure", True),
-    ("SENS:EXP 1", "auto_exposure", False),
-    ("SENS:GAIN 6", "gain_db", 6.0),
-    ("SENS:GAIN 12DB", "gain_db", 12.0),
-    ("SENS:GAIN 3;GAIN DEF", "gain_db", 0.0),
-    ("SENS:PATC 7,8,9,10", "patch", Patch(7, 8, 9, 10)),
-    ("SENS:PATC 1,2,3,4;PATC CENT", "patch", None),
-    ("SENS:CORR:WAV 0.55 UM", "wavelength_nm", 550.0),
-    ("SENS:CORR:WAV 5e-7 M", "wavelength_nm", 500.0),
-    ("SENS:CORR:WAV 550;WAV NONE", "wavelength_nm", None),
-    ("SENS:CORR:WAV DEF", "wavelength_nm", 550.0),
-]
-
-
-@pytest.mark.parametrize(("message", "name", "value"), SETTINGS, ids=[entry[0] for entry in SETTINGS])
-async def test_a_setting_is_that_of_the_next_measurement(session, station, message, name, value):
-    """In s, dB, pixels and nm; the query gives it back."""
-    assert session.execute(message) is None
+async def test_a_setting_is_that_of_the_next_measurement(session, station):
+    """In s, dB, pixels and nm, one by one; what is not set stays; MIN, MAX and DEF are of what the camera can do."""
+    for message, name, value in (
+        ("SENS:EXP 4 MS", "exposure_s", 0.004), ("SENS:EXP:TIME 20 US", "exposure_s", 2e-5),
+        ("SENS:EXP MIN", "exposure_s", 1e-5), ("SENS:EXP MAX", "exposure_s", 30.0),
+        ("SENS:EXP DEF", "exposure_s", 0.01),
+        ("SENS:EXP 1;EXP:AUTO ON", "auto_exposure", True), ("SENS:EXP 1", "auto_exposure", False),
+        ("SENS:GAIN 6", "gain_db", 6.0), ("SENS:GAIN 12DB", "gain_db", 12.0), ("SENS:GAIN MAX", "gain_db", 48.0),
+        ("SENS:GAIN 3;GAIN DEF", "gain_db", 0.0), ("SENS:GAIN 3;GAIN MIN", "gain_db", 0.0),
+        ("SENS:PATC 7,8,9,10", "patch", Patch(7, 8, 9, 10)), ("SENS:PATC 1,2,3,4;PATC CENT", "patch", None),
+        ("SENS:CORR:WAV 0.55 UM", "wavelength_nm", 550.0), ("SENS:CORR:WAV 5e-7 M", "wavelength_nm", 500.0),
+        ("SENS:CORR:WAV 550;WAV NONE", "wavelength_nm", None), ("SENS:CORR:WAV DEF", "wavelength_nm", 550.0),
+    ):  # fmt: skip
+        assert session.execute(message) is None
+        found = getattr(station.settings, name)
+        assert found == (pytest.approx(value, rel=1e-12) if isinstance(value, float) else value), message
+        untouched = replace(station.settings, **{name: getattr(MeasurementSettings(), name)})
+        assert name in ("exposure_s", "auto_exposure") or untouched == MeasurementSettings(), message
+        session.execute("*RST")
+        assert station.settings == MeasurementSettings()
     assert session.status.error_count == 0
-    found = getattr(station.settings, name)
-    assert found == (pytest.approx(value, rel=1e-12) if isinstance(value, float) else value)
-    untouched = replace(station.settings, **{name: getattr(MeasurementSettings(), name)})
-    assert name == "exposure_s" or name == "auto_exposure" or untouched == MeasurementSettings()
-    session.execute("*RST")
-    assert station.settings == MeasurementSettings()
-
-
-@pytest.mark.parametrize(
-    ("query", "low", "high", "default"),
-    [("SENS:EXP?", 1e-5, 30.0, 0.01), ("SENS:GAIN?", 0.0, 48.0, 0.0), ("SENS:CORR:WAV?", 300.0, 1200.0, 550.0)],
-)
-async def test_limits_are_the_camera_s(session, query, low, high, default):
-    """MIN, MAX and DEF of what the camera can do."""
-    found = [float(session.execute(f"{query} {word}")) for word in ("MIN", "MAX", "DEF")]
-    if "WAV" in query:
-        assert found[0] < 400.0 < 700.0 < found[1]
-        assert found[2] == default
-    else:
-        assert found == pytest.approx([low, high, default])
+    for query, ends in (("EXP", (1e-5, 30.0, 0.01)), ("GAIN", (0.0, 48.0, 0.0))):
+        found = [float(session.execute(f"SENS:{query}? {word}")) for word in ("MIN", "MAX", "DEF")]
+        assert found == pytest.approx(ends)
+    low, high = (float(session.execute(f"SENS:CORR:WAV? {word}")) for word in ("MIN", "MAX"))
+    assert low < 400.0 < 700.0 < high
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -312,21 +278,6 @@ async def test_masks_are_given_back(session, mask):
         assert session.execute(f"STAT:{name}:ENAB {mask};ENAB?") == str(mask)
     assert session.execute("STAT:PRES;:STAT:OPER:ENAB?;:STAT:QUES:ENAB?") == "0;0"
     assert session.execute("*ESE 256;*ESE?") == str(mask)
-
-
-@pytest.mark.parametrize("text", ['SYST:ERR"x"', "A:B#11x", "*CLS(1)", "*IDN?,1"])
-def test_a_header_and_its_argument_are_parted(text):
-    """Without a space between them it is an invalid separator (-103), not an argument."""
-    units, error = split_message(text)
-    assert units == ()
-    assert error.entry.startswith("-103,")
-
-
-def test_what_stands_before_a_mistake_is_still_there():
-    """IEEE 488.2, 6.1.6.1.1: what was read before the error is carried out."""
-    units, error = split_message("SENS:GAIN 3; *CLS ;@")
-    assert [unit.header for unit in units] == ["SENS:GAIN", "*CLS"]
-    assert error.entry.startswith("-101,")
 
 
 # What *RST leaves alone: status registers (IEEE 488.2, 10.32), and by the manual all but settings of a measurement.
@@ -351,9 +302,9 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(session):
 _PLACES_BETWEEN_PIXELS = ("1.5,2,3,4", "1,1.5,3,4", "1,2,1.5,4", "1,2,3,15E-1", "1,2,3,1.5")
 
 
-@pytest.mark.parametrize(
-    ("message", "number", "text"),
-    [
+async def test_what_is_wrong_is_named_by_the_standard_s_number(session):
+    """SCPI-99, 21.8: separators, missing and unknown parameters, a suffix of a header beyond the channels, no data."""
+    for message, number, text in (
         ("NO:SUCH?", -113, ""), ("*IDN", -113, ""), ("SENS:EXP4", -113, ""), ("SENSITIVITYOFX:EXP 1", -113, ""),
         ("SENSITIVITYOFXYZ:EXP 1", -112, ""), ("SENS:EXP:TIME", -109, ""), ("SENS:PATC 1,2", -109, ""),
         ("SENS:EXP 1,2", -108, ""), ("SENS:EXP 100", -222, ""), ("SENS:EXP 1e400", -222, ""),
@@ -364,6 +315,8 @@ _PLACES_BETWEEN_PIXELS = ("1.5,2,3,4", "1,1.5,3,4", "1,2,1.5,4", "1,2,3,15E-1", 
         ("SENS:EXP ABC", -141, ""), ("SENS:EXP 'abc'", -104, ""), ("SENS:EXP #15hello", -104, ""),
         ("SENS:EXP 'abc", -151, ""), ("SENS:EXP #Z", -161, ""), ("TRAC:DATA? NONSENSE", -224, ""),
         ("SOUR:LED9:LEV?", -114, ""), ("@", -101, ""), ("4", -102, ""), ("*IDN?SYST:VERS?", -103, ""),
+        ('SYST:ERR"x"', -103, ""), ("A:B#11x", -103, ""), ("*CLS(1)", -103, ""), ("*IDN?,1", -103, ""),
+        *((f"SENS:EXP #{mark}", -161, "") for mark in ("\u00b2ab", "1\u00b2ab", "\u00b912")),
         ("SENS:GAIN 1 2", -103, "expected at character 13"),
         ('SYST:ERR? "a" "b"', -103, "expected at character 15"),
         ("SENS:PATC 1,2,3,", -109, "after ','"),
@@ -378,32 +331,32 @@ _PLACES_BETWEEN_PIXELS = ("1.5,2,3,4", "1,1.5,3,4", "1,2,1.5,4", "1,2,3,15E-1", 
         ('FETC:PATC? "lamp"', -222, "there is no patch 'lamp'; there are: main"),
         ('FETC:PATC? "main"', -230, "no reading of patch main yet"),
         ("FETC?", -230, "READ? makes one"),
-    ],
-)  # fmt: skip
-async def test_what_is_wrong_is_named_by_the_standard_s_number(session, message, number, text):
-    """SCPI-99, 21.8: separators, missing and unknown parameters, a suffix of a header beyond the channels, no data."""
-    reply = session.execute(message)
-    assert (await reply if asyncio.iscoroutine(reply) else reply) is None
-    entry = session.status.next_error()
-    assert (int(entry.split(",")[0]), text in entry) == (number, True), entry
-    assert session.status.error_count == 0
+    ):  # fmt: skip
+        reply = session.execute(message)
+        assert (await reply if asyncio.iscoroutine(reply) else reply) is None, message
+        entry = session.status.next_error()
+        assert (int(entry.split(",")[0]), text in entry) == (number, True), entry
+        assert session.status.error_count == 0, message
 
 
 @pytest.mark.parametrize(
     ("function", "value", "u"), [("RADiance", 2.0, 0.05), ("LUMinance", 300.0, 9.0), ("LUMinance", math.nan, math.nan)]
 )
 def test_expanded_is_k_times_u(make_reading, function, value, u):
-    """Value, u, U and k of two frames that disagree: k = 13.97; in near-infrared no number for luminance."""
+    """Value, u, U and k of two frames that disagree: k = 13.97; in near-infrared no luminance; in any order."""
     luminance = None if math.isnan(value) else Quantity(300.0, 9.0, "cd m-2")
     reading = make_reading(
         radiance=Quantity(2.0, 0.05, "W sr-1 m-2"), luminance=luminance, coverage_factor=13.97,
-        flags=frozenset({Flag.FLICKER}), sequence=7,
+        flags=(Flag.FLICKER, Flag.SATURATED), sequence=7, time="2026-01-02T03:04:05Z",
     )  # fmt: skip
     elements = dict(zip(ELEMENTS, reading_elements(reading, function, ELEMENTS).split(","), strict=True))
+    turned = zip(ELEMENTS[::-1], reading_elements(reading, function, ELEMENTS[::-1]).split(","), strict=True)
+    assert elements == dict(turned)
     expected = [9.91e37] * 3 if luminance is None else [value, u, 13.97 * u]
     assert [float(elements[name]) for name in ("READing", "UNCertainty", "EXPanded")] == pytest.approx(expected)
     assert float(elements["COVerage"]) == 13.97
-    assert (elements["SEQuence"], elements["FLAGs"]) == ("7", '"flicker"')
+    assert (elements["SEQuence"], elements["FLAGs"]) == ("7", '"flicker saturated"')
+    assert elements["TIME"] == '"2026-01-02T03:04:05Z"'
 
 
 # Status registers. Golden numbers: IEEE 488.2-1992, 11.2.1 (status byte) and 11.5.1 (standard event status register);
@@ -501,19 +454,10 @@ def test_clearing_spares_what_is_enabled_and_presetting_what_has_happened():
     assert (status.operation.condition, status.operation.enable, status.event_enable) == (3, 5, 60)
 
 
-@pytest.mark.parametrize("message", ["SENS:EXP #\u00b2ab", "SENS:EXP #1\u00b2ab", "SENS:EXP #\u00b912"])
-def test_only_digits_of_ascii_count_a_block(message):
-    """A raised two of Latin-1 is a digit to Python, and no number: the block is refused (-161), nothing breaks."""
-    units, error = split_message(message)
-    assert units == ()
-    assert error is not None
-    assert error.number == -161
-
-
 # What one SCPI session sees of the instrument: whose reading, which bits, in which order; without a socket.
 
 
-CALIBRATION, BOX_LOST, FLAGGED = 1 << 8, 1 << 10, 1 << 11
+CALIBRATION, BOX_LOST, FLAGGED, ALARM = 1 << 8, 1 << 10, 1 << 11, 1 << 12
 
 
 @pytest.fixture
@@ -550,46 +494,37 @@ async def test_a_reading_of_the_patch_before_is_not_fetched(session):
     assert await ask(session, "FETC?") is None
 
 
-@pytest.mark.parametrize(
-    ("flags", "bits"),
-    [
-        ((), 0),
-        ((Flag.SATURATED,), FLAGGED),
-        ((Flag.UNCALIBRATED,), CALIBRATION),
-        ((Flag.STALE_CALIBRATION, Flag.FLICKER), CALIBRATION | FLAGGED),
-    ],
-)
-async def test_flags_of_the_latest_reading_are_bits(session, station, instrument, monkeypatch, flags, bits):
-    """What a reading is warned of is questionable: the calibration by one bit, all else by another."""
+async def test_what_is_questionable_has_a_bit_each(session, station, instrument, box, monkeypatch, eventually):
+    """Flags of the latest reading, of its calibration by a bit of their own; one alarm or more; a lost light box."""
     exact = instrument.measure
 
-    def flagged(settings):
+    async def bits():
+        return int(await ask(session, "STAT:QUES:COND?"))
+
+    def flagged(settings, *flags):
         measurement = exact(settings)
         return replace(measurement, reading=replace(measurement.reading, flags=flags))
 
-    monkeypatch.setattr(instrument, "measure", flagged)
-    await station.acquisition.measure()
-    found = int(await ask(session, "STAT:QUES:COND?"))
-    assert found & (CALIBRATION | FLAGGED) == bits
-    assert found & BOX_LOST == 0
-
-
-async def test_a_lost_light_box_is_questionable(session, station, box, eventually):
-    """Its bit is up while it is gone, and down when it is back."""
+    for flags, expected in (
+        ((Flag.SATURATED,), FLAGGED),
+        ((Flag.UNCALIBRATED,), CALIBRATION),
+        ((Flag.STALE_CALIBRATION, Flag.FLICKER), CALIBRATION | FLAGGED),
+        ((), 0),
+    ):
+        monkeypatch.setattr(instrument, "measure", lambda settings, flags=flags: flagged(settings, *flags))
+        await station.acquisition.measure()
+        assert await bits() == expected, flags
+    for name in ("limit lamp", "journal"):
+        station.alarms.put_up(name, "something is wrong")
+        assert await bits() == ALARM
+    for name in ("limit lamp", "journal"):
+        station.alarms.clear(name, "it is well")
     box.unplugged = True
     await eventually(lambda: station.alarms.active)
-    assert int(await ask(session, "STAT:QUES:COND?")) & BOX_LOST
+    assert await bits() & BOX_LOST
     box.unplugged = False
     await eventually(lambda: not station.alarms.active)
-    assert int(await ask(session, "STAT:QUES:COND?")) & BOX_LOST == 0
-
-
-async def test_clearing_takes_errors_and_events_and_leaves_what_is_enabled(session):
-    """*CLS: the queue is empty, *ESR? is 0, *ESE stays."""
-    await ask(session, "*ESE 32;NO:SUCH")
-    await ask(session, "*CLS")
-    assert await ask(session, "SYST:ERR:COUN?;*ESR?;*ESE?") == "0;0;32"
-    assert await errors(session) == ["0"]
+    assert await bits() == 0
 
 
 async def test_pictures_come_in_the_order_of_bytes_that_was_chosen(session):
@@ -657,14 +592,6 @@ async def test_limits_of_a_patch_are_those_that_were_set(session):
     assert float((await ask(session, 'SENS:PATC:LIM? "main"')).split(",")[2]) == 0.01
 
 
-@pytest.mark.parametrize(("up", "bit"), [((), 0), (("limit lamp",), 1 << 12), (("journal", "period"), 1 << 12)])
-async def test_an_alarm_of_any_name_is_questionable(session, station, up, bit):
-    """Its bit is up with one alarm or more; bits of devices that are there are down."""
-    for name in up:
-        station.alarms.put_up(name, "something is wrong")
-    assert int(await ask(session, "STAT:QUES:COND?")) & (0b111 << 9 | 1 << 12) == bit
-
-
 async def test_units_and_signs_are_legible_in_ascii(session, station):
     """An alarm's value keeps its sign and its unit."""
     station.alarms.put_up("limit light", "0.9 ± 0.1 W·sr⁻¹·m⁻²")
@@ -681,31 +608,22 @@ async def test_what_is_aborted_does_not_go_on(session, command):
         await task
 
 
-@pytest.mark.parametrize("place", ["60,0,5,5", "0,44,5,5", "0,0,0,5"])
-async def test_a_patch_beyond_the_picture_is_refused_when_it_is_chosen(session, instrument, place):
+async def test_a_patch_beyond_the_picture_is_refused_when_it_is_chosen(session, instrument):
     """64 by 48 pixels: a patch over the edge, or of no size, is −222 at once and nothing is measured with it."""
-    await ask(session, f"CONF:RAD {place}")
-    assert await errors(session) == ["-222"]
-    assert session.own_patch is None
-    assert not instrument.measured
+    for place in ("60,0,5,5", "0,44,5,5", "0,0,0,5"):
+        await ask(session, f"CONF:RAD {place}")
+        assert await errors(session) == ["-222"], place
+        assert session.own_patch is None, place
+        assert not instrument.measured, place
 
 
-async def test_full_light_is_one(session, box):
-    """MAX is a level of 1, MIN and DEF darkness; 1.01 is refused by what the command takes."""
-    await ask(session, "SOUR:LED1:LEV MAX;:SOUR:LED2:LEV 0.5")
-    assert box.levels == {"white": 1.0, "red": 0.5}
-    await ask(session, "SOUR:LED1:LEV DEF;:SOUR:LED2:LEV MIN;:SOUR:LED1:LEV 1.01")
-    assert box.levels == {"white": 0.0, "red": 0.0}
-    assert (await ask(session, "SYST:ERR?")).endswith('outside 0 to 1"')
-
-
-@pytest.mark.parametrize("quantity", ["RAD", "LUM"])
-async def test_a_quantity_is_chosen_with_its_patch_or_without(session, quantity):
+async def test_a_quantity_is_chosen_with_its_patch_or_without(session):
     """CONFigure alone takes the patch that is measured for all."""
-    await ask(session, f"CONF:{quantity} 5,6,7,8")
-    await ask(session, f"CONF:{quantity}")
-    assert (session.own_patch, await ask(session, "CONF?")) == (None, f'"{quantity}"')
-    assert await errors(session) == ["0"]
+    for quantity in ("RAD", "LUM"):
+        await ask(session, f"CONF:{quantity} 5,6,7,8")
+        await ask(session, f"CONF:{quantity}")
+        assert (session.own_patch, await ask(session, "CONF?")) == (None, f'"{quantity}"'), quantity
+        assert await errors(session) == ["0"], quantity
 
 
 async def test_who_waits_for_a_measurement_that_is_given_up_is_reported(session):

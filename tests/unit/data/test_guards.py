@@ -194,14 +194,6 @@ def test_yaml_that_repeats_itself_is_refused(tmp_path):
     assert read_yaml(path)["l2"][0][0] == ["x"] * 9
 
 
-def test_nesting_of_real_files_is_fine():
-    """Long lists, long texts and 64 levels pass."""
-    refuse_deep_yaml("a: [" + "1, " * 100_000 + "1]", "here")
-    refuse_deep_yaml("[" * 64 + "]" * 64, "here")
-    with pytest.raises(InputError):
-        refuse_deep_yaml("[" * 65 + "]" * 65, "here")
-
-
 @pytest.mark.parametrize("subject", ["../../x", "/etc/x", "..", ".hidden", "-o", "a/b", "a\\b", "a\0b", "", "x" * 65])
 def test_a_subject_cannot_lead_out_of_the_folder(tmp_path, monkeypatch, capsys, subject):
     """A pseudonym that is a path is misuse; nothing is written anywhere."""
@@ -223,7 +215,12 @@ def test_a_subject_cannot_lead_out_of_the_folder(tmp_path, monkeypatch, capsys, 
 @example("\U0001d7d8" * 64).via("four bytes each")
 @example("\ud800").via("half a character")
 def test_any_text_becomes_the_name_of_one_file(tmp_path_factory, text):
-    """In its own folder, with an ending; a name stays as it is, and one made of it is never another text's."""
+    """In its own folder, with an ending; a name stays as it is, and one made of it is never another text's.
+
+    However alike texts look once their slashes are gone.
+    """
+    texts = {text, "a/b", "a_b", "a\\b", "a b", "a\0b", "x" * 65, "x" * 66, "", " ", ".", "..", "S/1 ", "S/1"}
+    assert len({safe_file_name(one) for one in texts}) == len(texts)
     name = safe_file_name(text)
     folder = tmp_path_factory.getbasetemp()
     file = folder / f"{name}.yaml"
@@ -232,12 +229,6 @@ def test_any_text_becomes_the_name_of_one_file(tmp_path_factory, text):
     file.unlink()
     assert not name.startswith((".", "-"))
     assert safe_file_name(name) == name
-
-
-def test_two_texts_never_become_one_name():
-    """However alike they look once their slashes are gone."""
-    texts = ["a/b", "a_b", "a\\b", "a b", "a\0b", "x" * 65, "x" * 66, "", " ", ".", "..", "S/1 ", "S/1"]
-    assert len({safe_file_name(text) for text in texts}) == len(texts)
 
 
 @given(st.text())
@@ -254,30 +245,30 @@ def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text):
     assert cell[:1] not in ("+", "-") or math.isfinite(float(cell))
 
 
-def test_numbers_and_plain_texts_stay_as_they_are():
-    """Also negative ones, in a cell as anywhere; what is no text is no formula."""
+def test_numbers_and_plain_texts_stay_as_they_are(tmp_path):
+    """Also negative ones, in a cell as anywhere; what is no text is no formula; what can be no file is none."""
     plain = ("-1.5e-3", "+2", "a=b", -1.5, None)
     assert tuple(map(spreadsheet_cell, plain)) == plain
     assert spreadsheet_cell("=1+1\x1b") == "'=1+1\\x1b"
     assert printable("\x1b]0;x\x07 µ\n") == "\\x1b]0;x\\x07 µ\n"
-
-
-def test_what_can_be_no_file_is_none(tmp_path):
-    """A file is; a folder, what is not there, a name too long for any disk and one with a zero in it are not."""
     (tmp_path / "a").write_bytes(b"")
     names = ("a", ".", "b", "c" * 5000, "a\0")
     assert [is_file(tmp_path / name) for name in names] == [True, False, False, False, False]
 
 
-@pytest.mark.parametrize(("repeated", "read"), [(48, True), (50, False)])
-def test_what_is_repeated_counts_as_if_it_were_written_out(repeated, read):
-    """A thousand numbers, a hundred times, 48 times and once: 4.9 million entries are read, 5.1 million not."""
-    lines = ["a: &a [" + "1, " * 999 + "1]", "b: &b [" + "*a, " * 99 + "*a]", "c: [" + "*b, " * repeated + "]"]
-    if read:
-        refuse_deep_yaml("\n".join(lines), "here")
-    else:
-        with pytest.raises(InputError, match="more than 5000000 entries"):
-            refuse_deep_yaml("\n".join(lines), "here")
+def test_nesting_and_repetitions_of_real_files_are_fine():
+    """Long lists, long texts and 64 levels pass; what is repeated counts as if it were written out.
+
+    A thousand numbers, a hundred times, 48 times and once: 4.9 million entries are read, 5.1 million not.
+    """
+    refuse_deep_yaml("a: [" + "1, " * 100_000 + "1]", "here")
+    refuse_deep_yaml("[" * 64 + "]" * 64, "here")
+    with pytest.raises(InputError):
+        refuse_deep_yaml("[" * 65 + "]" * 65, "here")
+    lines = ["a: &a [" + "1, " * 999 + "1]", "b: &b [" + "*a, " * 99 + "*a]"]
+    refuse_deep_yaml("\n".join([*lines, "c: [" + "*b, " * 48 + "]"]), "here")
+    with pytest.raises(InputError, match="more than 5000000 entries"):
+        refuse_deep_yaml("\n".join([*lines, "c: [" + "*b, " * 50 + "]"]), "here")
 
 
 @pytest.mark.parametrize("start", [b"text about ", b"\xff\xd8\xff\xfe\x00\x40", b"v/1\x02"])
@@ -360,10 +351,13 @@ def _by_chance(path):
     [(_all_of_it, "more than 2 GB of memory"), (_for_ever, "processor time"), (_by_chance, "damaged.*KeyError: 'TAG'")],
 )
 def test_whatever_a_library_does_becomes_one_line(read, reason, tmp_path, monkeypatch):
-    """Memory, time, any error; afterwards the process is as free as before."""
+    """Memory, time, any error, in a thread of a pool as in the main one; afterwards the process is free as before."""
     monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
-    with pytest.raises(InputError, match=f"a.bin: .*{reason}"):
-        bounded_reader(error=InputError)(read)(tmp_path / "a.bin")
+    bounded = bounded_reader(error=InputError)(read)
+    with ThreadPoolExecutor(1) as pool:
+        for call in (bounded, lambda path: pool.submit(bounded, path).result()):
+            with pytest.raises(InputError, match=f"a.bin: .*{reason}"):
+                call(tmp_path / "a.bin")
     assert np.empty(2_500_000_000, np.uint8).nbytes == 2_500_000_000
 
 
@@ -401,13 +395,6 @@ def test_readers_of_several_threads_work_apart_at_the_same_time(tmp_path):
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda number: faulty_readers.read(tmp_path / f"{number}")[2]["a"], range(8)))
     assert found == list(range(8))
-
-
-def test_time_is_limited_in_every_thread(tmp_path, monkeypatch):
-    """A reader in a thread of a pool ends as one in the main thread does."""
-    monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
-    with ThreadPoolExecutor(1) as pool, pytest.raises(InputError, match="processor time"):
-        pool.submit(bounded_reader(error=InputError)(_for_ever), tmp_path / "a.bin").result()
 
 
 @pytest.mark.slow

@@ -38,11 +38,12 @@ def _refuse(name: str) -> None:
 
 @given(_CONTENT)
 def test_every_content_is_strict_json(content):
-    """No NaN, no infinity, one line, and the same again when written anew."""
+    """No NaN, no infinity, one line, and the same again when written anew; at any depth no key stands twice."""
     text = json_text(content)
-    again = json.loads(text, parse_constant=_refuse)
-    assert json_text(again) == text
+    assert json_text(json.loads(text, parse_constant=_refuse)) == json_text(parsed_json(text)) == text
     assert "\n" not in text
+    with pytest.raises(RepeatedKey):
+        parsed_json(f'[{{"a": [{{"b": 1, "b": {text}}}]}}]')
 
 
 @given(_NUMBERS)
@@ -92,15 +93,6 @@ def test_a_key_that_stands_twice_is_refused_in_every_file(name, text, read, tmp_
     assert str(tmp_path) in str(refusal.value)
 
 
-@given(_CONTENT)
-def test_what_is_written_is_read_and_what_has_a_key_twice_is_not(content):
-    """At any depth."""
-    text = json_text(content)
-    assert json_text(parsed_json(text)) == text
-    with pytest.raises(RepeatedKey):
-        parsed_json(f'[{{"a": [{{"b": 1, "b": {text}}}]}}]')
-
-
 def _tiff(path):
     """Write a TIFF with an exposure tag of EXIF, which OpenCV's library does not know."""
     codes = np.arange(24, dtype=np.uint16).reshape(4, 6) * 1000
@@ -124,10 +116,14 @@ def _png(codes, *chunks):
     return np.frombuffer(content[:33] + b"".join(parts) + content[33:], np.uint8)
 
 
-def test_a_colour_profile_that_is_wrong_is_no_remark(capfd):
-    """A profile of five bytes, which PNG's own library complains of, leaves picture and standard error alone."""
+@pytest.mark.parametrize(
+    ("chunk", "damaged"), [((b"iCCP", b"a\0\0" + zlib.compress(b"short")), 0), ((b"tEXt", b"Comment\0nothing"), 1)]
+)
+def test_remarks_of_a_png_cost_no_picture_and_no_word(chunk, damaged, capfd):
+    """A profile of five bytes, which PNG's own library complains of, and a comment whose check sum is wrong."""
     codes = np.arange(72, dtype=np.uint16).reshape(4, 6, 3) * 900
-    content = _png(codes, (b"iCCP", b"a\0\0" + zlib.compress(b"short")))
+    content = _png(codes, chunk).copy()
+    content[33 + 8] ^= damaged
     assert np.array_equal(decoded(content), codes)
     assert capfd.readouterr().err == ""
 
@@ -151,22 +147,10 @@ def test_a_damaged_png_is_none_and_nothing_is_reported(place, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_damage_in_a_remark_alone_costs_no_picture():
-    """A comment whose check sum is wrong is left out with the others."""
-    codes = np.arange(20, dtype=np.uint8).reshape(4, 5)
-    content = _png(codes, (b"tEXt", b"Comment\0nothing")).copy()
-    content[33 + 8] ^= 1
-    assert np.array_equal(decoded(content), codes)
-
-
-@pytest.mark.parametrize("end", [0, 1, 60])
-def test_what_is_no_picture_is_none(end, tmp_path):
-    """Nothing, a byte, a file cut within its first strip."""
-    assert decoded(_tiff(tmp_path / "a.tif")[1][:end]) is None
-
-
-def test_a_program_s_own_level_of_remarks_stays(tmp_path):
-    """Whoever uses OpenCV next to this keeps what they set."""
+def test_what_is_no_picture_is_none_and_a_program_s_own_level_of_remarks_stays(tmp_path):
+    """Nothing, a byte, a file cut within its first strip; whoever uses OpenCV next to this keeps what they set."""
     before = logging.setLogLevel(logging.LOG_LEVEL_INFO)
-    decoded(_tiff(tmp_path / "a.tif")[1])
+    content = _tiff(tmp_path / "a.tif")[1]
+    assert [decoded(content[:end]) for end in (0, 1, 60)] == [None] * 3
+    assert decoded(content) is not None
     assert logging.setLogLevel(before) == logging.LOG_LEVEL_INFO

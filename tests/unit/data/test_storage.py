@@ -17,15 +17,21 @@ from radiometer.data.storage import read_text, read_yaml
 from radiometer.errors import InputError, OutputError, OutputRefused
 
 
+def _raising(number):
+    """Return what a call to the system does that fails."""
+
+    def fail(*_):
+        raise OSError(number, os.strerror(number))
+
+    return fail
+
+
 def test_a_full_disk_leaves_the_old_file_whole(tmp_path, monkeypatch):
     """The new content never appears in part; the old stays; nothing else is left in the folder."""
     target = tmp_path / "result.yaml"
     target.write_text("old")
 
-    def full(_descriptor):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(storage.os, "fsync", full)
+    monkeypatch.setattr(storage.os, "fsync", _raising(errno.ENOSPC))
     with pytest.raises(OutputError, match="No space left"):
         storage.write_text_atomic(target, "new")
     assert target.read_text() == "old"
@@ -75,15 +81,11 @@ def test_an_output_is_refused_before_the_work(tmp_path, name, force, reason):
         storage.check_outputs(tmp_path / name, None, force=force)
 
 
-def test_one_file_for_two_outputs_is_refused(tmp_path):
-    """By whatever way it is named: the second would overwrite the first."""
+def test_two_outputs_are_two_files_and_a_link_to_itself_is_none(tmp_path):
+    """By whatever way it is named the second would overwrite the first; a loop is one line with --force, too."""
     (tmp_path / "a").mkdir()
     with pytest.raises(OutputRefused, match="two outputs"):
         storage.check_outputs(tmp_path / "x", tmp_path / "a" / ".." / "x")
-
-
-def test_a_link_to_itself_is_no_output(tmp_path):
-    """One line, with and without --force."""
     loop = tmp_path / "loop.exr"
     loop.symlink_to(loop)
     with pytest.raises(OutputRefused, match="leads back to itself"):
@@ -106,17 +108,13 @@ def test_a_file_that_another_program_wrote_meanwhile_is_kept(tmp_path, monkeypat
         assert target.read_text() == held
         target.unlink()
     if not links:  # as on FAT
-        monkeypatch.setattr(storage.os, "link", _no_links)
+        monkeypatch.setattr(storage.os, "link", _raising(errno.EPERM))
     with storage.new_files_stay_new():
         storage.check_outputs(target)
         storage.write_text_atomic(target, "first")
         storage.write_text_atomic(target, "second")
     assert target.read_text() == "second"
     assert [one.name for one in tmp_path.iterdir() if one.name.startswith(".")] == []
-
-
-def _no_links(*_paths):
-    raise OSError(errno.EPERM, "Operation not permitted")
 
 
 def test_a_folder_is_never_replaced(tmp_path):

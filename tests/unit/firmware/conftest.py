@@ -2,8 +2,6 @@
 
 import itertools
 import shutil
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +12,7 @@ DIVISOR = 40_000
 
 
 @pytest.fixture(scope="session")
-def libraries(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def libraries(project_root, tmp_path_factory):
     """Return the firmware as it is, and with small buckets."""
     if shutil.which("gcc") is None:
         pytest.skip("there is no C compiler (apt install gcc)")
@@ -26,14 +24,12 @@ def libraries(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> d
 
 
 @pytest.fixture
-def power(libraries: dict[str, Path], tmp_path: Path) -> Iterator[Callable[..., FirmwareBox]]:
+def power(libraries, tmp_path):
     """Return a function that powers a box: `whole` or `small`, the cause of the reset, and its memory."""
-    boxes: list[FirmwareBox] = []
+    boxes = []
     numbers = itertools.count()
 
-    def powered(
-        kind: str = "whole", reset_flags: int = 1, serial: str = "LB000007", memory: bytes | None = None
-    ) -> FirmwareBox:
+    def powered(kind="whole", reset_flags=1, serial="LB000007", memory=None):
         boxes.append(FirmwareBox(libraries[kind], tmp_path / f"{next(numbers)}.so", reset_flags, serial, memory))
         return boxes[-1]
 

@@ -79,11 +79,11 @@ def test_light_without_an_end_is_ended_by_its_budget(power, words):
 
 
 def test_silence_of_a_second_makes_dark_and_ends_the_session(box):
-    """999 ms are borne, 1000 are not; whatever arrives damaged does not count as being heard."""
+    """999 ms are borne, 1000 are not; what is refused counts as being heard, what arrives damaged does not."""
     box.ask("SL 1 L 60000")
     box.run(999)
     assert box.duties()[1] > 0.9
-    box.ask("TM")
+    assert box.ask("XX") == "ER 02"
     box.run(500)
     box.send(b"#01 TM*00000000\n")
     box.run(499)

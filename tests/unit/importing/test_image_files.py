@@ -1,7 +1,6 @@
 """Pictures of other programs: TIFF, Micro-Manager, FITS."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -43,13 +42,17 @@ def test_masked_rows_off_the_black_level_tag_are_named(write_raw_tiff):
     assert not any("masked" in line for line in doubts_found)
 
 
-def test_bands_are_cameras_of_their_own(write_raw_tiff):
-    """A folder of two bands is refused as one set; a pattern takes one."""
+def test_bands_and_cameras_are_not_mixed(write_raw_tiff, write_fits):
+    """A folder of two bands, or of two cameras, is refused as one set, each named; a pattern takes one."""
     write_raw_tiff("s/IMG_1.tif", PICTURE, band="Blue")
     folder = write_raw_tiff("s/IMG_2.tif", PICTURE, band="Red").parent
     with pytest.raises(CaptureError, match=r"Blue.*Red"):
         open_capture(folder)
     assert open_capture(folder / "IMG_2*").header.camera.band == "Red"
+    for name in ("one", "two"):
+        cameras = write_fits(f"c/{name}.fits", FITS_PICTURE, EXPTIME=1.0, INSTRUME=name).parent
+    with pytest.raises(CaptureError, match=r"2 cameras.*one.*two"):
+        open_capture(cameras)
 
 
 def test_the_makers_models_in_figures():
@@ -123,7 +126,7 @@ def _stack(path, planes, pictures=None, **common):
     return path
 
 
-def test_ome_stack_of_pymmcore_plus_is_read():
+def test_stack_and_sequence_of_pymmcore_plus_are_read():
     """Exposures and times of each plane, and the gain of the camera in its own unit, which is doubted."""
     path = RECORDED / "stack.ome.tiff"
     assert is_foreign(path)
@@ -141,6 +144,10 @@ def test_ome_stack_of_pymmcore_plus_is_read():
     # The camera that wrote it gives 100 DN + 20 DN per ms.
     means = [float(capture.read_frame(n).dn.mean()) for n in range(3)]
     assert means == pytest.approx([200.0, 300.0, 500.0], abs=2.0)
+    assert is_foreign(RECORDED / "sequence")  # the JSON next to its pictures holds their exposures
+    sequence = open_capture(RECORDED / "sequence")
+    assert [entry.exposure_s for entry in sequence.header.frames] == [0.005, 0.01]
+    assert "exposure_s from _frame_metadata.json (2 frames)" in imported_of(sequence).taken
 
 
 def test_radiance_of_a_stack_follows_its_exposures(tmp_path, capsys):
@@ -158,14 +165,6 @@ def test_radiance_of_a_stack_follows_its_exposures(tmp_path, capsys):
     assert whole.shape == bright.shape
 
 
-def test_image_sequence_of_pymmcore_plus_is_read():
-    """The JSON next to the pictures holds their exposures."""
-    assert is_foreign(RECORDED / "sequence")
-    capture = open_capture(RECORDED / "sequence")
-    assert [entry.exposure_s for entry in capture.header.frames] == [0.005, 0.01]
-    assert "exposure_s from _frame_metadata.json (2 frames)" in imported_of(capture).taken
-
-
 def test_tags_of_micro_manager_are_read(tmp_path):
     """Exposure in ms, elapsed time, bit depth, binning, temperature and a gain that says dB."""
     planes = [{"Exposure-ms": 4.0 * 2**n, "ElapsedTime-ms": 1000.0 * n} for n in range(3)]
@@ -178,13 +177,8 @@ def test_tags_of_micro_manager_are_read(tmp_path):
     assert capture.header.camera.bit_depth == 12
     assert capture.header.camera.binning == "2"
     assert "exposure_s from tag MicroManagerMetadata (3 frames)" in imported_of(capture).taken
-
-
-def test_wrapped_values_of_micro_manager_2_are_read(tmp_path):
-    """Version 2 keeps device properties in a mapping of their own, each value wrapped."""
-    own = {"Camera": "Cam", "ScopeData": {"Cam-Exposure": {"PropType": "STRING", "PropVal": "50.00"}}}
-    capture = open_capture(_stack(tmp_path / "b.tif", [{}], **own))
-    assert capture.header.frames[0].exposure_s == 0.05
+    own = {"Camera": "Cam", "ScopeData": {"Cam-Exposure": {"PropType": "STRING", "PropVal": "50.00"}}}  # of version 2
+    assert open_capture(_stack(tmp_path / "b.tif", [{}], **own)).header.frames[0].exposure_s == 0.05
 
 
 def test_gains_of_unknown_unit_are_sets_of_their_own(tmp_path):
@@ -207,31 +201,31 @@ def test_metadata_text_next_to_single_pictures_is_read(tmp_path):
     (tmp_path / "metadata.txt").write_text(json.dumps({"Summary": {"Frames": 2}} | text))
     capture = open_capture(tmp_path)
     assert [entry.exposure_s for entry in capture.header.frames] == [0.005, 0.01]
-
-
-def test_damaged_metadata_is_as_none(tmp_path):
-    """A JSON file that is cut short leaves the pictures without exposure, which is stated in one line."""
-    shutil.copytree(RECORDED / "sequence", tmp_path / "s")
-    (tmp_path / "s" / "_frame_metadata.json").write_text('{"00000_.tif": {')
+    (tmp_path / "metadata.txt").write_text('{"FrameKey-0-0-0": {')  # cut short it is as none
     with pytest.raises(CaptureError, match="exposure"):
-        import_sources([tmp_path / "s"], ImportOptions())
+        import_sources([tmp_path], ImportOptions())
+
+
+def _ome(path, *images, order="XYCTZ", bits=12, names=("", "")):
+    """Write four pages whose OME-XML has images of such content, their size in channels and times first."""
+    inner = "".join(
+        f'<Image ID="Image:{n}"{name}><Pixels ID="Pixels:{n}" DimensionOrder="{order}" Type="uint16" SizeX="16" '
+        f'SizeY="12" SizeZ="1" SizeC="{channels}" SizeT="2" SignificantBits="{bits}">{body}</Pixels></Image>'
+        for n, (name, (channels, body)) in enumerate(zip(names, images, strict=False))
+    )
+    xml = f'<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">{inner}</OME>'
+    tifffile.imwrite(path, np.stack([STACK_PICTURE] * 4), description=xml, metadata=None, photometric="minisblack")
+    return path
+
+
+def _plane(c, t, ms):
+    return f'<Plane TheZ="0" TheT="{t}" TheC="{c}" ExposureTime="{ms}" ExposureTimeUnit="ms"/>'
 
 
 def test_planes_are_distinguished_by_their_place(tmp_path):
     """Planes of OME-XML may stand in any order; the dimension order says which page is whose, and units are kept."""
-    xml = (
-        '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" '
-        'DimensionOrder="XYTCZ" Type="uint16" SizeX="16" SizeY="12" SizeZ="1" SizeC="2" SizeT="2" SignificantBits="12">'
-        + "".join(
-            f'<Plane TheZ="0" TheT="{t}" TheC="{c}" ExposureTime="{10 * t + c + 1}" ExposureTimeUnit="ms"/>'
-            for c in (1, 0)
-            for t in (1, 0)
-        )
-        + "</Pixels></Image></OME>"
-    )
-    path = tmp_path / "p.ome.tif"
-    tifffile.imwrite(path, np.stack([STACK_PICTURE] * 4), description=xml, metadata=None, photometric="minisblack")
-    capture = open_capture(path)
+    planes = "".join(_plane(c, t, 10 * t + c + 1) for c in (1, 0) for t in (1, 0))
+    capture = open_capture(_ome(tmp_path / "p.ome.tif", (2, planes), order="XYTCZ"))
     found = {entry.file: entry.exposure_s for entry in capture.header.frames}
     assert [found[f"p.ome.tif#{n}"] for n in range(4)] == pytest.approx([0.001, 0.011, 0.002, 0.012])
     assert capture.header.camera.bit_depth == 12
@@ -242,20 +236,8 @@ def test_channels_of_other_wavelengths_are_never_one_bracket(tmp_path, second):
     """Each light is a set named as its channel; channels of one wavelength are exposures of one scene."""
     wavelength = "" if second is None else f'EmissionWavelength="{second}"'
     channels = f'<Channel ID="C:0" Name="DAPI" EmissionWavelength="461"/><Channel ID="C:1" Name="Cy5" {wavelength}/>'
-    planes = "".join(
-        f'<Plane TheZ="0" TheT="{t}" TheC="{c}" ExposureTime="{4**c * 2**t}" ExposureTimeUnit="ms"/>'
-        for t in (0, 1)
-        for c in (0, 1)
-    )
-    xml = (
-        '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" '
-        'DimensionOrder="XYCTZ" Type="uint16" SizeX="16" SizeY="12" SizeZ="1" SizeC="2" SizeT="2" SignificantBits="12">'
-        f"{channels}{planes}</Pixels></Image></OME>"
-    )
-    path = tmp_path / "p.ome.tif"
-    tifffile.imwrite(path, np.stack([STACK_PICTURE] * 4), description=xml, metadata=None, photometric="minisblack")
-    sets = import_sources([path], ImportOptions())
-    assert len(sets) == (1 if second == "461" else 2)
+    planes = "".join(_plane(c, t, 4**c * 2**t) for t in (0, 1) for c in (0, 1))
+    sets = import_sources([_ome(tmp_path / "p.ome.tif", (2, channels + planes))], ImportOptions())
     assert sorted(len(one.header.frames) for one in sets) == ([4] if second == "461" else [2, 2])
 
 
@@ -263,18 +245,11 @@ def test_channels_of_other_wavelengths_are_never_one_bracket(tmp_path, second):
 @pytest.mark.parametrize("stated", [True, False])
 def test_images_of_one_file_are_never_one_bracket(tmp_path, names, stated):
     """Each image (a position, a series) is a set by itself, whether its planes are described or not."""
-    plane = '<Plane TheZ="0" TheT="{t}" TheC="0" ExposureTime="{ms}" ExposureTimeUnit="ms"/>'
-    images = "".join(
-        f'<Image ID="Image:{n}"{name}><Pixels ID="Pixels:{n}" DimensionOrder="XYCTZ" Type="uint16" '
-        'SizeX="16" SizeY="12" SizeZ="1" SizeC="1" SizeT="2">'
-        f'<TiffData IFD="{2 * n}" PlaneCount="2"/>'
-        + "".join(plane.format(t=t, ms=10**n * (t + 1)) for t in (0, 1) if stated)
-        + "</Pixels></Image>"
-        for n, name in enumerate(names)
+    bodies = (
+        f'<TiffData IFD="{2 * n}" PlaneCount="2"/>' + "".join(_plane(0, t, 10**n * (t + 1)) for t in (0, 1) if stated)
+        for n in (0, 1)
     )
-    xml = f'<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">{images}</OME>'
-    path = tmp_path / "p.ome.tif"
-    tifffile.imwrite(path, np.stack([STACK_PICTURE] * 4), description=xml, metadata=None, photometric="minisblack")
+    path = _ome(tmp_path / "p.ome.tif", *((1, body) for body in bodies), names=names)
     mapped = StatementMap() if stated else StatementMap.parse(["exposure=10:ms"])
     sets = import_sources([path], ImportOptions(mapped=mapped))
     assert [[entry.file for entry in one.header.frames] for one in sets] == [
@@ -334,35 +309,27 @@ def test_frames_stand_in_the_order_they_were_taken(write_fits):
     assert [(e.file, e.timestamp_s) for e in entries] == [("b.fits", 0.0), ("a.fits", 60.0)]
 
 
-def test_a_name_that_contradicts_its_header_is_doubted(write_fits):
-    """A file called expos1 that holds 60 s is taken as 60 s and named."""
-    capture = open_capture(write_fits("darks-expos1-x.0001.fits", FITS_PICTURE, EXPTIME=60.0, IMAGETYP="dark"))
+@pytest.mark.parametrize("name", ["dark_0c_1m30s.fits", "dark-expos90s-x.fits", "dark_90000ms.fits", "d_1p5min.fits"])
+def test_a_name_that_contradicts_its_header_is_doubted(write_fits, name):
+    """A file called expos1 that holds 60 s is taken as 60 s and named; minutes, seconds and ms that agree are not."""
+    assert imported_of(open_capture(write_fits(name, FITS_PICTURE, EXPTIME=90.0, IMAGETYP="dark"))).doubts == ()
+    capture = open_capture(write_fits("s/darks-expos1-x.0001.fits", FITS_PICTURE, EXPTIME=60.0, IMAGETYP="dark"))
     assert capture.header.frames[0].exposure_s == 60.0
     assert any("darks-expos1-x" in line and "60 s" in line for line in imported_of(capture).doubts)
 
 
-@pytest.mark.parametrize("name", ["dark_0c_1m30s.fits", "dark-expos90s-x.fits", "dark_90000ms.fits", "d_1p5min.fits"])
-def test_a_name_that_agrees_raises_no_doubt(write_fits, name):
-    """Minutes, seconds and milliseconds in names are understood."""
-    assert imported_of(open_capture(write_fits(name, FITS_PICTURE, EXPTIME=90.0, IMAGETYP="dark"))).doubts == ()
-
-
-def test_processing_is_doubted(write_fits):
-    """A HISTORY that speaks of dark subtraction and a combined frame are named."""
-    path = write_fits(
-        "a.fits", FITS_PICTURE, ("Dark Subtract with m.fits",), EXPTIME=1.0, IMAGETYP="light", NCOMBINE=5
-    )  # fmt: skip
-    doubts_found = " ".join(imported_of(open_capture(path)).doubts)
-    assert "dark subtract" in doubts_found
-    assert "5 frames" in doubts_found
-
-
-def test_the_cooler_that_had_not_settled_is_doubted(write_fits):
-    """A sensor 3 K off the requested temperature is named; 0.2 K is not."""
-    warm = open_capture(write_fits("a.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=-7.0, SET_TEMP=-10.0))
-    fine = open_capture(write_fits("b.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=-9.8, SET_TEMP=-10.0))
-    assert "-7.0" in imported_of(warm).doubts[0]
-    assert imported_of(fine).doubts == ()
+def test_processing_and_an_unsettled_cooler_are_doubted(write_fits):
+    """A HISTORY that speaks of dark subtraction, a combined frame, a sensor 3 K off its temperature; 0.2 K is fine."""
+    for name, history, cards, expected in (
+        ("a", ("Dark Subtract with m.fits",), {"NCOMBINE": 5}, ("dark subtract", "5 frames")),
+        ("b", (), {"CCD_TEMP": -7.0, "SET_TEMP": -10.0}, ("-7.0",)),
+        ("c", (), {"CCD_TEMP": -9.8, "SET_TEMP": -10.0}, ()),
+    ):
+        doubts = imported_of(
+            open_capture(write_fits(f"{name}.fits", FITS_PICTURE, history, EXPTIME=1.0, IMAGETYP="dark", **cards))
+        ).doubts
+        assert all(one in " ".join(doubts) for one in expected)
+        assert bool(doubts) == bool(expected)
 
 
 def test_a_cube_is_one_frame_per_plane(write_fits):
@@ -467,14 +434,6 @@ def test_binned_frames_are_another_set(write_fits, binned):
     found = import_sources([folder], ImportOptions())
     assert len(found) == 2
     assert "2" in {one.header.camera.binning for one in found}
-
-
-def test_two_cameras_are_not_mixed(write_fits):
-    """Frames of two sizes are refused as one set, each named."""
-    write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, INSTRUME="one")
-    folder = write_fits("s/b.fits", FITS_PICTURE, EXPTIME=1.0, INSTRUME="two").parent
-    with pytest.raises(CaptureError, match=r"2 cameras.*one.*two"):
-        open_capture(folder)
 
 
 @pytest.mark.parametrize(

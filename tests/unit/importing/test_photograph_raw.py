@@ -11,6 +11,7 @@ from radiometer.cli.main import run
 from radiometer.errors import CaptureError, MissingLibrary
 from radiometer.photographs.folder import read_photographs
 from testing.edge_devices import dng_bytes
+from testing.photograph_folder import write_photographs
 
 pytest.importorskip("rawpy")
 RED, GREEN_1, GREEN_2, BLUE = 1000, 2000, 2002, 3000
@@ -24,15 +25,15 @@ def _plain_colours(scale=1.0, white=4095):
     return mosaic
 
 
-def _write(path, mosaic, **more):
-    path.write_bytes(dng_bytes(mosaic, **{"black_dn": 64, **more}))
+def _folder(path, mosaic, **more):
+    """Return a folder of one DNG of half a second."""
+    return write_photographs(path, [dng_bytes(mosaic, **{"black_dn": 64, **more})], [0.5], ".dng")
 
 
 def test_raw_file_gives_the_sensors_values(tmp_path):
     """Each colour of the mosaic comes out unscaled at half size, 12 bits, with its black level."""
-    _write(tmp_path / "a.dng", _plain_colours())
-    (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    frames = [bracket.light[0] for bracket in read_photographs(tmp_path, "each")]
+    folder = _folder(tmp_path / "a", _plain_colours())
+    frames = [bracket.light[0] for bracket in read_photographs(folder, "each")]
     assert [np.unique(frame.dn).tolist() for frame in frames] == [[RED], [GREEN_1], [BLUE]]
     assert [frame.shape for frame in frames] == [(32, 48)] * 3
     assert {frame.bit_depth for frame in frames} == {12}
@@ -41,46 +42,35 @@ def test_raw_file_gives_the_sensors_values(tmp_path):
 
 def test_raw_white_level_counts_as_saturated(tmp_path):
     """Values at the file's white level, here below 2^12 − 1, are saturated."""
-    _write(tmp_path / "a.dng", _plain_colours(10.0, 3800), white_dn=3800)
-    (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    frame = read_photographs(tmp_path, "blue")[0].light[0]
+    folder = _folder(tmp_path / "a", _plain_colours(10.0, 3800), white_dn=3800)
+    frame = read_photographs(folder, "blue")[0].light[0]
     assert frame.saturated_dn == int(frame.dn.max()) == 3800
 
 
-def test_damaged_raw_file_is_named(tmp_path):
-    """A file that rawpy cannot open is refused by name."""
-    (tmp_path / "a.nef").write_bytes(b"nothing of the kind")
-    (tmp_path / "exposures.txt").write_text("a.nef 0.5\n")
-    with pytest.raises(CaptureError, match=r"a\.nef: not a readable camera raw file"):
-        read_photographs(tmp_path)
+@pytest.mark.parametrize("content", [b"nothing of the kind", dng_bytes(np.full((64, 96), 500, np.uint16), 64)[:3000]])
+def test_damaged_raw_file_is_named(tmp_path, content):
+    """A file that rawpy cannot open, and half a DNG, are refused by name."""
+    folder = write_photographs(tmp_path / "a", [content], [0.5], ".nef")
+    with pytest.raises(CaptureError, match=r"p0\.nef: not a readable camera raw file"):
+        read_photographs(folder)
 
 
 def test_missing_rawpy_names_the_extra(tmp_path, monkeypatch):
     """Without rawpy the message says how to install it."""
     monkeypatch.setitem(sys.modules, "rawpy", None)
-    (tmp_path / "a.cr2").write_bytes(b"raw")
-    (tmp_path / "exposures.txt").write_text("a.cr2 0.5\n")
     with pytest.raises(MissingLibrary, match=r"radiometer\[photo\]"):
-        read_photographs(tmp_path)
+        read_photographs(write_photographs(tmp_path / "a", [b"raw"], [0.5], ".cr2"))
 
 
-X_TRANS = (
-    (1, 1, 0, 1, 1, 2),
-    (1, 1, 2, 1, 1, 0),
-    (2, 0, 1, 0, 2, 1),
-    (1, 1, 2, 1, 1, 0),
-    (1, 1, 0, 1, 1, 2),
-    (0, 2, 1, 2, 0, 1),
-)
+X_TRANS = tuple(tuple(map(int, row)) for row in ("110112", "112110", "201021", "112110", "110112", "021201"))
 
 
 def test_each_colour_has_its_own_black(tmp_path):
     """Four black levels of a mosaic: red, the green that is read, and blue keep theirs; luminance has their luma."""
-    _write(tmp_path / "a.dng", np.full((64, 96), 500, np.uint16), black_dn=(60, 64, 66, 70))
-    (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    levels = [bracket.light[0].settings.black_level_dn for bracket in read_photographs(tmp_path, "each")]
+    folder = _folder(tmp_path / "a", np.full((64, 96), 500, np.uint16), black_dn=(60, 64, 66, 70))
+    levels = [bracket.light[0].settings.black_level_dn for bracket in read_photographs(folder, "each")]
     assert levels == [60.0, 64.0, 70.0]
-    luminance = read_photographs(tmp_path, "luminance")[0].light[0].settings.black_level_dn
+    luminance = read_photographs(folder, "luminance")[0].light[0].settings.black_level_dn
     assert luminance == pytest.approx(0.299 * 60 + 0.587 * 64 + 0.114 * 70)
 
 
@@ -89,9 +79,8 @@ def test_an_x_trans_mosaic_is_read_by_cells_of_three(tmp_path):
     codes = np.tile(np.array(X_TRANS), (10, 12))
     place = np.kron(np.arange(20 * 24).reshape(20, 24), np.ones((3, 3), int))
     mosaic = (100 + place + 1000 * codes).astype(np.uint16)
-    _write(tmp_path / "a.dng", mosaic, pattern=X_TRANS)
-    (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    frames = [bracket.light[0].dn for bracket in read_photographs(tmp_path, "each")]
+    folder = _folder(tmp_path / "a", mosaic, pattern=X_TRANS)
+    frames = [bracket.light[0].dn for bracket in read_photographs(folder, "each")]
     for colour, dn in enumerate(frames):
         assert np.array_equal(dn, 100 + np.arange(20 * 24).reshape(20, 24) + 1000 * colour)
 
@@ -103,9 +92,8 @@ def test_colours_are_filled_in_for_pictures(tmp_path, pattern):
     side = len(pattern)
     mosaic = colours[np.tile(np.array(pattern), (60 // side, 96 // side))].astype(np.uint16)
     mosaic[30:36, 40:46] = 4095
-    _write(tmp_path / "a.dng", mosaic, pattern=pattern)
-    (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    brackets = read_photographs(tmp_path, "each", interpolated=True)
+    folder = _folder(tmp_path / "a", mosaic, pattern=pattern)
+    brackets = read_photographs(folder, "each", interpolated=True)
     for bracket, expected in zip(brackets, (500, 1000, 1500), strict=True):
         frame = bracket.light[0]
         assert frame.shape == (60, 96)
@@ -124,9 +112,8 @@ def test_a_colour_that_clips_says_nothing_of_the_others(tmp_path, pattern):
     mosaic = np.array([564, 4095, 1564])[codes].astype(np.uint16)
     row, column = next((r, c) for r, c in np.argwhere(codes == 0) if r > 30 and c > 40)
     mosaic[row, column] = 4095
-    _write(tmp_path / "a.dng", mosaic, pattern=pattern)
-    (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    red, green, blue = (one.light[0].dn.astype(int) for one in read_photographs(tmp_path, "each", interpolated=True))
+    folder = _folder(tmp_path / "a", mosaic, pattern=pattern)
+    red, green, blue = (one.light[0].dn.astype(int) for one in read_photographs(folder, "each", interpolated=True))
     assert np.all(green[4:-4, 4:-4] == 4095)
     assert np.abs(blue[4:-4, 4:-4] - 1500).max() <= 8
     around = np.zeros(codes.shape, bool)
@@ -139,22 +126,10 @@ def test_a_colour_that_clips_says_nothing_of_the_others(tmp_path, pattern):
 
 def test_raw_and_developed_pictures_do_not_mix(tmp_path):
     """A list that names a raw file and a picture is refused in one line that names both."""
-    _write(tmp_path / "a.dng", np.full((64, 96), 500, np.uint16))
-    cv2.imwrite(str(tmp_path / "b.png"), np.full((32, 48, 3), 500, np.uint16))
-    (tmp_path / "exposures.txt").write_text("a.dng 0.5\nb.png 1\n")
-    with pytest.raises(CaptureError, match=r"a\.dng and b\.png are not both camera raw files"):
-        read_photographs(tmp_path)
-
-
-def test_a_cut_raw_file_is_named(tmp_path):
-    """Half a DNG is refused by name, in one line, by the commands too."""
-    whole = tmp_path / "whole.dng"
-    _write(whole, np.full((64, 96), 500, np.uint16))
-    folder = tmp_path / "cut"
-    folder.mkdir()
-    (folder / "a.dng").write_bytes(whole.read_bytes()[:3000])
-    (folder / "exposures.txt").write_text("a.dng 0.5\n")
-    with pytest.raises(CaptureError, match=r"a\.dng"):
+    folder = _folder(tmp_path / "a", np.full((64, 96), 500, np.uint16))
+    cv2.imwrite(str(folder / "b.png"), np.full((32, 48, 3), 500, np.uint16))
+    (folder / "exposures.txt").write_text("p0.dng 0.5\nb.png 1\n")
+    with pytest.raises(CaptureError, match=r"b\.png and p0\.dng are not both camera raw files"):
         read_photographs(folder)
 
 
@@ -168,31 +143,25 @@ def test_measure_reads_raw_files_by_the_meters_constant_or_a_known_source(tmp_pa
     metered = constant * f_number**2 / (metered_s * iso)
     dn_per_light = (2048 - 64) / (metered * metered_s)
     for folder, luminance, times in (("ref", metered, (32,)), ("other", 3.3 * metered, (512, 256, 128))):
-        (tmp_path / folder).mkdir()
-        for d in times:
-            dn = rng.poisson(dn_per_light * luminance / d * 2.5, (64, 96)) / 2.5 + 64
-            _write(tmp_path / folder / f"t{d}.dng", np.round(dn).astype(np.uint16))
-        (tmp_path / folder / "exposures.txt").write_text("".join(f"t{d}.dng 1/{d}\n" for d in times))
+        drawn = (rng.poisson(dn_per_light * luminance / d * 2.5, (64, 96)) / 2.5 + 64 for d in times)
+        files = (dng_bytes(np.round(dn).astype(np.uint16), 64) for dn in drawn)
+        write_photographs(tmp_path / folder, files, [1 / d for d in times], ".dng")
     green = ["--channel", "green", "--f-number", "4"]
     light = ["--spectrum", "equal_energy"]  # stated, or what another light would do is in u too
     meter = ["--luminance-meter-k", "14", "--exposure", "1/32", "--iso", "100", "--reference-dn", "2048"]
     source = ["--patch", "10,10,20,10", "--luminance", str(metered), "--u-rel", "0.02"]
     for words, u_rel in ((meter, 0.19), (source, 0.24)):
-        assert (
-            run(
-                [
-                    "calibrate",
-                    "--force",
-                    str(tmp_path / "ref"),
-                    *green,
-                    *light,
-                    *words,
-                    "-o",
-                    str(tmp_path / "cal.yaml"),
-                ]
-            )
-            == 0
-        )
+        words = [
+            "calibrate",
+            "--force",
+            str(tmp_path / "ref"),
+            *green,
+            *light,
+            *words,
+            "-o",
+            str(tmp_path / "cal.yaml"),
+        ]
+        assert run(words) == 0
         capsys.readouterr()
         words = ["--calibration", str(tmp_path / "cal.yaml"), "--patch", "5,5,20,20", "--json"]
         assert run(["measure", "--photographs", str(tmp_path / "other"), *green, *light, *words]) == 0

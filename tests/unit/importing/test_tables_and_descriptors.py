@@ -42,27 +42,14 @@ def test_pixels_from_shares(tmp_path):
     assert header.statistics[2].clipped_share == 0.7542
 
 
-def test_one_frame_has_no_temporal_variance(tmp_path):
-    """A variance over one frame is spatial, so it is not taken for noise."""
+def test_what_a_table_does_not_hold_is_not_taken_of_it(tmp_path):
+    """A variance over one frame is spatial; a row that lacks cells, and what works on pixels, are refused in words."""
     assert statistics_of(table(tmp_path, "exposure_s,mean,var,frames\n1,10,3,1\n")).statistics[0].variance_dn2 is None
-
-
-def test_a_table_cut_in_half_names_its_row(tmp_path):
-    """The line that lacks cells is named."""
-    path = table(tmp_path, "exposure_s,mean,variance\n1,10,3\n2,2")
+    assert statistics_of(table(tmp_path, "luminance,f_number,time,iso\n1,2,3,4\n")) is None
     with pytest.raises(CaptureError, match="line 3"):
-        statistics_of(path)
-
-
-def test_pictures_asked_of_a_table_are_refused(tmp_path):
-    """What works on pixels says why it cannot."""
+        statistics_of(table(tmp_path, "exposure_s,mean,variance\n1,10,3\n2,2"))
     with pytest.raises(CaptureError, match="characterise"):
         open_capture(table(tmp_path, "exposure_s,mean,variance\n1,10,3\n2,20,6\n"))
-
-
-def test_a_file_of_another_kind_is_no_table(tmp_path):
-    """Columns of luminance are no statistics."""
-    assert statistics_of(table(tmp_path, "luminance,f_number,time,iso\n1,2,3,4\n")) is None
 
 
 @pytest.fixture
@@ -89,25 +76,23 @@ def test_an_exposure_of_zero_is_a_dark_frame(descriptor):
     assert (light.exposure_s, light.photons, light.source_level) == (1e-3, 500, 1.0)
 
 
-def test_photons_count_where_light_does_not_follow_exposure(descriptor):
-    """At one exposure the level goes as the photons, and the record says so."""
-    capture = open_capture(descriptor([("d 2000000", 100), ("b 2000000 250", 500), ("b 2000000 1000", 1700)]))
-    assert [e.source_level for e in capture.header.frames[1:]] == [0.25, 1.0]
-    assert any("do not follow the exposure" in line for line in imported_of(capture).doubts)
-
-
-def test_photons_cut_to_whole_numbers_are_one_light(descriptor):
-    """961 photons of 961.8 are no dimmer lamp: the level stays 1."""
-    path = descriptor([("d 0", 100), ("b 320000 961", 500), ("b 14020000 42137", 1700)])
-    assert [e.source_level for e in open_capture(path).header.frames] == [1.0, 1.0, 1.0]
-
-
-def test_light_with_an_exposure_of_zero(descriptor):
-    """b 0 photons: the photons are the light; a stand-in exposure is stated as such."""
-    capture = open_capture(descriptor([("d 0", 100), ("b 0 250", 500), ("b 0 1000", 1700)]))
-    assert [e.source_level for e in capture.header.frames[1:]] == [0.25, 1.0]
+@pytest.mark.parametrize(
+    ("lines", "levels", "doubt"),
+    [
+        # At one exposure the level goes as the photons.
+        (["d 2000000", "b 2000000 250", "b 2000000 1000"], [1.0, 0.25, 1.0], "do not follow the exposure"),
+        # 961 photons of 961.8 are no dimmer lamp.
+        (["d 0", "b 320000 961", "b 14020000 42137"], [1.0, 1.0, 1.0], None),
+        # The photons are the light; a stand-in exposure is stated as such.
+        (["d 0", "b 0 250", "b 0 1000"], [1.0, 0.25, 1.0], "is assumed"),
+    ],
+)
+def test_photons_count_where_light_does_not_follow_exposure(descriptor, lines, levels, doubt):
+    """The level of the source is that of the photons, and the record says so."""
+    capture = open_capture(descriptor(list(zip(lines, (100, 500, 1700), strict=True))))
+    assert [e.source_level for e in capture.header.frames] == levels
     assert all(e.exposure_s > 0 for e in capture.header.frames[1:])
-    assert any("is assumed" in line for line in imported_of(capture).doubts)
+    assert doubt is None or any(doubt in line for line in imported_of(capture).doubts)
 
 
 def test_a_negative_exposure_is_refused(descriptor):
@@ -136,13 +121,6 @@ def test_a_map_names_keyword_and_unit_and_stays_in_the_set(write_fits, tmp_path,
     assert CaptureSet.read(tmp_path / "again").header.frames[0].exposure_s == 0.02
 
 
-def test_a_number_is_true_of_all_frames(write_fits):
-    """`exposure=0.25:s` gives frames that state none their exposure."""
-    path = write_fits("a.fits", PICTURE, IMAGETYP="light")
-    found = import_sources([path], ImportOptions(mapped=StatementMap.parse(["exposure=250:ms"])))
-    assert found[0].header.frames[0].exposure_s == 0.25
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -157,9 +135,11 @@ def test_a_map_that_cannot_be_meant_is_misuse(words, message):
         StatementMap.parse(words)
 
 
-def test_a_place_that_no_file_has_is_refused(write_fits):
-    """A typing error in --map is never replaced by the format's own keyword."""
+def test_a_number_is_true_of_all_frames_and_a_place_that_no_file_has_is_refused(write_fits):
+    """`exposure=250:ms` gives all frames their exposure; a typing error is not replaced by the format's own keyword."""
     path = write_fits("a.fits", PICTURE, EXPTIME=1.0, IMAGETYP="light")
+    found = import_sources([path], ImportOptions(mapped=StatementMap.parse(["exposure=250:ms"])))
+    assert found[0].header.frames[0].exposure_s == 0.25
     with pytest.raises(UnsettledError, match="EXPTIMF"):
         import_sources([path], ImportOptions(mapped=StatementMap.parse(["exposure=EXPTIMF:ms"])))
 

@@ -177,34 +177,27 @@ def test_unusable_files_are_named(tmp_path, make, message):
         read_photographs(tmp_path)
 
 
-def test_truncated_jpeg_is_named(tmp_path):
-    """A JPEG cut short is refused, not filled with grey."""
+@pytest.mark.parametrize(
+    ("make", "channel", "error", "message"),
+    [
+        (lambda folder: _cut(folder / "a.jpg"), "red", CaptureError, r"a\.jpg: not a readable JPEG"),
+        (
+            lambda folder: _jpeg(folder, "a.jpg", 80),
+            "red",
+            CaptureError,
+            r"a\.jpg: has no exposure time.*exposures\.txt",
+        ),
+        (lambda folder: _jpeg(folder, "b.jpg", 160, time=0.1, f_number=5.6), "red", CaptureError, "f-number changes"),
+        (lambda folder: None, "infrared", UsageError, "choose one of"),
+    ],
+    ids=["cut short", "no time", "two f-numbers", "no such channel"],
+)
+def test_photographs_that_cannot_be_used_are_refused_with_the_way_out(tmp_path, make, channel, error, message):
+    """A cut JPEG is not filled with grey; without EXIF a list is asked for; a lens's stops are not known so well."""
     _jpeg(tmp_path, "a.jpg", 80, time=0.1)
-    _cut(tmp_path / "a.jpg")
-    with pytest.raises(CaptureError, match=r"a\.jpg: not a readable JPEG"):
-        read_photographs(tmp_path)
-
-
-def test_missing_time_is_refused_with_the_way_out(tmp_path):
-    """A photograph without EXIF and without a list is refused; the message says how to write the list."""
-    _jpeg(tmp_path, "a.jpg", 80)
-    with pytest.raises(CaptureError, match=r"a\.jpg: has no exposure time.*exposures\.txt"):
-        read_photographs(tmp_path)
-
-
-def test_changing_aperture_is_refused(tmp_path):
-    """A bracket by f-number is refused: the lens's true apertures are not known well enough."""
-    _jpeg(tmp_path, "a.jpg", 80, time=0.1, f_number=8)
-    _jpeg(tmp_path, "b.jpg", 160, time=0.1, f_number=5.6)
-    with pytest.raises(CaptureError, match="f-number changes"):
-        read_photographs(tmp_path)
-
-
-def test_unknown_channel_is_refused(tmp_path):
-    """A channel that does not exist is a misuse."""
-    _jpeg(tmp_path, "a.jpg", 80, time=0.1)
-    with pytest.raises(UsageError, match="choose one of"):
-        read_photographs(tmp_path, "infrared")
+    make(tmp_path)
+    with pytest.raises(error, match=message):
+        read_photographs(tmp_path, channel)
 
 
 def test_files_that_a_list_names_and_that_are_not_there_are_told(tmp_path):

@@ -1,10 +1,5 @@
 """Dark frames of real cameras: a black level that wanders, coarse thermometers, particle hits, exposures of zero."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,7 +7,7 @@ from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry,
 from radiometer.data.thermometer import regulated, uncertainty_of_readings
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import reweighted, with_effects
-from radiometer.reconciliation.measure.design import CaptureStatistics, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.shared_errors import errors_of_darkness
@@ -23,12 +18,7 @@ SIZE = (48, 72)
 NOISE_DN, BLACK_DN, E_PER_DN = 4.0, 200.0, 2.0
 
 
-def _dark(
-    settings: list[tuple[float, float]],
-    rng: np.random.Generator,
-    offset: Callable[[int], Any] = lambda n: 0.0,
-    size: tuple[int, int] = SIZE,
-) -> tuple[Design, CaptureStatistics, Any]:
+def _dark(settings, rng, offset=lambda n: 0.0, size=SIZE):
     """Return darks of (exposure in s, temperature in °C) at one frame each, with an offset by the frame's number."""
     entries, frames = [], []
     for number, (exposure_s, warm) in enumerate(settings):
@@ -41,7 +31,7 @@ def _dark(
     return design, *reduce_frames(design, frames.__getitem__)
 
 
-def test_a_black_level_that_wanders_is_measured() -> None:
+def test_a_black_level_that_wanders_is_measured():
     """Frames that scatter by 0.6 DN as a whole show 0.6 DN; frames of pixel noise alone, or that drift, none."""
     rng = np.random.default_rng(5)
     repeats = [(0.01, 20.0)] * 40
@@ -53,7 +43,7 @@ def test_a_black_level_that_wanders_is_measured() -> None:
         assert wander_of_black(design, seen) == 0.0
 
 
-def test_a_wander_is_no_more_than_a_share_of_the_pixels_noise() -> None:
+def test_a_wander_is_no_more_than_a_share_of_the_pixels_noise():
     """Frames that scatter by more than their pixels are something to name: 0.3 of the noise is the most."""
     rng = np.random.default_rng(6)
     steps = rng.normal(0.0, 40.0, 30)
@@ -62,7 +52,7 @@ def test_a_wander_is_no_more_than_a_share_of_the_pixels_noise() -> None:
 
 
 @pytest.mark.slow
-def test_a_black_level_that_moves_within_frames_is_measured() -> None:
+def test_a_black_level_that_moves_within_frames_is_measured():
     """Half waves of 0.8 DN over their number, new in each frame, show 0.8 DN; what moves as a whole, or never, none."""
     rng = np.random.default_rng(15)
     number = np.arange(1, 5)
@@ -76,12 +66,12 @@ def test_a_black_level_that_moves_within_frames_is_measured() -> None:
 
 
 @pytest.mark.slow
-def test_the_weights_hold_a_black_level_that_walks_at_random() -> None:
+def test_the_weights_hold_a_black_level_that_walks_at_random():
     """Rows that each add a random step to the row before: means, tilts and first frames scatter as the weights say."""
     rng, frames, series = np.random.default_rng(16), 5, 24
     step = 2.4 / np.sqrt(SIZE[0])
 
-    def walk(number: int) -> Any:
+    def walk(number):
         return np.cumsum(rng.normal(0.0, step, SIZE[0]))[:, None]
 
     design, seen, images = _dark([(0.01 * (1 + n // frames), 20.0) for n in range(frames * series)], rng, walk)
@@ -93,7 +83,7 @@ def test_the_weights_hold_a_black_level_that_walks_at_random() -> None:
         assert 0.5 < squares.mean() < 1.0 + 3.0 * np.sqrt(2.0 / squares.size), name
 
 
-def test_readings_in_steps_are_known_to_a_step() -> None:
+def test_readings_in_steps_are_known_to_a_step():
     """Two readings 0.42 K apart in turn: 0.42 K/√12; readings that all differ, or plateaus alone, tell no step."""
     turns = np.array([-4.82, -5.23, -4.82, -5.23, -5.23, -10.2, -10.2, -10.2])
     assert uncertainty_of_readings(turns) == pytest.approx(0.41 / np.sqrt(12.0))
@@ -102,7 +92,7 @@ def test_readings_in_steps_are_known_to_a_step() -> None:
     assert uncertainty_of_readings(np.full(5, np.nan)) == 0.0
 
 
-def test_two_readings_of_one_plateau_are_one_setting() -> None:
+def test_two_readings_of_one_plateau_are_one_setting():
     """−4.82 and −5.23 °C lie on both sides of an odd number and yet belong together; −10.2 °C does not."""
     warm = [-4.82, -5.23, -10.2, -4.82, -10.2, -5.23]
     entries = tuple(
@@ -115,7 +105,7 @@ def test_two_readings_of_one_plateau_are_one_setting() -> None:
     ) == [(0,), (1, 3, 5), (2,), (4,)]
 
 
-def _read_at(*warm: float) -> CaptureHeader:
+def _read_at(*warm):
     entries = tuple(
         FrameEntry.of(f"{n}.tif", FrameSettings(60.0, temperature_c=w, timestamp_s=60.0 * n, shutter="closed"))
         for n, w in enumerate(warm)
@@ -123,11 +113,11 @@ def _read_at(*warm: float) -> CaptureHeader:
     return CaptureHeader(camera=CameraDescription(bit_depth=16), frames=entries)
 
 
-def _temperatures(header: CaptureHeader) -> list[float | None]:
+def _temperatures(header):
     return [entry.temperature_C for entry in regulated(header).frames]
 
 
-def test_readings_in_turn_are_one_temperature() -> None:
+def test_readings_in_turn_are_one_temperature():
     """Two neighbouring steps in turn are one regulated temperature; a drift, and steps alone, stay as read."""
     turns = (-4.82, -5.23, -4.82, -5.23, -5.23, -10.2, -10.2, -10.2)
     mean = (2 * -4.82 + 3 * -5.23) / 5
@@ -138,14 +128,14 @@ def test_readings_in_turn_are_one_temperature() -> None:
     assert _temperatures(_read_at(*wide)) == pytest.approx(list(wide))
 
 
-def test_readings_in_turn_keep_their_uncertainty() -> None:
+def test_readings_in_turn_keep_their_uncertainty():
     """What is one temperature is known to a step still: 0.41 K/√12."""
     design = Design.of(_read_at(-4.82, -5.23, -4.82, -5.23, -4.82, -5.23), SIZE)
     assert np.ptp(design.temperature_c) == 0.0
     assert design.reading_u_k == pytest.approx(0.41 / np.sqrt(12.0))
 
 
-def test_darkness_moves_all_tiles_of_a_capture_together() -> None:
+def test_darkness_moves_all_tiles_of_a_capture_together():
     """A wander of 2 DN gives means the covariance 4 DN², kelvins their warmth; few frames do not average it out."""
     rng = np.random.default_rng(7)
     design, _, _ = _dark([(0.01, 20.0)] * 4, rng)
@@ -158,9 +148,11 @@ def test_darkness_moves_all_tiles_of_a_capture_together() -> None:
     first = sum(error.covariance("first")[0] for error in found if "first" in error.parts)
     assert first == pytest.approx(mean * (1.0 + 1.0 / 3.0))
     assert errors_of_darkness(design, usable, Darkness(0.0, 0.0, warmth)) == ()
+    moving = errors_of_darkness(design, usable | {"slope_y": usable["mean"]}, Darkness(0.0, 0.0, warmth, drift_dn=0.8))
+    assert {name for error in moving for name in error.parts} == {"mean", "first", "slope_y"}
 
 
-def test_a_coarse_thermometer_moves_what_leaks_add_to_variances() -> None:
+def test_a_coarse_thermometer_moves_what_leaks_add_to_variances():
     """Leaks that grow by 0.2 in ln of their variance per kelvin, at 0.5 K: 0.1 in all tiles of a capture alike."""
     design, _, _ = _dark([(0.01, 20.0)] * 4, np.random.default_rng(7))
     shape = (len(design.captures), len(design.tiles))
@@ -175,7 +167,7 @@ def test_a_coarse_thermometer_moves_what_leaks_add_to_variances() -> None:
     }
 
 
-def test_leaks_swell_with_the_temperature() -> None:
+def test_leaks_swell_with_the_temperature():
     """Of a pattern of 100 e- that doubles in 7 K, ln of the spatial variance grows by 2·ln 2/7 per K nearly."""
     settings = [(10.0, warm) for warm in (20.0, 20.4, 20.0, 20.4, 20.0, 20.4)]
     design, seen, images = _dark(settings, np.random.default_rng(9))
@@ -187,7 +179,7 @@ def test_leaks_swell_with_the_temperature() -> None:
     assert tile == pytest.approx(share * 2.0 * np.log(2.0) / 7.0 * 0.4 / np.sqrt(12.0), rel=0.1)
 
 
-def test_a_particle_in_one_frame_correlates_no_neighbours() -> None:
+def test_a_particle_in_one_frame_correlates_no_neighbours():
     """A track of ten pixels in one of eight frames leaves the neighbours' correlation where noise has it."""
     rng = np.random.default_rng(8)
     track = np.zeros((240, 360))
@@ -197,14 +189,14 @@ def test_a_particle_in_one_frame_correlates_no_neighbours() -> None:
     assert float(np.nanmax(np.abs(seen.neighbour_y))) < 0.1
 
 
-def test_a_pattern_that_goes_with_light_is_asked_for_in_darks_alone() -> None:
+def test_a_pattern_that_goes_with_light_is_asked_for_in_darks_alone():
     """Where no frame has light a pattern of responsivity moves nothing, and no statistic of nothing is taken."""
     design, seen, images = _dark([(0.01, 20.0)] * 8, np.random.default_rng(10))
     state = reweighted(with_effects(first_state(design, seen, images), [Prnu(0.01)]))
     assert np.isfinite(state.cost)
 
 
-def test_exposures_of_zero_get_a_stand_in() -> None:
+def test_exposures_of_zero_get_a_stand_in():
     """Bias frames of 0 s count as a thousandth of the shortest exposure; other headers stay as they are."""
     entries = tuple(
         FrameEntry.of(f"{n}.tif", FrameSettings(t, shutter="closed")) for n, t in enumerate((0.0, 10.0, 60.0))
@@ -215,7 +207,7 @@ def test_exposures_of_zero_get_a_stand_in() -> None:
     assert Design.of(plain, SIZE).header is plain
 
 
-def test_time_since_light_counts_from_the_last_lit_frame() -> None:
+def test_time_since_light_counts_from_the_last_lit_frame():
     """Darks after a lit frame at 20 s stand 10 and 30 s behind it; before it there is no light."""
     entries = tuple(
         FrameEntry.of(f"{n}.tif", FrameSettings(t, timestamp_s=at, shutter=shutter))

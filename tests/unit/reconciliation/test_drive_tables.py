@@ -1,7 +1,5 @@
 """Tables of light engines: the drive law is fitted, and what is not proportional gets its name."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -15,13 +13,13 @@ from radiometer.cli.main import run
 DRIVES = np.arange(1, 33) / 32
 
 
-def _written(path: Path, light: dict[str, np.ndarray]) -> Path:
+def _written(path, light):
     rows = [f"{name},{round(4095 * d)},{y:.9g}" for name, ys in light.items() for d, y in zip(DRIVES, ys, strict=True)]
     path.write_text("\n".join(["primary,setting,radiance", *rows, *(f"{name},0,0" for name in light)]) + "\n")
     return path
 
 
-def _engine(rng: np.random.Generator, droop: float, noise: float = 0.005) -> dict[str, np.ndarray]:
+def _engine(rng, droop, noise=0.005):
     """Return three channels of different brightness, light = a·d·e^(−k·d), with relative noise."""
     return {
         name: size * DRIVES * np.exp(-droop * DRIVES) * (1.0 + noise * rng.standard_normal(DRIVES.size))
@@ -29,52 +27,48 @@ def _engine(rng: np.random.Generator, droop: float, noise: float = 0.005) -> dic
     }
 
 
-def _stepped(light: dict[str, np.ndarray], at: float, ratio: float) -> dict[str, np.ndarray]:
+def _stepped(light, at, ratio):
     return {name: np.where(ys > at, ratio * ys, ys) for name, ys in light.items()}
 
 
 @pytest.mark.parametrize("seed", [71, 72, 73])
-def test_proportional_engine_agrees(seed: int, tmp_path: Path) -> None:
+def test_proportional_engine_agrees(seed, tmp_path):
     """Noise alone has no name, and its law is proportional within 3 u."""
     file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(seed), 0.0))
     assert [one.name for one in rm.reconcile(file).result.effects] == []
     for law in rm.light_law(file).laws.values():
-        assert law is not None
         half = law.parameters["deviation_at_half_drive"]
         assert abs(half.value) <= 3.0 * half.u
 
 
 @pytest.mark.parametrize("seed", [74, 75, 76])
-def test_saturating_channels_are_named_led_droop(seed: int, tmp_path: Path) -> None:
+def test_saturating_channels_are_named_led_droop(seed, tmp_path):
     """A droop of 10 % at full drive is named alone; half drive is e^0.05 over proportional, within 3 u."""
     file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(seed), 0.1))
     effects = rm.reconcile(file).result.effects
     assert [one.name for one in effects] == ["led_droop"]
     size = effects[0].parameters["deviation_at_half_drive"]
-    assert size.u is not None
     assert abs(size.value - np.expm1(0.05)) <= 3.0 * size.u
 
 
 @pytest.mark.parametrize("seed", [77, 78, 79])
-def test_meter_that_changes_its_range_is_named(seed: int, tmp_path: Path) -> None:
+def test_meter_that_changes_its_range_is_named(seed, tmp_path):
     """A jump of 3 % at one reading in all channels is the meter's; its ratio is found within 3 u, the reading too."""
     light = _stepped(_engine(np.random.default_rng(seed), 0.0), 0.3, 1.03)
     effects = rm.reconcile(_written(tmp_path / "e.csv", light)).result.effects
     assert [one.name for one in effects] == ["meter_range_step"]
     ratio, reading = (effects[0].parameters[name] for name in ("ratio", "reading"))
-    assert ratio.u is not None
     assert abs(ratio.value - 1.03) <= 3.0 * ratio.u
     assert reading.value == pytest.approx(0.3, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", [82, 83, 84])
-def test_onset_of_a_driver_is_fitted_and_leaves_the_droop_its_name(seed: int, tmp_path: Path) -> None:
+def test_onset_of_a_driver_is_fitted_and_leaves_the_droop_its_name(seed, tmp_path):
     """Light from 3 % of full drive on: the onset is within 3 u, half drive (0.47/0.97)·2·e^0.05 over proportional."""
     light = _engine(np.random.default_rng(seed), 0.1)
     light = {name: ys * np.maximum(DRIVES - 0.03, 0.0) / DRIVES for name, ys in light.items()}
     file = _written(tmp_path / "e.csv", light)
     for law in rm.light_law(file).laws.values():
-        assert law is not None
         onset, half = (law.parameters[name] for name in ("onset", "deviation_at_half_drive"))
         assert abs(onset.value - 0.03) <= 3.0 * onset.u < 0.01
         assert abs(half.value - (0.47 / 0.97 * 2.0 * np.exp(0.05) - 1.0)) <= 3.0 * half.u
@@ -82,18 +76,17 @@ def test_onset_of_a_driver_is_fitted_and_leaves_the_droop_its_name(seed: int, tm
     assert [one.name for one in rm.reconcile(file).result.effects] == ["led_droop"]
 
 
-def test_the_law_s_uncertainty_holds_an_onset_that_noise_hides() -> None:
+def test_the_law_s_uncertainty_holds_an_onset_that_noise_hides():
     """Light from 1 % of full drive on with 1 % of noise: light at 0.3 over that at 0.9 is within k = 2 in 91 of 100."""
     rng, drive, inside = np.random.default_rng(85), np.arange(1, 17) / 16, 0
     for _ in range(100):
         law = fit_drive_law(drive, (drive - 0.01) * (1.0 + 0.01 * rng.standard_normal(drive.size)))
-        assert law is not None
         found = law.light_over(0.3, 0.9)
         inside += abs(found.value - 0.29 / 0.89) <= 2.0 * found.u
     assert inside >= 91
 
 
-def test_both_are_named(tmp_path: Path) -> None:
+def test_both_are_named(tmp_path):
     """A droop and a step in one table get both names, and drives held out are predicted better by each."""
     light = _stepped(_engine(np.random.default_rng(80), 0.15), 0.3, 1.04)
     result = rm.reconcile(_written(tmp_path / "e.csv", light)).result
@@ -101,7 +94,7 @@ def test_both_are_named(tmp_path: Path) -> None:
     assert result.gap_after < 2.0 < result.gap_before
 
 
-def test_spectra_are_summed_and_twins_compared(tmp_path: Path) -> None:
+def test_spectra_are_summed_and_twins_compared(tmp_path):
     """A table with a column for each wavelength gives the law of the sum; a twin of 8 % more at half drive is found."""
     files = []
     for name, droop in (("left", 0.0), ("right", 2 * np.log(1.08))):
@@ -115,7 +108,7 @@ def test_spectra_are_summed_and_twins_compared(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("light", "says"), [(-0.7, "no light is below 0"), (0.0, None)])
-def test_a_row_that_no_law_can_hold_is_refused_or_named(tmp_path: Path, light: float, says: str | None) -> None:
+def test_a_row_that_no_law_can_hold_is_refused_or_named(tmp_path, light, says):
     """A negative light is a mistake; a drive without light is left out, and stands in what was taken."""
     rows = "".join(f"blue,{10 * n},{light if n == 7 else 0.1 * n:.4f}\n" for n in range(1, 12))
     (tmp_path / "e.csv").write_text(f"channel,drive,light\n{rows}")
@@ -126,7 +119,7 @@ def test_a_row_that_no_law_can_hold_is_refused_or_named(tmp_path: Path, light: f
             rm.light_law(tmp_path / "e.csv")
 
 
-def test_commands_speak_json_and_write_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_speak_json_and_write_a_page(tmp_path, capsys):
     """`light law --json` holds the law with u, `--plot` draws it; `reconcile` writes its report."""
     file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(81), 0.1))
     assert run(["light", "law", str(file), "--json", "--plot", str(tmp_path / "law.png")]) == 0
@@ -149,9 +142,7 @@ def test_commands_speak_json_and_write_a_page(tmp_path: Path, capsys: pytest.Cap
         ("setting,radiance\n-1,0.1\n2,0.2\n3,0.3\n", "expected 0 and above"),
     ],
 )
-def test_unusable_table_is_refused_in_one_line(
-    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unusable_table_is_refused_in_one_line(text, words, tmp_path, capsys):
     """The message names what is missing, with the line where one is wrong."""
     (tmp_path / "e.csv").write_text(text)
     assert run(["light", "law", str(tmp_path / "e.csv")]) == 1
@@ -161,7 +152,7 @@ def test_unusable_table_is_refused_in_one_line(
 
 
 @pytest.fixture(scope="module")
-def diode(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def diode(tmp_path_factory):
     """Return a capture of a diode of 0.05 mW at full drive."""
     folder = tmp_path_factory.mktemp("diode")
     bench = folder / "diode.yaml"
@@ -179,16 +170,15 @@ def diode(tmp_path_factory: pytest.TempPathFactory) -> Path:
 CALIBRATION = Path(__file__).parents[3] / "configs" / "calibrations" / "simulated.yaml"
 
 
-def test_flux_at_another_drive_is_that_of_the_law_within_its_uncertainty(diode: Path, tmp_path: Path) -> None:
-    """Of a droop of 10 %, a quarter of full drive has e^0.075/4 of the flux; 40 tables with 0.5 % noise hold it."""
+def test_flux_at_another_drive_is_that_of_the_law_within_its_uncertainty(diode, tmp_path):
+    """Of a droop of 10 %, a quarter of full drive has e^0.075/4 of the flux; 15 tables with 0.5 % noise hold it."""
     share, off = np.exp(0.1 * (1.0 - 1024 / 4095)) * 1024 / 4095, []
-    for seed in range(1_500_001, 1_500_041):
+    for seed in range(1_500_001, 1_500_016):
         table = _written(tmp_path / "e.csv", _engine(np.random.default_rng(seed), 0.1))
         found = rm.flux(
             diode, calibration=CALIBRATION, half_angle=60, distance=336, drive_table=table, led="blue", drive=4095,
             at_drive=1024,
         )  # fmt: skip
-        assert found.driven is not None
         one, own, law = found.driven.flux, found.result, found.driven.law
         u_rel = np.sqrt(one.u_rel**2 - own.u_rel**2)  # of the ratio: of the law and of its misfit at both drives
         assert u_rel >= np.sqrt(2.0) * law.misfit_rel * (1.0 - 1e-9)
@@ -207,9 +197,7 @@ def test_flux_at_another_drive_is_that_of_the_law_within_its_uncertainty(diode: 
         (["--led", "blue", "--drive", "4095"], "--at-drive"),
     ],
 )
-def test_a_drive_that_the_table_does_not_hold_is_refused(
-    words: list[str], message: str, diode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_drive_that_the_table_does_not_hold_is_refused(words, message, diode, tmp_path, capsys):
     """Drives outside the table, a channel or a drive left open: exit code 2 and the way out."""
     table = _written(tmp_path / "e.csv", _engine(np.random.default_rng(81), 0.1))
     assert run(["flux", str(diode), "--calibration", str(CALIBRATION), "--drive-table", str(table), *words]) == 2

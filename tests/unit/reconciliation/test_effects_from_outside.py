@@ -1,107 +1,24 @@
 """Effects that a laboratory keeps for itself: installed as a package or given as a file, and found like any other."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from radiometer.errors import ConfigurationError
+from radiometer.reconciliation.engine import whole_catalogue
 from simulators.effects.registry import EFFECTS, all_effects, register_file
+from testing import effects_of_a_laboratory
 from testing.reconciled import reconcile
 
-EFFECTS_OF_A_LABORATORY = '''
-"""What is known of the bench in the cellar."""
-
-from dataclasses import dataclass
-
-import numpy as np
-
-from simulators.effects.base import DIGITAL_NUMBER, RADIANCE, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, Scaling
-
-
-@dataclass(frozen=True)
-class LampDriverNoise(CatalogueEffect):
-    """Adds noise that goes with the lamp's drive d: σ'² = σ² + (a·d)²."""
-
-    name = "lamp_driver_noise"
-    stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
-    where = "source_level"
-    block = "variance"
-    acts_by_square = True
-    trials = ({"amplitude_dn": 1.0},)
-    fitted = ("amplitude_dn",)
-    settles = "the same signal at two drives"
-    amplitude_dn: float = parameter(0.0, "DN", 0.0, 100.0, source="the cellar's logbook")
-
-    def mean(self, signal, context):
-        return signal
-
-    def slope(self, signal, context):
-        return 1.0
-
-    def variance(self, signal, context):
-        return np.square(self.amplitude_dn * np.asarray(context.settings.source_level))
-
-    def sample(self, signal, context, rng):
-        noise = self.amplitude_dn * context.settings.source_level * rng.standard_normal(signal.shape)
-        return (signal + noise).astype(signal.dtype)
-
-
-@dataclass(frozen=True)
-class DisplayCeiling(CatalogueEffect):
-    """Limits what the screen can show: L' = min(L, c)."""
-
-    name = "display_ceiling"
-    stage = Stage.SCENE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
-    where = "patch_level"
-    saturates = "sharply"
-    trials = tuple({"ceiling": c} for c in (0.8, 0.65, 0.5, 0.35))
-    fitted = ("ceiling",)
-    settles = "the brightest patch at half the drive"
-    ceiling: float = parameter(10.0, "W sr-1 m-2", 0.01, 10.0, source="the screen's data sheet")
-
-    def mean(self, signal, context):
-        return np.minimum(signal, self.ceiling)
-
-    def slope(self, signal, context):
-        return (signal < self.ceiling).astype(signal.dtype)
-
-
-@dataclass(frozen=True)
-class DriverSteps(Scaling):
-    """Rounds the lamp's drive down to whole steps: d' = q·⌊d/q⌋."""
-
-    name = "driver_steps"
-    stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
-    where = "source_level"
-    is_stepwise = True
-    trials = tuple({"step": q} for q in (0.04, 0.05, 0.0625, 0.08, 0.0909))
-    fitted = ()
-    settles = "two drives within one step"
-    step: float = parameter(1e-6, "1", 1e-6, 0.5, source="bits of the driver")
-
-    def factor(self, context):
-        drive = np.maximum(np.asarray(context.settings.source_level), 1e-9)
-        return np.maximum(self.step * np.floor(drive / self.step + 1e-9), 1e-6) / drive
-'''
+EFFECTS_OF_A_LABORATORY = Path(effects_of_a_laboratory.__file__).read_text(encoding="utf-8")
 NAMES = ("lamp_driver_noise", "display_ceiling", "driver_steps")
 
 
-def install(site: Path, text: str) -> None:
+def install(site, text):
     """Install a package of three effects: one that acts by its square, one that saturates, one that steps."""
     (site / "cellar_bench.py").write_text(text, encoding="utf-8")
     about = site / "cellar_bench-1.0.dist-info"
@@ -113,7 +30,7 @@ def install(site: Path, text: str) -> None:
 
 
 @pytest.fixture
-def untouched() -> Iterator[None]:
+def untouched():
     """Put the table of effects back as it was."""
     held = dict(EFFECTS)
     yield
@@ -123,14 +40,16 @@ def untouched() -> Iterator[None]:
         del sys.modules[module]
 
 
-def _noisy(setting: Any) -> Any:
+def _noisy(setting):
     key = [int(1e9 * setting["t"]), int(1e3 * setting["d"]), next(_DRAWN)]
     drive = setting["d"] * (setting["shutter"] == "open")  # the lamp is off for darks
     return 2.0 * drive * np.random.default_rng(key).standard_normal((64, 96))
 
 
 _DRAWN = iter(range(10_000))
-HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
+# Entries of the table that come nearest: noise, what saturates, and what goes with the drive.
+RIVALS = ("excess_read_noise", "full_well_saturation", "adc_saturation", "led_thermal_droop", "exposure_time_offset")
+HIDDEN = {
     "lamp_driver_noise": ({"extra_dn": _noisy}, "amplitude_dn", 2.0),
     "display_ceiling": ({"picture": lambda i, s: np.minimum(i * s["d"], 0.6) / max(s["d"], 1e-9)}, "ceiling", 0.6),
     "driver_steps": ({"picture": lambda i, s: i * (0.08 * int(s["d"] / 0.08) / max(s["d"], 1e-9))}, "step", 0.08),
@@ -139,19 +58,19 @@ HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("untouched")
-@pytest.mark.parametrize("name", [*(pytest.param(one, marks=pytest.mark.long) for one in NAMES[:2]), NAMES[2]])
-def test_own_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any], tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", NAMES)
+def test_own_effect_is_found_where_it_is_hidden(make_capture, tmp_path, name):
     """A squared, a saturating and a stepwise effect of a file are named alone, of the size that was hidden."""
     (tmp_path / "cellar.py").write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
     register_file(tmp_path / "cellar.py")
     hooks, parameter, hidden = HIDDEN[name]
     captured = make_capture(seed=42, **hooks)
-    result = reconcile(captured.header, captured.frames)
+    entries = {one: whole_catalogue()[one] for one in (*NAMES, *RIVALS)}
+    result = reconcile(captured.header, captured.frames, catalogue=entries)
     assert (result.verdict, [effect.name for effect in result.effects]) == ("effects_found", [name])
     found = result.effects[0].parameters[parameter]
     assert found.value == pytest.approx(hidden, abs=max(4.0 * (found.u or 0.0), 1e-9))
     limit = result.limits[name].amplitude
-    assert limit is not None
     assert limit < hidden if name == "lamp_driver_noise" else limit >= 0.95 * hidden
 
 
@@ -160,7 +79,7 @@ def test_own_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any]
     ("text", "printed"),
     [(EFFECTS_OF_A_LABORATORY, "step=0.1"), ("import nothing_of_the_kind\n", "repair or uninstall its package")],
 )
-def test_effects_of_an_installed_package_are_known_by_name(tmp_path: Path, text: str, printed: str) -> None:
+def test_effects_of_an_installed_package_are_known_by_name(tmp_path, text, printed):
     """They are made with parameters like those of the table; a package that cannot be loaded is refused."""
     install(tmp_path, text)
     program = "from simulators.effects.registry import make_effect as make; print(make('driver_steps', {'step': 0.1}))"
@@ -176,7 +95,7 @@ def test_effects_of_an_installed_package_are_known_by_name(tmp_path: Path, text:
 
 
 @pytest.mark.usefixtures("untouched")
-def test_file_is_taken_and_is_next_to_the_others(tmp_path: Path) -> None:
+def test_file_is_taken_and_is_next_to_the_others(tmp_path):
     """Its classes are known by name; the same file again changes nothing; a foreign name is refused with a way out."""
     path, taken = tmp_path / "own.py", tmp_path / "taken.py"
     path.write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
@@ -210,7 +129,7 @@ def test_file_is_taken_and_is_next_to_the_others(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.usefixtures("untouched")
-def test_file_that_cannot_be_taken_is_reported_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+def test_file_that_cannot_be_taken_is_reported_in_one_line(tmp_path, text, message):
     """What is wrong with it stands behind its name."""
     path = tmp_path / "broken.py"
     path.write_text(text, encoding="utf-8")
@@ -227,20 +146,19 @@ FAULTS = {
 
 @pytest.mark.usefixtures("untouched")
 @pytest.mark.parametrize(("body", "message"), FAULTS.values(), ids=FAULTS)
-def test_faults_of_an_effect_name_its_file(make_capture, tmp_path: Path, body: str, message: str) -> None:
+def test_faults_of_an_effect_name_its_file(make_capture, tmp_path, body, message):
     """The user's own code is at fault, whatever it does: the line names file, method and effect."""
     head, _, _ = EFFECTS_OF_A_LABORATORY.rpartition("        drive = ")
     path = tmp_path / "faulty.py"
     path.write_text(f"{head}        {body}\n", encoding="utf-8")
     register_file(path)
-    captured = make_capture(seed=42, frames=2)
+    captured = make_capture(seed=42, frames=2, plan=[{"t": t, "d": d} for t in (1e-3, 3e-3) for d in (0.3, 0.9)])
     with pytest.raises(ConfigurationError, match=f"faulty.py: {message}"):
         reconcile(captured.header, captured.frames)
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
-    [("gone.py", "does not exist"), ("law.txt", "is no Python"), ("folder.py", "is no Python")],
+    ("name", "message"), [("gone.py", "does not exist"), ("law.txt", "is no Python"), ("folder.py", "is no Python")]
 )
 def test_a_file_that_cannot_hold_effects_is_refused_for_what_it_is(tmp_path, name, message):
     """One that is not there is not called no Python file."""

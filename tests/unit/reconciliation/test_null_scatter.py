@@ -1,10 +1,6 @@
 """Of a camera that is as its model says, every statistic of reconcile scatters by what is stated of it."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,10 +18,9 @@ from testing.reduced import start_of, taken
 # The knife-edge's u holds an allowance for how sharp a border is, and an even chart of a sound sensor has no outliers.
 STATED_LARGER = {"edge", "outliers"}
 ROWS, COLUMNS, E_PER_DN = 64, 96, 2.6  # of the synthetic camera of conftest.py
-Chi2 = dict[str, tuple[float, int]]
 
 
-def chi2_of(captured: Any, *effects: Any) -> Chi2:
+def chi2_of(captured, *effects):
     """Return χ² and number of entries of each statistic, where these effects are part of the model."""
     state = start_of(captured)
     state = converged_fit(with_effects(state, list(effects)) if effects else state)
@@ -37,14 +32,14 @@ def chi2_of(captured: Any, *effects: Any) -> Chi2:
 
 
 @pytest.fixture(scope="module")
-def sound(make_capture: Callable[..., Any]) -> Chi2:
+def sound(make_capture):
     """Return χ² and entries summed over two sessions without any effect."""
     found = [chi2_of(make_capture(seed, 4)) for seed in (101, 102)]
     return {name: (sum(one[name][0] for one in found), sum(one[name][1] for one in found)) for name in STATISTICS}
 
 
 @pytest.mark.parametrize("name", STATISTICS)
-def test_a_statistic_scatters_by_its_stated_uncertainty(sound: Chi2, name: str) -> None:
+def test_a_statistic_scatters_by_its_stated_uncertainty(sound, name):
     """χ²/n is 1 within five of its own sigma, √(2/n), and the 5 % that the fitted levels of 24 patches take up."""
     squares, count = sound[name]
     assert count > 0
@@ -54,14 +49,14 @@ def test_a_statistic_scatters_by_its_stated_uncertainty(sound: Chi2, name: str) 
         assert squares / count > 1.0 - allowed - 0.05
 
 
-def gain(setting: Any) -> float:
+def gain(setting):
     """Return DN per electron at a setting's gain."""
     return float(10.0 ** (setting["g"] / 20.0) / E_PER_DN)
 
 
 RNG = np.random.default_rng(20261126)
 FIXED = {shape: RNG.standard_normal(shape) for shape in ((ROWS, 1), (1, COLUMNS), (ROWS, COLUMNS))}
-HIDDEN: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
+HIDDEN = {
     "row_temporal_noise": (
         {"sigma_e": 4.0}, {"extra_dn": lambda s: 4.0 * gain(s) * RNG.standard_normal((ROWS, 1))}
     ),
@@ -79,9 +74,7 @@ ALIKE = {"row_pattern", "excess_read_noise"}  # act as the column pattern and th
 
 
 @pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow) if one in ALIKE else one for one in HIDDEN])
-def test_statistics_scatter_as_stated_where_the_model_holds_the_effect(
-    make_capture: Callable[..., Any], name: str
-) -> None:
+def test_statistics_scatter_as_stated_where_the_model_holds_the_effect(make_capture, name):
     """With the camera's true effect in the model nothing is left: χ²/n of all statistics is 1 within 6 sigma.
 
     Chance shifts of the tiles that a fixed pattern makes alike in all captures are fitted; profiles of its lines
@@ -103,7 +96,7 @@ def test_statistics_scatter_as_stated_where_the_model_holds_the_effect(
 SCENE_READ_E, SCENE_E_PER_DN = 5.4, 5.95
 
 
-def scene_with_dark_parts(seed: int, dark: int = 8, step: int = 1) -> Any:
+def scene_with_dark_parts(seed, dark=8, step=1):
     """Return frames of a scene with dark columns of that width before tiles of 16, at three exposures."""
     rng = np.random.default_rng((seed, 20261127))
     lit = np.where(np.arange(96) % (2 * dark) < dark, 0.0, 1.0) * np.linspace(0.2, 1.0, 48)[:, None]
@@ -121,8 +114,8 @@ def scene_with_dark_parts(seed: int, dark: int = 8, step: int = 1) -> Any:
     )
 
 
-@pytest.mark.parametrize("dark", [8, 12])
-def test_dark_parts_of_a_scene_are_no_disagreement(dark: int) -> None:
+@pytest.mark.parametrize("dark", [pytest.param(8, marks=pytest.mark.long), 12])
+def test_dark_parts_of_a_scene_are_no_disagreement(dark):
     """Tiles dark on a half, or on three quarters: p is as even from 0 to 1 as that of six sessions can be.
 
     Noise of one code leaves a comb in honest histograms, the same in all captures. The plane through a tile that is
@@ -137,14 +130,14 @@ def test_dark_parts_of_a_scene_are_no_disagreement(dark: int) -> None:
     assert kstest(chances, "uniform").pvalue > 0.01
 
 
-def test_a_step_of_two_codes_is_seen_in_a_scene_all_the_same() -> None:
+def test_a_step_of_two_codes_is_seen_in_a_scene_all_the_same():
     """Codes of which every second is missing are the largest disagreement of all."""
     tests = localise(start_of(scene_with_dark_parts(1, step=2)))
     assert tests[0].block == "comb"
     assert tests[0].log_p < -100.0
 
 
-def test_comb_of_dark_pixels_is_that_of_rounded_normal_numbers() -> None:
+def test_comb_of_dark_pixels_is_that_of_rounded_normal_numbers():
     """The largest terms of codes at black are √2 times what is stated, to 5 % and the scatter of 400,000 numbers."""
     state = start_of(scene_with_dark_parts(0))
     codes = np.rint(SCENE_READ_E / SCENE_E_PER_DN * np.random.default_rng(9).standard_normal(400_000))

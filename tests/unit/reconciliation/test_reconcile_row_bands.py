@@ -1,10 +1,6 @@
 """Bands of a rolling shutter: their statistic, what they leave in tiles, and scatter that no trend explains."""
 
-from __future__ import annotations
-
 import dataclasses
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,11 +17,11 @@ PERIODS_PER_ROW = 0.0217
 AMPLITUDE = 0.01
 
 
-def _bands(seed: int, periods_per_row: float) -> Callable[[Any, dict[str, Any]], Any]:
+def _bands(seed, periods_per_row):
     """Return what a wave along the rows does to each frame's picture, at a phase of its own."""
     rng = np.random.default_rng(seed)
 
-    def picture(image: Any, setting: dict[str, Any]) -> Any:
+    def picture(image, setting):
         rows = np.arange(image.shape[0])[:, None]
         phase = rng.uniform(0, 2 * np.pi)
         return image * (1 + AMPLITUDE * np.sin(2 * np.pi * periods_per_row * rows + phase))
@@ -33,12 +29,12 @@ def _bands(seed: int, periods_per_row: float) -> Callable[[Any, dict[str, Any]],
     return picture
 
 
-def _one_after_the_other(captures: int) -> list[dict[str, Any]]:
+def _one_after_the_other(captures):
     """Return exposures that differ a little, so that each has a capture of its own."""
     return [{"t": 3e-3 + 1e-5 * number} for number in range(captures)]
 
 
-def test_without_bands_each_spatial_frequency_is_noise(make_capture: Callable[..., Any]) -> None:
+def test_without_bands_each_spatial_frequency_is_noise(make_capture):
     """The mean of some hundred ratios, two degrees of freedom each, is 1 within 4 sigma; darks have none."""
     captured = make_capture(plan=[*_one_after_the_other(24), {"t": 1e-3, "shutter": "closed"}], seed=4)
     seen = statistics_of(captured)
@@ -47,7 +43,7 @@ def test_without_bands_each_spatial_frequency_is_noise(make_capture: Callable[..
     assert np.mean(seen.bands[lit]) == pytest.approx(1.0, abs=4 * np.sqrt(1.0 / lit.sum()))
 
 
-def test_a_tile_that_ends_where_a_bin_ends_covers_no_further_one(make_capture: Callable[..., Any]) -> None:
+def test_a_tile_that_ends_where_a_bin_ends_covers_no_further_one(make_capture):
     """Rows 10 to 31 of 480, two to a bin, are 11 bins: three whole orders; the next row begins a twelfth."""
     captured = make_capture(plan=[{"t": 3e-3}], frames=1)
     small = Design.of(captured.header, captured.frames[0].shape)
@@ -58,7 +54,7 @@ def test_a_tile_that_ends_where_a_bin_ends_covers_no_further_one(make_capture: C
     np.testing.assert_array_equal(ending.middle[:3], [0.5, 2.5, 4.5])
 
 
-def test_bands_have_the_power_that_a_wave_predicts(make_capture: Callable[..., Any]) -> None:
+def test_bands_have_the_power_that_a_wave_predicts(make_capture):
     """Over 24 captures the ratios summed over all frequencies agree with 1 + A²/2·|z|² within 4 sigma of the phases."""
     captured = make_capture(plan=_one_after_the_other(24), picture=_bands(5, PERIODS_PER_ROW), seed=5)
     design = Design.of(captured.header, captured.frames[0].shape)
@@ -73,7 +69,7 @@ def test_bands_have_the_power_that_a_wave_predicts(make_capture: Callable[..., A
     assert shared.mean() == pytest.approx(1.0, abs=4 * shared.std(ddof=1) / np.sqrt(shared.size))
 
 
-def test_a_tile_keeps_of_a_wave_what_random_phases_show(make_capture: Callable[..., Any]) -> None:
+def test_a_tile_keeps_of_a_wave_what_random_phases_show(make_capture):
     """Mean, rise, spread and neighbours of a tile's rows over 20 000 phases, against the closed forms."""
     captured = make_capture(plan=[{"t": 3e-3}])
     design = Design.of(captured.header, captured.frames[0].shape)
@@ -94,7 +90,7 @@ def test_a_tile_keeps_of_a_wave_what_random_phases_show(make_capture: Callable[.
 
 
 @pytest.mark.slow
-def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture: Callable[..., Any]) -> None:
+def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture):
     """Bands lead in `bands`; a flicker that all rows share leaves nothing there."""
     plan = [{"t": t, "d": d} for t in (1e-3, 2e-3, 3e-3) for d in (0.5, 0.9) for _ in range(3)]
     banded = significant(localise(start_of(make_capture(plan=plan, picture=_bands(6, PERIODS_PER_ROW), seed=6))))
@@ -105,11 +101,11 @@ def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture: Callabl
 
 
 @pytest.mark.slow
-def test_scatter_without_any_trend_is_reported(make_capture: Callable[..., Any]) -> None:
+def test_scatter_without_any_trend_is_reported(make_capture):
     """Patches that differ at random from frame to frame by 0.5 % scatter the means beyond their noise."""
     rng = np.random.default_rng(9)
 
-    def uneasy(image: Any, setting: dict[str, Any]) -> Any:
+    def uneasy(image, setting):
         height, width = image.shape
         patches = 1 + 0.005 * rng.standard_normal((4, 6))
         return image * np.kron(patches, np.ones((height // 4, width // 6)))

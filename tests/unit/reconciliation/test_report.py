@@ -1,73 +1,50 @@
 """The report shows the story: verdict, gap by steps, each name with what it is and what shows it, the rest, tables."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
 import pytest
 
 from radiometer.numbers import rounded
-from radiometer.reconciliation.engine import Reconciled, examine, whole_catalogue
-from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.report_page import (
-    along,
-    axis_label,
-    outcome,
-    plot_along,
-    report_html,
-    seen_in,
-)
+from radiometer.reconciliation.engine import examine, whole_catalogue
+from radiometer.reconciliation.fit.state import with_effects
+from radiometer.reconciliation.report_page import along, axis_label, outcome, plot_along, report_html, seen_in
 from radiometer.reconciliation.result import FoundEffect, Verdict
 from radiometer.reporting.origin import Origin
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.crosstalk import Crosstalk
 from testing.generator.session import make_session
-from testing.reduced import start_of
 from testing.report_checks import HOSTILE, assert_reports_hold
 
 
 @pytest.fixture(scope="module")
-def glaring() -> Reconciled:
+def glaring():
     """Return what is found of a session that hides a veil; few entries are tried, so that it is quick."""
-    session = make_session("veiling_glare", camera_seed=424_201)
+    session = make_session("veiling_glare", camera_seed=424_201, plan="bracket", frames=2)
     frames = list(session.frames())
     entries = {name: whole_catalogue()[name] for name in ("veiling_glare", "gain_step_error", "exposure_time_offset")}
     return examine(session.header, frames.__getitem__, frames[0].shape, catalogue=entries, with_limits=False)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
 def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
-    """What was found, the opening picture, the name, the map of the rest, then the folded figures."""
+    """What was found, opening picture, name, map of the rest, then the folded figures; the page is one file.
+
+    The name says what it is and what shows it: the effect's own sentence, statistic and covariate in words, a picture,
+    and its size with ±.
+    """
     page = report_html(glaring, "session <1>", Origin())
-    marks = [
-        "session &lt;1&gt;",
-        "class='outcome'",
-        "<picture>",
-        "<h2>veiling_glare",
-        "Where the residual is",
-    ]
+    marks = ["session &lt;1&gt;", "class='outcome'", "<picture>", "<h2>veiling_glare", "Where the residual is"]
     places = [page.index(mark) for mark in marks]
     assert places == sorted(places)
     assert page.index("<details>") > places[-1]
-
-
-@pytest.mark.slow
-def test_a_name_says_what_it_is_and_what_shows_it(glaring):
-    """The effect's own sentence, the statistic and covariate in words, a picture, and its size with ±."""
-    page = report_html(glaring, "session", Origin())
-    part = page[page.index("<h2>veiling_glare") : page.index("Where the residual is")]
+    part = page[places[3] : places[4]]
     assert "Spreads a share of all light evenly" in part
     assert "how bright patches are, with the brightness of the patch" in part
     assert "Line: what it predicts" in part
     assert re.search(r"<td>share</td><td>[\d.]+\u00a0±\u00a0[\d.]+</td>", part)
     assert "<p class='do'>" in part
-
-
-@pytest.mark.slow
-def test_nothing_is_loaded_from_elsewhere(glaring):
-    """The page is one file."""
-    page = report_html(glaring, "session", Origin())
     assert not re.findall(r"(?:src|srcset|href)='(?!data:)", page)
     assert "http:" not in page
 
@@ -83,6 +60,7 @@ def test_the_outcome_names_what_was_missing_with_its_size(glaring):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
 def test_the_outcome_of_each_other_verdict(glaring):
     """Agreement with its gap; along what they disagree; names that are provisional."""
     result = glaring.result
@@ -106,6 +84,7 @@ def test_the_outcome_of_each_other_verdict(glaring):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
 def test_rivals_are_reported_in_words(glaring):
     """Each rival with what it is, and that the ± knows nothing of the choice."""
     effect = replace(glaring.result.effects[0], alternatives=("ghost", "another_lab's"))
@@ -125,27 +104,20 @@ async def test_the_page_in_a_browser(glaring, tmp_path):
     await assert_reports_hold({"reconcile": report_html(glaring, HOSTILE, Origin())}, tmp_path)
 
 
-@pytest.mark.parametrize("kind", whole_catalogue().values(), ids=whole_catalogue())
-def test_every_entry_has_words_for_where_it_shows(kind):
+def test_every_entry_has_words_for_where_it_shows():
     """No raw name of a statistic or covariate reaches the reader of an effect's paragraph."""
-    assert seen_in(kind.block) != kind.block
-    assert "_" not in along(kind.where)
-    assert axis_label(kind.where)[0]
-
-
-@pytest.fixture(scope="module")
-def lit_and_dark(make_capture) -> FitState:
-    """Return the fitted start of a session with patches of many levels, gains, temperatures and dark frames."""
-    captured = make_capture(9)
-    return start_of(captured)
+    for name, kind in whole_catalogue().items():
+        assert seen_in(kind.block) != kind.block, name
+        assert "_" not in along(kind.where), name
+        assert axis_label(kind.where)[0], name
 
 
 @pytest.mark.parametrize("kind", [Crosstalk, BlackLevelOffset])
 @pytest.mark.slow
-def test_what_an_entry_does_is_drawn_with_and_without_a_band(lit_and_dark, kind):
+def test_what_an_entry_does_is_drawn_with_and_without_a_band(declared, kind):
     """Also of an entry that shows in two directions at once, such as charge that goes to neighbours."""
     effect = kind()
-    state = with_effects(lit_and_dark, [effect])
+    state = with_effects(declared, [effect])
     assert "residual without it" in plot_along(state, effect.where, effect.block, effect, 0.1)
     assert plot_along(state, "signal", kind.block)
     assert not plot_along(state, "signal", "no such statistic")

@@ -1,12 +1,7 @@
 """Which names a plan cannot tell apart, asked of the captures alone and held against fits."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +12,10 @@ from radiometer.reconciliation import engine
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.candidate_fit import Candidate
 from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.separability import (
     ConfusablePair,
     Directions,
-    Separability,
     asked_sizes,
     left_by_fit,
     noiseless,
@@ -29,7 +23,6 @@ from radiometer.reconciliation.separability import (
 )
 from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
-from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.mains_ripple import MainsRipple
@@ -44,44 +37,44 @@ OTHERS = [{"t": 3e-3, "pattern": "bright"}, {"t": 3e-3, "d": 0.3}, {"t": 0.1, "d
 STRAY = {"veiling_glare", "ambient_light_leak", "display_black_leak"}
 
 
-def _state(make_capture: Callable[..., Any], plan: list[dict[str, Any]]) -> FitState:
+def _state(make_capture, plan):
     captured = make_capture(seed=61, plan=plan)
     return start_of(captured)
 
 
 @pytest.fixture(scope="module")
-def plain(make_capture: Callable[..., Any]) -> FitState:
+def plain(make_capture):
     """Return the starting camera for a bracket of one chart at one level, and its darks."""
     return _state(make_capture, [*BRACKET, *DARKS])
 
 
 @pytest.fixture(scope="module")
-def separated(plain: FitState) -> Separability:
-    """Return what that bracket can tell apart of the whole catalogue, which takes some ten seconds."""
-    return separability(plain, whole_catalogue())
+def separated(plain):
+    """Return what that bracket can tell apart of stray light, flicker, what it is blind to, and others next to them."""
+    others = ("polarisation", "mains_ripple", "pwm_flicker", "exposure_time_offset", "gamma_enabled", "psf_blur")
+    return separability(plain, {name: whole_catalogue()[name] for name in (*sorted(STRAY), *others)})
 
 
-def _sets(found: Separability) -> list[set[str]]:
+def _sets(found):
     return [{entry.name, *entry.others} for entry in found.together]
 
 
 @pytest.mark.slow
-def test_bracket_of_one_chart_cannot_tell_stray_light_apart(separated: Separability) -> None:
+def test_bracket_of_one_chart_cannot_tell_stray_light_apart(separated):
     """A veil, light from the room and a black that glows stand together, and a capture is asked for that shows more."""
     entry = next(entry for entry in separated.together if {entry.name, *entry.others} >= STRAY)
-    assert entry.capture is not None
     assert entry.capture["frames"][0]["shutter"] == "open"
     assert "polarisation" in separated.blind
 
 
 @pytest.mark.slow
-def test_short_exposures_do_not_tell_one_flicker_from_another(separated: Separability) -> None:
+def test_short_exposures_do_not_tell_one_flicker_from_another(separated):
     """Mains and dimming shake frames alike where no exposure holds a period."""
     assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(separated))
 
 
 @pytest.mark.slow
-def test_stated_radiances_count_against_a_name(make_capture: Callable[..., Any]) -> None:
+def test_stated_radiances_count_against_a_name(make_capture):
     """Next to a bright surround, light from the room leaves hundreds of χ² of a veil: of what is stated, too."""
     state, veil = _state(make_capture, [*BRACKET, *DARKS, OTHERS[0]]), VeilingGlare(0.02)
     left, _ = left_by_fit(noiseless(state, veil), veil, Candidate(AmbientLightLeak(0.01), 0.0, 1))
@@ -89,7 +82,7 @@ def test_stated_radiances_count_against_a_name(make_capture: Callable[..., Any])
 
 
 @pytest.mark.slow
-def test_another_surround_level_and_the_source_off_tell_them_apart(make_capture: Callable[..., Any]) -> None:
+def test_another_surround_level_and_the_source_off_tell_them_apart(make_capture):
     """With these captures no two of the three stand together, nor are they blind to any."""
     state = _state(make_capture, [*BRACKET, *DARKS, *OTHERS])
     found = separability(state, {name: whole_catalogue()[name] for name in STRAY})
@@ -99,14 +92,9 @@ def test_another_surround_level_and_the_source_off_tell_them_apart(make_capture:
 
 @pytest.mark.parametrize(
     ("truth", "other", "alike"),
-    [
-        (VeilingGlare(0.004), AmbientLightLeak(0.002), True),
-        (ExposureTimeOffset(8e-6), AmbientLightLeak(0.002), False),
-    ],
+    [(VeilingGlare(0.004), AmbientLightLeak(0.002), True), (ExposureTimeOffset(8e-6), AmbientLightLeak(0.002), False)],
 )
-def test_names_that_stand_together_fit_each_other_without_noise(
-    plain: FitState, truth: CatalogueEffect, other: CatalogueEffect, alike: bool
-) -> None:
+def test_names_that_stand_together_fit_each_other_without_noise(plain, truth, other, alike):
     """Fitted to what a model with the one expects, without noise, the other leaves less than 10 of χ², or hundreds."""
     expected = plain.predicted_with((truth,))
     seen = replace(plain.seen, mean=expected.mean, variance=expected.variance, spatial=expected.spatial)
@@ -117,9 +105,7 @@ def test_names_that_stand_together_fit_each_other_without_noise(
 
 
 @pytest.mark.parametrize(("other", "alike"), [(AmbientLightLeak(0.1), True), (ExposureTimeOffset(8e-6), False)])
-def test_large_effect_is_held_against_fits_to_its_noiseless_data(
-    plain: FitState, other: CatalogueEffect, alike: bool
-) -> None:
+def test_large_effect_is_held_against_fits_to_its_noiseless_data(plain, other, alike):
     """A veil of 30 % is fitted by light from the room to less than 10 of χ², not by a longer exposure."""
     truth = VeilingGlare(0.3)
     exact = noiseless(plain, truth)
@@ -133,31 +119,31 @@ class _FromNothing(AmbientLightLeak):
     """Light from the room whose first start is far below what any frame shows."""
 
     @classmethod
-    def starts(cls, context: Any) -> tuple[CatalogueEffect, ...]:
+    def starts(cls, context):
         """Return a hopeless start and a fair one."""
         return cls(1e-13), cls(0.002)
 
 
-def test_entry_is_asked_about_from_whichever_start_shows(plain: FitState) -> None:
+def test_entry_is_asked_about_from_whichever_start_shows(plain):
     """A first start too small to be scaled up does not make a plan blind to the entry."""
     asked = asked_sizes(plain, {"ambient_light_leak": _FromNothing})
     assert asked["ambient_light_leak"].values()["irradiance_w_m2"] > 1e-9
 
 
-def _brought(state: FitState, effect: CatalogueEffect) -> float:
+def _brought(state, effect):
     """Return the χ² by which an effect stands out of its own noiseless data, all nuisances refitted without it."""
     exact = noiseless(state, effect)
     return refit(exact).cost - refit(with_effects(exact, [effect])).cost
 
 
 @pytest.mark.parametrize("kind", [ExposureTimeOffset, PsfBlur, VeilingGlare])
-def test_entry_is_asked_about_at_twenty_sigma(plain: FitState, kind: type[CatalogueEffect]) -> None:
+def test_entry_is_asked_about_at_twenty_sigma(plain, kind):
     """What is asked about leaves 400 of χ² where it is not fitted, whether it grows in proportion or as a square."""
     effect = asked_sizes(plain, {kind.name: kind})[kind.name]
     assert _brought(plain, effect) == pytest.approx(400.0, rel=0.15)  # looked for to a tenth of ln χ²
 
 
-def test_limit_of_the_signal_is_asked_about_where_it_ends_light(plain: FitState) -> None:
+def test_limit_of_the_signal_is_asked_about_where_it_ends_light(plain):
     """A converter that ends at half its codes cannot be made larger or smaller: it is asked about as it is, or a later
     one that the frames show."""
     effect = asked_sizes(plain, {"adc_saturation": AdcSaturation})["adc_saturation"]
@@ -165,7 +151,7 @@ def test_limit_of_the_signal_is_asked_about_where_it_ends_light(plain: FitState)
     assert _brought(plain, effect) > 400.0
 
 
-def test_limit_is_followed_by_another_whole_and_not_in_part(plain: FitState) -> None:
+def test_limit_is_followed_by_another_whole_and_not_in_part(plain):
     """Half of what a limit ends is no limit: a lower well than another leaves the square of what it takes away more."""
     own = FullWellSaturation(6000.0)
     lower = FullWellSaturation(4500.0)
@@ -181,7 +167,7 @@ def test_limit_is_followed_by_another_whole_and_not_in_part(plain: FitState) -> 
     assert directions.left(target, alone) == pytest.approx((expected, 1.0), rel=1e-6)
 
 
-def test_likeness_by_derivatives_is_held_to_a_fit(plain: FitState) -> None:
+def test_likeness_by_derivatives_is_held_to_a_fit(plain):
     """A lamp that settles within a series is, as a small difference of large changes, what mains do to frames; no such
     lamp does it."""
     shaken = asked_sizes(plain, {"mains_ripple": MainsRipple})["mains_ripple"]
@@ -193,18 +179,11 @@ def test_likeness_by_derivatives_is_held_to_a_fit(plain: FitState) -> None:
 
 
 @pytest.mark.slow
-def test_plan_is_reported_on_the_command_line(
-    make_capture: Callable[..., Any],
-    plain: FitState,
-    separated: Separability,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_plan_is_reported_on_the_command_line(make_capture, plain, separated, tmp_path, capsys, monkeypatch):
     """`--plan-only` asks of the captures alone, gives the sets and what they are blind to, and names nothing."""
-    asked: list[tuple[int, int]] = []
+    asked = []
 
-    def found(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> Separability:
+    def found(state, catalogue):
         asked.append((state.seen.mean.size, len(catalogue)))
         return separated
 

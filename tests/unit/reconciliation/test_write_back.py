@@ -1,11 +1,6 @@
 """The camera model that a reconciliation writes: what was found, with its evidence, switched on where it is sure."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +8,6 @@ import pytest
 from radiometer.reconciliation.engine import examine, whole_catalogue
 from radiometer.reconciliation.inputs.sources import reconciled_model
 from radiometer.reconciliation.result import Verdict
-from radiometer.reconciliation.search.search import Reconciled
 from simulators.chain.camera_model import CameraModel
 
 PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 9)] + [{"t": t, "shutter": "closed"} for t in (1e-4, 1.0)]
@@ -21,7 +15,7 @@ NAME, OFFSET_S = "exposure_time_offset", 8e-6
 
 
 @pytest.fixture(scope="module")
-def late(make_capture: Callable[..., Any]) -> Reconciled:
+def late(make_capture):
     """Return what is found of a camera whose exposures are 8 µs too long, where that is the only entry."""
     captured = make_capture(seed=82, plan=PLAN, exposure=lambda t: t + OFFSET_S)
     entries = {NAME: whole_catalogue()[NAME]}
@@ -29,13 +23,13 @@ def late(make_capture: Callable[..., Any]) -> Reconciled:
     return examine(captured.header, read, captured.frames[0].shape, catalogue=entries, with_limits=False)
 
 
-def entry_of(model: CameraModel) -> Any:
+def entry_of(model):
     """Return the one entry of the effect in a model."""
     (entry,) = [entry for entry in model.entries if entry.effect.name == NAME]
     return entry
 
 
-def test_the_effect_is_written_with_its_value_and_evidence(late: Reconciled, tmp_path: Path) -> None:
+def test_the_effect_is_written_with_its_value_and_evidence(late, tmp_path):
     """Value within 4 u of the truth, u and covariance agree, evidence and capture are named; it all reads back."""
     model = reconciled_model(late, "abc123")
     model.write(tmp_path / "model.yaml")
@@ -54,7 +48,7 @@ def test_the_effect_is_written_with_its_value_and_evidence(late: Reconciled, tmp
     assert entry.notes["found_by"] == "radiometer reconcile"
 
 
-def test_what_may_still_change_its_name_is_switched_off(late: Reconciled) -> None:
+def test_what_may_still_change_its_name_is_switched_off(late):
     """Effects of an incomplete result stand in the file and do nothing, unless provisional ones are asked for."""
     incomplete = replace(late, result=replace(late.result, verdict=Verdict.INCOMPLETE))
     assert not entry_of(reconciled_model(incomplete)).enabled
@@ -62,7 +56,7 @@ def test_what_may_still_change_its_name_is_switched_off(late: Reconciled) -> Non
     assert "capture_sha256" not in entry_of(reconciled_model(incomplete)).notes
 
 
-def test_the_responsivity_goes_into_the_quantum_efficiency(late: Reconciled) -> None:
+def test_the_responsivity_goes_into_the_quantum_efficiency(late):
     """It is the declared one times the fitted factor; what no efficiency can be becomes larger pixels."""
     state = late.outcome.state
     camera = state.design.header.camera
@@ -70,7 +64,5 @@ def test_the_responsivity_goes_into_the_quantum_efficiency(late: Reconciled) -> 
     factor = float(np.exp(state.nuisance.off.log_responsivity))
     declared = camera.quantum_efficiency or 1.0
     efficiency, pitch = model.camera.quantum_efficiency, model.camera.pixel_pitch_um
-    assert efficiency is not None
-    assert pitch is not None
     assert 0.0 < efficiency <= 1.0
     assert efficiency * pitch**2 == pytest.approx(declared * factor * (camera.pixel_pitch_um or 1.0) ** 2, rel=1e-6)

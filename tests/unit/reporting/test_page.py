@@ -33,24 +33,14 @@ def test_no_text_becomes_markup():
     assert "&amp;amp;" in whole
 
 
-def test_a_page_forbids_scripts_and_loading():
-    """The browser learns that nothing but the page's own style and pictures may be used."""
-    whole = page("a", "b", [], kind="c", origin=Origin())
+def test_a_page_forbids_scripts_and_its_outcome_comes_before_the_parts():
+    """Nothing but its own style and pictures may be used; subject, outcome, parts in order, empty ones passed by."""
+    parts = [paragraph("first"), "", section("empty"), section("last", "x")]
+    whole = page("subject", "outcome", parts, kind="k", origin=Origin())
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', whole)
     assert policy is not None
     assert policy[1] == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     assert whole.index("Content-Security-Policy") < whole.index("<style>")
-
-
-def test_the_outcome_comes_before_the_parts_and_empty_ones_are_passed_by():
-    """Subject, outcome, parts in their order."""
-    whole = page(
-        "subject",
-        "outcome",
-        [paragraph("first"), "", section("empty"), section("last", "x")],
-        kind="k",
-        origin=Origin(),
-    )
     places = [whole.index(text) for text in ("subject</h1>", "outcome</p>", "<p>first</p>", "<h2>last</h2>")]
     assert places == sorted(places)
     assert ">empty" not in whole
@@ -71,10 +61,11 @@ def test_every_page_states_what_its_data_come_from_and_what_is_not_known():
 
 
 def test_prose_has_printed_signs_and_keeps_numbers_together():
-    """A minus is no hyphen, and no line breaks within a value; names keep their hyphens."""
+    """A minus is no hyphen, no line breaks within a value, names keep their hyphens; one too long ends in dots."""
     assert prose("-0.5 ± 0.1 %, k = 2") == "−0.5\u00a0±\u00a00.1\u00a0%, k\u00a0=\u00a02"
     assert prose("S-12, 2026-11-22, a-b, DN/e-") == "S-12, 2026-11-22, a-b, DN/e⁻"
     assert escaped("-0.5 %") == "-0.5 %"
+    assert [shortened(text, 6) for text in ("abcdef", "abcdefg")] == ["abcdef", "abcde…"]
 
 
 @pytest.mark.slow
@@ -98,12 +89,6 @@ def test_a_picture_shows_hostile_names_in_both_forms():
         assert not [one for one in tree.iter() if one.tag.endswith(("script", "foreignObject"))]
     assert widths == ["288pt", "432pt"]
     assert "media='(max-width:640px)'" in made
-
-
-def test_a_long_name_is_shortened():
-    """The last of so many characters shows that there were more."""
-    assert shortened("abcdef", 6) == "abcdef"
-    assert shortened("abcdefg", 6) == "abcde…"
 
 
 @pytest.mark.parametrize(("last", "scale"), [(1.06, "linear"), (2.0, "linear"), (2.5, "log"), (300.0, "log")])
@@ -137,8 +122,15 @@ def _bench(folder, radiance):
 
 @pytest.mark.slow
 def test_page_of_a_reading_holds_what_the_book_needs_and_loads_nothing(tmp_path):
-    """Value with U and k as `print` gives them, patch, calibration with date and reference, assumptions, version."""
-    page = tmp_path / "page.html"
+    """Value with U and k as `print` gives them, patch, calibration with date and reference, assumptions, version.
+
+    A .pdf is one sheet of PDF; another ending is misuse before anything is measured.
+    """
+    page, pdf = tmp_path / "page.html", tmp_path / "page.pdf"
+    rm.measure(bench=_bench(tmp_path, 0.3), report=pdf)
+    assert pdf.read_bytes().startswith(b"%PDF-")
+    with pytest.raises(rm.UsageError, match=r"\.html or \.pdf"):
+        rm.measure(bench=_bench(tmp_path, 0.3), report=tmp_path / "page.docx")
     reading = rm.measure(bench=_bench(tmp_path, 0.3), report=page)
     text = page.read_text(encoding="utf-8").replace("\u00a0", " ")
     assert str(reading).partition(" [")[0] in text
@@ -152,15 +144,6 @@ def test_page_of_a_reading_holds_what_the_book_needs_and_loads_nothing(tmp_path)
     assert all(one in text for one in expected)
     assert all(one in text for one in reading.more["assumptions"])
     assert not re.search(r"(?:src|href)=.https?:|<script", text)
-
-
-@pytest.mark.slow
-def test_page_is_written_as_pdf(tmp_path):
-    """A .pdf is one sheet of PDF; another ending is misuse before anything is measured."""
-    rm.measure(bench=_bench(tmp_path, 0.3), report=tmp_path / "page.pdf")
-    assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF-")
-    with pytest.raises(rm.UsageError, match=r"\.html or \.pdf"):
-        rm.measure(bench=_bench(tmp_path, 0.3), report=tmp_path / "page.docx")
 
 
 @pytest.mark.slow

@@ -11,6 +11,9 @@ from astropy.io import fits
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from testing.edge_devices import dng_bytes
+from testing.photograph_folder import write_photographs
+
 SECONDS = (0.01, 0.02, 0.05, 0.1)
 _MATRIX = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
 
@@ -57,11 +60,9 @@ def exposure_tag(seconds: float) -> tuple[Any, ...]:
     return (33434, "2I", 1, (round(seconds * 1e6), 1_000_000), True)
 
 
-def black_level(folder: Path, *forms: tuple[Any, ...]) -> Path:
-    """Write frames of a black level of 256 DN, stated as the tags say."""
-    for seconds in SECONDS:
-        tiff(folder / f"l_{seconds}.tif", [flat(256 + 2e4 * seconds)], [[exposure_tag(seconds), *forms]])
-    return folder
+def stack(folder: Path, name: str = "s.tif") -> Path:
+    """Write a TIFF of four pages, each with its exposure, which its name does not hold."""
+    return tiff(folder / name, [flat(256 + 2e4 * s) for s in SECONDS], [[exposure_tag(s)] for s in SECONDS])
 
 
 def ome(path: Path, unit: str, per_ms: float, places: Sequence[tuple[int, int]], sizes: tuple[int, int]) -> Path:
@@ -123,52 +124,45 @@ def raw_photographs(folder: Path, photometric: int = 32803) -> Path:
     return folder
 
 
+def fits_series(folder: Path, shots: Iterable[tuple[str, float, Any]], **cards: Any) -> Path:
+    """Write FITS frames of kind, exposure in s and digital numbers, shape (height, width), with the same cards."""
+    folder.mkdir(exist_ok=True)
+    for kind, seconds, dn in shots:
+        unit = fits.PrimaryHDU(np.rint(dn).clip(0, 65_535).astype(np.uint16))
+        unit.header.update(
+            {"EXPTIME": seconds, "IMAGETYP": kind, **{key.replace("_", "-"): one for key, one in cards.items()}}
+        )
+        unit.writeto(folder / f"{len(list(folder.iterdir())):02d}.fits")
+    return folder
+
+
 def ramp_bracket(folder: Path, top: int, step: int = 1, **cards: Any) -> Path:
     """Write FITS frames and darks of a ramp of 800 000 DN/s above 500 DN that saturates at a digital number."""
-    folder.mkdir(exist_ok=True)
     rng = np.random.default_rng(6)
-    ramp = np.linspace(0.02, 1, 96)[None, :] * np.ones((64, 1))
-    for n, seconds in enumerate((1 / 256, 1 / 64, 1 / 16, 1 / 4)):
-        for kind, rate in (("Light", 8e5), ("Dark", 0.0)):
-            mean = rate * seconds * ramp
-            dn = np.minimum(500 + rng.normal(mean, np.sqrt(0.5 * mean + 9)), top)
-            unit = fits.PrimaryHDU((np.floor(dn / step) * step).clip(0, 65_535).astype(np.uint16))
-            unit.header.update(EXPTIME=seconds, IMAGETYP=kind, **cards)
-            unit.writeto(folder / f"{kind}{n}.fits")
-    return folder
-
-
-def fits_series(folder: Path, shots: Iterable[tuple[str, float, Any]]) -> Path:
-    """Write FITS frames of kind, exposure in s and digital numbers, shape (height, width)."""
-    folder.mkdir()
-    for n, (kind, seconds, dn) in enumerate(shots):
-        unit = fits.PrimaryHDU(np.rint(dn).clip(0, 65_535).astype(np.uint16))
-        unit.header.update({"EXPTIME": seconds, "IMAGETYP": kind})
-        unit.writeto(folder / f"{n:02d}.fits")
-    return folder
+    means = [
+        (kind, seconds, rate * seconds * np.linspace(0.02, 1, 96)[None, :] * np.ones((64, 1)))
+        for seconds in (1 / 256, 1 / 64, 1 / 16, 1 / 4)
+        for kind, rate in (("Light", 8e5), ("Dark", 0.0))
+    ]
+    drawn = ((kind, s, np.minimum(500 + rng.normal(mean, np.sqrt(0.5 * mean + 9)), top)) for kind, s, mean in means)
+    return fits_series(folder, ((kind, s, np.floor(dn / step) * step) for kind, s, dn in drawn), **cards)
 
 
 def raw_ramp(folder: Path, spread_dn: float, strays: int) -> Path:
     """Write DNG of a ramp of 240 000 DN/s in green whose sensor saturates at 15 780 DN, the tag stating 16 383."""
     rng = np.random.default_rng(3)
-    times = (1 / 256, 1 / 64, 1 / 16, 1 / 4)
+    times, files = (1 / 256, 1 / 64, 1 / 16, 1 / 4), []
     colour = np.ones((128, 192))
     colour[0::2, 0::2], colour[1::2, 1::2] = 0.5, 0.3
-    for n, seconds in enumerate(times):
+    for seconds in times:
         mean = 240_000 * seconds * np.linspace(0.02, 1, 192)[None, :] * colour
         dn = 600 + rng.normal(mean, np.sqrt(0.3 * mean + 9))
         dn = np.minimum(dn, 15_780 + rng.normal(0.0, spread_dn, dn.shape))
         full = np.flatnonzero(dn.ravel() >= 15_779)
         if full.size > strays:
             dn.ravel()[rng.choice(full, strays, replace=False)] = rng.integers(15_780, 16_180, strays)
-        tags = [
-            (50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Test Camera", True), (33421, "H", 2, (2, 2), True),
-            (33422, "B", 4, (0, 1, 1, 2), True), (50714, "H", 1, 600, True), (50717, "I", 1, 16_383, True),
-            (50721, "2i", 9, _MATRIX, True), (50728, "2I", 3, (1, 1) * 3, True), (50778, "H", 1, 21, True),
-        ]  # fmt: skip
-        tiff(folder / f"p{n}.dng", [np.rint(dn).clip(0, 16_383)], [tags], photometric=32803)
-    (folder / "exposures.txt").write_text("".join(f"p{n}.dng {seconds}\n" for n, seconds in enumerate(times)))
-    return folder
+        files.append(dng_bytes(np.rint(dn).clip(0, 16_383).astype(np.uint16), 600, 16_383))
+    return write_photographs(folder, files, times, ".dng")
 
 
 def steady_log(path: Path, seed: int) -> Path:
@@ -190,15 +184,13 @@ def steady_log(path: Path, seed: int) -> Path:
 
 def light_and_dark(folder: Path, seconds: Sequence[float], celsius: float) -> Path:
     """Write a ramp of 10 000 DN/s at −10 °C with 1000 DN/s of dark signal, and dark frames; it doubles every 7 K."""
-    folder.mkdir()
     rng = np.random.default_rng(5)
     ramp, dark = 1e4 * np.linspace(0.1, 1.0, 64)[None, :] * np.ones((48, 1)), 1000.0
-    lights = [("Light", t, -10.0, (ramp + dark) * t) for t in SECONDS]
     warm = dark * 2.0 ** ((celsius + 10.0) / 7.0)
-    darks = [("Dark", t, celsius, warm * t * np.ones_like(ramp)) for t in seconds for _ in range(3)]
-    for n, (kind, exposure, temperature, signal) in enumerate((*lights, *darks)):
-        dn = np.rint(500 + rng.normal(signal, np.sqrt(0.5 * signal + 9)))
-        unit = fits.PrimaryHDU(dn.clip(0, 65_535).astype(np.uint16))
-        unit.header.update({"EXPTIME": exposure, "IMAGETYP": kind, "CCD-TEMP": temperature})
-        unit.writeto(folder / f"{n:02d}.fits")
-    return folder
+
+    def drawn(kind: str, exposure: float, rate: Any) -> tuple[str, float, Any]:
+        return kind, exposure, 500 + rng.normal(rate * exposure, np.sqrt(0.5 * rate * exposure + 9))
+
+    fits_series(folder, (drawn("Light", t, ramp + dark) for t in SECONDS), CCD_TEMP=-10.0)
+    darks = (drawn("Dark", t, warm * np.ones_like(ramp)) for t in seconds for _ in range(3))
+    return fits_series(folder, darks, CCD_TEMP=celsius)

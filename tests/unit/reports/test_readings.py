@@ -12,16 +12,18 @@ import pytest
 import tifffile
 from astropy.io import fits
 
-from radiometer.adaptation.threshold_files import read_table as read_thresholds
-from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.errors import RadiometerError
-from radiometer.importing import import_sources, open_capture, statistics_of
-from radiometer.importing.log_table import read_log
-from radiometer.importing.photograph_times import read_list
-from radiometer.importing.record import record_in
-from radiometer.reconciliation.inputs.tables import reconcile_meter_table
-from radiometer.screen.measured_elsewhere import read_screen_readings
 from tests.unit.reports import inputs
+from tests.unit.reports.readers import (
+    read_image,
+    read_means,
+    read_meter,
+    read_nights,
+    read_screen,
+    read_spectrum,
+    read_thresholds,
+    read_times,
+)
 
 LEVEL = 900
 Facts = dict[str, Any]
@@ -174,20 +176,10 @@ def signed(folder):
     return folder / "a_8ms.tif"
 
 
-def read_image(path):
-    """Return facts of the first frame, and doubts."""
-    header = import_sources([path])[0].header
-    entry, frames = header.frames[0], open_capture(path)
-    facts = {"s": entry.exposure_s, "dB": entry.gain_db, "black": entry.black_level_dn, "f": entry.f_number}
-    facts |= {"C": entry.temperature_C, "shutter": str(entry.shutter), "bits": header.camera.bit_depth}
-    facts |= {"last": float(frames.read_frame(len(header.frames) - 1).dn.mean()), "frames": len(header.frames)}
-    facts["e/DN"] = header.camera.conversion_gain_e_per_dn
-    return facts, " ".join(record_in(header).doubts)
-
-
 GAIN = '<Channel ID="Channel:0:0" SamplesPerPixel="1"><DetectorSettings ID="D" Gain="100"/></Channel>'
 CODES = np.random.default_rng(0).integers(500, 900, (64, 64)).astype(np.uint16)
 COLOURS = np.stack([flat(), flat(level=400), flat(level=200)])
+SHORTS = (50713, "H", 2, (2, 2), True)
 STEPS = tuple(range(0, 4096, 4))
 IMAGES: dict[str, tuple[Any, Facts, str]] = {
     "astroufsc/chimera/issues/102": (in_fits({"EXPTIME": -1.0, "IMAGETYP": "bias"}), {"s": 0.0}, ""),
@@ -279,6 +271,20 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
     "a temperature of the air": (in_fits({"TEMP": (31.0, "[C] ambient temperature")}), {"C": None}, ""),
     "a stack of another program": (in_fits({"NSTACK": 16}), {}, "16 frames were combined"),
     "ilastik/ilastik/issues/3092": (in_ome('ExposureTime="500" ExposureTimeUnit=""'), {}, "refused: exposure"),
+    "sunpy/sunpy/pull/4882": (in_fits({"EXPTIME": 8.0, "TIMEUNIT": "ms"}), {"s": 0.008}, ""),
+    "sunpy/sunpy/issues/6513": (in_fits({"EXPTIME": None, "XPOSURE": 0.008}), {"s": 0.008}, ""),
+    "nfo.edu": (in_fits({"EXPTIME": (8.0, "exposure time in ms")}), {"s": 0.008}, ""),
+    "AstroDMx": (in_fits({"EXPTIME": None, "EXPOINUS": 8000}), {"s": 0.008}, ""),
+    "haraldk/TwelveMonkeys/issues/412": (inputs.stack, {"all s": list(inputs.SECONDS)}, ""),
+    "black levels as shorts": (in_tiff(SHORTS, (50714, "H", 4, (256,) * 4, True)), {"black": 256.0}, ""),
+    "timothybrooks/hdr-plus/issues/58": (
+        in_tiff(SHORTS, (50714, "2I", 4, (256, 1) * 4, True)), {"black": 256.0}, ""),
+    "darktable-org/rawspeed/pull/216": (
+        in_tiff((50713, "H", 2, (1, 2), True), (50714, "H", 2, (256, 256), True)), {"black": 256.0}, ""),
+    "dnglab/dnglab/issues/820": (
+        in_tiff((50714, "2I", 1, (0, 1), True), (50716, "2i", 16, (256, 1) * 16, True)), {"black": 256.0}, ""),
+    "black level deltas by column": (
+        in_tiff((50714, "I", 1, 200, True), (50715, "2i", 24, (56, 1) * 24, True)), {"black": 256.0}, ""),
 }  # fmt: skip
 
 
@@ -342,60 +348,12 @@ def thresholds(heading, of_log):
     return "\n".join([heading, *(f"{t},{of_log(v):.6g}" for t, v in zip(MINUTES, LOGS, strict=True))]) + "\n"
 
 
-def read_spectrum(path):
-    """Return the mean wavelength."""
-    found = spectrum_from_csv(path)
-    return {"nm": float(found.wavelength_nm @ found.power / found.power.sum())}, ""
-
-
-def read_screen(path):
-    """Return the luminance of black, of level 120 and of white."""
-    found = read_screen_readings(path)
-    return {str(n): float(np.mean(found.grey[n])) for n in (0, 120, 255)}, " ".join(found.doubts)
-
-
-def read_times(path):
-    """Return the exposure of a listed photograph."""
-    return {"s": read_list(path)["p.jpg"].exposure_s}, ""
-
-
-def read_nights(path):
-    """Return what a log has."""
-    log = read_log(path)
-    facts = {"rows": log.size, "C": None if log.temperature_c is None else float(log.temperature_c[0])}
-    return facts | {"s": float(log.exposure_s[0])}, " ".join(a for a in log.assumptions if "Unihedron" not in a)
-
-
-def read_meter(path):
-    """Return what readings of a light meter hold."""
-    found = reconcile_meter_table(path)
-    row = found.rows[0]
-    remarks = found.result.extra["remarks"]
-    return {"cd/m2": row.luminance_cd_m2, "s": row.time_s, "iso": row.iso}, " ".join(
-        remark for remark in remarks if "unit" in remark
-    )
-
-
-def read_means(path):
-    """Return the first row of a table of statistics."""
-    header = statistics_of(path)
-    assert header is not None
-    row = header.statistics[0]
-    return {"s": row.exposure_s, "mean": row.mean_dn, "var": row.variance_dn2}, " ".join(record_in(header).doubts)
-
-
-def read_dark_adaptation(path):
-    """Return the first threshold."""
-    first = read_thresholds(path).rows[0]
-    return {"min": float(first[0]), "log": float(first[1])}, ""
-
-
 WHITE = 'LUMINANCE_XYZ_CDM2 "218.7 230.2 253.2"'
 NM_MEAN = {"nm": float(np.array(NM) @ POWER / np.sum(POWER))}
 SCREEN = {"0": 0.2, "120": LIGHT[8], "255": 230.2}
 METER = {"cd/m2": 1000.0, "s": 0.008, "iso": 100.0}
 SKY = "utc,adu,exposure_s,temperature_c,sqm"
-CURVE = {"min": 0.5, "log": -1.0}
+CURVE = {"min 0": 0.5, "log 0": -1.0}
 PAIR = "1000,8,1/125,100\n2000,8,1/250,100\n"
 TABLES: dict[str, tuple[Any, str, Facts, str]] = {
     "astropy/specreduce/issues/174": (
@@ -451,6 +409,13 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
         read_screen, levels("level,Lv", lambda n, v: f"{n * 4095 / 255:.0f},{v}"), {}, "refused: 4095"),
     "levels up to 100": (
         read_screen, levels("level,Lv", lambda n, v: f"{n * 100 / 255:.4f},{v}"), {}, "refused: without a unit"),
+    "jasp-stats/jasp-issues/issues/3608": (
+        read_screen, levels("Stufe;Leuchtdichte", lambda n, v: f"{n};{v:.3f}".replace(".", ",")), SCREEN, "no unit"),
+    "a running number": (
+        read_screen, levels("No,level,Lv (cd/m2)", lambda n, v: f"{n // 15 + 1},{n},{v:.4f}"), SCREEN, ""),
+    "pkgforge-dev/Anylinux-AppImages/issues/390": (
+        read_screen, levels("R,G,B,cd/m2", lambda n, v: f"{n},{n},{n},{v:.4f}"), SCREEN, ""),
+    "columns swapped": (read_screen, levels("luminance,level", lambda n, v: f"{v:.4f},{n}"), SCREEN, "no unit"),
     "a second line of units": (
         read_screen, levels("level,Lv\n[8bit],[mcd/m2]", lambda n, v: f"{n},{1e3 * v}"), SCREEN, ""),
     "BurntSushi/xsv/issues/245": (
@@ -468,7 +433,7 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
     "indilib/indi-3rdparty/pull/203": (read_times, "p.jpg 1m\n", {}, "refused: 1m"),
     "horshack-dpreview/Canomate/issues/3": (read_times, 'p.jpg 30"\n', {}, "refused: 30"),
     "a decimal comma and a unit": (read_times, "p.jpg 2,5s\n", {}, "refused: decimal comma"),
-    "gphoto/gphoto2/issues/326": (read_times, "p.jpg 3.8s\n", {"s": 3.8}, ""),
+    "gphoto/gphoto2/issues/326": (read_times, "p.jpg 3.8s\n", {"p.jpg": 3.8}, ""),
     "a time beyond all": (read_times, "p.jpg 1e30\n", {}, r"refused: 1e\+09 s"),
     "astrorama/SourceXtractorPlusPlus/pull/113": (
         read_nights, nights(SKY, lambda k: f"{3e4 + k},0.5,20,{99.99 if k == 2 else 20 + k / 10}"), {"rows": 16},
@@ -479,7 +444,7 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
         {"rows": 16}, "the gain is unknown"),
     "a time of 65535": (read_means, "exposure_ms,mean,variance\n65535,120,4\n2,140,5\n5,200,6\n", {}, "refused: 65535"),
     "logarithms of ucd/m2": (
-        read_dark_adaptation, thresholds("time_min,log threshold (ucd/m2)", lambda v: v + 6), CURVE, ""),
+        read_thresholds, thresholds("time_min,log threshold (ucd/m2)", lambda v: v + 6), CURVE, ""),
     "Argyll relative": (read_screen, ti3(f'{WHITE}\nNORMALIZED_TO_Y_100 "YES"', 100 / 230.2), SCREEN, ""),
     "Argyll absolute": (read_screen, ti3('NORMALIZED_TO_Y_100 "NO"', 1.0), SCREEN, ""),
     "old Argyll, relative": (read_screen, ti3(WHITE, 100 / 230.2), SCREEN, ""),
@@ -494,13 +459,14 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
         read_screen, levels("level,x,y,Y (cd/m2)", lambda n, v: f"{n},0.313,0.329,{v:.4f}"), SCREEN, ""),
     "lux": (read_screen, levels("level,illuminance (lx)", lambda n, v: f"{n},{v}"), {}, "refused: luminance"),
     "no reading": (read_screen, levels("level,Lv", lambda n, v: f"{n},{v if n else -1}"), {}, "refused: missing"),
-    "blanks about the stroke": (read_times, "p.jpg 1 / 125\n", {"s": 0.008}, ""),
-    "milliseconds in the heading": (read_times, "file;time [ms]\np.jpg;8\n", {"s": 0.008}, ""),
+    "blanks about the stroke": (read_times, "p.jpg 1 / 125\n", {"p.jpg": 0.008}, ""),
+    "milliseconds in the heading": (read_times, "file;time [ms]\np.jpg;8\n", {"p.jpg": 0.008}, ""),
     "another column second": (read_times, "file,iso,time\np.jpg,100,0.008\n", {}, "refused: iso"),
     "stops": (read_times, "file,Tv\np.jpg,7\n", {}, "refused: Tv"),
     "a decimal comma in a list": (read_times, "p.jpg;0,008\n", {}, "refused: decimal comma"),
     "sensor in Fahrenheit": (
-        read_nights, nights("utc,adu,exposure_s,temp (F),sqm", lambda k: f"{3e4 + k},0.5,68,20.{k}"), {"C": 20.0}, ""),
+        read_nights, nights(SKY.replace("temperature_c", "temp (F)"), lambda k: f"{3e4 + k},0.5,68,20.{k}"),
+        {"C 0": 20.0}, ""),
     "0 mag is no reading": (
         read_nights, nights(SKY, lambda k: f"{3e4 + k},0.5,20,{0 if k == 2 else 20}.{0 if k == 2 else k}"),
         {"rows": 16}, "0 mag is no reading"),
@@ -519,15 +485,15 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
         read_meter, "luminance,f_number,time,iso\n100,8,1/125,100/21°\n200,8,1/250,100/21°\n", {}, "refused: 100/21"),
     "shares of full scale": (
         read_means, "exposure_ms,mean,variance\n1,0.03,1e-6\n2,0.05,2e-6\n5,0.2,5e-6\n", {}, "refused: shares of"),
-    "a standard deviation": (read_means, "exposure_ms,mean,std\n1,120,4\n2,140,5\n5,200,6\n", {"var": 16.0}, ""),
+    "a standard deviation": (read_means, "exposure_ms,mean,std\n1,120,4\n2,140,5\n5,200,6\n", {"var 0": 16.0}, ""),
     "natural logarithms": (
-        read_dark_adaptation, thresholds("time_min,ln threshold", lambda v: v * np.log(10.0)), CURVE, ""),
+        read_thresholds, thresholds("time_min,ln threshold", lambda v: v * np.log(10.0)), CURVE, ""),
     "thresholds in mcd/m2": (
-        read_dark_adaptation, thresholds("time_min,threshold (mcd/m2)", lambda v: 1e3 * 10**v), CURVE, ""),
+        read_thresholds, thresholds("time_min,threshold (mcd/m2)", lambda v: 1e3 * 10**v), CURVE, ""),
     "logarithms of mcd/m2": (
-        read_dark_adaptation, thresholds("time_min,log threshold (mcd/m2)", lambda v: v + 3), CURVE, ""),
+        read_thresholds, thresholds("time_min,log threshold (mcd/m2)", lambda v: v + 3), CURVE, ""),
     "thresholds of two eyes": (
-        read_dark_adaptation, "eye,time_min,log10_threshold\nOD,1,-1\nOS,2,-2\nOD,3,-3\n", {}, "refused: several .eye"),
+        read_thresholds, "eye,time_min,log10_threshold\nOD,1,-1\nOS,2,-2\nOD,3,-3\n", {}, "refused: several .eye"),
     "statistics of three colours": (
         read_means, "channel,exposure_ms,mean,variance\nR,1,120,4\nG,1,240,8\nB,1,60,2\n", {}, "refused: several"),
     "temperatures without a unit": (
@@ -538,9 +504,9 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
     "times of a zone": (
         read_nights, nights("time (CET),adu,exposure_s,sqm", lambda k: f"{3e4 + k},0.5,20.{k}"), {}, "refused: CET"),
     "thresholds whose u is of logarithms": (
-        read_dark_adaptation, "time_min,threshold (mcd/m2),u_log10\n0.5,100,0.1\n2,10,0.1\n", CURVE, ""),
+        read_thresholds, "time_min,threshold (mcd/m2),u_log10\n0.5,100,0.1\n2,10,0.1\n", CURVE, ""),
     "apostilbs": (
-        read_dark_adaptation, thresholds("time_min,threshold (asb)", lambda v: np.pi * 10**v), CURVE, ""),
+        read_thresholds, thresholds("time_min,threshold (asb)", lambda v: np.pi * 10**v), CURVE, ""),
 }  # fmt: skip
 
 

@@ -18,7 +18,6 @@ from radiometer.data import CaptureSet, ResponseCurve
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 from tests.unit.reports import inputs
 
-SHORTS, RATIONALS = (50713, "H", 2, (2, 2), True), (50714, "2I", 4, (256, 1) * 4, True)
 SERIES, CHANNELS_FIRST = [(0, t) for t in range(4)], [(0, 0), (0, 1), (1, 0), (1, 1)]
 
 
@@ -26,26 +25,6 @@ def imported(source: Path, out: Path, *words: str) -> CaptureSet:
     """Return what `radiometer import` writes of a source."""
     assert run(["import", str(source), "-o", str(out), *words]) == 0
     return CaptureSet.read(out)
-
-
-TIMES = {
-    "sunpy/sunpy/pull/4882 TIMEUNIT": lambda p: inputs.fits_frames(p, lambda s: {"EXPTIME": 1e3 * s, "TIMEUNIT": "ms"}),
-    "sunpy/sunpy/issues/6513 XPOSURE": lambda p: inputs.fits_frames(p, lambda s: {"XPOSURE": s}),
-    "nfo.edu EXPTIME in ms": lambda p: inputs.fits_frames(p, lambda s: {"EXPTIME": (1e3 * s, "exposure time in ms")}),
-    "AstroDMx EXPOINUS": lambda p: inputs.fits_frames(p, lambda s: {"EXPOINUS": round(1e6 * s)}),
-    "haraldk/TwelveMonkeys/issues/412": lambda p: inputs.tiff(
-        p / "s.tif",
-        [inputs.flat(256 + 2e4 * s) for s in inputs.SECONDS],
-        [[inputs.exposure_tag(s)] for s in inputs.SECONDS],
-    ),
-}
-
-
-@pytest.mark.parametrize("make", TIMES.values(), ids=TIMES)
-def test_exposures_have_the_unit_that_the_file_states(make, tmp_path):
-    """10, 20, 50 and 100 ms, each page and file its own."""
-    found = imported(make(tmp_path / "in"), tmp_path / "out")
-    assert sorted({e.exposure_s for e in found.header.frames}) == pytest.approx(inputs.SECONDS)
 
 
 @pytest.mark.parametrize(
@@ -66,22 +45,6 @@ def test_exposures_of_ome_planes_are_those_of_their_pages(unit, per_ms, places, 
 
 
 @pytest.mark.parametrize(
-    "forms",
-    [
-        [SHORTS, (50714, "H", 4, (256,) * 4, True)],
-        [SHORTS, RATIONALS],  # timothybrooks/hdr-plus/issues/58
-        [(50713, "H", 2, (1, 2), True), (50714, "H", 2, (256, 256), True)],  # darktable-org/rawspeed/pull/216
-        [(50714, "2I", 1, (0, 1), True), (50716, "2i", 48, (256, 1) * 48, True)],  # dnglab/dnglab/issues/820
-        [(50714, "I", 1, 200, True), (50715, "2i", 64, (56, 1) * 64, True)],
-    ],
-)
-def test_black_levels_of_all_forms_of_dng(forms, tmp_path):
-    """256 DN, as shorts, rationals, one or several, with deltas by row or column."""
-    found = imported(inputs.black_level(tmp_path / "in", *forms), tmp_path / "out")
-    assert {e.black_level_dn for e in found.header.frames} == {256.0}
-
-
-@pytest.mark.parametrize(
     ("cards", "other", "differing"),
     [
         ({"GAIN": 0, "OFFSET": 10}, {"GAIN": 60, "OFFSET": 10}, "GAIN_60"),  # deepskystacker/DSS/issues/56
@@ -98,27 +61,6 @@ def test_settings_of_unknown_unit_are_never_pooled(cards, other, differing, tmp_
     assert run(["import", str(folder), "-o", str(tmp_path / "out")]) == 0
     levels = sorted(float(np.median(CaptureSet.read(one).read_frame(0).dn)) for one in (tmp_path / "out").iterdir())
     assert len(levels) == 2
-
-
-SCREENS = {
-    "point": ("level,luminance", lambda i, n, v: f"{n},{v:.3f}", False),
-    "jasp-stats/jasp-issues/issues/3608": ("Stufe;Leuchtdichte", lambda i, n, v: f"{n};{v:.3f}", True),
-    "running number": ("No,level,Lv (cd/m2)", lambda i, n, v: f"{i},{n},{v:.3f}", False),
-    "pkgforge-dev/Anylinux-AppImages/issues/390": ("R,G,B,cd/m2", lambda i, n, v: f"{n},{n},{n},{v:.3f}", False),
-    "swapped": ("luminance,level", lambda i, n, v: f"{v:.3f},{n}", False),
-    "millicandela": ("level\tL [mcd/m2]", lambda i, n, v: f"{n}\t{1e3 * v:.1f}", False),
-}
-
-
-@pytest.mark.parametrize("form", SCREENS.values(), ids=SCREENS)
-def test_tables_of_a_screen_are_read_by_their_headings(form, tmp_path):
-    """Black 0.20, level 120 at 43.9 and white 230.2 cd/m²."""
-    heading, row, comma = form
-    file = inputs.screen(tmp_path / "s.csv", heading, row, comma=comma)
-    assert run(["screen", "import", str(file), "-o", str(tmp_path / "s.yaml")]) == 0
-    curve = ScreenCalibration.read(tmp_path / "s.yaml").channel("grey")
-    expected = [0.2 + 230 * (n / 255) ** 2.2 for n in (0, 120, 255)]
-    assert [curve.at(n, LUMINANCE).value for n in (0, 120, 255)] == pytest.approx(expected, rel=1e-2)
 
 
 def test_the_iso_speed_65535_means_more(tmp_path):
@@ -152,8 +94,7 @@ def test_lzw_compression_is_read(tmp_path):
 def test_a_stack_among_photographs_is_not_read_by_its_first_page(tmp_path, capsys):
     """Its pages may have other exposures (haraldk/TwelveMonkeys/issues/412): the command that reads all is named."""
     for n in range(2):
-        pages = [inputs.flat(256 + 2e4 * s) for s in inputs.SECONDS]
-        inputs.tiff(tmp_path / "p" / f"{n}.tif", pages, [[inputs.exposure_tag(s)] for s in inputs.SECONDS])
+        inputs.stack(tmp_path / "p", f"{n}.tif")
     assert run(["merge", str(tmp_path / "p"), "-o", str(tmp_path / "o.tiff")]) == 1
     assert "radiometer import" in capsys.readouterr().err
 

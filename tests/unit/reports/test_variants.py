@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +20,21 @@ from astropy.io import fits
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from radiometer.adaptation.threshold_files import read_table as read_thresholds
-from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.data.raw_files import read_raw_colours
 from radiometer.errors import RadiometerError
-from radiometer.importing import import_sources, statistics_of
 from radiometer.importing.emva_listing import EmvaListing
-from radiometer.importing.log_table import read_log
-from radiometer.importing.photograph_times import read_exif, read_list
-from radiometer.importing.record import record_in
-from radiometer.reconciliation.inputs.tables import reconcile_meter_table
-from radiometer.screen.measured_elsewhere import read_screen_readings
+from radiometer.importing.photograph_times import read_exif
+from tests.unit.reports.readers import (
+    Read,
+    read_import,
+    read_means,
+    read_meter,
+    read_nights,
+    read_screen,
+    read_spectrum,
+    read_thresholds,
+    read_times,
+)
 
 # Written down anew and not taken from the product: what each spelling means in s. None: no unit of time.
 TIME_UNITS = {
@@ -46,42 +50,33 @@ EXPOSURES = (0.02, 0.5, 3.0)
 SAME_REL = 0.01
 
 
-@dataclass(frozen=True)
-class Read:
-    """What a reader gives: values by name, and what it doubts."""
-
-    values: dict[str, Any]
-    doubts: tuple[str, ...] = ()
+# The values a file is made with, what writes it into a folder and returns its path, and the reader.
+Variant = tuple[dict[str, Any], Callable[[Path], Path], Callable[[Path], Read]]
 
 
-def check(truth: dict[str, Any], read: Callable[[], Read]) -> None:
+def text_file(name: str, text: str) -> Callable[[Path], Path]:
+    """Return what writes a text."""
+
+    def write(folder: Path) -> Path:
+        (folder / name).write_text(text, encoding="utf-8")
+        return folder / name
+
+    return write
+
+
+def check(truth: dict[str, Any], read: Callable[[Path], Read], path: Path) -> None:
     """Check that a file is refused, doubted, or read as it was made; what is unknown may be missing."""
     try:
-        found = read()
+        found, doubts = read(path)
     except RadiometerError as error:
-        found = Read({"lines of the message": len(str(error).splitlines())})
-        truth = {"lines of the message": 1}
+        truth, found, doubts = {"lines": 1}, {"lines": len(str(error).splitlines())}, ""
     for name, value in truth.items():
-        given_value = found.values.get(name)
-        if given_value is not None and not found.doubts:
-            assert given_value == pytest.approx(value, rel=SAME_REL, abs=1e-9), (name, found)
-
-
-def of_import(path: Path) -> Read:
-    """Return what an import of a file gives, frame by frame."""
-    found = import_sources([path])
-    frames = [entry for one in found for entry in one.header.frames]
-    records = [record_in(one.header) for one in found]
-    values = {f"exposure {n}": e.exposure_s for n, e in enumerate(frames)}
-    values |= {f"black {n}": e.black_level_dn for n, e in enumerate(frames)}
-    values |= {f"temperature {n}": e.temperature_C for n, e in enumerate(frames)}
-    values |= {f"gain {n}": e.gain_db for n, e in enumerate(frames)}
-    doubts = tuple(line for one in records for line in (*one.doubts, *one.left_out))
-    return Read(values, doubts)
+        if found.get(name) is not None and not doubts:
+            assert found[name] == pytest.approx(value, rel=SAME_REL, abs=1e-9), (name, found)
 
 
 @st.composite
-def fits_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def fits_variant(draw: st.DrawFn) -> Variant:
     """Return a FITS header whose exposure, temperature and gain have some unit, stated somewhere or nowhere."""
     seconds, celsius = draw(st.sampled_from(EXPOSURES)), -5.0
     key = draw(st.sampled_from(["XPOSURE", "EXPTIME", "EXPOSURE", "EXPOINUS", "ITIME", "IMG_EXP"]))
@@ -111,18 +106,18 @@ def fits_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Call
         cards["GAIN"] = (gain, gain_comment)
     truth = {"exposure 0": seconds if factor else -1.0, "temperature 0": celsius, "gain 0": gain_db}
 
-    def made(folder: Path) -> Callable[[], Read]:
+    def write(folder: Path) -> Path:
         unit = fits.PrimaryHDU(np.random.default_rng(0).integers(500, 900, (16, 16)).astype(np.uint16))
         for name, value in cards.items():
             unit.header[name] = value
         unit.writeto(folder / "a.fits")
-        return lambda: of_import(folder / "a.fits")
+        return folder / "a.fits"
 
-    return truth, made
+    return truth, write, read_import
 
 
 @st.composite
-def tiff_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def tiff_variant(draw: st.DrawFn) -> Variant:
     """Return a stack whose pages, in any order, state exposure and black level in tags of some type, or not at all."""
     pages = draw(st.permutations(EXPOSURES))
     black = draw(st.sampled_from([64, 256]))
@@ -153,14 +148,14 @@ def tiff_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Call
     truth = {f"exposure {n}": seconds for n, seconds in enumerate(stated)}
     truth |= {f"black {n}": float(black) for n in range(len(pages))}
 
-    def made(folder: Path) -> Callable[[], Read]:
+    def write(folder: Path) -> Path:
         with tifffile.TiffWriter(folder / "a.tif") as writer:
             for own in tags:
                 page = np.random.default_rng(0).integers(500, 900, (16, 16)).astype(np.uint16)
                 writer.write(page, photometric="minisblack", extratags=own, metadata=None, contiguous=False)
-        return lambda: of_import(folder / "a.tif")
+        return folder / "a.tif"
 
-    return truth, made
+    return truth, write, read_import
 
 
 def _states_exposure(tags: list[Any]) -> bool:
@@ -168,7 +163,7 @@ def _states_exposure(tags: list[Any]) -> bool:
 
 
 @st.composite
-def ome_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def ome_variant(draw: st.DrawFn) -> Variant:
     """Return an OME-TIFF whose pages have some order, stated by TiffData or by DimensionOrder, in some unit."""
     spelling = draw(st.sampled_from(sorted(TIME_UNITS)))
     factor = TIME_UNITS[spelling]
@@ -194,12 +189,12 @@ def ome_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Calla
     )
     truth = {f"exposure {n}": s if factor else -1.0 for n, s in enumerate(exposures)}
 
-    def made(folder: Path) -> Callable[[], Read]:
+    def write(folder: Path) -> Path:
         pages = np.random.default_rng(0).integers(500, 900, (4, 16, 16)).astype(np.uint16)
         tifffile.imwrite(folder / "a.ome.tif", pages, description=xml.encode(), metadata=None, photometric="minisblack")
-        return lambda: of_import(folder / "a.ome.tif")
+        return folder / "a.ome.tif"
 
-    return truth, made
+    return truth, write, read_import
 
 
 def _table(draw: st.DrawFn, columns: dict[str, list[str]], more: dict[str, list[str]], *, named: bool = False) -> str:
@@ -220,7 +215,7 @@ def _heading(draw: st.DrawFn, name: str, unit: str) -> str:
 
 
 @st.composite
-def screen_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def screen_variant(draw: st.DrawFn) -> Variant:
     """Return a table of a screen with levels and luminances in some unit."""
     unit, level_unit = draw(st.sampled_from(["", *LUMINANCE_UNITS])), draw(st.sampled_from(["", *LEVEL_UNITS]))
     factor, full = LUMINANCE_UNITS.get(unit, 1.0), LEVEL_UNITS.get(level_unit, 255.0)
@@ -238,22 +233,11 @@ def screen_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Ca
     text = _table(draw, columns, more)
     known = factor is not None and full is not None
     truth = {str(n): v if known else -1.0 for n, v in zip(levels, light, strict=True)}
-
-    def made(folder: Path) -> Callable[[], Read]:
-        (folder / "s.csv").write_text(text)
-
-        def read() -> Read:
-            found = read_screen_readings(folder / "s.csv")
-            assert set(found.grey) == set(levels) or found.doubts
-            return Read({str(n): float(np.mean(v)) for n, v in found.grey.items()}, found.doubts)
-
-        return read
-
-    return truth, made
+    return truth | {"levels": 18}, text_file("s.csv", text), read_screen
 
 
 @st.composite
-def spectrum_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def spectrum_variant(draw: st.DrawFn) -> Variant:
     """Return a table of a spectrum, its wavelengths in nm, µm or another unit."""
     unit, factor = draw(st.sampled_from([("nm", 1.0), ("\u00b5m", 1e3), ("um", 1e3), ("cm-1", None), ("", 1.0)]))
     grid = list(range(400, 701, 10))
@@ -266,23 +250,12 @@ def spectrum_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], 
         draw(st.sampled_from(["power", "relative", "relativ"])): [f"{v:.6f}" for v in power],
     }
     text = _table(draw, columns, more, named=unit not in ("", "nm"))
-
-    def made(folder: Path) -> Callable[[], Read]:
-        (folder / "s.csv").write_text(text)
-
-        def read() -> Read:
-            found = spectrum_from_csv(folder / "s.csv")
-            mean = float(found.wavelength_nm @ found.power / found.power.sum())
-            return Read({"mean": mean, "peak": float(found.power.max())})
-
-        return read
-
     mean = float(np.array(grid) @ power / np.sum(power))
-    return {"mean": mean if factor else -1.0, "peak": max(power)}, made
+    return {"nm": mean if factor else -1.0, "peak": max(power)}, text_file("s.csv", text), read_spectrum
 
 
 @st.composite
-def statistics_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def statistics_variant(draw: st.DrawFn) -> Variant:
     """Return a table of means and variances over exposure in some unit."""
     unit = draw(st.sampled_from(["", *TIME_UNITS]))
     factor = TIME_UNITS.get(unit)
@@ -295,27 +268,12 @@ def statistics_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path]
     }
     more = {"row": ["1", "2", "3"], "remark": ["a", "b", "c"], "max": ["130.5", "640.5", "3300.5"]}
     text = _table(draw, columns, more)
-    truth = {f"exposure {n}": s if factor else -1.0 for n, s in enumerate(EXPOSURES)}
-    truth |= {f"mean {n}": v for n, v in enumerate((120.5, 600.25, 3100.5))}
-
-    def made(folder: Path) -> Callable[[], Read]:
-        (folder / "t.csv").write_text(text)
-
-        def read() -> Read:
-            header = statistics_of(folder / "t.csv")
-            if header is None:
-                return Read({})
-            values = {f"exposure {n}": e.exposure_s for n, e in enumerate(header.statistics)}
-            values |= {f"mean {n}": e.mean_dn for n, e in enumerate(header.statistics)}
-            return Read(values, record_in(header).doubts)
-
-        return read
-
-    return truth, made
+    truth = {f"s {n}": s if factor else -1.0 for n, s in enumerate(EXPOSURES)}
+    return truth | {"mean 0": 120.5, "mean 1": 600.25, "mean 2": 3100.5}, text_file("t.csv", text), read_means
 
 
 @st.composite
-def list_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def list_variant(draw: st.DrawFn) -> Variant:
     """Return a list of exposure times with units behind the numbers, in the heading, or nowhere."""
     unit = draw(st.sampled_from(["", *TIME_UNITS]))
     factor = TIME_UNITS.get(unit, 1.0)
@@ -327,16 +285,11 @@ def list_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Call
         behind = f" {unit}" if unit and not in_heading else ""
         lines.append(f"p{n}.jpg{separator}{number.replace('.', ',') if comma else number}{behind}")
     truth = {f"p{n}.jpg": s if factor else -1.0 for n, s in enumerate(EXPOSURES)}
-
-    def made(folder: Path) -> Callable[[], Read]:
-        (folder / "exposures.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        return lambda: Read({n: one.exposure_s for n, one in read_list(folder / "exposures.txt").items()})
-
-    return truth, made
+    return truth, text_file("exposures.txt", "\n".join(lines) + "\n"), read_times
 
 
 @st.composite
-def exif_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def exif_variant(draw: st.DrawFn) -> Variant:
     """Return a photograph whose ISO speed is in one or more tags, 65535 and 0 among them."""
     speed = draw(st.sampled_from([400, 102_400]))
     tags = [(33434, "2I", 1, (7, 1000), True)]
@@ -347,27 +300,20 @@ def exif_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Call
         if kind:
             tags.append((code, kind, 1, value, True))
 
-    def made(folder: Path) -> Callable[[], Read]:
+    def write(folder: Path) -> Path:
         page = np.random.default_rng(0).integers(5, 200, (16, 16)).astype(np.uint8)
         tifffile.imwrite(folder / "p.tif", page, photometric="minisblack", extratags=tags, metadata=None)
+        return folder / "p.tif"
 
-        def read() -> Read:
-            found = read_exif(folder / "p.tif")
-            return (
-                Read({})
-                if found is None
-                else Read(
-                    {"s": found.nominal_exposure_s, "iso": found.iso}, (found.iso_doubt,) if found.iso_doubt else ()
-                )
-            )
+    def read(path: Path) -> Read:
+        found = read_exif(path)
+        return ({}, "") if found is None else ({"s": found.nominal_exposure_s, "iso": found.iso}, found.iso_doubt or "")
 
-        return read
-
-    return {"s": 0.007, "iso": float(speed)}, made
+    return {"s": 0.007, "iso": float(speed)}, write, read
 
 
 @st.composite
-def log_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def log_variant(draw: st.DrawFn) -> Variant:
     """Return a log whose exposure and temperature have some unit, with rows that mean "no reading"."""
     unit = draw(st.sampled_from(["", *TIME_UNITS]))
     factor = TIME_UNITS.get(unit, 1.0)
@@ -386,23 +332,12 @@ def log_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Calla
         "sqm": [f"{20 + 0.01 * n:.2f}" for n in range(20)],
     }
     text = _table(draw, columns, {"humidity": ["55.5"] * 20, "remark": ["clear"] * 20}, named=True)
-
-    def made(folder: Path) -> Callable[[], Read]:
-        (folder / "l.csv").write_text(text)
-
-        def read() -> Read:
-            log = read_log(folder / "l.csv")
-            celsius = [] if log.temperature_c is None else log.temperature_c.tolist()
-            doubts = tuple(line for line in log.assumptions if "no unit" in line)
-            return Read({"s": float(log.exposure_s[0])} | {f"C {n}": v for n, v in enumerate(celsius)}, doubts)
-
-        return read
-
-    return {"s": 0.5 if factor else -1.0} | {f"C {n}": 20.0 for n in range(20)}, made
+    truth = {"s": 0.5 if factor else -1.0} | {f"C {n}": 20.0 for n in range(20)}
+    return truth, text_file("l.csv", text), partial(read_nights, of="no unit")
 
 
 @st.composite
-def meter_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def meter_variant(draw: st.DrawFn) -> Variant:
     """Return readings of a light meter, their units in the headings."""
     light, time_unit = draw(st.sampled_from(["", *LUMINANCE_UNITS])), draw(st.sampled_from(["", *TIME_UNITS]))
     factor, seconds = LUMINANCE_UNITS.get(light, 1.0), TIME_UNITS.get(time_unit, 1.0)
@@ -418,22 +353,12 @@ def meter_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Cal
     }
     text = _table(draw, columns, {"K": ["12.5", "12.5"], "remark": ["a", "b"]}, named=True)
     known = factor is not None and seconds is not None
-
-    def made(folder: Path) -> Callable[[], Read]:
-        (folder / "m.csv").write_text(text)
-
-        def read() -> Read:
-            found = reconcile_meter_table(folder / "m.csv")
-            doubts = tuple(remark for remark in found.result.extra["remarks"] if "unit" in remark)
-            return Read({"cd/m2": found.rows[0].luminance_cd_m2, "s": found.rows[0].time_s}, doubts)
-
-        return read
-
-    return {"cd/m2": 1000.0 if known else -1.0, "s": 0.008 if known else -1.0}, made
+    truth = {"cd/m2": 1000.0 if known else -1.0, "s": 0.008 if known else -1.0}
+    return truth, text_file("m.csv", text), read_meter
 
 
 @st.composite
-def argyll_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def argyll_variant(draw: st.DrawFn) -> Variant:
     """Return a .ti3 whose XYZ are absolute or relative, as its keywords state or not, its columns in any order."""
     relative, full = draw(st.booleans()), draw(st.sampled_from([100.0, 255.0]))
     stated = draw(st.booleans())
@@ -449,21 +374,11 @@ def argyll_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Ca
     text = (
         f"CTI3\n\n{white}\n{key}\nBEGIN_DATA_FORMAT\n{' '.join(names)}\nEND_DATA_FORMAT\nBEGIN_DATA\n{rows}\nEND_DATA\n"
     )
-
-    def made(folder: Path) -> Callable[[], Read]:
-        (folder / "s.ti3").write_text(text)
-
-        def read() -> Read:
-            found = read_screen_readings(folder / "s.ti3")
-            return Read({str(n): float(np.mean(v)) for n, v in found.grey.items()}, found.doubts)
-
-        return read
-
-    return {str(n): v for n, v in zip(levels, light, strict=True)}, made
+    return {str(n): v for n, v in zip(levels, light, strict=True)}, text_file("s.ti3", text), read_screen
 
 
 @st.composite
-def threshold_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def threshold_variant(draw: st.DrawFn) -> Variant:
     """Return thresholds over time in some unit, linear or as logarithms."""
     unit = draw(st.sampled_from([unit for unit, size in TIME_UNITS.items() if size and unit.isascii()]))
     form, write = draw(
@@ -481,21 +396,12 @@ def threshold_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path],
         form: [f"{write(v):.9g}" for v in logs],
     }
     text = _table(draw, columns, {"eye": ["left"] * 7, "pupil_mm": ["7.1"] * 7}, named=True)
-
-    def made(folder: Path) -> Callable[[], Read]:
-        (folder / "t.csv").write_text(text)
-
-        def read() -> Read:
-            found = read_thresholds(folder / "t.csv")
-            return Read({f"{n} {k}": float(v) for n, row in enumerate(found.rows) for k, v in enumerate(row)})
-
-        return read
-
-    return {f"{n} {k}": v for n, row in enumerate(zip(minutes, logs, strict=True)) for k, v in enumerate(row)}, made
+    truth = {f"min {n}": t for n, t in enumerate(minutes)} | {f"log {n}": v for n, v in enumerate(logs)}
+    return truth, text_file("t.csv", text), read_thresholds
 
 
 @st.composite
-def emva_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def emva_variant(draw: st.DrawFn) -> Variant:
     """Return a descriptor of EMVA 1288 whose exposures have the format's unit, another, or one that is none."""
     spelling = draw(st.sampled_from(["", "ns", "us", "ms", "s", "ticks"]))
     blank = draw(st.sampled_from(["", " "]))
@@ -506,23 +412,20 @@ def emva_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Call
         written = f"{seconds / (factor or 1.0):.9g}{blank if spelling else ''}{spelling}"
         lines += [f"b {written} {1000 * n + 1000}", f"i images{slash}{n}.tif"]
 
-    def made(folder: Path) -> Callable[[], Read]:
+    def write(folder: Path) -> Path:
         (folder / "images").mkdir()
         for n in range(len(EXPOSURES)):
             (folder / "images" / f"{n}.tif").write_bytes(b"")
-        (folder / "EMVA1288_Data.txt").write_text("\n".join(lines) + "\n")
+        return text_file("EMVA1288_Data.txt", "\n".join(lines) + "\n")(folder)
 
-        def read() -> Read:
-            found = EmvaListing.read(folder / "EMVA1288_Data.txt")
-            return Read({str(n): entry.exposure_s for n, entry in enumerate(found.entries)})
+    def read(path: Path) -> Read:
+        return {str(n): entry.exposure_s for n, entry in enumerate(EmvaListing.read(path).entries)}, ""
 
-        return read
-
-    return {str(n): s if factor else -1.0 for n, s in enumerate(EXPOSURES)}, made
+    return {str(n): s if factor else -1.0 for n, s in enumerate(EXPOSURES)}, write, read
 
 
 @st.composite
-def raw_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def raw_variant(draw: st.DrawFn) -> Variant:
     """Return a DNG of any mosaic, its black level and exposure in tags of some type."""
     filters = draw(st.sampled_from([(0, 1, 1, 2), (2, 1, 1, 0), (1, 0, 2, 1), (1, 2, 0, 1)]))
     black, white = draw(st.sampled_from([64, 256])), draw(st.sampled_from([1023, 4095, 16_383]))
@@ -552,28 +455,25 @@ def raw_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Calla
     truth = {"R": colours[0], "G": colours[1], "B": colours[2], "white": float(white), "s": seconds}
     truth |= {f"black {n}": float(black) for n in range(3)}
 
-    def made(folder: Path) -> Callable[[], Read]:
+    def write(folder: Path) -> Path:
         cell = np.array([colours[n] for n in filters]).reshape(2, 2)
         with tifffile.TiffWriter(folder / "p.dng") as writer:
             writer.write(
                 np.tile(cell, (16, 16)).astype(np.uint16), photometric=32803, extratags=sorted(tags), metadata=None
             )
+        return folder / "p.dng"
 
-        def read() -> Read:
-            found, exif = read_raw_colours(folder / "p.dng"), read_exif(folder / "p.dng")
-            values = dict(zip("RGB", (float(plane.mean()) for plane in np.moveaxis(found.values, 2, 0)), strict=True))
-            values |= {f"black {n}": value for n, value in enumerate(found.black_levels_dn)}
-            return Read(
-                values | {"white": float(found.white_level_dn), "s": None if exif is None else exif.nominal_exposure_s}
-            )
+    def read(path: Path) -> Read:
+        found, exif = read_raw_colours(path), read_exif(path)
+        values = dict(zip("RGB", (float(plane.mean()) for plane in np.moveaxis(found.values, 2, 0)), strict=True))
+        values |= {f"black {n}": value for n, value in enumerate(found.black_levels_dn)}
+        return values | {"white": float(found.white_level_dn), "s": exif and exif.nominal_exposure_s}, ""
 
-        return read
-
-    return truth, made
+    return truth, write, read
 
 
 @st.composite
-def micro_manager_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+def micro_manager_variant(draw: st.DrawFn) -> Variant:
     """Return a picture with Micro-Manager's file of metadata: numbers, text, another unit, numbers for "unknown"."""
     milliseconds = draw(st.sampled_from([20.0, 500.0, 3000.0]))
     written = draw(
@@ -590,12 +490,12 @@ def micro_manager_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Pa
     keys = draw(st.permutations(sorted(entry)))
     content = {"Summary": {"Slices": 1}, "Metadata-Default/a.tif": {key: entry[key] for key in keys}}
 
-    def made(folder: Path) -> Callable[[], Read]:
+    def write(folder: Path) -> Path:
         tifffile.imwrite(folder / "a.tif", np.random.default_rng(0).integers(500, 900, (16, 16)).astype(np.uint16))
         (folder / "metadata.txt").write_text(json.dumps(content), encoding="utf-8")
-        return lambda: of_import(folder / "a.tif")
+        return folder / "a.tif"
 
-    return {"exposure 0": milliseconds / 1e3, "temperature 0": -5.0}, made
+    return {"exposure 0": milliseconds / 1e3, "temperature 0": -5.0}, write, read_import
 
 
 READERS = {
@@ -615,8 +515,8 @@ def test_no_variant_gives_a_wrong_value_in_silence(variants, examples):
     @settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.too_slow])
     @given(variants)
     def hold(variant: Any) -> None:
-        truth, made = variant
+        truth, write, read = variant
         with tempfile.TemporaryDirectory() as folder:
-            check(truth, made(Path(folder)))
+            check(truth, read, write(Path(folder)))
 
     hold()

@@ -28,10 +28,6 @@ def test_every_export_is_written(kind, screen, tmp_path):
         pytest.importorskip("imagecodecs")
     write_export(replace(screen, chromaticities=SRGB), kind, tmp_path / "x")
     assert (tmp_path / "x").stat().st_size > 100
-
-
-def test_unknown_export_is_refused(screen, tmp_path):
-    """The message lists what there is."""
     with pytest.raises(UsageError, match="psychopy, ti3, csv"):
         write_export(screen, "xlsx", tmp_path / "x")
 
@@ -113,18 +109,19 @@ def test_vcgt_has_apples_layout_and_straightens_the_screen(screen):
     shown = curve.table.at(table[0] / 65535)
     expected = shown[0] + (shown[-1] - shown[0]) * np.linspace(0, 1, 256) ** 2.2
     assert np.abs(shown - expected).max() < 1e-4 * expected[-1]
+    assert correction(screen.channel(), 1.8)[128] > correction(screen.channel(), 2.2)[128]  # more drive in the middle
 
 
-@pytest.mark.slow
-def test_correction_of_another_gamma_is_another_table(screen):
-    """A target of 1.8 wants more drive in the middle."""
-    assert correction(screen.channel(), 1.8)[128] > correction(screen.channel(), 2.2)[128]
+def test_argyll_line_is_spotreads_with_known_chromaticities_or_those_of_srgb(screen):
+    """The words are those of spotread's printf; Y stands twice; X of D65 white is 0.9505 Y.
 
-
-def test_argyll_line_is_spotreads(screen):
-    """The words are those of spotread's printf; Y stands twice; X of D65 white is 0.9505 Y."""
+    Illuminant A (0.44757, 0.40745): X is 1.0985 Y and Z 0.3558 Y (CIE 15), and the file assumes nothing.
+    """
     line = argyll_line(screen, "grey", 100.0)
     assert line == " Result is XYZ: 95.045593 100.000000 108.905775, Yxy: 100.000000 0.312700 0.329000"
+    known = replace(screen, chromaticities={"grey": (0.44757, 0.40745)})
+    assert argyll_line(known, "grey", 100.0).startswith(" Result is XYZ: 109.84")
+    assert ["sRGB" in str(EXPORTS["ti3"][0](one)) for one in (screen, known)] == [True, False]
 
 
 def _icc_tags(content: bytes) -> dict[str, bytes]:
@@ -194,14 +191,6 @@ def test_icc_profile_of_unknown_colours_is_refused(chromaticities, why, screen, 
     assert not (tmp_path / "desk.icc").exists()
 
 
-def test_known_chromaticities_replace_those_of_srgb(screen):
-    """Illuminant A (0.44757, 0.40745): X is 1.0985 Y and Z 0.3558 Y (CIE 15), and the file assumes nothing."""
-    known = replace(screen, chromaticities={"grey": (0.44757, 0.40745)})
-    assert argyll_line(known, "grey", 100.0).startswith(" Result is XYZ: 109.84")
-    assert "sRGB" in str(EXPORTS["ti3"][0](screen))
-    assert "sRGB" not in str(EXPORTS["ti3"][0](known))
-
-
 def test_a_calibration_that_is_replaced_leaves_its_chromaticities(screen, tmp_path):
     """A colorimeter measures a screen once; those of a screen of another name are not taken."""
     file, heard = tmp_path / "desk.yaml", list[str]()
@@ -213,6 +202,7 @@ def test_a_calibration_that_is_replaced_leaves_its_chromaticities(screen, tmp_pa
     assert rm.screen_calibrate(file, "lcd", name="other", levels="3", force=True).calibration.chromaticities == {}
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_page_states_what_the_screen_was_measured_with(screen):
     """Date, camera and calibration stand in the head; what is not stated is named."""
     text = str(EXPORTS["page"][0](replace(screen, measured_with={"camera": "FLIR 22500001"})))
@@ -220,6 +210,7 @@ def test_page_states_what_the_screen_was_measured_with(screen):
         assert wanted in text
 
 
+@pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize("odd", [{}, {"warm_up": "yes", "uniformity": {"lowest": None}, "drift_rel": "much"}])
 def test_page_states_the_checks_that_the_terminal_prints(screen, odd, tmp_path):
     """A screen that still drifts, its uniformity and its flicker; a file that states a check otherwise has none."""

@@ -69,31 +69,28 @@ def shown() -> Iterator[tuple[BrowserDisplay, FakePage]]:
 
 
 def test_patch_reaches_the_page_as_codes(shown: tuple[BrowserDisplay, FakePage]) -> None:
-    """Drives become the nearest of 256 codes; size and surround go with them."""
+    """Drives become the nearest of 256 codes; size and surround go with them; that it fills the screen is seen."""
     display, page = shown
     assert isinstance(display, Display)
+    assert any("full screen" in line for line in display.warnings())
     display.show(DisplayPatch((1.0, 0.5, 0.0), (0.2, 0.2, 0.2), 0.5, 0.25))
+    assert not any("full screen" in line for line in display.warnings())
     order = page.orders[-1]
     assert order["rgb"] == [255, 128, 0]
     assert order["surround"] == [51, 51, 51]
     assert (order["width"], order["height"]) == (0.5, 0.25)
 
 
-def test_leaving_reports_the_page_that_it_is_over(shown: tuple[BrowserDisplay, FakePage]) -> None:
-    """The last order is the end."""
-    display, page = shown
-    display.close()
-    page.join()
-    assert page.orders[-1] == {"kind": "end"}
-
-
 def test_every_level_is_acknowledged(shown: tuple[BrowserDisplay, FakePage]) -> None:
-    """All 256 levels are answered in order, each with its own number."""
+    """All 256 levels are answered in order, each with its own number; the last order is the end."""
     display, page = shown
     for level in range(256):
         display.show(DisplayPatch((level / 255,) * 3))
     assert [o["rgb"][0] for o in page.orders] == list(range(256))
     assert len({o["sequence"] for o in page.orders}) == 256
+    display.close()
+    page.join()
+    assert page.orders[-1] == {"kind": "end"}
 
 
 @pytest.mark.parametrize(
@@ -145,39 +142,24 @@ def test_measuring_waits_for_start() -> None:
     assert pressed.orders[0]["rgb"] == [255, 255, 255]
 
 
-def test_strangers_get_nothing(shown: tuple[BrowserDisplay, FakePage]) -> None:
-    """Without the key neither page nor socket is served."""
-    bare = shown[0].url.split("?")[0]
+def test_page_is_served_whole_to_who_has_the_key(shown: tuple[BrowserDisplay, FakePage]) -> None:
+    """One file, uncached, nothing from elsewhere; without the key neither page nor socket; a taken port is named."""
+    url = shown[0].url
+    bare = url.split("?")[0]
     for address in (bare, bare + "socket?key=wrong"):
         with pytest.raises(urllib.error.HTTPError) as refused:
             urllib.request.urlopen(address, timeout=within(5))
         assert refused.value.code == 403
         refused.value.close()
-
-
-def test_page_is_served_whole_and_uncached(shown: tuple[BrowserDisplay, FakePage]) -> None:
-    """One file, nothing from elsewhere."""
-    with urllib.request.urlopen(shown[0].url, timeout=within(5)) as answer:
+    with urllib.request.urlopen(url, timeout=within(5)) as answer:
         text = answer.read().decode()
         assert answer.headers["Cache-Control"] == "no-store"
         assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
     assert "requestAnimationFrame" in text
     assert "http://" not in text.replace("ws://", "")
-
-
-def test_taken_port_is_in_use(shown: tuple[BrowserDisplay, FakePage]) -> None:
-    """The message names the port."""
-    port = int(shown[0].url.split(":")[2].split("/")[0])
+    port = int(url.split(":")[2].split("/")[0])
     with pytest.raises(DeviceInUse, match=str(port)):
         BrowserDisplay(port).open()
-
-
-def test_warnings_follow_from_what_the_page_says(shown: tuple[BrowserDisplay, FakePage]) -> None:
-    """Not full screen is stated; after a patch on a full screen it is no longer."""
-    display, _page = shown
-    assert any("full screen" in line for line in display.warnings())
-    display.show(DisplayPatch((1, 1, 1)))
-    assert not any("full screen" in line for line in display.warnings())
 
 
 @pytest.mark.parametrize("patch", [DisplayPatch((1.1, 0, 0)), DisplayPatch((1, 1, 1), width_fraction=0.0)])

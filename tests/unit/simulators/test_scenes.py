@@ -96,6 +96,25 @@ def test_image_file_is_scaled_to_the_sensor(tmp_path: Path) -> None:
     assert image.radiance == pytest.approx(np.full((20, 30), 3.0 * 32768 / 65535), rel=1e-5)
 
 
+FAR = {"name": "far", "x": 155, "y": 0, "width": 10, "height": 4, "drive": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("mapping", "pattern", "message"),
+    [
+        ({"kind": "screen", "patches": [FAR]}, "default", r"'far' .* is not on the sensor of 160 × 120 px"),
+        ({"kind": "image", "file": "none.png"}, "default", r"cannot read .*none\.png"),
+        (EXAMPLES["step_chart"], "x", r"no pattern 'x'; it shows default, inverted"),
+    ],
+)
+def test_what_cannot_be_rendered_is_refused(
+    tmp_path: Path, mapping: dict[str, Any], pattern: str, message: str
+) -> None:
+    """A patch partly outside with the sensor's size, a file that is not there, a pattern with those that there are."""
+    with pytest.raises(ConfigurationError, match=message):
+        scene_from_mapping(mapping, folder=tmp_path).render(160, 120, pattern)
+
+
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [
@@ -113,23 +132,3 @@ def test_wrong_mappings_are_refused_by_key(mapping: dict[str, Any], message: str
     """The message names the key, its value and what is allowed."""
     with pytest.raises(ConfigurationError, match=message):
         scene_from_mapping(mapping, "bench.yaml: scene")
-
-
-def test_patch_off_the_sensor_is_refused() -> None:
-    """A patch that lies partly outside is named with the sensor's size."""
-    patch = {"name": "far", "x": 155, "y": 0, "width": 10, "height": 4, "drive": 1.0}
-    scene = scene_from_mapping({"kind": "screen", "patches": [patch]})
-    with pytest.raises(ConfigurationError, match=r"'far' .* is not on the sensor of 160 × 120 px"):
-        scene.render(160, 120, "default")
-
-
-def test_missing_picture_is_refused(tmp_path: Path) -> None:
-    """A file that is not there is a one-line configuration error."""
-    with pytest.raises(ConfigurationError, match=r"cannot read .*none\.png"):
-        scene_from_mapping({"kind": "image", "file": "none.png"}, folder=tmp_path).render(4, 4, "default")
-
-
-def test_unknown_pattern_is_refused() -> None:
-    """The message lists the patterns that there are."""
-    with pytest.raises(ConfigurationError, match=r"no pattern 'x'; it shows default, inverted"):
-        scene_from_mapping(EXAMPLES["step_chart"]).render(160, 120, "x")

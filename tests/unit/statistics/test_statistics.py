@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from radiometer.statistics.chances import sine_freedom
 from radiometer.statistics.least_squares import chi_square, residual, solve
 from radiometer.statistics.model_choice import AKAIKE, FIVE_SIGMA, THREE_SIGMA, aicc, is_supported
 from radiometer.statistics.scale import (
@@ -79,3 +80,12 @@ def test_the_corrected_criterion_is_that_of_hurvich_and_tsai():
     """2kn/(n − k − 1) beyond n·ln(RSS/n); infinite where nothing is free."""
     assert aicc(3.0, 10, 4) == pytest.approx(10 * math.log(0.3) + 2 * 4 * 10 / 5)
     assert aicc(3.0, 5, 4) == math.inf
+
+
+def test_a_sine_is_worth_more_frames_by_the_square_of_its_share():
+    """Its excess kurtosis of −1.5 counts with the square of the share of the variance that it has; without it n − 1."""
+    frames = np.array([5.0, 41.0])
+    none, half, whole = (sine_freedom(frames, np.full(2, share)) for share in (0.0, 0.5, 1.0))
+    assert none == pytest.approx(frames - 2.0)  # the first frame does not count
+    assert 2.0 / none - 2.0 / half == pytest.approx((2.0 / none - 2.0 / whole) / 4.0)
+    assert np.all(whole > none)

@@ -243,17 +243,6 @@ def test_stated_uncertainties_reach_the_file(capture, tmp_path, capsys):
     assert "glare_u" in capsys.readouterr().err
 
 
-def test_the_conditions_of_a_scale_are_kept(rig, capture, tmp_path):
-    """Exposure, gain, temperature and level of the calibration are in the file for readings to compare with."""
-    folder, _ = capture
-    assert run(["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml")]) == 0
-    kept = Calibration.read(tmp_path / "cal.yaml").scale.conditions
-    assert (kept.gain_db, kept.temperature_c) == (0.0, 25.0)
-    assert kept.inverse_exposure_per_s > 0.0
-    assert 0.0 < kept.level < 1.0
-    assert kept.surround == pytest.approx(1.0, rel=0.01)
-
-
 @pytest.mark.parametrize("known", [0, 2])
 def test_of_no_or_several_known_patches_the_user_names_one(rig, tmp_path, known, capsys):
     """Which source is meant is asked, with their number; nothing is written."""

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.characterise import characterise, read_subject
-from radiometer.analysis.characterise.dark_signal import dark_transfer, typical_rates
 from radiometer.analysis.characterise.group_statistics import (
     GroupStatistics,
     NoiseLeft,
@@ -21,7 +20,6 @@ from radiometer.analysis.signal.rounding import unrounded_variance
 from radiometer.data import FrameSettings, Quantity
 
 K_DN_PER_E = 0.5
-READ_NOISE_E = 12.0
 BLACK_DN = 1000.0
 SIGNALS = np.linspace(200.0, 6000.0, 16)
 
@@ -108,72 +106,11 @@ def test_of_a_bent_transfer_k_is_the_standards_and_covers_both_ends(count):
     assert photon_transfer(ladder(), 10_000.0).bend_u == 0.0
 
 
-def dark_frames(rates_e_per_s, exposures_s, seed=3):
-    """Return dark frames of pixels with rates of their own, by Poisson charge, normal read noise and rounding."""
-    rng = np.random.default_rng(seed)
-    frames = []
-    for seconds in exposures_s:
-        charge = rng.poisson(rates_e_per_s * seconds) + rng.normal(0.0, READ_NOISE_E, rates_e_per_s.shape)
-        frames.append(np.rint(BLACK_DN + K_DN_PER_E * charge))
-    return frames
-
-
-EXPOSURES_S = (0.0, 0.0, 10.0, 30.0, 60.0, 90.0, 120.0, 180.0, 240.0, 300.0)
-
-
-def rates():
-    """Return rates in e-/s with a spread between pixels and 1 % hot ones."""
-    rng = np.random.default_rng(8)
-    return rng.gamma(25.0, 0.04, (220, 220)) + np.where(rng.random((220, 220)) < 0.01, 40.0, 0.0)
-
-
-def test_gain_from_single_dark_frames():
-    """One frame per exposure shows K by the dark current's shot noise, within 3 u and 3 %, u being 6 % at most."""
-    found = dark_transfer(dark_frames(rates(), EXPOSURES_S))
-    assert found.K.value == pytest.approx(K_DN_PER_E, abs=3 * found.K.u)
-    assert found.K.value == pytest.approx(K_DN_PER_E, rel=0.03)
-    assert found.K.u_rel < 0.06
-    read_noise_dn2 = (K_DN_PER_E * READ_NOISE_E) ** 2 + 1 / 12
-    assert found.line.intercept + found.line.slope * BLACK_DN == pytest.approx(read_noise_dn2, abs=2.0)
-
-
-def test_no_dark_current_shows_no_gain():
-    """Frames that differ by read noise alone give none."""
-    assert dark_transfer(dark_frames(np.zeros((120, 120)), EXPOSURES_S)) is None
-
-
-def dark_groups(rate_dn_per_s, temperature_c, times_s=(0.0, 30.0, 60.0, 300.0), scale=1.0):
-    """Return dark groups of one temperature whose mean rises with the exposure; times may be given in other units."""
-    return [
-        replace(
-            group(BLACK_DN + rate_dn_per_s * t, 40.0, t * scale, dark=True),
-            settings=FrameSettings(t * scale, temperature_c=temperature_c, shutter="closed"),
-        )
-        for t in times_s
-    ]
-
-
-def test_dark_current_is_per_second():
-    """0.72 DN/s comes out of exposures in s; the same means over ms would be a thousandth."""
-    ((_, _, rate),) = typical_rates(dark_groups(0.72, 0.0))
-    assert rate.value == pytest.approx(0.72)
-    ((_, _, slow),) = typical_rates(dark_groups(0.72, 0.0, scale=1000.0))
-    assert slow.value == pytest.approx(0.72e-3)
-
-
 def picture(row_sd, column_sd, pixel_sd, shape=(300, 400), seed=5):
     """Return a picture of independent rows, columns and pixels."""
     rng = np.random.default_rng(seed)
     rows, columns = rng.normal(0, row_sd, (shape[0], 1)), rng.normal(0, column_sd, (1, shape[1]))
     return 500.0 + rows + columns + rng.normal(0, pixel_sd, shape)
-
-
-def test_rows_columns_and_pixels_are_distinguished():
-    """Each part comes out within 4 of its standard uncertainties, and the parts do not mix."""
-    found = split_spatial_variance(picture(1.5, 0.7, 2.5), NoiseLeft(0.0, 0.0, 0.0))
-    assert found.row_dn2 == pytest.approx(2.25, abs=4 * found.u_row_dn2)
-    assert found.column_dn2 == pytest.approx(0.49, abs=4 * found.u_column_dn2)
-    assert found.pixel_dn2 == pytest.approx(6.25, abs=4 * found.u_pixel_dn2)
 
 
 def test_the_standards_equations_give_the_same():
@@ -186,18 +123,6 @@ def test_the_standards_equations_give_the_same():
     column = (M * N - N) / (M * N - M - N) * cav - M / (M * N - M - N) * (av - rav)
     found = split_spatial_variance(y, NoiseLeft(0.0, 0.0, 0.0))
     assert (found.row_dn2, found.column_dn2, found.pixel_dn2) == pytest.approx((row, column, pixel), rel=0.01)
-
-
-def test_noise_that_rows_share_is_no_row_pattern():
-    """Four frames with temporal row noise and pixel noise, but no pattern: all three parts are zero within 4 u."""
-    rng = np.random.default_rng(2)
-    frames = [
-        np.rint(800 + rng.normal(0, 3.0, (200, 1)) + rng.normal(0, 6.0, (200, 240))).astype(np.uint16) for _ in range(4)
-    ]
-    (one,) = statistics_of_group(frames, FrameSettings(1.0), (None,), 4095)
-    assert one.split.row_dn2 == pytest.approx(0.0, abs=4 * one.split.u_row_dn2)
-    assert one.split.column_dn2 == pytest.approx(0.0, abs=4 * one.split.u_column_dn2)
-    assert one.split.pixel_dn2 == pytest.approx(0.0, abs=4 * one.split.u_pixel_dn2)
 
 
 @pytest.mark.parametrize("is_of_rows", [True, False])
@@ -218,19 +143,6 @@ def test_variances_are_known_no_better_than_by_the_rows_that_share_noise(is_of_r
     ]:
         assert np.mean(values) == pytest.approx(truth, abs=0.4)
         assert np.mean(u) == pytest.approx(np.std(values), rel=0.15)
-
-
-def test_a_group_that_contradicts_all_others_is_named():
-    """A stack of 50 frames that shows a fifth of what its photons say is left out by name; the sound ones are kept."""
-    steps = ladder()
-    light = steps[7].light
-    stack = replace(steps[7].bright, mean_dn=BLACK_DN + 100.0, frames=50)
-    every = make_steps([*(s.bright for s in steps), stack], [group(BLACK_DN, 40.0, dark=True)])
-    ((wrong, line),) = contradicting_steps(every)
-    assert wrong.bright is stack
-    assert "50 frames" in line
-    assert f"{light:g} photons" in line
-    assert contradicting_steps(steps) == []
 
 
 def test_saturation_is_no_contradiction():

@@ -76,6 +76,19 @@ def test_the_background_of_a_room_is_that_of_frames_with_the_source_off() -> Non
     assert of_region.u_background_w == pytest.approx(math.sqrt(40 * variance) * JOULE / 1e-3, rel=1e-6)
 
 
+def test_hot_pixels_are_no_light_of_the_diode() -> None:
+    """Dark frames of the exposure are taken off pixel by pixel; the noise of one that two frames share counts twice."""
+    hot = np.full(SHAPE, 100.0)
+    hot[20:24] = 900.0
+    hot[::2] += 2.0  # the noise that rounding needs
+    dark = replace(frame(hot, 1e-3), settings=replace(frame(hot, 1e-3).settings, shutter="closed"))
+    lit, off = (frame(hot + more, 1e-3, level=level) for more, level in ((200, 1.0), (0, 0.0)))
+    measured = flux_of(lit, dark)
+    assert measured.merged_w == pytest.approx(4000 * 200 * JOULE / 1e-3, rel=1e-6)
+    twice, rest = flux_of(lit, lit, off, dark), (3 / 2) ** 2 + 1 / 12
+    assert twice.u_noise_w == pytest.approx(math.sqrt(4000 * ((200 / 2 + rest) / 2 + rest)) * JOULE / 1e-3, rel=1e-3)
+
+
 def rimmed(top: float, bottom: float, left: float, right: float) -> np.ndarray:
     """Return a picture of 300 DN with a rim of two pixels (a twentieth of its 40 columns) of other values."""
     dn = np.full(SHAPE, 300.0)
@@ -85,13 +98,14 @@ def rimmed(top: float, bottom: float, left: float, right: float) -> np.ndarray:
 
 
 def test_without_such_frames_the_rim_is_the_background() -> None:
-    """Its median counts, and half the spread of the medians of its four sides as the doubt of every pixel."""
+    """Its median counts; half the spread of its sides' medians and what its mean is above are every pixel's doubt."""
     dn = rimmed(110, 130, 112, 114)
     dn[99, 5] = 4000  # a defect moves no median
     measured = flux_of(frame(dn, 1e-3))
     assert measured.background_source == "outermost twentieth of the frame"
     assert measured.background_w == pytest.approx(4000 * 13 * JOULE / 1e-3, rel=1e-9)  # between 112 and 114 DN
-    spread = math.hypot(0.0, (30 - 10) / 2)
+    mean = (80 * (10 + 30) + 192 * (12 + 14) + 3900 - 30) / 544
+    spread = math.hypot((30 - 10) / 2, mean - 13)
     assert measured.u_background_w == pytest.approx(4000 * spread * JOULE / 1e-3, rel=1e-9)
     region = Patch(4, 10, 5, 8)
     assert flux_of(frame(dn, 1e-3), region=region).background_w == pytest.approx(40 * 13 * JOULE / 1e-3, rel=1e-9)
@@ -141,16 +155,30 @@ def test_noise_and_background_stay_in_the_light_before_the_lens() -> None:
     assert behind.u == pytest.approx(math.hypot(on_sensor * of_scale, noise, on_sensor * 0.02) / 0.9, rel=1e-6)
 
 
-@pytest.mark.parametrize(("bright_rows", "sharp"), [(40, True), (20, False)])
-def test_a_diode_with_a_plateau_has_a_radiance(bright_rows: int, sharp: bool) -> None:
-    """Of 50 lit rows 40 at their highest value are a plateau; 20 next to 30 at half of it are a blur."""
-    rows = np.indices(SHAPE)[0]
-    dn = np.where(rows < 25, 100.0, np.where(rows < 25 + bright_rows, 900.0, np.where(rows < 75, 500.0, 100.0)))
+def bright(rows: int, columns: int = SHAPE[1]) -> np.ndarray:
+    """Return where a picture is bright: so many rows from 25 on, so many columns from 0 or, of a spot, from 20 on."""
+    row, column = np.indices(SHAPE)
+    first = 0 if columns == SHAPE[1] else 20
+    return (row >= 25) & (row < 25 + rows) & (column >= first) & (column < first + columns)
+
+
+@pytest.mark.parametrize(
+    ("dn", "seen"),
+    [
+        (np.where(bright(40), 900.0, np.where(bright(50), 500.0, 100.0)), True),
+        (np.where(bright(20), 900.0, np.where(bright(50), 500.0, 100.0)), False),
+        (np.where(bright(3, 3), 900.0, 100.0), True),
+        (np.where(bright(2, 2), 900.0, 100.0), False),
+    ],
+    ids=["plateau", "blur", "three by three", "two by two"],
+)
+def test_a_diode_with_a_plateau_has_a_radiance(dn: np.ndarray, seen: bool) -> None:
+    """40 of 50 lit rows are one, 20 a blur; of 3 × 3 pixels one is lit all around, of 2 × 2 each may be the rim's."""
     lens = LensDescription(focal_length_mm=20.0, f_number=4.0, magnification=0.3)
     emitter = Emitter(Quantity(20.0, 0.0, "°"), Quantity(3.0, 0.0, "mm"), Quantity(80.0, 0.0, "mm"))
     frames = [frame(dn, 1e-3), frame(100, 1e-3, level=0.0)]
     emitted = led_flux(frames, flux_scale(Setup(CAMERA, lens, None, SOURCE)), emitter).emitted
-    assert ("radiance_times_area" in emitted) is sharp
+    assert ("radiance_times_area" in emitted) is seen
 
 
 def test_a_lens_that_states_nothing_takes_nothing() -> None:
@@ -217,18 +245,6 @@ def test_what_misses_a_small_pupil_is_as_doubtful_as_twice_its_f_number():
     added = math.sqrt(doubtful.u**2 - sharp.u**2) / doubtful.value
     assert added == pytest.approx(0.02, rel=0.01)
     assert math.sqrt(untold.u**2 - sharp.u**2) / untold.value == pytest.approx(0.04, rel=0.01)
-
-
-@pytest.mark.parametrize(("side", "seen"), [(2, False), (3, True)])
-def test_a_diode_of_which_no_pixel_is_lit_all_around_has_no_radiance(side: int, seen: bool) -> None:
-    """Of two by two pixels each may be the rim's; the middle one of three by three is lit with all its neighbours."""
-    dn = np.full(SHAPE, 100.0)
-    dn[50 : 50 + side, 20 : 20 + side] = 900.0
-    lens = LensDescription(focal_length_mm=20.0, f_number=4.0, magnification=0.3)
-    emitter = Emitter(Quantity(20.0, 0.0, "°"), Quantity(3.0, 0.0, "mm"), Quantity(80.0, 0.0, "mm"))
-    frames = [frame(dn, 1e-3), frame(100, 1e-3, level=0.0)]
-    emitted = led_flux(frames, flux_scale(Setup(CAMERA, lens, None, SOURCE)), emitter).emitted
-    assert ("radiance_times_area" in emitted) is seen
 
 
 @pytest.mark.parametrize(("stated", "added"), [(None, 0.0), (0.0, 0.0), (0.03, 0.03)])

@@ -176,6 +176,16 @@ def test_flux_of_a_bracket_that_always_clips_is_flagged_as_a_lower_bound() -> No
     assert _report(setup, _emitter(setup), setup.frames()).to_mapping()["flags"] == []
 
 
+@pytest.mark.parametrize("cut", [True, False])
+def test_a_diode_that_the_region_or_the_picture_cuts_is_a_lower_bound(cut: bool) -> None:
+    """Half of the diode alone is in the region: what lies beyond is missing, and the report says so."""
+    setup = Setup()
+    region = Patch(0, 0, SIDE // 2 if cut else SIDE, SIDE)
+    scale = flux_scale(measuring.Setup(CAMERA, setup.lens, None, setup.scene().source))
+    warnings = led_flux(setup.frames(), scale, region=region).warnings
+    assert any("beyond the edge" in one for one in warnings) == cut
+
+
 def test_without_an_emitter_only_the_flux_on_the_sensor_is_given() -> None:
     """Nothing is claimed of what the diode emits."""
     setup = Setup()
@@ -186,12 +196,11 @@ def test_without_an_emitter_only_the_flux_on_the_sensor_is_given() -> None:
     assert any("taken as known to 3 %" in note for note in report.assumptions)
 
 
-@pytest.mark.slow
 def test_stated_intervals_hold_the_true_flux_in_random_set_ups() -> None:
-    """In 100 random set-ups, all figures off by their stated uncertainty, k = 2 holds the flux in 93 % or more."""
+    """In 30 random set-ups, all figures off by their stated u, k = 2 holds the flux in 28; half of it in some 20."""
     rng = np.random.default_rng(515)
     hits = 0
-    for number in range(100):
+    for number in range(30):
         true = Setup(
             flux_mW=float(rng.uniform(1, 20)),
             half_angle_deg=float(rng.uniform(10, 60)),
@@ -215,7 +224,7 @@ def test_stated_intervals_hold_the_true_flux_in_random_set_ups() -> None:
         scale = flux_scale(measuring.Setup(believed, lens, None, true.scene().source))
         result = led_flux(frames, scale, emitter, f_number_u_rel=0.02).result
         hits += abs(result.value - true.flux_mW * 1e-3) <= 2 * result.u
-    assert hits >= 93
+    assert hits >= 28
 
 
 def test_saturated_brackets_and_missing_figures_are_refused() -> None:

@@ -8,31 +8,22 @@ from radiometer.analysis.merge.displaced import MeanDisplacement, relative_shift
 from radiometer.data import (
     BlackLevel,
     Bracket,
-    Calibration,
     CameraDescription,
     Frame,
     FrameSettings,
     LensDescription,
     PixelMask,
-    Scale,
     SensorNoise,
 )
 from radiometer.data.setup import Setup
+from testing.relative_scale import relative_calibration
 
 CAMERA, LENS = CameraDescription(bit_depth=12), LensDescription()
 NOISE = SensorNoise(conversion_gain_e_per_dn=4.0, read_noise_e=4.0, full_well_e=20_000.0)
 SHAPE, PERIOD = (96, 128), 16.0
 
 
-def _calibration():
-    return Calibration(
-        camera=CAMERA,
-        lens=LENS,
-        scale=Scale(value=1.0, u_rel=0.0, method="relative"),
-        response=None,
-        noise=NOISE,
-        black_level=BlackLevel(dn=0.0),
-    )
+SETUP = Setup(CAMERA, LENS, relative_calibration(CAMERA, NOISE, black_level=BlackLevel(dn=0.0)))
 
 
 def _bracket(rng, shifts):
@@ -55,8 +46,8 @@ def _truth():
 def test_u_grows_at_gradients_and_not_on_even_ground():
     """On even ground u is that of the noise to 2 %; on the waves δ·|∇ln L|·L·√Σp² joins it, √Σp² between 0.5 and 1."""
     bracket = _bracket(np.random.default_rng(1), np.zeros(4))
-    plain = merge(bracket, Setup(CAMERA, LENS, _calibration()))
-    doubtful = merge(bracket, Setup(CAMERA, LENS, _calibration()), displacement_px=0.5)
+    plain = merge(bracket, SETUP)
+    doubtful = merge(bracket, SETUP, displacement_px=0.5)
     assert np.array_equal(plain.radiance, doubtful.radiance)
     ratio = doubtful.u_radiance / plain.u_radiance
     assert np.median(ratio[:, 4:60]) == pytest.approx(1.0, abs=0.02)
@@ -70,9 +61,7 @@ def test_u_says_by_how_much_displaced_frames_are_off():
     """Over many draws of displacements the error on the waves is what u says, to 20 %."""
     rng, squares = np.random.default_rng(2), []
     for _ in range(24):
-        found = merge(
-            _bracket(rng, 0.3 * rng.standard_normal(4)), Setup(CAMERA, LENS, _calibration()), displacement_px=0.3
-        )
+        found = merge(_bracket(rng, 0.3 * rng.standard_normal(4)), SETUP, displacement_px=0.3)
         gap = found.radiance / np.exp(_truth()) / np.median(found.radiance[:, 4:60]) - 1.0
         z = gap / (found.u_radiance / found.radiance)
         squares.append(np.mean(np.clip(z[:, 72:124], -5.0, 5.0) ** 2))
@@ -82,8 +71,8 @@ def test_u_says_by_how_much_displaced_frames_are_off():
 def test_displaced_frames_do_not_contradict_each_other():
     """Frames displaced by a third of a pixel disagree far beyond their noise, and no pixel is taken for a ghost."""
     bracket = _bracket(np.random.default_rng(3), [0.3, -0.3, 0.3, -0.3])
-    plain = merge(bracket, Setup(CAMERA, LENS, _calibration()), without_ghosts=True)
-    known = merge(bracket, Setup(CAMERA, LENS, _calibration()), without_ghosts=True, displacement_px=0.3)
+    plain = merge(bracket, SETUP, without_ghosts=True)
+    known = merge(bracket, SETUP, without_ghosts=True, displacement_px=0.3)
     doubt = PixelMask.MOVED | PixelMask.INCONSISTENT
     assert np.mean(plain.mask[:, 72:124] & doubt > 0) > 0.2
     assert np.mean(known.mask & doubt > 0) < 0.005
@@ -92,8 +81,8 @@ def test_displaced_frames_do_not_contradict_each_other():
 def test_what_displacement_explains_is_as_sure_as_its_neighbours():
     """A pixel whose frames disagree within noise and displacement has the u of those next to it in its column."""
     bracket = _bracket(np.random.default_rng(3), [0.3, -0.3, 0.3, -0.3])
-    plain = merge(bracket, Setup(CAMERA, LENS, _calibration()))
-    known = merge(bracket, Setup(CAMERA, LENS, _calibration()), displacement_px=0.3)
+    plain = merge(bracket, SETUP)
+    known = merge(bracket, SETUP, displacement_px=0.3)
     excused = (plain.mask & ~known.mask & PixelMask.INCONSISTENT) > 0
     halves = [k for k in range(72, 124) if 20 <= excused[:, k].sum() <= SHAPE[0] - 15]
     ratios = [np.median(known.u_radiance[excused[:, k], k]) / np.median(known.u_radiance[~excused[:, k], k])
@@ -110,7 +99,7 @@ def test_what_displacement_does_not_explain_stays_a_ghost():
     lit[40:50, 20:30] = 3000
     frames[1] = Frame(lit, 12, frames[1].settings)
     bracket = Bracket.from_frames(frames)
-    found = merge(bracket, Setup(CAMERA, LENS, _calibration()), without_ghosts=True, displacement_px=0.3)
+    found = merge(bracket, SETUP, without_ghosts=True, displacement_px=0.3)
     assert np.all(found.mask[42:48, 22:28] & PixelMask.MOVED)
     level = np.median(found.radiance[:, 4:16])
     assert found.radiance[42:48, 22:28] == pytest.approx(level, rel=0.15)

@@ -4,6 +4,7 @@ import datetime as dt
 import math
 import tracemalloc
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,12 +26,12 @@ from radiometer.data import (
     Patch,
     PixelMask,
     ResponseCurve,
-    Scale,
     SensorNoise,
     StatedUncertainties,
 )
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
+from testing.relative_scale import relative_calibration
 
 EXACT = {
     "uncertainties": StatedUncertainties(exposure_u_rel=0, exposure_u_s=0, linearity_u_rel=0, prnu_u_rel=0),
@@ -43,6 +44,7 @@ LADDER_S = tuple(20e-6 * 2.0**k for k in range(14))
 def four_decades():
     """Return a function that merges a ramp over four decades: truth by column, the map, and the noise limit."""
 
+    @cache
     def make(rig, rows=150, columns=1200):
         top = 0.8 * rig.radiance_of_full_scale(LADDER_S[0])
         truth = np.geomspace(top, top * 1e-4, columns)
@@ -127,26 +129,34 @@ def merged(rig, frames, **changes):
     return merge(frames, Setup(rig.description, rig.lens, rig.calibration(**changes)))
 
 
-def test_light_that_wanders_from_frame_to_frame_is_in_the_uncertainty_of_every_pixel(rig):
-    """Two per cent between frames: the means of 20 maps are off as their u says; steady light adds nothing."""
-    truth, z = scene(rig), []
+@pytest.mark.parametrize(
+    ("dim", "side", "last_s"), [(1.0, 24, 1.5e-3), (1.0, 24, 4e-3), (0.01, 96, 1.5e-3)], ids=["even", "clips", "small"]
+)
+def test_light_that_wanders_from_frame_to_frame_is_in_the_uncertainty_of_every_pixel(rig, dim, side, last_s):
+    """Two per cent between frames: the means of 20 maps are off as their u says; steady light adds nothing.
+
+    A frame that clips everywhere shows nothing of it; a small bright place on a dark surround shows all of it.
+    """
+    whole, z = scene(rig, size=side), []
+    bright = np.s_[side // 2 - 8 : side // 2 + 8, side // 2 - 8 : side // 2 + 8]
+    truth = dim * whole
+    truth[bright] = whole[bright]
+    exposures = (5e-4, 1e-3, 1e-3, last_s)
     for seed in range(20):
         rng, frames = np.random.default_rng(seed), []
-        for exposure_s in (5e-4, 1e-3, 1e-3, 1.5e-3):
+        for exposure_s in exposures:
             frames += rig.frames(truth * (1.0 + 0.02 * rng.normal()), rng, (exposure_s,))
         found = merged(rig, Bracket.from_frames(frames))
         z.append(
             float(
-                (found.radiance.mean() - truth[0, 0])
-                / np.hypot(found.u_shared.mean(), found.u_rel_common * truth[0, 0])
+                (found.radiance[bright].mean() - whole[0, 0])
+                / np.hypot(found.u_shared[bright].mean(), found.u_rel_common * whole[0, 0])
             )
         )
-    assert np.mean(np.abs(z) < 2.0) > 0.85  # four frames know their scatter poorly
+    assert np.mean(np.abs(z) < 2.0) > 0.75  # three or four frames know their scatter poorly
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 2.0
-    steady = merged(
-        rig, Bracket.from_frames(rig.frames(truth, np.random.default_rng(1), (5e-4, 1e-3, 1.5e-3))), **EXACT
-    )
-    assert steady.u_shared is None or steady.u_shared.max() < 1e-3 * truth[0, 0]
+    steady = merged(rig, Bracket.from_frames(rig.frames(truth, np.random.default_rng(1), exposures)), **EXACT)
+    assert steady.u_shared is None or steady.u_shared.max() < 1e-3 * whole[0, 0]
 
 
 def test_a_stream_gives_what_the_bracket_gives(rig):
@@ -175,15 +185,6 @@ def test_streaming_holds_less_than_three_planes_beyond_the_result(rig):
     tracemalloc.stop()
     result = found.radiance.nbytes + found.u_radiance.nbytes + found.mask.nbytes
     assert peak - result < 3.0 * plane
-
-
-def test_what_clips_everywhere_is_a_marked_lower_bound(rig):
-    """Ten times too bright in every frame."""
-    truth = scene(rig, level=10.0)
-    found = merged(rig, rig.frames(truth, np.random.default_rng(1), (1e-3, 2e-3)))
-    assert np.all(found.mask == PixelMask.SATURATED)
-    assert np.all((found.radiance > 0) & (found.radiance < truth))
-    assert np.all(found.u_radiance >= found.radiance)
 
 
 def test_darkness_is_marked_and_averages_to_zero(rig):
@@ -224,6 +225,28 @@ def test_dark_frames_take_hot_pixels_out(rig):
     assert inside.mean() > 0.92
 
 
+@pytest.mark.parametrize("curved", [False, True])
+def test_a_hot_pixel_clips_by_its_own_dark_signal(rig, curved):
+    """Hot pixels clip in the long frame, at less light than others: unbiased within 4 standard deviations of a mean."""
+    rng, truth = np.random.default_rng(4), scene(rig, size=60, level=0.85)
+
+    def frame(exposure_s, **settings):
+        one = rig.frame(truth, exposure_s, rng, **settings)
+        dn = one.dn.astype(int)
+        dn[:, ::3] += round(8e5 * exposure_s)
+        return Frame(np.minimum(dn, 4095).astype(np.uint16), 12, one.settings)
+
+    exposures = (2.5e-4, 5e-4, 1e-3)
+    dark = [frame(t, shutter="closed") for t in exposures for _ in range(8)]
+    light = [frame(t) for t in exposures]
+    straight = ResponseCurve(np.log(np.maximum(np.arange(4096.0), 1.0)), np.full(4096, 1e-6), absolute=True)
+    known = replace(rig.calibration(**EXACT), response=straight if curved else None)
+    found = merge(Bracket.from_frames([*dark, *light]), Setup(rig.description, rig.lens, known))
+    off = (found.radiance / truth - 1.0)[:, ::3]
+    assert not found.mask.any()
+    assert abs(off.mean()) < 4.0 * np.mean(found.u_radiance / truth) / np.sqrt(off.size)
+
+
 def test_defective_pixels_are_filled_in_and_marked(rig):
     """Two dead pixels side by side take the mean of their sound neighbours."""
     frames = rig.frames(scene(rig), np.random.default_rng(1), (1e-3,))
@@ -234,28 +257,6 @@ def test_defective_pixels_are_filled_in_and_marked(rig):
     assert np.all(found.mask[4, 4:6] & PixelMask.DEFECTIVE)
     assert np.all(np.abs(found.radiance[4, 4:6] - truth) < 4.0 * found.u_radiance[4, 4:6])
     assert (found.mask > 0).sum() == 2
-
-
-def test_a_flat_field_evens_the_picture_out(rig):
-    """A field that falls to 70 % at the corner is read even, to the noise."""
-    flat = FlatField(principal_point_px=(0.0, 0.0), radius_px=30.0, coefficients=(-0.3, 0.0, 0.0), shape=(24, 24))
-    y, x = np.mgrid[:24, :24]
-    uneven = scene(rig) * (1.0 - 0.3 * (x**2 + y**2) / 900.0)
-    found = merged(rig, rig.frames(uneven, np.random.default_rng(1), (1e-3,)), flat_field=flat, **EXACT)
-    pull = (found.radiance - scene(rig)) / found.u_radiance
-    assert abs(pull.mean()) < 4.0 / 24
-    assert 0.9 < pull.std() < 1.1
-
-
-def test_cos4_of_the_lens_is_taken_out_where_it_holds(rig):
-    """With `vignetting: cos4` the corner counts for more, by the fourth power of the cosine."""
-    lens = LensDescription(focal_length_mm=1.0, f_number=4.0, vignetting="cos4", principal_point_px=(0.0, 0.0))
-    camera = rig.description.model_copy(update={"pixel_pitch_um": 10.0})
-    frames = [Frame(np.full((101, 101), 1064, np.uint16), 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0))]
-    calibration = rig.calibration()
-    fitted = type(calibration)(camera, lens, calibration.scale, None, calibration.noise, calibration.black_level)
-    found = merge(frames, Setup(camera, lens, fitted))
-    assert found.radiance[0, 100] / found.radiance[0, 0] == pytest.approx(4.0, rel=1e-5)  # 45°: cos⁴ is 1/4
 
 
 def test_gains_may_be_mixed(rig):
@@ -344,7 +345,7 @@ def test_an_offset_of_all_exposures_is_in_the_uncertainty_as_in_that_of_a_readin
         frames = rig.frames(light, np.random.default_rng(2), (shortest, 1e-3))
         found, plain = (merge(frames, Setup(rig.description, rig.lens, one)) for one in (known, exact))
         shared, without = (one.radiance[0, 0] ** -1 * one.parts_of_u(np.s_[0, 0])[1] for one in (found, plain))
-        named = any(f"{1e6 * shortest:.3g} µs may be off" in one for one in found.provenance.assumptions)
+        named = any(f"{shortest:.3g} s may be off" in one for one in found.provenance.assumptions)
         assert named == (shortest < 1e-3)
         added.append(math.sqrt(shared**2 - without**2))
         reading = read_patch(frames, Patch(0, 0, 8, 8), Setup(rig.description, rig.lens, known))
@@ -510,17 +511,20 @@ def test_a_falloff_without_a_flat_field_is_taken_out_and_doubted(rig, declared, 
     assert np.sqrt(u**2 - noise**2) == pytest.approx(share * (1.0 - 0.64) / 0.64, rel=0.01)
 
 
-@pytest.mark.parametrize("count", [1, 4])
-def test_the_noise_of_dark_frames_is_in_every_pixel(rig, count):
-    """Taken off pixel by pixel, the mean of n dark frames adds (σ_r² + K²/12)/n to the variance of each pixel."""
+@pytest.mark.parametrize(("count", "lights"), [(1, 1), (4, 1), (1, 9)])
+def test_the_noise_of_dark_frames_is_in_every_pixel(rig, count, lights):
+    """Taken off pixel by pixel, the mean of n dark frames adds (σ_r² + K²/12)/n to a pixel's variance, in any light."""
     light_dn, taken = 20, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0)
-    light = Frame(np.full((4, 4), 64 + light_dn, np.uint16), 12, taken)
+    each = [np.full((4, 4), 64 + light_dn, np.uint16) for _ in range(lights)]
+    for number, one in enumerate(each):
+        one[3, 3] += number  # no copies
+    light = [Frame(one, 12, taken) for one in each]
     dn = np.full((4, 4), 64, np.uint16)
     dn[1:] += np.array([0, 2, 0, 2], np.uint16)  # the noise that rounding needs
     darks = [Frame(dn, 12, replace(taken, shutter="closed"))] * count
-    found = merge(Bracket.from_frames([light, *darks]), Setup(rig.description, rig.lens, rig.calibration(**EXACT)))
+    found = merge(Bracket.from_frames([*light, *darks]), Setup(rig.description, rig.lens, rig.calibration(**EXACT)))
     light_e, readout = light_dn * rig.gain_e_per_dn, rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
-    expected = math.sqrt(light_e + readout + readout / count) / light_e
+    expected = math.sqrt((light_e + readout) / lights + readout / count) / light_e
     assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(expected, rel=2e-3)
 
 
@@ -541,15 +545,8 @@ TIMES = 0.01 * 2.0 ** np.arange(6)
 
 
 def _calibration(flat=None):
-    return Calibration(
-        camera=CAMERA,
-        lens=LENS,
-        scale=Scale(value=1.0, u_rel=0.0, method="relative"),
-        response=None,
-        noise=SensorNoise.of(CAMERA),
-        black_level=BlackLevel(dn=BLACK, u_dn=0.0, dark_u_rel=0.0),
-        flat_field=flat,
-    )
+    black = BlackLevel(dn=BLACK, u_dn=0.0, dark_u_rel=0.0)
+    return relative_calibration(CAMERA, SensorNoise.of(CAMERA), lens=LENS, black_level=black, flat_field=flat)
 
 
 def _frame(rng, electrons_per_s, seconds):

@@ -25,20 +25,18 @@ from radiometer.analysis.merge.finish import (
 from radiometer.analysis.merge.frames import frame_terms
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
-    BlackLevel,
     Bracket,
-    Calibration,
     CameraDescription,
     Frame,
     FrameSettings,
     LensDescription,
     PixelMask,
     ResponseCurve,
-    Scale,
     SensorNoise,
 )
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
+from testing.relative_scale import relative_calibration
 
 
 def tables(exposures, *, variance=25.0, kappa=0.0, slack=0.01, clips_at=4000.0, sigma_clip=5.0, bounds=(4000.0, 1.0)):
@@ -117,8 +115,7 @@ def test_every_code_has_its_own_doubt_and_variance(gain_db):
     u_log = np.linspace(0.01, 0.05, 256)
     u_log[-1] = 0.2
     curve = ResponseCurve(g, u_log, absolute=True, valid_dn=(1, 254))
-    scale = Scale(value=1.0, u_rel=0.0, method="relative")
-    calibration = Calibration(CAMERA, LENS, scale, curve, NOISE, BlackLevel(dn=0.0, u_dn=0.0))
+    calibration = relative_calibration(CAMERA, NOISE, response=curve)
     situation = situation_of(Setup(CAMERA, LENS, calibration))
     settings = [FrameSettings(seconds, gain_db) for seconds in TIMES]
     tables = merge_tables([frame_terms(s, situation, (), through_lens=False) for s in settings], situation.model)
@@ -189,15 +186,6 @@ def moved(picture, movement):
     """Return the picture that shows at each pixel's new place what the given one shows at the pixel."""
     size = picture.shape[::-1]
     return np.asarray(cv2.warpAffine(picture, movement, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT))
-
-
-@pytest.mark.parametrize("movement", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.0), (1.5, 0.7, 0.4), (-2.0, 1.0, -0.8)])
-def test_the_movement_that_was_made_is_found(movement):
-    """To two of the 32nd parts of a pixel that OpenCV moves pictures by."""
-    here, there = scene(), moved(scene(), place(*movement))
-    correlation, found = Climb(here, there, np.ones(here.shape, np.uint8)).climbed(STILL, 60)
-    assert found == pytest.approx(place(*movement), abs=0.0625)
-    assert correlation > 0.99
 
 
 @pytest.mark.parametrize("pedestal_dn", [0.0, 3000.0, 30000.0])

@@ -264,13 +264,6 @@ def test_the_gaussian_has_the_area_of_the_thesis():
     assert float(tabulated.sum()) == pytest.approx(106.856917, abs=1e-5)
 
 
-def test_the_scotopic_table_is_the_published_one():
-    """∫V′ dλ is 97.0713 nm and the peak lies at 507 nm."""
-    wavelength, scotopic = photometry.luminous_efficiency("scotopic")
-    assert float(scotopic.sum()) == pytest.approx(97.071317, abs=1e-5)
-    assert abs(wavelength[np.argmax(scotopic)] - 507) <= 1
-
-
 def test_the_thesis_conversion_is_the_radiance_of_one_micrometre():
     """Times the 0.4 µm of the band it is the equal-energy radiance: (2.10) is per µm."""
     right = photometry.radiance_w_sr_m2(3882.3529, spectrum("equal_energy"))
@@ -407,16 +400,6 @@ def test_unusable_responsivity_is_named(tmp_path, text):
     file.write_text(text)
     with pytest.raises(InputError, match=r"camera\.csv"):
         spectral_factor("line:550", 453.0, 0.0, file)
-
-
-def test_a_responsivity_that_ends_before_the_light_is_refused(tmp_path):
-    """A table of the visible says nothing of 850 nm; one that reaches there is used."""
-    file = tmp_path / "responsivity.csv"
-    file.write_text("wavelength_nm,responsivity\n400,1\n700,1\n", encoding="utf-8")
-    with pytest.raises(InputError, match="the responsivity ends at 700 nm"):
-        spectral_factor("line:550", 850.0, 40.0, file)
-    file.write_text("wavelength_nm,responsivity\n400,1\n700,1\n701,0.25\n1000,0.25\n", encoding="utf-8")
-    assert spectral_factor("line:550", 850.0, 40.0, file) == pytest.approx(4.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
@@ -611,7 +594,7 @@ def random_lights():
     return [(power, part, figures(Spectrum("true", FINE_NM, power))) for power, part in drawn]
 
 
-@pytest.mark.parametrize("step_nm", [1, 5, 10, 20, 40, 100, 200])
+@pytest.mark.parametrize("step_nm", [5, 20, 100])
 def test_a_light_in_coarse_steps_is_right_within_u_or_refused(tmp_path, step_nm):
     """Over random lights and first wavelengths; steps of 5 nm and less are never refused, of 100 nm always."""
     taken, right = 0, 0
@@ -712,6 +695,10 @@ def test_a_line_excites_by_its_action_spectrum():
     found = rm.alpha_opic(3.0, "W/m2", spectrum="line:490")["melanopic"]
     assert found.quantity.value == pytest.approx(3.0 * at_490)
     assert at_490 == pytest.approx(1.0, abs=1e-3)  # its peak is at 490 nm
+    for receptor, column in columns.items():
+        last = np.flatnonzero(column)[-1]
+        found = rm.alpha_opic(1.0, "W/m2", spectrum=f"line:{wavelength[last]:g}")[receptor]
+        assert found.quantity.value == pytest.approx(column[last]), receptor
 
 
 def test_radiance_and_luminance_of_one_light_give_the_same():
@@ -733,12 +720,12 @@ def test_the_uncertainty_of_the_spectrum_is_that_of_drawn_spectra(unit):
     light, rng = spectrum("white_led"), np.random.default_rng(46_002)
     stated = alpha_opic_quantities(Quantity(100.0, 0.0, unit), light, 0.05, 0.8)
     drawn = []
-    for _ in range(300):
+    for _ in range(100):
         power = light.power * (1.0 + 0.05 * rng.standard_normal(light.power.size))
         moved = Spectrum("drawn", light.wavelength_nm + 0.8 * rng.standard_normal(), np.maximum(power, 0.0))
         drawn.append([one.quantity.value for one in alpha_opic_quantities(Quantity(100.0, 0.0, unit), moved)])
     for one, spread in zip(stated, np.std(drawn, axis=0), strict=True):
-        assert one.quantity.u == pytest.approx(spread, rel=0.2)
+        assert one.quantity.u == pytest.approx(spread, rel=0.25)  # of 100 draws: 7 %, k = 3.5
 
 
 def test_a_level_of_a_screen_and_a_reading_are_sources(tmp_path):

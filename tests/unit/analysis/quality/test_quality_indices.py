@@ -246,13 +246,6 @@ class TestSpectral:
         at_line = area - float(observer[ones == 550.0][0])
         assert figure.value == pytest.approx((rest + at_line) / observer.sum(), rel=2e-3)
 
-    def test_infrared_counts(self):
-        """Silicon's response beyond V(λ) is mismatch: with it f1′ is larger."""
-        nm = tuple(float(one) for one in range(380, 1001, 10))
-        cut = SpectralResponse(wavelength_nm=nm, relative=tuple(1.0 if one <= 700 else 0.0 for one in nm))
-        whole = SpectralResponse(wavelength_nm=nm, relative=tuple(1.0 for _ in nm))
-        assert v_lambda_mismatch(whole).value > v_lambda_mismatch(cut).value + 0.5
-
     def test_u_follows_the_responsivity_s(self):
         """A responsivity known twice as badly gives twice the uncertainty."""
         nm, v = _observer()

@@ -1,7 +1,6 @@
 """Stacks through known responses, made here from nothing that the analysis uses, and the samples of one."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -64,36 +63,18 @@ RESPONSES: dict[str, Response] = {
 }
 
 
-@dataclass(frozen=True)
-class StackMaker:
-    """Makes brackets of a scene that runs smoothly over some 6 e-folds, with shot and read noise before the curve."""
-
-    def __call__(
-        self,
-        response: str,
-        *,
-        bit_depth: int = 12,
-        frames: int = 9,
-        shape: tuple[int, int] = (192, 256),
-        ratio: float = 2.0,
-        full_well_e: float = 10_500.0,
-        seed: int = 1,
-        time_errors: dict[int, float] | None = None,
-    ) -> Bracket:
-        return _stack(response, bit_depth, frames, shape, ratio, full_well_e, seed, tuple((time_errors or {}).items()))
-
-
 @cache
 def _stack(
     response: str,
-    bit_depth: int,
-    frames: int,
-    shape: tuple[int, int],
-    ratio: float,
-    full_well_e: float,
-    seed: int,
-    time_errors: tuple[tuple[int, float], ...],
+    *,
+    bit_depth: int = 12,
+    frames: int = 9,
+    shape: tuple[int, int] = (192, 256),
+    seed: int = 1,
+    time_errors: tuple[tuple[int, float], ...] = (),
 ) -> Bracket:
+    """Return frames of a scene that runs smoothly over some 6 e-folds, with shot and read noise before the curve."""
+    full_well_e, ratio = 10_500.0, 2.0
     rng = np.random.default_rng(seed)
     height, width = shape
     y, x = np.mgrid[:height, :width]
@@ -110,9 +91,9 @@ def _stack(
 
 
 @pytest.fixture(scope="session")
-def make_stack() -> StackMaker:
-    """Return the maker of simulated brackets."""
-    return StackMaker()
+def make_stack() -> Callable[..., Bracket]:
+    """Return the maker of simulated brackets, which makes each once."""
+    return _stack
 
 
 @pytest.fixture(scope="session")

@@ -31,7 +31,7 @@ def _bracket(rng, *, electrons=None, dn_noise=0.0, read=0.0, shape=(120, 160)):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("electrons", "read"), [(2000, 0.0), (500, 0.0), (4000, 0.001)])
+@pytest.mark.parametrize(("electrons", "read"), [(500, 0.0), (4000, 0.001)])
 def test_noise_before_the_curve_comes_back(electrons, read):
     """The variance of ln H at mid-tones is that of the electrons and the read noise, within 25 %.
 
@@ -89,16 +89,12 @@ def _photographs(folder, rng, *, dn_noise=2.0):
 
 
 @pytest.mark.slow
-def test_one_command_from_photographs_to_a_colour_map(tmp_path, capsys):
-    """`merge PHOTOS -o map.tiff` finds the response: radiance in proportion to the truth, errors as u says.
-
-    The curves are kept next to the map and taken up again, unless the photographs change.
-    """
+def test_one_command_from_photographs_to_a_colour_map(tmp_path):
+    """`merge PHOTOS -o map.tiff` finds the response: radiance in proportion to the truth, errors as u says."""
     import tifffile
 
     folder, radiance = _photographs(tmp_path / "p", np.random.default_rng(4))
-    command = ["merge", str(folder), "-o", str(tmp_path / "map.tiff")]
-    assert run(command) == 0
+    assert run(["merge", str(folder), "-o", str(tmp_path / "map.tiff")]) == 0
     value = tifffile.imread(tmp_path / "map.tiff", key=0).astype(float)
     assert value.shape == (72, 96, 3)
     u = tifffile.imread(tmp_path / "map.tiff", key=1).astype(float)
@@ -109,13 +105,3 @@ def test_one_command_from_photographs_to_a_colour_map(tmp_path, capsys):
         z = scatter / (u[..., plane] / value[..., plane])[inside]
         assert 0.6 < np.sqrt(np.mean(np.clip(z, -5, 5) ** 2)) < 1.5
         assert np.std(scatter) < 0.1
-    capsys.readouterr()
-    kept = sorted(tmp_path.glob("map-response-*.yaml"))
-    assert [file.stem.rpartition("-")[2] for file in kept] == ["blue", "green", "red"]
-    written = [file.stat().st_mtime_ns for file in kept]
-    assert run([*command, "--force"]) == 0
-    assert [file.stat().st_mtime_ns for file in kept] == written
-    image = cv2.imread(str(folder / "p3.png"))
-    cv2.imwrite(str(folder / "p3.png"), 255 - (255 - image) // 2 * 2)
-    assert run([*command, "--force"]) == 0
-    assert all(now.stat().st_mtime_ns > then for now, then in zip(kept, written, strict=True))

@@ -19,7 +19,7 @@ from radiometer.analysis.response.estimate import inner_range, median_uncertaint
 from radiometer.analysis.response.fit import eliminate_groups, fit_response, information, solve_penalised
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.linear_spline import recover_response_linear_spline
-from radiometer.analysis.response.methods import METHODS, compare_methods
+from radiometer.analysis.response.methods import METHODS
 from radiometer.analysis.response.mitsunaga1999 import recover_response_mitsunaga1999
 from radiometer.analysis.response.noise import LogNoise, dn_at, fit_log_noise, mean_exposure_dn
 from radiometer.analysis.response.planes import (
@@ -82,13 +82,12 @@ def test_method_refuses_one_exposure_and_saturated_frames(make_stack, method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bit_depth", [8, 12])
-@pytest.mark.parametrize("kind", ["gamma", "kinked"])
+@pytest.mark.parametrize(("kind", "bit_depth"), [("gamma", 8), ("kinked", 12)])
 def test_mitsunaga_recovers_ratios_from_one(make_stack, kind, bit_depth):
     """Stated times wrong by up to 15 %: within 0.5 % and 4 of the stated sigmas, where no polynomial fits too."""
     true = np.array([2.0, 1.8, 2.1, 2.0, 2.3, 2.0, 1.9, 2.0])
     factors = {i + 1: float(f) for i, f in enumerate(np.cumprod(true / 2.0))}
-    bracket = make_stack(kind, bit_depth=bit_depth, time_errors=factors)
+    bracket = make_stack(kind, bit_depth=bit_depth, time_errors=tuple(factors.items()))
     estimate = recover_response_mitsunaga1999(bracket, known_ratios={3: 2.0})
     assert estimate.exposure_ratios == pytest.approx(true, rel=0.005)
     unknown = np.arange(8) != 3
@@ -153,16 +152,6 @@ def test_linear_spline_owns_up_to_a_response_that_is_not_linear(make_stack, inne
     assert 0.2 < np.mean((error[away] / u[away]) ** 2) < 2.0
 
 
-@pytest.mark.slow
-def test_methods_that_agree_differ_by_few_sigma(make_stack):
-    """Debevec–Malik and the best estimate agree on a gamma stack to within 1 % and 6 sigma."""
-    bracket = [make_stack("gamma", bit_depth=8)]
-    (found,) = compare_methods([METHODS["auto"](bracket), METHODS["debevec1997"](bracket)])
-    assert (found.first, found.second) == ("auto", "debevec1997")
-    assert found.rms_log < 0.01
-    assert found.largest_sigma < 6
-
-
 def test_a_polynomial_that_explains_nothing_is_refused(make_stack, monkeypatch):
     """A curve that is flat makes all frames agree, with u near 0: that is an error, not a response."""
     from radiometer.analysis.response.mitsunaga1999 import Polynomial
@@ -200,14 +189,6 @@ def test_a_stack_gives_its_response_back(make_stack, inner_error, response, bits
     estimate = recover_response_debevec1997(make_stack(response, bit_depth=bits, **shape))
     assert estimate.curve.log_exposure.size == 2**bits
     assert np.sqrt(np.mean(inner_error(estimate.curve, response) ** 2)) < 0.003
-
-
-def test_curve_is_zero_in_the_middle_and_never_falls(make_stack):
-    """The gauge is g(M_mid) = 0 and the curve is monotonic over all digital numbers, extrapolated ones included."""
-    curve = recover_response_debevec1997(make_stack("sigmoid", bit_depth=8)).curve
-    assert curve.log_exposure[128] == 0.0
-    assert curve.u_log_exposure[128] < 1e-6
-    assert np.all(np.diff(curve.log_exposure) >= 0)
 
 
 def test_stated_uncertainty_covers_the_error(make_stack, inner_error):
@@ -336,10 +317,7 @@ def test_where_a_region_landed_counts(stretched):
 
 @pytest.mark.parametrize(
     ("points", "error", "message"),
-    [
-        ([], InputError, "at least one region"),
-        ([RangePoint(254, 1 / 30)], MeasurementError, "shorter time"),
-    ],
+    [([], InputError, "at least one region"), ([RangePoint(254, 1 / 30)], MeasurementError, "shorter time")],
 )
 def test_what_contradicts_the_procedure_is_refused(stretched, points, error, message):
     """The message says what does not fit and the way out."""

@@ -34,10 +34,10 @@ def test_a_known_time_comes_back(offset_s):
 
 @pytest.mark.slow
 def test_its_uncertainty_holds_what_every_exposure_is_off_by_itself():
-    """Of shutters that scatter by a percent: over eight brackets the error is about the u, which holds that."""
-    found = [find_offset([plane(photographed(OFFSET_S, scatter=0.01, seed=seed))]) for seed in range(8)]
+    """Of shutters that scatter by a percent: over five brackets the error is about the u, which holds that."""
+    found = [find_offset([plane(photographed(OFFSET_S, scatter=0.01, seed=seed))]) for seed in range(5)]
     z = np.array([(one.seconds - OFFSET_S) / one.u_seconds for one in found if one is not None])
-    assert z.size >= 7  # one may not stand out of its u
+    assert z.size >= 4  # one may not stand out of its u
     assert 0.05 < np.sqrt(np.mean(z**2)) < 1.5
     assert min(one.u_seconds for one in found if one is not None) > 2e-6
 
@@ -81,8 +81,7 @@ def test_only_what_a_shutter_can_do_is_taken(slower, offset_s, found):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wrong", [0, 1, 2])
-@pytest.mark.parametrize("ratio", [1.4, 1 / 1.4])
+@pytest.mark.parametrize(("wrong", "ratio"), [(0, 1.4), (1, 1 / 1.4), (2, 1.4)])
 def test_one_wrong_short_label_is_no_offset(wrong, ratio):
     """It is named with its ratio, and the shutter stays as labelled."""
     found = find_exposures([plane(photographed(0.0, wrong, ratio))])
@@ -93,7 +92,7 @@ def test_one_wrong_short_label_is_no_offset(wrong, ratio):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("wrong", "ratio"), [(0, 1.5), (1, 1 / 1.5), (2, 1.5), (6, 0.7)])
+@pytest.mark.parametrize(("wrong", "ratio"), [(0, 1.5), (6, 0.7)])
 def test_a_wrong_label_next_to_an_offset_is_named(wrong, ratio):
     """Both come out: the time without that frame, and the frame against label and time."""
     found = find_exposures([plane(photographed(OFFSET_S, wrong, ratio))])

@@ -457,27 +457,27 @@ def test_every_test_pattern_generator_is_switched_off(wooden_camera):
     assert camera.features.patterns == {"Sensor": "Off", "PipelineStart": "Off"}
 
 
-def test_what_is_off_is_not_written(wooden_camera):
-    """A feature that is harmless already is left alone."""
-    camera, features = wooden_camera({"GammaEnable": False, "Gamma": 1.0, "ExposureAuto": "Off"})
-    assert {finding.state for finding in switch_off_falsifiers(features)} == {"off"}
-    assert camera.written == []
-
-
-def test_a_feature_that_keeps_its_value_is_reported(wooden_camera):
-    """What takes the write but stays on is reported with what it does to the measurement."""
-    _, features = wooden_camera({"GammaEnable": True}, stuck=("GammaEnable",))
-    (finding,) = switch_off_falsifiers(features)
-    assert finding.state == "still_on"
-    assert "no longer proportional to light" in str(finding)
-
-
-def test_a_feature_that_refuses_the_write_is_reported(wooden_camera):
-    """What refuses to be written is reported with the camera's reason, and the others are still treated."""
-    camera, features = wooden_camera({"GainAuto": "Continuous", "LUTEnable": True}, refused=("GainAuto",))
-    states = {finding.feature.name: finding.state for finding in switch_off_falsifiers(features)}
-    assert states == {"GainAuto": "still_on", "LUTEnable": "switched_off"}
-    assert camera.features["LUTEnable"] is False
+@pytest.mark.parametrize(
+    ("features", "camera_does", "states", "said"),
+    [
+        ({"GammaEnable": False, "Gamma": 1.0, "ExposureAuto": "Off"}, {}, {"off"}, ""),
+        ({"GammaEnable": True}, {"stuck": ("GammaEnable",)}, {"still_on"}, "no longer proportional to light"),
+        (
+            {"GainAuto": "Continuous", "LUTEnable": True},
+            {"refused": ("GainAuto",)},
+            {"still_on", "switched_off"},
+            "GainAuto",
+        ),
+    ],
+    ids=["off already", "keeps its value", "refuses the write"],
+)
+def test_what_is_off_is_left_alone_and_what_stays_on_is_reported(wooden_camera, features, camera_does, states, said):
+    """With what it does to the measurement; the others are still treated."""
+    camera, access = wooden_camera(features, **camera_does)
+    findings = switch_off_falsifiers(access)
+    assert {finding.state for finding in findings} == states
+    assert [str(f) for f in findings if f.state == "still_on" and said not in str(f)] == []
+    assert (camera.written == []) is (states == {"off"})
 
 
 def test_a_lost_camera_is_not_taken_for_a_stubborn_one(wooden_camera, library_error):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -224,21 +225,25 @@ def frame(frame_id: int, exposure_us: float | None = None, **others: float) -> R
 
 
 class Scripted:
-    """An acquisition that hands over given frames, and keeps how long it was to wait for each."""
+    """An acquisition that hands over frames or raises errors, then nothing; it keeps its starts and its deadlines."""
 
-    def __init__(self, frames: list[RawFrame]) -> None:
-        self.frames, self.deadlines = list(frames), []
+    def __init__(self, script: Sequence[RawFrame | Exception]) -> None:
+        self.script, self.deadlines, self.starts = list(script), list[float](), 0
 
     def __call__(self, *_arguments: object) -> Scripted:
         return self
 
-    def start(self) -> None: ...
+    def start(self) -> None:
+        self.starts += 1
 
     def stop(self, *, camera_is_there: bool) -> None: ...
 
-    def next_frame(self, deadline_s: float, _trigger: object) -> RawFrame:
+    def next_frame(self, deadline_s: float, _trigger: object) -> RawFrame | None:
         self.deadlines.append(deadline_s)
-        return self.frames.pop(0)
+        found = self.script.pop(0) if self.script else None
+        if isinstance(found, Exception):
+            raise found
+        return found
 
 
 @pytest.fixture
@@ -272,49 +277,34 @@ OLD, NEW = 9000.0, 5000.0  # µs; the wooden session is set to the second
 BEFORE = CameraSettings(exposure_s=0.009, pixel_format="Mono8")
 
 
-def test_chunks_tell_how_many_frames_are_stale(fresh):
-    """Two frames of the old exposure are thrown away, and the first of the new one is taken: none is waited for."""
-    frames, tally = fresh(
-        [frame(1, NEW), frame(2, OLD), frame(3, OLD), frame(4, NEW), frame(5, NEW)], discard=2, shown=True
-    )
-    assert frames.next().frame_id == 1
-    frames.settings_changed(BEFORE)
-    assert frames.next().frame_id == 4
-    assert tally.extra["stale_discarded"] == 2
+BLACK_BEFORE = CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8")  # 2.0 per cent
 
 
-def test_a_new_exposure_of_30_s_is_not_waited_for_thrice(fresh):
-    """A first frame whose chunk has the exposure that was set is the answer: one exposure, not three."""
-    frames, tally = fresh([frame(1, NEW)], discard=2, shown=True)
-    frames.settings_changed(BEFORE)
-    assert frames.next().frame_id == 1
-    assert tally.extra["stale_discarded"] == 0
+def of_black(*levels: float) -> list[RawFrame]:
+    """Return frames of the new exposure whose chunks state these black levels in per cent."""
+    return [frame(n, NEW, BlackLevel=level) for n, level in enumerate(levels, start=1)]
 
 
-def test_a_change_that_no_chunk_states_is_waited_for_by_number(fresh):
-    """The black level has no chunk here: that the exposure's agrees says nothing of it."""
-    frames, tally = fresh([frame(n, NEW) for n in range(1, 5)], discard=2, shown=True)
-    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
-    assert frames.next().frame_id == 3
-    assert tally.extra["stale_discarded"] == 2
-
-
-@pytest.mark.parametrize(("percent", "taken"), [(0.0, 1), (7.0, 3)], ids=["confirmed", "another"])
-def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
-    """A chunk of the black level that was set ends the wait; one of another never makes it endless."""
-    frames, _ = fresh([frame(n, NEW, BlackLevel=percent) for n in range(1, 5)], discard=2, shown=True)
-    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
-    assert frames.next().frame_id == taken
-
-
-@pytest.mark.parametrize(("message", "taken"), [((2.0, 2.0, 2.0, 0.0), 4), ((2.0,) * 6, 5), ((7.0,) * 6, 3)])
-def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, message, taken):
-    """Three say the old level where two are known of: the fourth is taken. As many again at most, and what says it."""
-    frames, _ = fresh(
-        [frame(n, NEW, BlackLevel=level) for n, level in enumerate(message, start=1)], discard=2, shown=True
-    )
-    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))  # 2.0 percent
-    assert frames.next().frame_id == taken
+@pytest.mark.parametrize(
+    ("frames", "before", "taken"),
+    [
+        pytest.param([frame(1, OLD), frame(2, OLD), frame(3, NEW)], [BEFORE], 3, id="two of the old exposure"),
+        pytest.param([frame(1, NEW)], [BEFORE], 1, id="an exposure of 30 s is not waited for thrice"),
+        pytest.param([frame(n, NEW) for n in range(1, 5)], [BLACK_BEFORE], 3, id="no chunk states it: by number"),
+        pytest.param(of_black(0.0, 0.0), [BLACK_BEFORE], 1, id="its own chunk confirms it"),
+        pytest.param(of_black(*[7.0] * 6), [BLACK_BEFORE], 3, id="another chunk never makes it endless"),
+        pytest.param(of_black(2.0, 2.0, 2.0, 0.0), [BLACK_BEFORE], 4, id="a late frame states the level before"),
+        pytest.param(of_black(*[2.0] * 6), [BLACK_BEFORE], 5, id="as many again at most"),
+        pytest.param([frame(n, NEW) for n in range(1, 5)], [BLACK_BEFORE, BEFORE], 3, id="a change not yet shown"),
+    ],
+)
+def test_frames_of_the_settings_before_are_thrown_away(fresh, frames, before, taken):
+    """Two are known of; chunks that state what was changed say whether there are fewer, or more, of them."""
+    made, tally = fresh(frames, discard=2, shown=True)
+    for settings in before:
+        made.settings_changed(settings)
+    assert made.next().frame_id == taken
+    assert tally.extra["stale_discarded"] == taken - 1
 
 
 def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
@@ -329,14 +319,6 @@ def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
         frames.next()
 
 
-def test_a_change_that_no_frame_has_shown_is_not_forgotten(fresh):
-    """A second change before the first frame leaves the first one to be waited for too."""
-    frames, _ = fresh([frame(n, NEW) for n in range(1, 5)], discard=2, shown=True)
-    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
-    frames.settings_changed(BEFORE)
-    assert frames.next().frame_id == 3
-
-
 def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(monkeypatch):
     """After 30 s a short exposure's deadline is that of the frame still in the sensor, until the first fresh one."""
     acquisition = Scripted([frame(n, NEW) for n in (1, 2, 3)])
@@ -349,31 +331,13 @@ def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(monkey
     assert acquisition.deadlines == pytest.approx([0.11, 60.1, 0.11])
 
 
-class Lossy:
-    """An acquisition of which no frame comes whole before the camera is slowed down often enough."""
-
-    starts, needed = 0, 4
-
-    def __init__(self, *_arguments: object) -> None: ...
-
-    def start(self) -> None:
-        type(self).starts += 1
-
-    def stop(self, *, camera_is_there: bool) -> None: ...
-
-    def next_frame(self, _deadline_s: float, _trigger: object) -> RawFrame:
-        if self.starts < self.needed:
-            raise LossyLink("camera W1: 40 frames in a row came incomplete")
-        return frame(1, NEW)
-
-
 @pytest.mark.parametrize(
     ("possible", "starts"), [(5, 4), (2, 4), (1, 3)], ids=["slow enough in time", "at the last start", "never"]
 )
 def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, starts):
     """Each time that no frame comes whole it is slowed down and started anew, at its slowest once more."""
-    monkeypatch.setattr(fresh_frames, "FrameStream", Lossy)
-    monkeypatch.setattr(Lossy, "starts", 0)
+    lossy = Scripted([*[LossyLink("camera W1: 40 frames in a row came incomplete")] * 3, frame(1, NEW)])
+    monkeypatch.setattr(fresh_frames, "FrameStream", lossy)
     session, tally = wooden_session(0), Tally()
     frames = FreshFrames(SimpleNamespace(), session, LensDescription(), tally, 0.05)
     left = iter([True] * possible)
@@ -383,7 +347,7 @@ def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, star
             frames.next()
     else:
         assert frames.next().frame_id == 1
-    assert Lossy.starts == starts
+    assert lossy.starts == starts
     assert tally.snapshot().extra["restarts"] == (possible < 3)
 
 
@@ -394,37 +358,23 @@ def test_a_camera_that_keeps_its_old_exposure_is_an_error(fresh):
         frames.next()
 
 
-def silent(answers: bool) -> tuple[FreshFrames, Tally]:
+@pytest.mark.parametrize(
+    ("answers", "error", "message", "restarts"),
+    [
+        (True, DeviceTimeout, r"no frame within 0\.1 s, 3 times over, though it answers", 3),
+        (False, DeviceLost, "stopped answering", 0),
+    ],
+)
+def test_an_acquisition_without_frames_is_restarted_where_the_camera_answers(
+    monkeypatch, answers, error, message, restarts
+):
+    """Twice, then it is a timeout with the deadline; a camera that does not answer is lost at once."""
+    monkeypatch.setattr(fresh_frames, "FrameStream", Scripted([]))
     tally = Tally()
-    return FreshFrames(SimpleNamespace(), wooden_session(0, answers), LensDescription(), tally, 0.05), tally
-
-
-class NothingComes:
-    def __init__(self, *_arguments: object) -> None: ...
-
-    def start(self) -> None: ...
-
-    def stop(self, *, camera_is_there: bool) -> None: ...
-
-    def next_frame(self, _deadline_s: float, _trigger: object) -> None: ...
-
-
-def test_an_acquisition_without_frames_is_restarted_then_given_up(monkeypatch):
-    """A camera that answers but sends nothing is started again twice, then it is a timeout with the deadline."""
-    monkeypatch.setattr(fresh_frames, "FrameStream", NothingComes)
-    frames, tally = silent(answers=True)
-    with pytest.raises(DeviceTimeout, match=r"no frame within 0\.1 s, 3 times over, though it answers"):
+    frames = FreshFrames(SimpleNamespace(), wooden_session(0, answers), LensDescription(), tally, 0.05)
+    with pytest.raises(error, match=message):
         frames.next()
-    assert tally.extra["restarts"] == 3
-
-
-def test_a_camera_without_an_answer_is_lost_at_once(monkeypatch):
-    """A camera that sends nothing and does not answer is lost; it is not started again."""
-    monkeypatch.setattr(fresh_frames, "FrameStream", NothingComes)
-    frames, tally = silent(answers=False)
-    with pytest.raises(DeviceLost):
-        frames.next()
-    assert tally.extra["restarts"] == 0
+    assert tally.extra["restarts"] == restarts
 
 
 @pytest.mark.parametrize(

@@ -5,15 +5,12 @@ import threading
 
 import pytest
 
-from drivers.light_box.box import SerialLightBox
-from drivers.light_box.link import BoxLink
 from radiometer.devices import CurrentRange, DriveLevel
-from radiometer.devices.exposure_account import MemoryStore
-from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import SettingOutOfRange, UnsafeStimulus, UsageError
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import VirtualLine
+from testing.box_on_a_line import driver_on, pass_time
 
 # B = 1 over the whole line: L·t = 10⁶ J·sr⁻¹·m⁻² is the blue-light limit, and 10⁵ what is allowed of it.
 BLUE = ChannelOptics(437.5, 0.5, 40.0, 1000.0, low_range_ratio_bound=0.01)
@@ -38,18 +35,9 @@ def bench(calibration=None):
     twin = SimulatedLightBox(SimulatedBoxSettings())
     line = VirtualLine(twin, latency_s=0.0003)
     optics = dict.fromkeys(("bleach", "field", "spot", "spot_red"), BLUE)
-    box = SerialLightBox(
-        BoxLink(line), ExposureLedger(optics, MemoryStore(line.now, ("TWIN0001",))), calibration, keep_alive=False
-    )
+    box = driver_on(line, optics, calibration)
     box.open()
     return twin, line, box
-
-
-def pass_time(line, box, seconds):
-    end_s = line.now() + seconds
-    while (left_s := end_s - line.now()) > 1e-9:
-        line.wait(min(left_s, 0.2))
-        box.tend_if_due()
 
 
 def left_j(box, channel="spot"):

@@ -1,7 +1,6 @@
 """The link to a light box: answers, events, clock, and the second version of its protocol."""
 
 import math
-import zlib
 from collections import deque
 
 import numpy as np
@@ -9,12 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.light_box.box import SerialLightBox, read_capabilities, read_flash, read_identity, read_state, read_status
+from drivers.light_box.box import read_capabilities, read_flash, read_identity, read_state, read_status
 from drivers.light_box.frames import Event, parse_times
 from drivers.light_box.link import BoxClock, BoxLink, BoxRefusal, ClockSample, EventInbox
 from drivers.light_box.serial_line import ReceivedLine
-from radiometer.devices.exposure_account import MemoryStore
-from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import (
     ChannelCapabilities,
     ChannelMode,
@@ -37,10 +34,7 @@ from radiometer.errors import (
 )
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import VirtualLine
-
-
-def sealed(body):
-    return body.encode() + f"*{zlib.crc32(body.encode()):08X}".encode()
+from testing.box_on_a_line import driver_on, pass_time, sealed
 
 
 class ScriptedLine:
@@ -58,7 +52,7 @@ class ScriptedLine:
         self.sent.append(data.decode())
         number = data[1:3].decode()
         answers = self.script.popleft() if self.script else ()
-        self.waiting += [sealed(text.replace("SS", number)) for text in answers]
+        self.waiting += [sealed(text.replace("SS", number).encode()) for text in answers]
         return self.time_s
 
     def read_line(self, timeout_s):
@@ -79,7 +73,7 @@ def test_an_answer_is_that_of_its_own_request():
     line, link = link_of(("=00 OK late",), ("=SS OK mine",))
     with pytest.raises(DeviceTimeout):
         link.request("ST", attempts=1)
-    line.waiting.append(sealed("=01 OK late"))
+    line.waiting.append(sealed(b"=01 OK late"))
     assert link.request("ST") == ("mine",)
 
 
@@ -110,7 +104,7 @@ def test_a_box_that_went_dark_by_itself_is_lost():
     for argument, ends in (("D", True), ("B", False)):
         line, link = link_of(("=SS OK",))
         link.inbox.start_after(4)
-        line.waiting.append(sealed(f"!05 DK {argument} 12.345"))
+        line.waiting.append(sealed(f"!05 DK {argument} 12.345".encode()))
         link.listen(0.1)
         assert link.take_turned_off() is not ends
         if ends:
@@ -146,7 +140,7 @@ def test_a_box_that_boots_again_has_ended_the_session():
         line, link = link_of(("=SS OK",))
         if known:
             link.inbox.start_after(4)
-        line.waiting.append(sealed("!00 BO P 0.004"))
+        line.waiting.append(sealed(b"!00 BO P 0.004"))
         link.listen(0.1)
         if ends:
             with pytest.raises(DeviceLost, match="has restarted; every channel is dark, reopen it"):
@@ -349,19 +343,9 @@ def bench(version=2, flash=FLASH):
     optics = dict.fromkeys(("bleach", "field"), FIELD) | {"spot": ChannelOptics(453.0, 22.0, 1.5, 4.0)}
     if flash is not None:
         optics["flash"] = flash.optics
-    box = SerialLightBox(
-        BoxLink(line), ExposureLedger(optics, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False, flash=flash
-    )
+    box = driver_on(line, optics, flash=flash)
     box.open()
     return twin, line, box
-
-
-def pass_time(line, box, seconds):
-    """Let time pass with the box tended."""
-    end_s = line.now() + seconds
-    while (left_s := end_s - line.now()) > 0:
-        line.wait(min(left_s, 0.2))
-        box.tend_if_due()
 
 
 def test_new_box_has_six_channels_and_an_old_one_its_four():

@@ -2,7 +2,6 @@
 
 from collections import deque
 from itertools import pairwise
-from zlib import crc32
 
 import numpy as np
 import pytest
@@ -11,15 +10,13 @@ from hypothesis import strategies as st
 
 from drivers.light_box.box import SerialLightBox
 from drivers.light_box.frames import Event, Reply, parse_event_fields, parse_line, parse_times, request_line
-from drivers.light_box.link import BoxLink
 from drivers.light_box.serial_line import ReceivedLine
-from radiometer.devices import CurrentRange, DriveLevel
-from radiometer.devices.exposure_account import MemoryStore
-from radiometer.devices.exposure_ledger import ExposureLedger
+from radiometer.devices import DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, DeviceLost
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import LineFaults, VirtualLine
+from testing.box_on_a_line import driver_on, sealed
 
 CHANNELS = ("bleach", "spot", "spot_red", "fixation")
 OPTICS = {name: ChannelOptics(640.0, 18.0, 1.5, 1.0) for name in CHANNELS}
@@ -30,43 +27,7 @@ def bench(seed: int, **faults: float) -> tuple[SimulatedLightBox, VirtualLine, S
     rng = np.random.default_rng(seed)
     twin = SimulatedLightBox(SimulatedBoxSettings())
     line = VirtualLine(twin, LineFaults(**faults, rng=rng), latency_s=0.0003, rng=rng)
-    return (
-        twin,
-        line,
-        SerialLightBox(
-            BoxLink(line, _sequence=0), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False
-        ),
-    )
-
-
-@pytest.mark.long
-def test_ten_thousand_commands_on_a_line_with_one_percent_wrong_bytes():
-    """No wrong level is ever set, and none is reported as done that was not."""
-    twin, line, box = bench(11, corrupt=0.01)
-    box.open()
-    rng = np.random.default_rng(12)
-    asked: set[tuple[str, int, bool]] = set()
-    driven: set[tuple[str, int, bool]] = set()
-    twin.watch = lambda: driven.update((c.limits.name, c.driven_level, c.high) for c in twin.channels if c.driven_level)
-    done = failed = 0
-    for _ in range(10_000):
-        name = CHANNELS[rng.integers(4)]
-        drive = DriveLevel(int(rng.integers(1, 20_000)), list(CurrentRange)[rng.integers(2)])
-        asked.add((name, drive.level, drive.current_range is CurrentRange.HIGH))
-        try:
-            state = box.set_level(name, drive)
-        except DeviceError:
-            failed += 1
-            box.close()
-            box.open()
-            continue
-        done += 1
-        channel = twin.channels[CHANNELS.index(name)]
-        assert (channel.driven_level, channel.high) == (drive.level, drive.current_range is CurrentRange.HIGH)
-        assert state.drive == drive
-    assert driven <= asked
-    assert done >= 9_990  # 16 attempts of which 6 in 10 succeed: far less than one failure is expected
-    assert line.faults.touched > 10_000
+    return twin, line, driver_on(line, OPTICS)
 
 
 @pytest.mark.parametrize("faults", [{"drop": 0.01}, {"insert": 0.01}, {"corrupt": 0.015}])
@@ -77,21 +38,6 @@ def test_other_damage_is_survived_too(faults):
     for level in range(1, 200):
         assert box.set_level("spot", DriveLevel(level)).drive.level == level
         assert twin.channels[1].driven_level == level
-
-
-def test_restart_is_noticed_and_reported():
-    """A box that restarts while lit: the next command says so, and opening again gives a dark box."""
-    twin, line, box = bench(14)
-    box.open()
-    box.set_level("spot", DriveLevel(30_000))
-    line.wait(0.1)
-    twin.reset("B")
-    with pytest.raises(DeviceLost, match=r"restarted|gone dark"):
-        box.set_level("spot", DriveLevel(30_000))
-    box.close()
-    box.open()
-    assert twin.duty("spot") == 0
-    assert box.status().reset_cause == "brown-out"
 
 
 def test_restart_is_noticed_where_its_announcement_is_lost():
@@ -121,17 +67,6 @@ def test_light_that_ended_with_the_session_is_not_counted_on():
     assert box.set_level("spot_red", DriveLevel(60_000)).drive.level == 60_000
 
 
-def test_silence_of_the_host_is_reported_to_it():
-    """A host that slept for more than a second is notified that the box went dark."""
-    twin, line, box = bench(16)
-    box.open()
-    box.set_level("spot", DriveLevel(30_000))
-    line.wait(1.5)
-    assert twin.duty("spot") == 0
-    with pytest.raises(DeviceLost, match="gone dark"):
-        box.set_level("spot", DriveLevel(30_000))
-
-
 def test_button_events_lost_on_the_line_are_fetched():
     """With one line in three damaged every press still comes, once and in order."""
     twin, line, box = bench(17, corrupt=0.012)
@@ -151,9 +86,7 @@ def test_press_times_over_forty_minutes_with_a_fast_clock():
     rng = np.random.default_rng(18)
     twin = SimulatedLightBox(SimulatedBoxSettings(clock_ppm=200.0))
     line = VirtualLine(twin, latency_s=0.0008, least_latency_s=0.0002, rng=rng)
-    box = SerialLightBox(
-        BoxLink(line, _sequence=0), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False
-    )
+    box = driver_on(line, OPTICS)
     box.open()
     presses_s = line.now() + 1.0 + np.cumsum(rng.uniform(1.0, 7.0, 590))
     for press_s in presses_s:
@@ -176,11 +109,6 @@ def test_press_times_over_forty_minutes_with_a_fast_clock():
 
 FRAGMENTS = st.sampled_from([b"=", b"!", b"*", b"#", b" OK", b" ER 05", b"--", b"TM", b"1.000", b"\n", b"00", b"HI 1"])
 NOISE = st.lists(st.one_of(st.binary(max_size=20), FRAGMENTS), max_size=12).map(b"".join)
-
-
-def sealed(body: bytes) -> bytes:
-    """Return a line whose checksum is right, whatever it says."""
-    return body + f"*{crc32(body):08X}".encode()
 
 
 class BabblingLine:
@@ -220,7 +148,7 @@ def test_parser_takes_any_bytes(line):
     assert found is None or isinstance(found, Reply | Event)
 
 
-@pytest.mark.slow
+@settings(max_examples=20)
 @given(st.lists(st.text(max_size=12), max_size=6).map(tuple), st.integers(0, 255))
 def test_fields_take_any_text(fields, number):
     """Fields that are not times or events are None; what is one has three times, or the number asked for."""
@@ -247,7 +175,7 @@ def test_what_one_wrong_byte_makes_of_a_reply_is_never_another_reply(sequence, c
 def test_opening_on_a_babbling_line_ends_in_a_named_error(lines):
     """Whatever comes, opening ends with a DeviceError within its deadline."""
     line = BabblingLine(lines)
-    box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False)
+    box = driver_on(line, OPTICS)
     try:
         box.open()
     except DeviceError:
@@ -261,7 +189,7 @@ def test_opening_on_a_babbling_line_ends_in_a_named_error(lines):
 def test_open_box_on_babble_never_reports_what_was_not_sent(answers):
     """An open driver that gets undamaged nonsense raises a DeviceError or has read its own level back."""
     line = BabblingLine([])
-    box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False)
+    box = driver_on(line, OPTICS)
     twin = SimulatedLightBox()
     prepare(box, line, twin)
     line.lines.extend(sealed(f"={number:02X} {word} ".encode() + noise) for number, word, noise in answers)

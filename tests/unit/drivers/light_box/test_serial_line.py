@@ -70,18 +70,13 @@ def test_endless_garbage_without_line_ends_does_not_grow(terminal):
     line.close()
 
 
-def test_missing_port_is_not_found(tmp_path):
-    """A port that is not there is named."""
-    with pytest.raises(DeviceNotFound, match="there is no port"):
-        SerialLine(str(tmp_path / "none")).open()
-
-
-def test_file_is_not_a_serial_port(tmp_path):
-    """A plain file is refused."""
-    file = tmp_path / "file"
-    file.write_text("x")
-    with pytest.raises(DeviceNotFound, match="cannot be opened as a serial port"):
-        SerialLine(str(file)).open()
+@pytest.mark.parametrize(
+    ("name", "message"), [("none", "there is no port"), (".", "cannot be opened as a serial port")]
+)
+def test_what_is_no_serial_port_is_named(tmp_path, name, message):
+    """A port that is not there, and what is none."""
+    with pytest.raises(DeviceNotFound, match=message):
+        SerialLine(str(tmp_path / name)).open()
 
 
 def test_second_opener_is_refused(terminal):

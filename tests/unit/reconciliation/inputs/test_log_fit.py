@@ -3,8 +3,6 @@
 The offline count of false alarms is in docs/benchmarks/reconcile.md.
 """
 
-from __future__ import annotations
-
 import json
 import math
 
@@ -67,7 +65,7 @@ def test_what_has_no_name_is_recognised_by_its_column(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_nothing_is_found_where_nothing_is(tmp_path, seed):
     """Clouds, haze and a moon alone raise no alarm, and limits say what would have been seen."""
     result = _fitted(tmp_path, Camera(), seed).result

@@ -1,7 +1,5 @@
 """Light-meter tables, photograph stacks and EMVA 1288 sets."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -20,9 +18,10 @@ from radiometer.errors import CaptureError, InputError
 from radiometer.importing import open_capture
 from radiometer.importing.meter_table import read_meter_table
 from radiometer.reconciliation.inputs import photographs
-from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, outcome, reconcile_photographs
+from radiometer.reconciliation.inputs.photographs import outcome, reconcile_photographs
 from radiometer.reconciliation.inputs.tables import reconcile_meter_table
 from radiometer.reconciliation.result import Verdict
+from testing.brackets_of_a_shutter import LABELS_S, photographed
 
 THESIS = """\
 screen,luminance,f_number,time,iso
@@ -35,28 +34,30 @@ AOC,350,1.7,1/1000,136
 """
 
 
-def _table(folder: Path, text: str) -> Path:
+def _table(folder, text):
     path = folder / "meter.csv"
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_thesis_constants_scatter_by_rounding(tmp_path: Path) -> None:
+def test_thesis_constants_scatter_by_rounding(tmp_path):
     """K at f/16 and f/5.6 agrees once exact stops are used; the printed values are those of the thesis."""
     done = reconcile_meter_table(_table(tmp_path, THESIS))
     assert [effect.name for effect in done.result.effects] == ["nominal_settings"]
-    assert done.result.effects[0].gap_after < 1e-9
+    (effect,) = done.result.effects
+    assert effect.gap_after < 1e-9
+    assert effect.gain_nats == pytest.approx(10.0 * math.log(effect.gap_before / 1e-6))  # K is read to 1e-6 at best
     assert [round(row.k_printed, 4) for row in done.rows] == [16.6016, 18.0697, 18.3824, 14.3029, 15.1786, 16.4706]
 
 
-def test_a_time_of_two_dials_is_that_of_the_dial_of_the_other_rows(tmp_path: Path) -> None:
+def test_a_time_of_two_dials_is_that_of_the_dial_of_the_other_rows(tmp_path):
     """1/3 s is on dials of thirds and of halves; 1/25 s and 1/50 s show the dial of thirds: K is one number."""
     rows = "source,luminance,f_number,time,iso\na,25,8,1/3,100\na,25,4,1/13,100\na,25,2.8,1/25,100\na,50,2.8,1/50,100\n"
     (effect,) = reconcile_meter_table(_table(tmp_path, rows)).result.effects
     assert (effect.name, effect.gap_after < 1e-9) == ("nominal_settings", True)
 
 
-def test_rest_at_full_aperture_is_not_guessed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rest_at_full_aperture_is_not_guessed(tmp_path, capsys):
     """The sixth of a stop at f/1.7 is reported, with both causes that these data cannot tell apart."""
     assert run(["reconcile", str(_table(tmp_path, THESIS)), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -65,7 +66,7 @@ def test_rest_at_full_aperture_is_not_guessed(tmp_path: Path, capsys: pytest.Cap
     assert "cannot be separated from light lost at full aperture" in " ".join(printed["remarks"])
 
 
-def test_times_on_no_dial_are_as_written(tmp_path: Path) -> None:
+def test_times_on_no_dial_are_as_written(tmp_path):
     """A time of 8 % more, 85.769 ms, is no printed stop: no row is rounded to a stop, and K is that of the rows."""
     times = (0.010006, 0.019969, 0.039950, 0.085769)
     rows = "".join(f"A,100,{n},{t},100\n" for n, t in zip((2.8, 4, 5.6, 8), times, strict=True))
@@ -75,7 +76,7 @@ def test_times_on_no_dial_are_as_written(tmp_path: Path) -> None:
     assert "times are as written" in done.result.assumptions[0]
 
 
-def test_constant_meter_agrees(tmp_path: Path) -> None:
+def test_constant_meter_agrees(tmp_path):
     """Exact stops of one constant: nothing is missing."""
     rows = "".join(f"A,100,{n},{t},100\n" for n, t in ((4, 0.0625), (8, 0.25), (16, 1)))
     done = reconcile_meter_table(_table(tmp_path, "source,luminance,f_number,time,iso\n" + rows))
@@ -83,7 +84,7 @@ def test_constant_meter_agrees(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stop", [2.8, 8])
-def test_stop_that_differs_from_its_dial_is_named_with_its_size(tmp_path: Path, stop: float) -> None:
+def test_stop_that_differs_from_its_dial_is_named_with_its_size(tmp_path, stop):
     """Three screens at three stops: the one that lets through an eighth less is told, the others are not."""
     rows = "".join(
         f"{name},{100 * 4**i / (1 - 0.125 * (n == stop))},{n},{t / 4**i},100\n"
@@ -98,7 +99,7 @@ def test_stop_that_differs_from_its_dial_is_named_with_its_size(tmp_path: Path, 
     }
 
 
-def test_meter_drift_that_is_no_rounding_gets_no_name(tmp_path: Path) -> None:
+def test_meter_drift_that_is_no_rounding_gets_no_name(tmp_path):
     """K that changes by a fifth from row to row is `unnamed`."""
     rows = "".join(f"A,{100 * 1.2**i},{n},{t},100\n" for i, (n, t) in enumerate(((4, 0.0625), (8, 0.25), (16, 1))))
     done = reconcile_meter_table(_table(tmp_path, "source,luminance,f_number,time,iso\n" + rows))
@@ -107,13 +108,13 @@ def test_meter_drift_that_is_no_rounding_gets_no_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "luminance,f_number,time,iso\n1,2,x,4\n5,6,7,8\n"])
-def test_unusable_table_is_refused(tmp_path: Path, text: str) -> None:
+def test_unusable_table_is_refused(tmp_path, text):
     """An empty file, missing columns, or a value that is no number."""
     with pytest.raises(InputError):
         read_meter_table(_table(tmp_path, text))
 
 
-def _photographs(printed: list[float], real: list[float]) -> list[Frame]:
+def _photographs(printed, real):
     rng = np.random.default_rng(4)
     scene = 10 ** cv2.resize(rng.uniform(-1.5, 1.2, (6, 9)), (144, 96), interpolation=cv2.INTER_CUBIC)
     frames = []
@@ -130,35 +131,26 @@ PRINTED = [1 / d for d in (15, 30, 60, 125, 250, 500, 1000, 2000, 4000)]
 
 
 @pytest.mark.slow
-def test_rounded_stops_of_photographs_are_named() -> None:
+def test_rounded_stops_of_photographs_are_named():
     """Printed 1/60 s exposed for 1/64 s and so on, through an unknown tone curve."""
     done = reconcile_photographs(_photographs(PRINTED, EXACT))
     assert [effect.name for effect in done.result.effects] == ["nominal_settings"]
 
 
 @pytest.mark.slow
-def test_truthful_labels_agree() -> None:
+def test_truthful_labels_agree():
     """Exposures that are what they say: nothing is missing, and a wrong one would be named from some tenths on."""
-    result = reconcile_photographs(_photographs(EXACT, EXACT)).result
+    done = reconcile_photographs(_photographs(EXACT, EXACT))
+    result = done.result
     assert result.verdict is Verdict.AGREES
+    assert (list(done.exposures_s.values()), set(done.u_rel.values())) == (sorted(EXACT), {0.0})
+    assert {one.expected for one in done.findings} == {1.0}
     limit = result.limits["exposure_label_error"].amplitude
-    assert limit is not None
     assert math.expm1(0.08) < limit < 0.5
 
 
 @pytest.mark.slow
-def test_label_that_lies_is_named_with_its_ratio() -> None:
-    """One photograph labelled a stop too short: its label and the factor 2 come out."""
-    printed = [*EXACT[:3], EXACT[3] * 1.9, *EXACT[4:]]
-    done = reconcile_photographs(_photographs(printed, EXACT))
-    (effect,) = done.result.effects
-    assert effect.name == "exposure_label_error"
-    assert effect.parameters["label_s"].value == pytest.approx(EXACT[3] * 1.9)
-    assert math.log(effect.parameters["ratio"].value) == pytest.approx(-math.log(1.9), abs=0.03)
-
-
-@pytest.mark.slow
-def test_light_that_fell_on_one_photograph_is_no_wrong_label() -> None:
+def test_light_that_fell_on_one_photograph_is_no_wrong_label():
     """A corner glows in the shortest exposures but one; the rest of the picture is in order, and so is the label."""
     frames = _photographs(EXACT, EXACT)
     dn = frames[7].dn.copy()
@@ -168,7 +160,7 @@ def test_light_that_fell_on_one_photograph_is_no_wrong_label() -> None:
 
 
 @pytest.mark.slow
-def test_a_photograph_of_another_scene_is_no_agreement() -> None:
+def test_a_photograph_of_another_scene_is_no_agreement():
     """One of five photographs upside down: no tone curve joins them, so that nothing can be stated of their labels."""
     frames = _photographs(EXACT[3:8], EXACT[3:8])
     frames[2] = replace(frames[2], dn=np.ascontiguousarray(frames[2].dn[::-1, ::-1]), extra={"file": "turned.jpg"})
@@ -181,7 +173,7 @@ def test_a_photograph_of_another_scene_is_no_agreement() -> None:
 
 
 @pytest.mark.slow
-def test_three_photographs_do_not_agree_with_a_wrong_label_and_cannot_say_which() -> None:
+def test_three_photographs_do_not_agree_with_a_wrong_label_and_cannot_say_which():
     """Right, three labels agree; one 1.5 times too long is no agreement. Of a wrong label three say nothing by name."""
     right = reconcile_photographs(_photographs(EXACT[3:8:2], EXACT[3:8:2])).result
     assert right.verdict is Verdict.AGREES
@@ -195,7 +187,7 @@ def test_three_photographs_do_not_agree_with_a_wrong_label_and_cannot_say_which(
     assert "so few photographs cannot show which" in wrong.extra["remarks"][0]
 
 
-def test_a_picture_with_all_its_light_in_one_quadrant_is_refused_in_words() -> None:
+def test_a_picture_with_all_its_light_in_one_quadrant_is_refused_in_words():
     """Quadrants cannot be left out where three hold nothing: stated so, not "predicted to nan DN"."""
     frames = _photographs(EXACT[3:7], EXACT[3:7])
     corner = [np.pad(frame.dn[:40, :60], ((0, 60), (0, 90))) for frame in frames]
@@ -204,7 +196,7 @@ def test_a_picture_with_all_its_light_in_one_quadrant_is_refused_in_words() -> N
 
 
 @pytest.mark.slow
-def test_one_of_four_labels_may_lie() -> None:
+def test_one_of_four_labels_may_lie():
     """Of four photographs the last was exposed 1.6 times as long, not twice: only its label is called wrong."""
     real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6]
     done = reconcile_photographs(_photographs([*real[:3], EXACT[3]], real))
@@ -214,13 +206,12 @@ def test_one_of_four_labels_may_lie() -> None:
 
 
 @pytest.mark.slow
-def test_report_of_photographs_reports_the_story(tmp_path: Path) -> None:
+def test_report_of_photographs_reports_the_story(tmp_path):
     """One sentence with the factor and its U, both plots, what to do, and the others' exposures with their labels."""
     real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6, EXACT[3] * 2.0]
     done = reconcile_photographs(_photographs([*real[:3], EXACT[3], real[4]], real))
     page = Path(done.write_report(tmp_path / "report.html")).read_text(encoding="utf-8")
     found = re.search(r"<p class='outcome'>(.+?) had ([\d.]+)\u00a0±\u00a0([\d.]+) of its printed exposure", page)
-    assert found is not None
     (wrong,) = [one for one in done.findings if one.wrong]
     assert found[1] == wrong.name
     assert float(found[2]) == pytest.approx(0.8, abs=0.03)
@@ -236,14 +227,14 @@ def test_report_of_photographs_reports_the_story(tmp_path: Path) -> None:
     assert before > 5.0 * after
 
 
-def _named(monkeypatch: pytest.MonkeyPatch, *rivals: tuple[int, float]) -> PhotographsReconciled:
+def _named(monkeypatch, *rivals):
     """Return a stack whose third label is found 0.8 ± 0.016 of the truth, with rivals."""
     label = WrongLabel(2, 0.8, 0.016, 0.5, rivals)
     monkeypatch.setattr(photographs, "find_exposures", lambda _planes: Exposures(None, (label,)))
     return reconcile_photographs(_photographs([EXACT[3], EXACT[2], EXACT[1] / 0.8, EXACT[0]], EXACT[3::-1]))
 
 
-def test_a_label_has_one_size_wherever_it_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_label_has_one_size_wherever_it_is_reported(monkeypatch):
     """What all colours found, 0.8 ± 0.016, is in entry, sentence, finding and exposure; its nats are of that width."""
     done = _named(monkeypatch)
     (effect,) = done.result.effects
@@ -258,7 +249,7 @@ def test_a_label_has_one_size_wherever_it_is_reported(monkeypatch: pytest.Monkey
     assert outcome(done.result, done.findings).endswith("of its printed exposure (k = 2); the others agree.")
 
 
-def test_labels_that_may_be_meant_instead_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_labels_that_may_be_meant_instead_are_reported(monkeypatch):
     """Where other labels predict left-out parts nearly as well, entry, sentence and report name them next to it."""
     done = _named(monkeypatch, (0, 0.9), (3, 1.1))
     (effect,) = done.result.effects
@@ -272,7 +263,7 @@ def test_labels_that_may_be_meant_instead_are_reported(monkeypatch: pytest.Monke
     assert outcome(done.result, done.findings).endswith(f"cannot decide, {' or '.join(reported)} instead.")
 
 
-def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:
+def test_emva_descriptor_becomes_a_capture_set(shared_data):
     """Bright and dark pairs of the real set: times in s, levels in shares of the brightest flux, size of the frames."""
     capture = open_capture(shared_data / "emva" / "ref001_ccd_12bit")
     assert capture.header.frames[0].exposure_s == pytest.approx(40e-6)
@@ -280,7 +271,7 @@ def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:
     assert capture.read_frame(0).dn.shape == (480, 640)
 
 
-def test_pictures_that_are_all_alike_are_refused_by_name() -> None:
+def test_pictures_that_are_all_alike_are_refused_by_name():
     """Labels of 0.5 to 4 s on four equal pictures: none of them shows which are wrong."""
     picture = np.random.default_rng(4).uniform(60.0, 180.0, (40, 60))
     frames = [
@@ -294,3 +285,58 @@ def test_pictures_that_are_all_alike_are_refused_by_name() -> None:
     ]
     with pytest.raises(CaptureError, match=r"equally bright.*0\.jpg \(0\.5 s\) and 1\.jpg \(1 s\)"):
         reconcile_photographs(frames)
+
+
+# Photographs whose shutter exposes longer by one time; labels are held against both.
+
+
+OFFSET_S = 25e-6
+
+
+@pytest.fixture(scope="module")
+def done():
+    return reconcile_photographs(photographed(OFFSET_S).light)
+
+
+@pytest.mark.slow
+def test_the_offset_is_an_effect_with_its_u(done):
+    """Named as in the catalogue, in s, with sentences for people that say how much."""
+    assert done.result.verdict is Verdict.EFFECTS_FOUND
+    (effect,) = done.result.effects
+    assert (effect.name, effect.where) == ("exposure_time_offset", "exposure_s")
+    found = effect.parameters["offset_s"]
+    assert found.unit == "s"
+    assert found.value == pytest.approx(OFFSET_S, abs=1e-6)
+    assert effect.gain_nats == pytest.approx(0.5 * (found.value / found.u) ** 2)
+    assert effect.gap_before > 1.2
+    text = outcome(done.result, done.findings)
+    assert done.result.extra["remarks"][0].startswith(f"{text} Left-out parts")
+    assert text.startswith("All exposures are 2")
+    assert text.endswith("µs (k = 2) longer than printed (the shutter's offset); with that offset all agree.")
+
+
+@pytest.mark.slow
+def test_exposures_are_label_and_offset(done):
+    """As they are written, and by how much they are known; every photograph agrees with that."""
+    (effect,) = done.result.effects
+    found = effect.parameters["offset_s"]
+    assert list(done.exposures_s.values()) == pytest.approx(LABELS_S + found.value)
+    assert list(done.u_rel.values()) == pytest.approx((found.u or 0.0) / (LABELS_S + found.value))
+    for one, label in zip(done.findings, LABELS_S, strict=True):
+        assert one.stated_s == label
+        assert one.taken_s == pytest.approx(label + found.value)
+        assert one.expected == pytest.approx(1.0 + found.value / label)
+        assert one.ratio == pytest.approx(1.0 + OFFSET_S / label, rel=0.01 + 4.0 * one.u_ratio)
+        assert not one.wrong
+    first = done.findings[0]
+    before, after = (float(np.nanmean(np.abs(e))) for e in (first.error_as_printed_dn, first.error_dn))
+    assert before > 3.0 * after
+
+
+@pytest.mark.slow
+def test_the_report_says_it_and_what_to_do(done, tmp_path):
+    """With the line that photographs lie about, and how the exposures come to other commands."""
+    page = (tmp_path / "report.html", done.write_report(tmp_path / "report.html"))[0].read_text()
+    assert "(the shutter&#x27;s offset)" in page or "(the shutter's offset)" in page
+    assert "all are about what label and shutter" in page
+    assert "-o exposures.txt writes the exposures that agree" in page

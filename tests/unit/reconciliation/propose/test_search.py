@@ -1,7 +1,5 @@
 """Laws are found in sessions of the outside generators: stage, covariates, size, and what is written of them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,12 +10,20 @@ from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.propose import propose_law, search
 from radiometer.reconciliation.propose.grammar import Term
 from radiometer.reconciliation.propose.law import Law, effect_of
+from radiometer.reconciliation.propose.search import own_covariates
+from radiometer.reconciliation.result import Verdict
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.display_nonuniformity import DisplayNonuniformity
+from simulators.effects.led_thermal_droop import LedThermalDroop
+from simulators.effects.mechanical_vignetting import MechanicalVignetting
+from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from testing.generator.session import make_session
 from testing.outside import two
 from testing.outside.two_hidden import HIDDEN
 
 
-def state_of(folder: Path, seed, name, plan, given=(), **more):
+def state_of(folder, seed, name, plan, given=(), **more):
     """Return the starting camera fitted to a session that hides something."""
     session = two.make(seed, HIDDEN.get(name), plan, **more)
     captured = CaptureSet.read(session.write(folder))
@@ -29,11 +35,13 @@ def state_of(folder: Path, seed, name, plan, given=(), **more):
 @pytest.mark.parametrize(
     ("name", "along", "law", "parameter", "drawn"),
     [
-        ("smear", "column_light", "transfer_proportion_of_column", "amplitude_s", "shift_s"),
         ("gain_noise", "signal", "tremble_constant", "amplitude", "depth"),
-        ("stop_hysteresis", "f_number", "optics_two_of_stop", "amplitude", "error"),
+        *(pytest.param(*row, marks=pytest.mark.long) for row in (
+            ("smear", "column_light", "transfer_proportion_of_column", "amplitude_s", "shift_s"),
+            ("stop_hysteresis", "f_number", "optics_two_of_stop", "amplitude", "error"),
+        )),
     ],
-)
+)  # fmt: skip
 def test_a_law_of_columns_of_noise_and_of_some_stops(name, along, law, parameter, drawn, tmp_path):
     """What the tests' own generator hid is found at its size, within four of its u."""
     made = make_session(name, camera_seed=71, session_seed=72, plan="rich")
@@ -102,7 +110,7 @@ def test_the_law_holds_in_another_session(glow, tmp_path):
     assert after.gap - 1.0 < 0.1 * (before.gap - 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_amplifiers_are_distinguished_from_shading_by_their_noise(tmp_path):
     """A step of the gain at a row scales charge and its noise: the stage is the readout, not the optics."""
     state, session = state_of(tmp_path / "set", 2, "row_gain_step", "bracket")
@@ -125,7 +133,7 @@ def test_what_a_rest_does_to_the_black_level_is_seen(tmp_path):
     assert abs(tau.value - session.secret.drawn["tau_s"]) < 4.0 * tau.u
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_lamp_that_dims_each_fifth_frame_gets_a_law_of_the_frames(tmp_path):
     """Which frame of five, and by how much: the source's light, in frames as they were taken."""
     state, session = state_of(tmp_path / "set", 66004, "every_fifth_dim", "flats")
@@ -154,3 +162,32 @@ def test_the_time_since_the_last_frame_is_reported_of_first_and_other_frames(glo
     one = design.captures[1].frames
     assert first[1] == pytest.approx(stamps[one[0]] - stamps[one[0] - 1])
     assert later[1] == pytest.approx((stamps[one[-1]] - stamps[one[0]]) / (len(one) - 1))
+
+
+# Names are held to laws of no entry.
+
+
+@pytest.mark.parametrize(
+    ("effect", "along"),
+    [
+        (LedThermalDroop(), {"source_level"}),
+        (ResponseNonlinearity(), {"signal", "value"}),
+        (DarkCurrent(), {"temperature_C"}),  # what is not in proportion to the exposure is no current
+        *((kind(), {"image_x", "image_y"}) for kind in (DisplayNonuniformity, NaturalVignetting)),
+        (MechanicalVignetting(), {"image_x", "image_y", "f_number"}),
+    ],
+)
+def test_the_covariates_of_laws_for_what_an_entry_goes_with(effect, along):
+    """The charge and what the amplifier makes of it are one; a radius or a place of the screen is of the picture."""
+    assert set(own_covariates(effect)) == along
+
+
+@pytest.mark.long
+def test_the_glow_of_an_amplifier_is_no_dark_current(tmp_path):
+    """A Gaussian from a corner in proportion to the exposure is named as glow, not as dark current."""
+    from radiometer.reconciliation.engine import reconcile_capture
+
+    session = two.make(11, HIDDEN["corner_glow"], "darks")
+    result = reconcile_capture(session.write(tmp_path / "set")).result
+    assert result.verdict is Verdict.EFFECTS_FOUND
+    assert [effect.name for effect in result.effects] == ["amplifier_glow"]

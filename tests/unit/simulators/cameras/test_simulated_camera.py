@@ -346,23 +346,10 @@ def test_a_bit_stream_holds_the_pixels_lowest_bit_first(name, count):
     assert len(payload) == -(-count * bits // 8)
 
 
-def test_packed_pairs_share_the_middle_byte():
-    """Mono12Packed: high bytes outside, low nibbles in the middle (GigE Vision 1.2)."""
-    assert pack_pixels(np.array([0xABC, 0x123], np.uint16), "Mono12Packed") == bytes([0xAB, 0x3C, 0x12])
-
-
-def test_words_are_little_endian():
-    """16-bit formats send the low byte first."""
+def test_formats_of_words_and_of_packed_pairs():
+    """16-bit formats send the low byte first; Mono12Packed: low nibbles in the middle byte (GigE Vision 1.2)."""
     assert pack_pixels(np.array([[0x0102]], np.uint16), "Mono16") == b"\x02\x01"
-
-
-def test_numbers_above_full_scale_are_refused():
-    """A number that the format cannot hold is an error, not a wrap-around."""
-    with pytest.raises(ConfigurationError, match="4096 DN do not fit Mono12p"):
-        pack_pixels(np.array([4096], np.uint16), "Mono12p")
-
-
-def test_an_unknown_format_is_refused():
-    """The message lists the formats."""
-    with pytest.raises(ConfigurationError, match="Mono12p"):
-        pack_pixels(np.zeros(4, np.uint16), "RGB8Packed")
+    assert pack_pixels(np.array([0xABC, 0x123], np.uint16), "Mono12Packed") == bytes([0xAB, 0x3C, 0x12])
+    for number, name, message in ((4096, "Mono12p", "4096 DN do not fit Mono12p"), (0, "RGB8Packed", "Mono12p")):
+        with pytest.raises(ConfigurationError, match=message):
+            pack_pixels(np.array([number], np.uint16), name)

@@ -59,15 +59,6 @@ correlated_read_noise row_dependent_exposure dark_frame_subtracted charge_transf
 random_telegraph_noise
 """.split()  # noqa: SIM905
 
-# Those whose flexible forms need no further settings than those of one frame.
-FLEXIBLE = """
-ambient_light_leak black_level_drift black_level_offset crosstalk dark_current_clamped defocus display_gamma_error
-adc_saturation full_well_saturation display_nonuniformity ghost mechanical_vignetting natural_vignetting
-angle_dependence
-parasitic_light_sensitivity quantum_efficiency_temperature veiling_glare image_lag source_warmup_drift soft_saturation
-black_level_gain_slope
-""".split()  # noqa: SIM905
-
 
 def _radiance(context):
     model = CameraModel.ideal(context.camera, context.lens)
@@ -86,15 +77,6 @@ def test_the_catalogue_is_whole():
 def test_entry_simulates_what_its_moments_say(name):
     """Frames through the whole chain have the expected mean: within 5 sigma of the mean over pixels and frames."""
     _check_mean(starts_of(CATALOGUE[name], effect_context())[0])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", FLEXIBLE)
-def test_flexible_form_simulates_what_its_moments_say(name):
-    """The same holds for the forms that an entry takes where its plain one leaves structure."""
-    form = starts_of(CATALOGUE[name], effect_context())[0].loosened(effect_context())[0]
-    assert len(form.free()) >= len(CATALOGUE[name].fitted)
-    _check_mean(form)
 
 
 def _check_mean(effect):
@@ -610,36 +592,6 @@ def test_the_nearest_borders_alone_leave_little_beyond():
     assert abs(float(np.ravel(predicted.beyond_rows)[0])) < 0.02 * predicted.neighbour_x.item()
 
 
-@pytest.mark.slow
-def test_noise_gathers_while_borders_move():
-    """Charge that comes in 150 steps, each moved by what has come, has the variance that is reported, to 5 sigma.
-
-    A push of all charge at the end would leave 5 % less.
-    """
-    context, size, level, steps, flats, strong = effect_context(), 128, 5000.0, 150, 12, replace(FAR, share=0.06)
-    a = strong.slopes_per_e(well_e(context))
-    wide = np.zeros((size, size))
-    wide[: a.shape[0], : a.shape[1]] = a
-    waves = np.fft.rfft2(np.roll(wide, (-8, -8), (0, 1)))
-    rng, step, variance, neighbour = np.random.default_rng(4), level / steps, 0.0, 0.0
-    for _ in range(flats):
-        come = np.zeros((size, size))
-        for _ in range(steps):
-            shot = math.sqrt(step) * rng.standard_normal((size, size))
-            moved = np.fft.irfft2(np.fft.rfft2(come + 0.5 * shot) * waves, s=come.shape)
-            come = come + shot + step * moved
-        variance += float(np.mean(np.square(come))) / flats
-        neighbour += float(np.mean(come[:, 1:] * come[:, :-1])) / flats
-    one = np.full((1, 1, 1), level)
-    predicted = strong.moments(replace(TileMoments.exactly(one), variance=one), context)
-    u = level / size / math.sqrt(flats)
-    assert variance == pytest.approx(predicted.variance.item(), abs=5 * math.sqrt(2) * u)
-    assert neighbour == pytest.approx(predicted.neighbour_x.item(), abs=5 * u)
-    kernel = 0.5 * level * a
-    kernel[8, 8] += 1.0
-    assert variance > level * np.sum(np.square(kernel)) + 8 * u
-
-
 def test_a_step_between_patches_loses_what_its_last_line_does():
     """The share of a step that the last line inside a patch loses is the predicted one, by a picture of two halves."""
     well = well_e(effect_context())
@@ -782,21 +734,6 @@ def test_frames_of_one_setting_share_their_dark():
     other = effect.sample(signal, _setting(0.11), dice)
     np.testing.assert_array_equal(first, again)
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 5.0 / np.sqrt(signal.size)
-
-
-def test_a_model_s_frames_are_those_of_its_moments():
-    """A chain with the effect, drawn: mean, noise and pattern of its frames without light."""
-    context, effect = _setting(), DarkFrameSubtracted(0.2, 32.0)
-    model = CameraModel.ideal(context.camera, context.lens).with_effect(effect)
-    scene = np.zeros((ROWS, COLUMNS))
-    frames = np.array([model.sample(scene, context, (n,)).dn for n in range(DARK_FRAMES)], dtype=np.float64)
-    predicted = model.moments(scene, context)
-    seen, noise = frames.mean(axis=0), frames.var(axis=0, ddof=1)
-    assert seen.mean() == pytest.approx(float(np.mean(predicted.mean)), abs=5 * seen.std() / np.sqrt(seen.size))
-    assert noise.mean() == pytest.approx(float(np.mean(predicted.variance)), rel=0.03)
-    assert seen.var() - noise.mean() / DARK_FRAMES == pytest.approx(
-        float(np.mean(predicted.spatial_variance)), rel=0.05
-    )
 
 
 @pytest.mark.parametrize("lacking", ["conversion_gain_e_per_dn", "read_noise_e", "black_level_dn"])

@@ -24,17 +24,6 @@ def greeted() -> tuple[SimulatedLightBox, Commands]:
     return twin, commands
 
 
-def test_a_pulse_ends_in_the_light_too() -> None:
-    """Half a second of 60 000: the LED is lit within and dark beyond, though no further command came."""
-    twin, commands = greeted()
-    assert commands.run("PU 1 H 20000 500").startswith("OK")
-    begun_s = twin.time_s
-    assert twin.emission("spot", begun_s + 0.4).radiance_w_sr_m2 > 0.0
-    assert twin.duty("spot") > 0.0
-    assert twin.emission("spot", begun_s + 0.6).radiance_w_sr_m2 == 0.0
-    assert twin.duty("spot") == 0.0
-
-
 def test_events_are_numbered_from_0_to_255_and_on_from_0() -> None:
     """The one after FF is 00, as two hexadecimal digits hold it."""
     twin, commands = greeted()
