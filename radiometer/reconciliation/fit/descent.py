@@ -59,7 +59,19 @@ def first_state(
     unclipped = (seen.high < 1e-3) & (seen.low < 1e-3)
     values[0] = rough_log_responsivity(design, seen.mean, rough, unclipped)
     state = weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
-    return refit(reweighted(refit(state))).recorded()
+    state = refit(reweighted(refit(state))).recorded()
+    return state if layout.is_linear(state.values) else _from_stated(state)
+
+
+def _from_stated(state: FitState) -> FitState:
+    """Return the state at the stated radiances, all else fitted to them; its linearised fit frees them again.
+
+    Radiances that took up an effect by far more than they may be off can stand where means are not linear in them. At
+    the stated ones they are, and in what adds light.
+    """
+    layout = state.layout
+    held = replace(state, layout=layout.held(), values=np.where(layout.stated, 0.0, state.values))
+    return replace(refit(held), layout=layout)
 
 
 def _passes_well(design: Design, seen: CaptureStatistics) -> bool:

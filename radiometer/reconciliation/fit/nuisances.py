@@ -27,6 +27,10 @@ _FREE_RESPONSIVITY: Final = 50.0  # where no radiance is known its unit is arbit
 _SCALAR_STEP: Final = {"black_dn": 1e-2, "dark_e_per_s": 1e-2}
 _FREE_BLACK: Final = 2.5  # of the full scale: anywhere in the converter's range
 _SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "dark_e_per_s": 1e3}
+_STATED: Final = 1.0  # prior standard deviation below which a radiance counts as stated
+_HELD: Final = 1e-3  # of the uncertainty of stated radiances, for a fit to which they are exact
+_DIMMEST: Final = 600.0  # logarithm of a factor that a step of a fit may ask for: it stays a number above zero
+_LINEAR_FROM: Final = -0.5  # relative error of a radiance from which on its factor is linear
 _DETERMINED_K: Final = 2.0  # span of temperatures of darks from which they show how dark current grows
 _FREE_SLOPE: Final = 3.0
 _FREE_TEXTURE: Final = 10.0
@@ -95,6 +99,17 @@ class NuisanceLayout:
         count = int(self.shared.max(initial=-1)) + 1
         return slice(self._radiances.stop, self._radiances.stop + count)
 
+    @property
+    def stated(self) -> NDArray[np.bool_]:
+        """Return which parameters are errors of stated radiances, (parameters,)."""
+        errors = np.zeros(self.size, np.bool_)
+        errors[self._radiances.start : self._common.stop] = True
+        return errors & (self.prior < _STATED)
+
+    def held(self) -> NuisanceLayout:
+        """Return the layout in which stated radiances are hardly free."""
+        return replace(self, prior=np.where(self.stated, _HELD * self.prior, self.prior))
+
     def _summed(self, own: Array) -> Array:
         found = np.zeros((own.shape[0], self._common.stop - self._common.start))
         for number, errors in enumerate(self.shared):  # one pattern has each error once
@@ -107,7 +122,7 @@ class NuisanceLayout:
         radiance, slope, texture = start.log_radiance, start.slope, start.off.texture
         index = list(self.patterns)
         if index:
-            radiance[index] = self._off(values)[:, self.patch]
+            radiance[index] = self._light(values)[0][:, self.patch]
         if self.free_scene and index:
             rises = slice(self._common.stop, self._common.stop + 2 * len(index) * self.patch.size)
             slope[index] = values[rises].reshape(len(index), 2, self.patch.size)
@@ -117,7 +132,9 @@ class NuisanceLayout:
         known["log_responsivity"] -= known.get("log_gain", 0.0)
         return replace(start, log_radiance=radiance, slope=slope).with_off(texture=texture, **known)
 
-    def derivatives(self, comparison: Comparison, changes: Sequence[Change]) -> tuple[RowBlock, RowBlock]:
+    def derivatives(
+        self, comparison: Comparison, changes: Sequence[Change], values: Array
+    ) -> tuple[RowBlock, RowBlock]:
         """Return −d(residual)/d(parameter): of the statistics that measure the light, and of the variances as far as
         they follow it.
 
@@ -135,7 +152,7 @@ class NuisanceLayout:
         tiles = _TileColumns(comparison, rows, self.size, self.patterns)
         tiles.matrix[:, : len(scalars)] = alone[rows]
         tiles.write(light, self._radiances.start, _TILE_ROWS, self.patch)
-        self._share(tiles.matrix)
+        self._share(tiles.matrix, values)
         start = self._common.stop
         for number, pattern in enumerate(self.patterns if scene else ()):
             for axis, name in enumerate(("slope_x", "slope_y")):
@@ -143,19 +160,21 @@ class NuisanceLayout:
                 tiles.write(scene[0], first, (name,), only=pattern)
             first = start + (2 * len(self.patterns) + number) * self.patch.size
             tiles.write(scene[1], first, ("spatial",), only=pattern)
-        return RowBlock(rows, tiles.matrix), self._followers(comparison, light)
+        return RowBlock(rows, tiles.matrix), self._followers(comparison, light, values)
 
-    def _share(self, matrix: Array) -> None:
+    def _share(self, matrix: Array, values: Array) -> None:
+        """Turn columns of the light of each patch into those of the patch's error, and write those of shared errors."""
         if self.patterns:
+            matrix[:, self._radiances] *= self._light(values)[1].ravel()
             matrix[:, self._common] = self._summed(matrix[:, self._radiances])
 
-    def _followers(self, comparison: Comparison, light: Change) -> RowBlock:
+    def _followers(self, comparison: Comparison, light: Change, values: Array) -> RowBlock:
         rows = np.flatnonzero(_moved_rows(comparison, [(light, _FOLLOWING)]))
         tiles = _TileColumns(comparison, rows, self.size, self.patterns)
         tiles.write(light, self._radiances.start, _FOLLOWING, self.patch)
         if self.patterns and "log_gain" not in self.scalars:
             tiles.matrix[:, 0] = tiles.matrix[:, self._radiances].sum(axis=1)
-        self._share(tiles.matrix)
+        self._share(tiles.matrix, values)
         return RowBlock(rows, tiles.matrix)
 
     def moves(self, at: Nuisance) -> Iterator[tuple[Nuisance, float]]:
@@ -171,9 +190,29 @@ class NuisanceLayout:
             yield replace(at, slope=at.slope + _SLOPE_STEP), _SLOPE_STEP
             yield at.with_off(texture=at.off.texture + _TEXTURE_STEP), _TEXTURE_STEP
 
-    def _off(self, values: Array) -> Array:
-        """Return ln of the factor on each patch's radiance, (patterns, patches): its own part and the shared one."""
-        return np.asarray(values[self._radiances].reshape(self.shared.shape) + values[self._common][self.shared])
+    def is_linear(self, values: Array) -> bool:
+        """Return whether means are linear in the errors of all stated radiances: none is off its linear factor."""
+        relative, stated = self._relative(values)
+        return bool(np.all(relative[stated] >= _LINEAR_FROM))
+
+    def _relative(self, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return by how much each patch is off, and whether its radiance is stated, (patterns, patches)."""
+        shape = self.shared.shape
+        relative = values[self._radiances].reshape(shape) + values[self._common][self.shared]
+        own = self.prior[self._radiances].reshape(shape) < _STATED
+        return relative, own & (self.prior[self._common] < _STATED)[self.shared]
+
+    def _light(self, values: Array) -> tuple[Array, Array]:
+        """Return ln of the factor on each patch's radiance, and its derivative, (patterns, patches).
+
+        A patch is off by its own part and by that which it shares. Where its radiance is stated the factor is 1 + x.
+        Means are then linear in x, down to half of what is stated. What an effect had been mistaken for is given back
+        at once when the effect enters. Where it is free it is exp x, so that brighter patches and a lower responsivity
+        are the same thing.
+        """
+        relative, stated = self._relative(values)
+        factor, slope = _light_factor(np.where(stated, relative, 0.0))
+        return np.where(stated, np.log(factor), relative), np.where(stated, slope / factor, 1.0)
 
 
 class _TileColumns:
@@ -242,6 +281,16 @@ def _moved_rows(comparison: Comparison, shows: Iterable[tuple[Change, tuple[str,
 
 _TILE_ROWS: Final = tuple(name for name, row in STATISTICS.items() if row.determines_light)
 _FOLLOWING: Final = tuple(name for name, row in STATISTICS.items() if row.follows_light)
+
+
+def _light_factor(relative: Array) -> tuple[Array, Array]:
+    """Return the factor on a radiance that is off by so much, and its derivative.
+
+    It is 1 + x, however much brighter the patch is, and ends below as an exponential, so that it stays above zero.
+    """
+    below = np.minimum(relative - _LINEAR_FROM, 0.0) / (1.0 + _LINEAR_FROM)
+    slope = np.exp(np.maximum(below, -_DIMMEST))
+    return np.asarray((1.0 + np.maximum(relative, _LINEAR_FROM)) * slope), np.asarray(slope)
 
 
 def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:

@@ -340,7 +340,7 @@ class FitState:
             for (_, step), mean, residual in zip(nuisances, means, residuals.T, strict=False)
         ]
         own = -residuals[:, len(nuisances) :] / steps
-        return (*self.layout.derivatives(self.comparison, changes), own)
+        return (*self.layout.derivatives(self.comparison, changes, self.values), own)
 
     @cached_property
     def nuisance_jacobian(self) -> RowBlock:
