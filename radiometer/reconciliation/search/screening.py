@@ -321,7 +321,7 @@ def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate
 def _rigid_batch(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
     rows = state.comparison.size
     fit = state.fit
-    moved = np.nan_to_num(changes_with(state, [(*state.effects, start) for start in starts]))
+    moved = np.nan_to_num(state.moved_by([(*state.effects, start) for start in starts]))
     changes, part = fit.followed_with_half(moved)
     whole = np.einsum("ij,ij->j", changes, changes)
     curvature = whole - np.einsum("ij,ij->j", part, part)
