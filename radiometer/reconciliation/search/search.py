@@ -451,7 +451,8 @@ def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[t
     for index, effect in enumerate(state.effects):
         if only is not None and effect.name not in only:
             continue
-        for form in (*effect.loosened(state.model.context), *free_forms(state, effect)):
+        free = free_forms(state, effect) if is_misfit(state) else ()  # the law of what hardly shows can be any
+        for form in (*effect.loosened(state.model.context), *free):
             effects = [form if place == index else other for place, other in enumerate(state.effects)]
             yield _promise(state, effects, index) - _cost(form) + _cost(effect), index, form
 
@@ -460,9 +461,10 @@ def _with_form(state: FitState, index: int, form: CatalogueEffect) -> FitState |
     """Return the model with a form in an effect's place, fitted; None where it predicts what no camera does."""
     others = [effect for place, effect in enumerate(state.effects) if place != index]
     try:
-        return converged_fit(coarse_fit(with_effects(state, [*others, form])))
+        fitted = converged_fit(coarse_fit(with_effects(state, [*others, form])))
     except (np.linalg.LinAlgError, ConfigurationError):  # no covariance, or parameters that are no numbers
         return None
+    return None if fitted.effects[-1] == form else fitted  # what does not move is the plain form
 
 
 # ---- looser forms and free laws -------------------------------------------------------------------------------------
