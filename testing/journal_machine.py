@@ -25,6 +25,12 @@ streams = st.sampled_from(["", "", "lamp", "own"])
 hours = st.sampled_from([0, 0, 1, 1, 2, 5, 30, 60])  # few, so that minutes are shared
 
 
+def bound_of(flags_of_reading: tuple[Flag, ...]) -> str:
+    """Return what a value with these flags is: at least or at most the true one, or its measurement."""
+    bounds = {Flag.SATURATED: "at least", Flag.BELOW_NOISE: "at most"}
+    return next((bound for flag, bound in bounds.items() if flag in flags_of_reading), "")
+
+
 class JournalMachine(RuleBasedStateMachine):
     """Does to a journal and to a list the same."""
 
@@ -139,7 +145,8 @@ class JournalMachine(RuleBasedStateMachine):
         assert sum(point.u * point.count for point in points) == pytest.approx(sum(0.01 * entry[2] for entry in own))
         assert JournalReader(self.path).trend("own", START_US, START_US + 100 * HOUR_US) == []
         for point in points:
-            inside = [entry for entry in own if abs(entry[1] - point.time_us) <= HOUR_US / 2]
+            near = (entry for entry in own if abs(entry[1] - point.time_us) <= HOUR_US / 2)
+            inside = [entry for entry in near if bound_of(entry[3]) == point.bound]
             assert (point.low, point.high) == (min(e[2] for e in inside), max(e[2] for e in inside))
 
     @invariant()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import structlog
@@ -44,16 +44,7 @@ class Tally:
 
     def snapshot(self) -> AcquisitionCounts:
         """Return the counts as they stand."""
-        return AcquisitionCounts(
-            self.frames,
-            self.retried,
-            self.incomplete,
-            self.timeouts,
-            self.underruns,
-            self.resent_packets,
-            self.missing_packets,
-            dict(self.extra),
-        )
+        return AcquisitionCounts(**asdict(self))
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,7 @@ CHOSEN_TO: Final = 0.1  # what is chosen, not estimated, as the ends of an area 
 _HELD_WEIGHT: Final = 0.5  # of the largest; below, a threshold hardly counts
 _POINTS: Final = 600  # about one per pixel
 _LEFT_PART: Final = 0.45  # of the time axis; where the break is there, its words are to the right of it
+_CENTRED: Final = 0.1  # of half an interval: nearer to its middle a value has a ±
 _INTERVAL_SIGMAS: Final = 1.96  # 95 %
 
 
@@ -135,11 +136,11 @@ def _unclaimed(axes: Axes, fit: AdaptationFit, grid: Array) -> None:
 
 
 def _criterion(axes: Axes, fit: AdaptationFit) -> None:
-    """Draw the level whose time is reported: the protocol's rod intercept, or one that was asked for."""
+    """Draw the levels whose times are reported: the protocol's rod intercept, and one that was asked for."""
     rule, asked = fit.request.intercept, fit.criterion
     if rule is not None:
         _crossing(axes, rule.criterion_log10, fit, "rod_intercept_min", "rod intercept")
-    elif asked is not None:
+    if asked is not None:
         _crossing(axes, asked, fit, "criterion_min", "criterion")
 
 
@@ -155,13 +156,21 @@ def _crossing(axes: Axes, level: float, fit: AdaptationFit, name: str, words: st
 
 
 def short(fit: AdaptationFit, name: str) -> str:
-    """Return an estimate with half its interval, "value ± half"; alone where the interval is open or was not made."""
+    """Return an estimate with its interval, "value ± half", or "value +up -down" where it is not in the middle.
+
+    It stands alone where the interval is open or was not made.
+    """
     estimate = fit.estimates[name]
     interval = estimate.profile or estimate.bootstrap
     if interval is None or not np.isfinite([interval.low, interval.high]).all():
         return f"{estimate.value:.3g}"
-    value, half = rounded(estimate.value, (interval.high - interval.low) / 2.0)
-    return f"{value} ± {half}"
+    wide = (interval.high - interval.low) / 2.0
+    value, half = rounded(estimate.value, wide)
+    if abs((interval.high + interval.low) / 2.0 - estimate.value) <= _CENTRED * wide:
+        return f"{value} ± {half}"
+    decimals = len(half.partition(".")[2])
+    up, down = (f"{end - estimate.value:+.{decimals}f}" for end in (interval.high, interval.low))
+    return f"{value} {up} {down}"
 
 
 def _residuals(axes: Axes, fit: AdaptationFit) -> None:

@@ -93,6 +93,8 @@ _NEGLIGIBLE: Final = 1e-4  # of the fundamental's amplitude
 _WORST_CONDITION: Final = 100.0  # of the normal equations: beyond it phases do not separate harmonics
 _SHORT_PERIODS: Final = 1e-3  # an exposure of so small a part of the period loses less than other doubts leave
 _LEAST_KEPT: Final = 0.2  # of an amplitude that an exposure keeps; below, the correction would amplify noise
+_STEP_RATIO: Final = 4.0  # of a rise between neighbouring phases over the lesser beside it, and over the median
+_EDGE_DRAWS: Final = 64  # of the places of steps: their scatter is then known to 9 %
 _WINDOW: Final = 1 / 200  # of a period: mean over it before extremes of noisy phases are taken
 _NOISELESS: Final = 1e-3  # of the range: noise below it needs no means
 # Differences of neighbours: a tenth of them may be steps. The rest of a normal distribution has this variance.
@@ -389,17 +391,17 @@ class Flicker:
     flicker_index: Quantity  # area above the mean over the whole area of a period
     svm: Quantity | None  # stroboscopic visibility measure; None where the record cannot give it
     pst_lm: Quantity | None  # short-term flicker severity of light; None where the record cannot give it
-    # k of the expanded uncertainty at 95.45 %: Student's t for the blocks whose scatter was taken
-    coverage_factor: float
     periods: int  # whole periods that took part; 0 where there is no period
     assumptions: tuple[str, ...]  # what was assumed, a sentence each
     warnings: tuple[str, ...]  # what makes a figure doubtful, a sentence each
+    coverage_factor: float = 2.0  # k of the expanded uncertainty at 95.45 %
 
 
 def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Flicker:
     """Return the measures of a waveform with their standard uncertainty.
 
-    The scatter between blocks of whole periods gives the statistical part, by leaving out one block at a time. Where
+    The scatter between blocks of whole periods gives the statistical part, by leaving out one block at a time. It alone
+    is wider by Student's t for few blocks: a k of all parts would widen what does not scatter as well. Where
     the light is rounded to steps, each value may be any light within half a step (rectangular, GUM 4.3.7). The
     value of darkness adds u_dark over the mean light, for it scales every modulation. The relative standard uncertainty
     of the rate, `u_clock_rel`, counts in the frequency; where nothing states it (None), that is named.
@@ -417,13 +419,13 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
 
     def with_u(values: Array, own_u: Array, of: Callable[[Waveform, Period | None], Array]) -> list[Quantity]:
         drawn = [of(one, period) for one in rounded]
-        doubts = [of(one, again) - values for one, again in doubted]
+        doubts = [(of(one, again) - values) * _few(blocks) for one, again in doubted]
         spread = np.std(drawn, axis=0, ddof=1) if drawn else 0.0
         u = np.asarray(reduce(np.hypot, [own_u, spread, *doubts, np.abs(values) * waveform.u_dark / mean]))
         return [Quantity(float(value), float(one), "1") for value, one in zip(values, u, strict=True)]
 
     def of_blocks(of: Callable[[Waveform, Period | None], float]) -> Quantity:
-        own_u = jackknife_u([of(one, period) for one in _without_a_block(part, periods, blocks)])
+        own_u = _u_of_blocks([of(one, period) for one in _without_a_block(part, periods, blocks)])
         return with_u(np.array([of(part, period)]), own_u, lambda one, again: np.array([of(one, again)]))[0]
 
     depth, index = with_u(shape.values, shape.u, lambda one, again: _shape(one, again if periods else None)[0].values)
@@ -442,7 +444,11 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
             f"SVM is not determined: no repetition was found; with its noise it is {stroboscopic_visibility(part):.2g}"
         )
     else:
-        svm = of_blocks(stroboscopic_visibility)
+        if period is not None and periods and not shape.is_series:
+            has_other = other_line(waveform, period, shape) is not None
+            svm = _visibility_of_steps(part, period, with_u, has_other=has_other)
+        else:
+            svm = of_blocks(stroboscopic_visibility)
         if waveform.duration_s < 1.0:
             assumptions.append(f"SVM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     if waveform.rate_hz < _PST_RATE_HZ:
@@ -464,8 +470,17 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
         frequency = Quantity(period.frequency_hz, u_hz, "Hz")
         if u_clock_rel is None:
             assumptions.append("frequency: an error of the record's clock is in no uncertainty; state it by --u-clock")
-    k = coverage_factor(blocks - 1) if blocks else 2.0
-    return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+    return Flicker(frequency, depth, index, svm, pst, periods, tuple(assumptions), tuple(warnings))
+
+
+def _u_of_blocks(left: list[Any]) -> Array:
+    """Return the uncertainty of results without one block each that k = 2 expands, by Student's t for few blocks."""
+    return jackknife_u(left) * _few(len(left))
+
+
+def _few(blocks: int) -> float:
+    """Return by what few blocks of periods widen an uncertainty that they leave open, for k = 2."""
+    return coverage_factor(blocks - 1) / 2.0 if blocks > 1 else 1.0
 
 
 def _mean_light(waveform: Waveform) -> float:
@@ -539,10 +554,61 @@ def stroboscopic_visibility(waveform: Waveform, period: Period | None = None) ->
     frequency_hz = rfftfreq(light.size, 1.0 / part.rate_hz)
     if period is not None and periods:  # whole periods end between two samples: a harmonic at 2 kHz is in or out
         frequency_hz *= period.frequency_hz * part.duration_s / periods
+    return _visibility(frequency_hz, amplitude, part.averaged_s)
+
+
+def _visibility(frequency_hz: Array, amplitude: Array, averaged_s: float) -> float:
     within = (frequency_hz >= _SVM_BAND_HZ[0]) & (frequency_hz <= _SVM_BAND_HZ[1])
-    kept = np.abs(np.sinc(frequency_hz[within] * part.averaged_s))  # numpy's sinc holds the π
+    kept = np.abs(np.sinc(frequency_hz[within] * averaged_s))  # numpy's sinc holds the π
     seen = amplitude[within] / np.where(kept < _LEAST_KEPT, 1.0, kept)
     return float(np.sum((seen / svm_threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
+
+
+def _visibility_of_steps(
+    waveform: Waveform, period: Period, with_u: Callable[..., list[Quantity]], *, has_other: bool
+) -> Quantity:
+    """Return the stroboscopic visibility measure of a period in steps, each of them anywhere between two phases.
+
+    Sampled at instants, harmonics of a step above half the rate show at those below, so the samples are no light of
+    their own: light is straight lines between neighbouring phases but where it steps. Another line counts in u.
+    """
+    rng = np.random.default_rng(0)  # the same draws for the same record
+
+    def of(one: Waveform, its: Period | None) -> Array:
+        if its is None:
+            return np.array([stroboscopic_visibility(one)])
+        return _visibilities_of_fold(_folds(one, its)[0], one, its, None)
+
+    whole, parts = _folds(waveform, period)
+    drawn = _visibilities_of_fold(whole, waveform, period, rng)
+    u_hz = period.frequency_hz / (math.sqrt(6.0) * waveform.light.size)
+    near = [of(waveform, replace(period, frequency_hz=period.frequency_hz + off))[0] for off in (-u_hz, 0.0, u_hz)]
+    own_u = _u_of_blocks([_visibilities_of_fold(one, waveform, period, None) for one in parts])
+    other = stroboscopic_visibility(waveform, period) - near[1] if has_other else 0.0
+    own_u = np.hypot(own_u, math.hypot(float(np.std(drawn, ddof=1)), max(near) - min(near), other))
+    return with_u(np.array([np.mean(drawn)]), own_u, of)[0]
+
+
+def _visibilities_of_fold(fold: _Fold, waveform: Waveform, period: Period, rng: np.random.Generator | None) -> Array:
+    """Return the stroboscopic visibility measure of a period by draws of its steps within their gaps, or by the middle.
+
+    The coefficient of the harmonic m is (Σ J·exp(−iωφ) + Σ s·∫exp(−iωφ)dφ)/(iω), ω = 2πm, over jumps J and slopes s.
+    """
+    phase, light = fold.phase, fold.light
+    gaps, rise = np.diff(phase, append=phase[0] + 1.0), np.diff(light, append=light[0])
+    size = np.abs(rise)
+    beside, usual = np.minimum(np.roll(size, 1), np.roll(size, -1)), np.sort(size)[(size.size - 1) // 2]
+    jumps = size > _STEP_RATIO * np.maximum(beside, usual)
+    count = int(jumps.sum())
+    place = np.full((1, count), 0.5) if rng is None else rng.uniform(size=(_EDGE_DRAWS, count))
+    mean = float(np.sum(gaps * (light + rise / 2.0))) + (0.5 - place) @ (gaps * rise)[jumps]
+    order = np.arange(1, int(_SVM_BAND_HZ[1] / period.frequency_hz) + 1)
+    turn = -2j * np.pi * order[:, None]
+    ends = np.exp(turn * np.append(phase, phase[0] + 1.0))
+    straight = (ends[:, 1:] - ends[:, :-1]) @ np.where(jumps, 0.0, rise / gaps) / turn[:, 0]
+    factors = straight[:, None] + np.exp(turn[:, None] * (phase[jumps] + place * gaps[jumps])) @ rise[jumps]
+    amplitude = np.abs(factors) / (np.pi * order[:, None]) / mean
+    return np.array([_visibility(order * period.frequency_hz, one, waveform.averaged_s) for one in amplitude.T])
 
 
 def short_term_severity(waveform: Waveform, period: Period | None = None) -> float:
@@ -688,7 +754,7 @@ def measure_shape(waveform: Waveform, period: Period) -> ShapeMeasures:
         again = _taken_once_more(phase, light, averaged_periods)
         values[1] += 2.0 * again
         own_u[1] = math.hypot(own_u[1], again / math.sqrt(3.0))
-    u = np.maximum(own_u, jackknife_u([of(part)[0] for part in parts]))
+    u = np.maximum(own_u, _u_of_blocks([of(part)[0] for part in parts]))
     return ShapeMeasures(values, u, len(parts), bool(orders), phase, light, hidden, u_hz)
 
 

@@ -354,7 +354,7 @@ def adapt_fit(
 
     Args:
         data: Table of times and thresholds, perhaps with their sigma.
-        criterion: log10 threshold of which the time is found, in place of the protocol's rod intercept.
+        criterion: log10 threshold of which the time is found, besides the protocol's rod intercept.
         stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units; the table's own by default.
         bootstrap: Bootstrap redraws; 0 for none.
         seed: Makes the redraws.
@@ -369,8 +369,7 @@ def adapt_fit(
     series = ThresholdSeries.read(Path(data), StatementMap.of(mapped))
     if stimulus_u_log10 is None:
         stimulus_u_log10 = number_of(series.facts, "u_scale_log10") or 0.0
-    rule = intercept_of(series.facts) if criterion is None else None
-    request = FitRequest(criterion, stimulus_u_log10, bootstrap, intercept=rule)
+    request = FitRequest(criterion, stimulus_u_log10, bootstrap, intercept=intercept_of(series.facts))
     found = fit_adaptation(series, request, np.random.default_rng(seed), progress)
     return AdaptationCurve(found, series, Path(data).stem)
 

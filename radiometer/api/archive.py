@@ -50,7 +50,7 @@ class Batch(Result):
 
     @property
     def notes(self) -> list[str]:
-        """Return what was left out, what failed, how much was done, and whether it was stopped."""
+        """Return which sets were not read, which failed, how many were done, and whether it was stopped."""
         return [
             *(
                 f"left out: {path} holds frames but no capture.yaml (unfinished, or `radiometer import` it first)"

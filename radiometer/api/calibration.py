@@ -16,7 +16,6 @@ from radiometer.analysis.calibration.calibrate import (
     MeterReading,
     MeterSettings,
     metered_luminance_cd_m2,
-    metered_radiance_u_rel,
     metered_u_rel,
 )
 from radiometer.analysis.calibration.flat_field import fit_flat_field
@@ -161,7 +160,7 @@ def _metered(meter: MeterReading, calibration: Calibration) -> dict[str, Any]:
     thesis = photometry.radiance_thesis_w_sr_m2_um(luminance)
     u_rel = metered_u_rel(meter.k_u_rel)
     # A radiance from a luminance carries the efficacy of the light as well.
-    of_radiance = metered_radiance_u_rel(meter.k_u_rel, calibration.uncertainties.efficacy_u_rel)
+    of_radiance = math.hypot(u_rel, calibration.uncertainties.efficacy_u_rel)
     return {
         "luminance": {"value": luminance, "u": luminance * u_rel, "unit": "cd m-2"},
         "radiance": {"value": radiance, "u": radiance * of_radiance, "unit": "W sr-1 m-2"},

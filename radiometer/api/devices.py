@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Result
 from radiometer.bench.boxes import find_boxes
 from radiometer.bench.cameras import OWN_KINDS, SIMULATED, list_cameras
-from radiometer.bench.config import read_bench
+from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.doctor import check_daemon, examine
-from radiometer.bench.new_bench import write_bench
-from radiometer.bench.served_box import serve_box, served_box
+from radiometer.bench.served_box import served_box, tend
 from radiometer.bench.served_camera import Faults, serve, served_camera
 from radiometer.data.serials import other_notation, serial_shown
+from radiometer.data.storage import write_yaml_atomic
+from radiometer.data.validation import validate
 from radiometer.devices import CameraIdentity, Finding, Health, LightBoxIdentity
-from radiometer.errors import UsageError
+from radiometer.errors import ConfigurationError, UsageError
 from radiometer.plausible import AnyCount, Duration, FilterDensity, FNumber, PerMille, Positive, Seed, Share
+
+_PRESET: Final = {"kind": "simulated", "preset": "BFS-U3-19S4M"}
+_EVEN_FIELD: Final = {"kind": "uniform", "radiance_W_per_sr_m2": 0.3}
+_SIMULATED_LENS: Final = {"focal_length_mm": 16.0, "f_number": 4.0}
 
 
 @dataclass(frozen=True, repr=False)
@@ -116,6 +122,10 @@ class Diagnosis(Result):
 def doctor(camera: str | None = None, bench: PathLike | None = None) -> Diagnosis:
     """Check the whole chain from library to light, each finding with its cure.
 
+    Looks at the library, USB permissions, network, socket buffers and the daemon; with a camera also at features that
+    falsify radiometry, the frame rate achieved, temperature, dark level, and linearity by two exposures. The command
+    ends with exit code 1 if anything keeps one from measuring.
+
     Examples:
         >>> import radiometer as rm
         >>> "daemon" in [finding.check for finding in rm.doctor().findings]
@@ -128,7 +138,9 @@ def doctor(camera: str | None = None, bench: PathLike | None = None) -> Diagnosi
     Raises:
         ConfigurationError: If the bench file is wrong.
     """
-    return Diagnosis((check_daemon(), *examine(Path(bench) if bench else None, camera)))
+    found = check_daemon(), *examine(Path(bench) if bench else None, camera)
+    alone = Finding("camera", Health.NOTE, "the camera itself was not looked at", "name one with --camera")
+    return Diagnosis(found if camera is not None else (*found, alone))
 
 
 def new_bench(
@@ -159,9 +171,28 @@ def new_bench(
 
     Raises:
         UsageError: If an answer is missing or wrong.
+        ConfigurationError: If the form of bench files does not allow a value.
         OutputError: If the file cannot be written.
     """
-    return write_bench(Path(output), camera, focal_length_mm, f_number, calibration, as_patch(patch))
+    path = Path(output)
+    if path.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"{path}: a bench file's name must end in .yaml")
+    if not camera:
+        raise UsageError("a bench needs a camera: --camera sim, or the serial number that `radiometer devices` lists")
+    if focal_length_mm and not f_number:
+        raise UsageError("a lens of known focal length needs its f-number: --f-number 4")
+    lens = {"focal_length_mm": focal_length_mm, "f_number": f_number} if focal_length_mm else None
+    mapping: dict[str, Any] = {"format": "radiometer-bench/1", "camera": {"kind": "genicam", "id": camera}}
+    mapping["lens"] = lens
+    if camera == SIMULATED:
+        mapping |= {"camera": dict(_PRESET), "lens": lens or dict(_SIMULATED_LENS), "scene": dict(_EVEN_FIELD)}
+    if calibration:
+        mapping["calibration"] = calibration
+    if region := as_patch(patch):
+        mapping["patch"] = asdict(region)
+    validate(BenchConfig, mapping, str(path), ConfigurationError)
+    write_yaml_atomic(path, mapping)
+    return path
 
 
 def simulate_camera(
@@ -261,4 +292,7 @@ def simulate_box(
         serial, known_link, firmware=known_firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed,
         subject=subject, filter_density=filter_density,
     )  # fmt: skip
-    serve_box(made, reset_every_s, press_every_s, ready, entered)
+    with made.server as server:
+        ready(server.port)
+        with contextlib.suppress(KeyboardInterrupt):
+            tend(made, reset_every_s, press_every_s, entered)

@@ -20,9 +20,9 @@ from radiometer.bench.boxes import (
     ExposureReport,
     OpenedBox,
     calibration_file,
-    confirm_unexposed,
     darken,
     exposure_reports,
+    exposure_store,
     nothing_answers,
     open_light_box,
     require_known_box,
@@ -372,7 +372,7 @@ def light_watch_buttons(
         DeviceError: If the box fails.
     """
     presses = 0
-    with open_light_box(box) as opened:
+    with open_light_box(box) as opened, contextlib.suppress(KeyboardInterrupt):  # the usual end
         start_s = opened.box.link.line.now()
         for event in opened.box.buttons(_FOREVER_S if hold_s is None else hold_s):
             presses += event.pressed
@@ -439,8 +439,9 @@ def light_account(box: str | None = None, *, confirm_no_exposure: bool = False) 
     """
     if box is not None or confirm_no_exposure:
         box = require_known_box(box)
-    if confirm_no_exposure:
-        confirm_unexposed(box)
+    if confirm_no_exposure and box is not None:  # what the account knows to be given stays
+        with exposure_store().change() as account:
+            account.confirm(box)
     reports, wrong = exposure_reports()
     consequence = "what it held is lost; each box counts as used up for 10⁴ s from its next opening"
     notes = (f"{wrong}; {consequence}: radiometer light status",) if wrong else ()

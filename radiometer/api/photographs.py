@@ -27,7 +27,7 @@ from radiometer.reporting.reading_page import check_report_name, write_reading_p
 
 def measure_photographs(
     photographs: Stack | PathLike,
-    patch: Patch | tuple[int, int, int, int] | None,
+    patch: Patch | tuple[int, int, int, int] | None = None,
     *,
     calibration: Calibration | PathLike | None = None,
     uncalibrated: bool = False,

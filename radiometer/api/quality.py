@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from radiometer.acquire.bracketing import BracketRequest, plan_for_scene
+from radiometer.acquire.exposure_plan import ExposurePlan, exposure_ladder
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
-from radiometer.analysis.quality.datasheet import shown, write_datasheet
-from radiometer.analysis.quality.procedures import PROCEDURES, Procedure
+from radiometer.analysis.quality.datasheet import datasheet_html, shown
+from radiometer.analysis.quality.procedures import PROCEDURES, Procedure, ProcedureStep, gain_of_step
+from radiometer.analysis.quality.procedures import procedure as procedure_of
 from radiometer.analysis.quality.session import SOURCE_U_REL, Datasheet, Evaluation, evaluate
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Progress, Result
-from radiometer.bench.quality_session import chosen_steps, procedure_named, take_step
-from radiometer.data import Calibration, SpectralResponse
+from radiometer.bench.assembly import open_bench_camera
+from radiometer.bench.capturing import capture_exposures
+from radiometer.data import Calibration, PatchDescription, SpectralResponse
 from radiometer.data.json_text import json_text
-from radiometer.errors import DeviceError
+from radiometer.data.storage import write_text_atomic
+from radiometer.devices import Camera
+from radiometer.errors import DeviceError, UsageError
 from radiometer.plausible import AnyCount, Count, RelativeUncertainty
 from radiometer.progress import counted, unseen
+
+# The source of smear is exposed so many times beyond full scale: what it leaves behind then stands out of the noise.
+_OVER: Final = 64.0
+# Linearity over the signal's upper 1.6 decades in half stops; below them, noise dominates each step.
+_LADDER_SPAN, _LADDER_STOPS = 40.0, 0.5
+_FEWEST_FRAMES: Final = 5  # fewer short ones cannot show whether the light is steady
+_TIME_LIMIT_S: Final = 60.0  # as of a bracket
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,7 +74,7 @@ class QualityReport(Result):
 
     def write(self, path: PathLike) -> None:
         """Write the datasheet as HTML. Raises OutputError."""
-        write_datasheet(Path(path), self.datasheet)
+        write_text_atomic(Path(path), datasheet_html(self.datasheet))
 
     @property
     def rows(self) -> list[tuple[str, str, str, str]]:
@@ -125,20 +139,62 @@ def quality_take(
         UsageError: If there is no such procedure or step.
         DeviceError: If the camera fails, or several steps are missing and `ask` is missing.
     """
-    chosen = procedure_named(procedure)
+    chosen = _procedure_named(procedure)
     folder = Path(session) / chosen.name
-    missing = [one for one in chosen_steps(chosen, steps) if not (folder / one.name).exists()]
+    missing = [one for one in _chosen_steps(chosen, steps) if not (folder / one.name).exists()]
     if len(missing) > 1 and ask is None:
         names = ", ".join(one.name for one in missing)
         raise DeviceError(f"the steps {names} need a hand in between; run at a terminal, or name one step at a time")
     for step in missing:
         if ask is not None:
             ask(f"{chosen.title}, step {step.name}: {step.ask}")
-        take_step(
-            folder / step.name, chosen, step, bench=Path(bench) if bench else None, name=camera, patch=as_patch(patch),
-            repeat=repeat, darks=darks, ask=ask, taken=counted(progress, step.name),
-        )  # fmt: skip
+        with open_bench_camera(Path(bench) if bench else None, camera) as (config, device):
+            where = as_patch(patch) or (config.patch.patch if config.patch else None)
+            if where is not None:
+                config = config.model_copy(update={"patches": (PatchDescription(name="patch", **asdict(where)),)})
+            if (gain_db := gain_of_step(step.name)) is not None:
+                device.configure(replace(device.settings, gain_db=gain_db))
+            region = config.patches[0].patch if config.patches and chosen.exposures != "scene" else None
+            request = BracketRequest(region, None, _TIME_LIMIT_S, darks if device.capabilities.has_shutter else 0)
+            exposures = _exposures(plan_for_scene(device, request), chosen, device, repeat)
+            taken = counted(progress, step.name)
+            capture_exposures(folder / step.name, device, exposures, request, config, ask, taken)
     return [folder / one.name for one in missing]
+
+
+def _procedure_named(name: str) -> Procedure:
+    """Return a procedure that has captures. Raises UsageError for another name."""
+    found = procedure_of(name)
+    if found is None or not found.steps:
+        known = ", ".join(one.name for one in PROCEDURES if one.steps)
+        raise UsageError(f"{name!r} is no procedure with captures; there are {known}")
+    return found
+
+
+def _chosen_steps(of: Procedure, names: Sequence[str] | None) -> list[ProcedureStep]:
+    """Return the steps of these names, or all. Raises UsageError for a name that the procedure does not take."""
+    if not names:
+        return list(of.steps)
+    known = {one.name: one for one in of.steps}
+    unknown = [name for name in names if name not in known and not (of.form and re.fullmatch(of.form, name, re.ASCII))]
+    if unknown:
+        more = f", and {of.more}" if of.more else ""
+        raise UsageError(f"{unknown[0]!r} is no step of {of.name}; there are {', '.join(known)}{more}")
+    return [known.get(name) or ProcedureStep(name, f"as for the others, at {name}") for name in names]
+
+
+def _exposures(planned: ExposurePlan, of: Procedure, camera: Camera, repeat: int) -> ExposurePlan:
+    """Return the exposures of a procedure from those that the patch needs."""
+    low, high = camera.capabilities.exposure_s
+    longest = max(planned.exposures_s)
+    if of.exposures == "ladder":
+        return exposure_ladder(max(longest / _LADDER_SPAN, low), longest, _LADDER_STOPS, (low, high), repeat)
+    if of.exposures == "overexposed":
+        return exposure_ladder(max(longest, low), min(_OVER * longest, high), 2.0, (low, high), repeat)
+    times = planned.exposures_s * repeat
+    while len(times) < _FEWEST_FRAMES:
+        times += planned.exposures_s
+    return replace(planned, exposures_s=tuple(sorted(times)))
 
 
 def quality_report(

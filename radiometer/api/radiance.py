@@ -214,11 +214,7 @@ class Radiance(Drawn):
         )
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the only or the green map in logarithmic false colours; what is not good is left white.
-
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
+        """Draw the only or the green map in logarithmic false colours; what is not good is left white."""
         from matplotlib.colors import LogNorm
 
         where, found = axes if axes is not None else new_axes(), self.picture.first

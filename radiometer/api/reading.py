@@ -62,7 +62,7 @@ def measure(
         spectrum: Spectrum assumed for the luminance.
         u_rel: Repeat exposures until noise is below this relative standard uncertainty.
         darks: Take dark frames with the reading; `ask` has the lens covered where there is no shutter.
-        monte_carlo: Add the interval by the propagation of distributions to `reading.more`.
+        monte_carlo: Add the interval by the propagation of distributions (JCGM 101), in `reading.more`.
         report: Page of the reading to write, .html or .pdf: picture with the patch, budget, calibration, assumptions.
         ask: Has something done by hand.
         notice: Gets what must be known before the first reading, a line each.

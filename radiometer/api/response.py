@@ -116,11 +116,7 @@ class Response(Drawn):
         }
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw ln H over the digital number with its k = 2 band, where the data support it.
-
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
+        """Draw ln H over the digital number with its k = 2 band, where the data support it."""
         where = axes if axes is not None else new_axes()
         for estimate in self.estimates:
             curve = estimate.curve

@@ -99,11 +99,7 @@ class CalibratedScreen(Drawn):
         ]
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the luminance of every channel over the level, with its k = 2 band.
-
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
+        """Draw the luminance of every channel over the level, with its k = 2 band."""
         where = axes if axes is not None else new_axes()
         draw_curves(where, self.calibration)
         where.set_title(f"{label(self.calibration.name)}, {moment(self.calibration.created)}", fontsize="medium")

@@ -121,11 +121,7 @@ class Sensor(Result):
         write_text_atomic(Path(path), "\n".join(["symbol,value,u,unit", *rows]) + "\n")
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the photon transfer (variance over signal), or the dark signal where no gain was found.
-
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
+        """Draw the photon transfer (variance over signal), or the dark signal where no gain was found."""
         where = axes if axes is not None else new_axes()
         draw_telling(where, self.characterisation)
         return where

@@ -346,23 +346,6 @@ def exposure_store() -> FileStore:
     return FileStore(account_folder())
 
 
-def confirm_unexposed(serial: str | None) -> None:
-    """Take a person's word that no eye that will look into a light box was exposed in the last 10⁴ s.
-
-    It ends the time for which a box without a history counts as used up. What the account knows to be given stays.
-
-    Args:
-        serial: Serial number of the box.
-
-    Raises:
-        UsageError: If the account does not know the box.
-        UnsafeStimulus: If the account cannot be read or stored.
-    """
-    known = require_known_box(serial)
-    with exposure_store().change() as account:
-        account.confirm(known)
-
-
 def require_known_box(serial: str | None) -> str:
     """Return a serial number that the account knows.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from radiometer.acquire.bracketing import BracketRequest, take_plan
@@ -10,7 +10,7 @@ from radiometer.acquire.capture_plan import CapturePlan, PlannedFrames, Stage, t
 from radiometer.acquire.exposure_plan import ExposurePlan
 from radiometer.bench.assembly import known_patches, stated_source
 from radiometer.bench.config import BenchConfig
-from radiometer.data import CaptureSet, CaptureSetWriter
+from radiometer.data import CaptureSet, CaptureSetWriter, Frame
 from radiometer.data.provenance import utc_now
 from radiometer.devices import Camera
 from radiometer.errors import DeviceError
@@ -19,27 +19,20 @@ Ask = Callable[[str], None]
 Taken = Callable[[int, int], None]
 
 
-def stage_of(camera: Camera, ask: Callable[[str], None]) -> Stage:
-    """Return what sets source level, pattern, f-number and shutter before each setting of a plan.
-
-    Args:
-        ask: Asks the user to do something and returns when it is done; used for hardware, and only for what changes.
-    """
+def _stage_of(camera: Camera, ask: Ask) -> Stage:
+    """Return what sets source level, pattern, f-number and shutter before each setting of a plan, by hand or not."""
     from simulators.cameras.simulated_camera import SimulatedCamera
 
-    if isinstance(camera, SimulatedCamera):
-        return lambda planned: _stage_simulated(camera, planned)
-    return _ByHand(camera, ask)
+    if not isinstance(camera, SimulatedCamera):
+        return _ByHand(camera, ask)
 
+    def stage(planned: PlannedFrames) -> None:
+        camera.set_source(planned.source_level, planned.pattern)
+        camera.set_shutter(closed=planned.shutter == "closed")
+        if planned.f_number:
+            camera.set_f_number(planned.f_number)
 
-def _stage_simulated(camera: object, planned: PlannedFrames) -> None:
-    from simulators.cameras.simulated_camera import SimulatedCamera
-
-    assert isinstance(camera, SimulatedCamera)
-    camera.set_source(planned.source_level, planned.pattern)
-    camera.set_shutter(closed=planned.shutter == "closed")
-    if planned.f_number:
-        camera.set_f_number(planned.f_number)
+    return stage
 
 
 class _ByHand:
@@ -103,35 +96,13 @@ def capture_exposures(
     by_hand = request.dark_frames and not camera.capabilities.has_shutter
     shutter = shutter_by_hand(camera, ask) if by_hand else None
     total = len(plan.exposures_s) + request.dark_frames * len(set(plan.exposures_s))
-    with CaptureSetWriter(
-        out, camera.description, camera.lens, stated_source(config), known_patches(config), extra={"created": utc_now()}
-    ) as writer:
-        for number, frame in enumerate(take_plan(camera, plan, request, close_shutter=shutter), 1):
-            writer.add(frame)
-            if taken:
-                taken(number, total)
-    return CaptureSet.read(out)
+    return _written(out, camera, config, take_plan(camera, plan, request, close_shutter=shutter), total, taken)
 
 
 def capture_settings(
-    out: Path,
-    camera: Camera,
-    plan: CapturePlan,
-    config: BenchConfig,
-    ask: Ask | None = None,
-    taken: Taken | None = None,
+    out: Path, camera: Camera, plan: CapturePlan, config: BenchConfig, ask: Ask | None, taken: Taken | None
 ) -> CaptureSet:
-    """Capture the settings of a plan into a new folder and return what was written.
-
-    Args:
-        out: As all further ones for `capture_exposures`.
-        plan: Settings with what must be arranged for each.
-        ask: Arranges what a setting needs.
-
-    Raises:
-        DeviceError: If the camera fails, or needs a hand and `ask` is missing.
-        OutputError: If the folder exists or cannot be written.
-    """
+    """Do as `capture_exposures` for settings, with what `ask` arranges for each. Raises DeviceError, OutputError."""
 
     def asked(wish: str) -> None:
         if ask is None:
@@ -139,10 +110,23 @@ def capture_settings(
         ask(f"Please {wish}")
 
     patterns = tuple(dict.fromkeys(planned.pattern for planned in plan.frames))
-    header = (camera.description, camera.lens, stated_source(config), known_patches(config), patterns)
+    frames = take_capture_plan(camera, plan, _stage_of(camera, asked))
+    return _written(out, camera, config, frames, plan.total, taken, patterns)
+
+
+def _written(
+    out: Path,
+    camera: Camera,
+    config: BenchConfig,
+    frames: Iterable[Frame],
+    total: int,
+    taken: Taken | None,
+    patterns: tuple[str, ...] = ("default",),
+) -> CaptureSet:
+    header = camera.description, camera.lens, stated_source(config), known_patches(config), patterns
     with CaptureSetWriter(out, *header, extra={"created": utc_now()}) as writer:
-        for number, frame in enumerate(take_capture_plan(camera, plan, stage_of(camera, asked)), 1):
+        for number, frame in enumerate(frames, 1):
             writer.add(frame)
             if taken:
-                taken(number, plan.total)
+                taken(number, total)
     return CaptureSet.read(out)

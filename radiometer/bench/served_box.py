@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import time
@@ -137,43 +136,19 @@ def _locked(server: PtyServer, act: Callable[[bool], None]) -> Callable[[bool], 
     return press
 
 
-def serve_box(
-    made: ServedBox,
-    reset_every_s: float | None,
-    press_every_s: float | None,
-    ready: Callable[[str], None],
-    entered: Callable[[float], bool] | None = None,
-) -> None:
-    """Serve a simulated light box until an interrupt.
-
-    Args:
-        reset_every_s: Restart the box this often; None for never.
-        press_every_s: Press the button this often; None for never.
-        ready: Called with the name of its port once it is served.
-        entered: Waits so many seconds and returns whether the button is to be pressed.
-
-    Raises:
-        OutputError: If the link cannot be made.
-    """
-    with made.server as server:
-        ready(server.port)
-        with contextlib.suppress(KeyboardInterrupt):
-            _tend(made, reset_every_s, press_every_s, entered or _no_visitor)
-
-
 def _no_visitor(seconds: float) -> bool:
     time.sleep(seconds)
     return False
 
 
-def _tend(
-    made: ServedBox, reset_every_s: float | None, press_every_s: float | None, entered: Callable[[float], bool]
+def tend(
+    made: ServedBox, reset_every_s: float | None, press_every_s: float | None, entered: Callable[[float], bool] | None
 ) -> None:
-    """Press and reset as asked, for ever."""
+    """Press and reset a box as often as asked, in s, and press where somebody entered something, for ever."""
     start_s = time.monotonic()
     resets = presses = 0
     while True:
-        if entered(_LOOK_S):
+        if (entered or _no_visitor)(_LOOK_S):
             _press(made)
         elapsed_s = time.monotonic() - start_s
         if reset_every_s and elapsed_s > (resets + 1) * reset_every_s:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import contextlib
 import copy
 import functools
 import importlib.util
@@ -64,7 +63,7 @@ def command_of(
     results: Sequence[str] = (),
     defaults: Mapping[str, Any] | None = None,
     converters: Mapping[str, Callable[[Sequence[str]], Any]] | None = None,
-    serves: Callable[[bool], Mapping[str, Any]] = lambda json: {},
+    serves: Callable[..., Mapping[str, Any]] = lambda json, **given: {},
     reports: str = "",
     shown: Mapping[str, Any] | None = None,
     json: bool = True,
@@ -89,7 +88,7 @@ def command_of(
         results: Files that the result writes by `write` or `write_…`: "out", "plot", "csv", "report".
         defaults: Defaults of the command where the function has others.
         converters: By parameter, what makes its value of the words of an option that may be repeated.
-        serves: Returns what the command hands over by parameter; called with whether JSON is printed.
+        serves: Returns what the command hands over by parameter; called with whether JSON is printed, and the options.
         reports: Parameter that takes what to show as soon as it is known; the function's end shows nothing then.
         shown: Options that only `show` takes.
         json: Whether the result can be printed as JSON.
@@ -125,17 +124,14 @@ def command_of(
         present = _print_json if json else functools.partial(show or _print_nothing, **told)
         with progress(shown="progress" in taken and not json) as bar:
             announce = functools.partial(_announce, page, open_browser)
-            hand = {"notice": note, "progress": bar, "announce": announce, reports: present, **serves(json)}
+            hand = {"notice": note, "progress": bar, "announce": announce, reports: present, **serves(json, **given)}
             hand |= {"ask": asker()} if "ask" in taken else {}
             stated = {one: value for one, value in given.items() if value is not None and value != []}
             stated |= {one: of(stated[one]) for one, of in converters.items() if one in stated}
             stated |= {one: not stated[one] for one in negated}
             found = getattr(rm, name)(**stated, **{one: hand[one] for one in served if one in taken})
-            if isinstance(found, Iterator):
-                with contextlib.suppress(KeyboardInterrupt):  # the usual end of what has none
-                    for one in found:
-                        present(one)
-                return 0
+            for one in found if (several := isinstance(found, Iterator)) else ():
+                present(one)
         for line in getattr(found, "notes", ()):
             note(line)
         for one, file in written.items():
@@ -144,7 +140,7 @@ def command_of(
         for named in (*(given[one] for one in files or ()), *written.values()):
             for file in named if isinstance(named, list) else filter(None, [named]):
                 note(f"wrote {file}")
-        if not reports:
+        if not (reports or several):
             present(found)
         return code(found)
 
@@ -188,7 +184,7 @@ def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any
         one.arg: (ast.unparse(one.annotation) if one.annotation else "", value, place < len(required))
         for place, (one, value) in enumerate(zip((*plain, *named), values, strict=True))
     }
-    options = {f"`{one}`": _NAMES.get(one, _plain_names(one))[0] for one in taken}
+    options = {f"`{one}`": _NAMES.get(one, _plain_names(one))[0] for one in taken if one not in _HANDED}
 
     def spoken(words: str) -> str:
         return re.sub(r"`\w+`", lambda it: options.get(it[0], it[0]), words)

@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,13 +19,13 @@ from radiometer.analysis.signal.situation import situation_of
 from radiometer.bench.assembly import calibration_path, stated_source
 from radiometer.bench.boxes import open_light_box
 from radiometer.bench.cameras import open_camera
-from radiometer.bench.config import BenchConfig, read_bench
+from radiometer.bench.config import read_bench
 from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.bench.reopening import name_of_camera, refuse_another
 from radiometer.daemon.instrument import DeviceReport, Measurement, MeasurementSettings
-from radiometer.data import Bracket, Calibration, CameraDescription, Flag, Frame, LensDescription, Patch, ResponseCurve
+from radiometer.data import Bracket, Calibration, Flag, Frame, Patch, ResponseCurve
 from radiometer.data.setup import Setup
-from radiometer.devices import AcquisitionCounts, Camera, CameraCapabilities, CameraIdentity, CameraSettings
+from radiometer.devices import Camera, CameraCapabilities, CameraIdentity, CameraSettings
 from radiometer.devices.light_box import FULL_LEVEL, ChannelState, CurrentRange, DriveLevel, LightBox
 from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
@@ -58,29 +59,12 @@ class WatchedCamera(Opened):
         doubts, self._doubts = tuple(sorted(self._doubts)), set()
         return doubts
 
-    @property
-    def identity(self) -> CameraIdentity:
-        return self._camera.identity
-
-    @property
-    def capabilities(self) -> CameraCapabilities:
-        return self._camera.capabilities
-
-    @property
-    def settings(self) -> CameraSettings:
-        return self._camera.settings
-
-    @property
-    def description(self) -> CameraDescription:
-        return self._camera.description
-
-    @property
-    def lens(self) -> LensDescription:
-        return self._camera.lens
-
-    @property
-    def counts(self) -> AcquisitionCounts:
-        return self._camera.counts
+    identity: Any = property(attrgetter("_camera.identity"))
+    capabilities: Any = property(attrgetter("_camera.capabilities"))
+    settings: Any = property(attrgetter("_camera.settings"))
+    description: Any = property(attrgetter("_camera.description"))
+    lens: Any = property(attrgetter("_camera.lens"))
+    counts: Any = property(attrgetter("_camera.counts"))
 
     def open(self) -> None:
         self._camera.open()
@@ -155,25 +139,15 @@ class BenchInstrument:
         *,
         uncalibrated: bool = False,
     ) -> None:
-        self._config, self._where = read_bench(bench, camera_name)
+        self.config, self._where = read_bench(bench, camera_name)
         self._name = camera_name
-        self._path = None if uncalibrated else calibration or calibration_path(self._config, bench)
-        self._spectrum = self._config.spectrum
+        self._path = None if uncalibrated else calibration or calibration_path(self.config, bench)
+        self._spectrum = self.config.spectrum
         self._calibration = self._read_calibration()
         self._camera: WatchedCamera | None = None
         self._limits: CameraCapabilities | None = None
-        self._identity = _UNKNOWN
+        self.identity = _UNKNOWN  # empty before it was first seen
         self._temperature_c: float | None = None
-
-    @property
-    def config(self) -> BenchConfig:
-        """Return the bench file."""
-        return self._config
-
-    @property
-    def identity(self) -> CameraIdentity:
-        """Return who the camera is; empty before it was first seen."""
-        return self._identity
 
     @property
     def limits(self) -> CameraCapabilities:
@@ -190,10 +164,10 @@ class BenchInstrument:
     def open(self) -> None:
         """Open the camera, and refuse another one than was open before. Raises DeviceError; close it then, too."""
         self.close()
-        camera = self._camera = WatchedCamera(open_camera(self._config, self._where, self._name))
-        if self._identity != _UNKNOWN:
-            refuse_another(name_of_camera(camera.identity), name_of_camera(self._identity))
-        self._identity, self._limits = camera.identity, camera.capabilities
+        camera = self._camera = WatchedCamera(open_camera(self.config, self._where, self._name))
+        if self.identity != _UNKNOWN:
+            refuse_another(name_of_camera(camera.identity), name_of_camera(self.identity))
+        self.identity, self._limits = camera.identity, camera.capabilities
 
     def close(self) -> None:
         camera, self._camera = self._camera, None
@@ -256,7 +230,7 @@ class BenchInstrument:
 
     def default_patch(self) -> Patch | None:
         """Return the patch that the bench file names; None for the middle of the frame."""
-        return self._config.patch.patch if self._config.patch else None
+        return self.config.patch.patch if self.config.patch else None
 
     def _opened(self) -> WatchedCamera:
         if self._camera is None:
@@ -280,9 +254,9 @@ class BenchInstrument:
             camera,
             patch,
             calibration=calibration,
-            time_limit_s=self._config.time_limit_s,
-            source=stated_source(self._config),
-            spectrum_stated=settings.wavelength_nm is not None or bool(self._spectrum or self._config.spectrum),
+            time_limit_s=self.config.time_limit_s,
+            source=stated_source(self.config),
+            spectrum_stated=settings.wavelength_nm is not None or bool(self._spectrum or self.config.spectrum),
         )
 
     def _fixed(self, camera: Camera, exposure_s: float) -> Bracket:
@@ -307,21 +281,12 @@ class BenchLight:
     """
 
     def __init__(self, open_box: Callable[[], AbstractContextManager[LightBox]], name: str = "light box") -> None:
-        self._open_box, self._name = open_box, name
+        self._open_box, self.name = open_box, name
         self._box: LightBox | None = None
         self._held = ExitStack()
         self._serial = ""
-        self._channels: tuple[str, ...] = ()
+        self.channels: tuple[str, ...] = ()  # empty before the box was first open
         self._limits: dict[str, float] = {}
-
-    @property
-    def name(self) -> str:
-        return self._name
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Return the names of the channels; empty before the box was first open."""
-        return self._channels
 
     @property
     def level_limits(self) -> dict[str, float]:
@@ -346,7 +311,7 @@ class BenchLight:
             serial = self._serial or box.identity.serial
             refuse_another(f"light box {box.identity.serial}", f"light box {serial}")
             self._serial = serial
-            self._channels = tuple(box.channels)
+            self.channels = tuple(box.channels)
             self._held = opening.pop_all()
         self._box = box
 
@@ -357,7 +322,7 @@ class BenchLight:
 
     def check(self) -> DeviceReport:
         box = self._opened()
-        status, levels = box.status(), {name: _level(box.read_channel(name)) for name in self._channels}
+        status, levels = box.status(), {name: _level(box.read_channel(name)) for name in self.channels}
         self._look_at_limits(box)
         counts = {"damaged_lines": status.damaged_lines, "lost_bytes": status.lost_bytes, "darkened": status.darkened}
         return DeviceReport(status.temperature_celsius, counts, levels)
@@ -372,11 +337,11 @@ class BenchLight:
         return _level(state)
 
     def _look_at_limits(self, box: LightBox) -> None:
-        self._limits = {name: _highest(box, name) for name in self._channels}
+        self._limits = {name: _highest(box, name) for name in self.channels}
 
     def _opened(self) -> LightBox:
         if self._box is None:
-            raise DeviceError(f"the {self._name} is not open")
+            raise DeviceError(f"the {self.name} is not open")
         return self._box
 
 

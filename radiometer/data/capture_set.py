@@ -183,7 +183,8 @@ class CaptureSet:
     path: Path  # the folder
     header: CaptureHeader  # what `capture.yaml` says
     store: FrameStore | None = None  # where the frames are; None for the files of the folder
-    colour: str = "green"  # of a sensor with a mosaic of colours: the plane that its frames are read in
+    # Of a sensor with a mosaic of colours: the plane that its frames are read in; None for the mosaic itself
+    colour: str | None = "green"
 
     @classmethod
     def read(cls, path: Path) -> CaptureSet:
@@ -208,6 +209,20 @@ class CaptureSet:
                 "works on pixels cannot"
             )
         return cls(path, _in_planes(header, path))
+
+    @classmethod
+    def of_store(cls, path: Path, header: CaptureHeader, store: FrameStore) -> CaptureSet:
+        """Return the frames of a store as they are read: a mosaic of colours by its planes.
+
+        Args:
+            path: Where they are.
+            header: Their header, in pixels of the sensor.
+            store: Where the frames are.
+
+        Raises:
+            CaptureError: If a mosaic is read by several amplifiers.
+        """
+        return cls(path, _in_planes(header, path), store)
 
     def in_colour(self, channel: str) -> CaptureSet:
         """Return the capture set with its frames read in a colour, green for "luminance"; itself without a mosaic.
@@ -249,7 +264,7 @@ class CaptureSet:
             )
         masked = (entry.model_extra or {}).get(MASKED_PIXELS)
         extra = {} if masked is None else {MASKED_PIXELS: masked}
-        if self.header.camera.mosaic is not None:
+        if self.header.camera.mosaic is not None and self.colour is not None:
             extra["channel"] = self.colour
         settings = replace(entry.settings, white_level=self.header.camera.white_level)
         frame = Frame(dn, bit_depth, settings, frame_id=index, extra=extra)
@@ -281,7 +296,7 @@ class CaptureSet:
         """
         numbers = self.store.read(file) if self.store else read_digital_numbers(self.path / file)
         mosaic = self.header.camera.mosaic
-        return numbers if mosaic is None else plane_of(numbers, mosaic, self.colour)
+        return numbers if mosaic is None or self.colour is None else plane_of(numbers, mosaic, self.colour)
 
     def frames(self) -> Iterator[Frame]:
         """Yield all frames in the header's order with the white level that they show together, few in memory at a time.

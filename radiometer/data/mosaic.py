@@ -22,6 +22,12 @@ def plane_of(numbers: NDArray[np.uint8] | NDArray[np.uint16], mosaic: str, colou
     return np.ascontiguousarray(numbers[row:height:_SIDE, column:width:_SIDE])
 
 
+def shifted(mosaic: str, x: int, y: int) -> str:
+    """Return the mosaic of a picture whose first pixel is at (x, y) of one of this mosaic."""
+    places = [((row + y) % _SIDE, (column + x) % _SIDE) for row in range(_SIDE) for column in range(_SIDE)]
+    return "".join(mosaic[_SIDE * row + column] for row, column in places)
+
+
 def in_cells(patch: Patch) -> Patch:
     """Return a patch of the sensor grown to whole cells of a mosaic."""
     x, y = (start // _SIDE * _SIDE for start in (patch.x, patch.y))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from os import PathLike
@@ -254,6 +254,11 @@ class Reading:
         mapping |= {"session": self.session} if self.session else {}
         mapping |= self.more
         return {key: finite_or_null(value) for key, value in mapping.items()}
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """Return what a user should know of it, a sentence each."""
+        return tuple(self.more.get("notes", ()))
 
     def to_json(self) -> str:
         """Return the reading as one line of JSON."""

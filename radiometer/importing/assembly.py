@@ -15,6 +15,7 @@ import numpy as np
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, LensDescription, SourceDescription
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.guards import safe_file_name
+from radiometer.data.mosaic import shifted
 from radiometer.data.validation import validate
 from radiometer.errors import CaptureError, DamagedFileError
 from radiometer.importing.found import FoundFrame, ImportOptions
@@ -27,6 +28,7 @@ _FEWEST_CLIPPED: Final = 4  # noise alone puts hardly two pixels on the same hig
 _CAMERA_KEYS: Final = (
     "vendor", "model", "serial", "unit", "mode", "band", "wavelength_nm", "binning", "pixel_pitch_um",
     "conversion_gain_e_per_dn", "read_noise_e", "taps",
+    "mosaic",
 )  # fmt: skip
 # What a set is called by among several.
 _OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode", "scene")
@@ -248,6 +250,8 @@ def _camera(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions)
     if "taps" in facts and (options.crop or options.sample > 1):
         del facts["taps"]
         doubts.append("the sections of amplifiers are left out: they hold for whole frames only")
+    if "mosaic" in facts:
+        doubts += _placed_mosaic(facts, options)
     if codes.step_dn > 1:
         facts["code_step_dn"] = codes.step_dn
     if "pixel_pitch_um" in facts and options.sample > 1:
@@ -259,6 +263,17 @@ def _camera(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions)
     if top_dn is not None:
         facts["white_level_dn"] = top_dn
     return validate(CameraDescription, facts, frames[0].label, CaptureError), [*doubts, *doubtful]
+
+
+def _placed_mosaic(facts: dict[str, Any], options: ImportOptions) -> list[str]:
+    """Put the mosaic of the requested part in place of that of the whole frame; return what speaks against any."""
+    of_cells = "binning" in facts and facts["binning"] != _UNBINNED[1]
+    if of_cells or "taps" in facts or options.sample % 2 == 0:
+        mosaic = facts.pop("mosaic")
+        return [f"{mosaic}: pixels under filters of several colours count as one channel"]
+    if options.crop is not None:
+        facts["mosaic"] = shifted(facts["mosaic"], options.crop.x, options.crop.y)
+    return []
 
 
 def _white_level(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions) -> tuple[float | None, list[str]]:

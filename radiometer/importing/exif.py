@@ -23,7 +23,8 @@ _NAMES: Final = {
     271: "Make", 272: "Model", 33434: "ExposureTime", 33437: "FNumber",
     34855: "PhotographicSensitivity", 34865: "StandardOutputSensitivity",
     34866: "RecommendedExposureIndex", 34867: "ISOSpeed", 36867: "DateTimeOriginal", 37377: "ShutterSpeedValue",
-    37378: "ApertureValue", 37384: "LightSource", 37386: "FocalLength", 37521: "SubsecTimeOriginal",
+    37378: "ApertureValue", 37382: "SubjectDistance", 37384: "LightSource", 37386: "FocalLength",
+    37521: "SubsecTimeOriginal",
     41985: "CustomRendered", 41987: "WhiteBalance", 41990: "SceneCaptureType", 41992: "Contrast", 41993: "Saturation",
     42033: "BodySerialNumber", 50713: "BlackLevelRepeatDim", 50714: "BlackLevel",
     50715: "BlackLevelDeltaH", 50716: "BlackLevelDeltaV",
@@ -37,6 +38,7 @@ _ISO: Final = places(
 )
 _F_NUMBER: Final = places("FNumber:1")
 _DEVELOPMENT: Final = ("Contrast", "Saturation", "CustomRendered", "SceneCaptureType")  # what bends or mixes colours
+_INFINITELY_M: Final = 1e6  # Exif 2.32, section 4.6.5: 2³² − 1 stands for infinity
 _LARGEST_APEX: Final = 32.0  # 2³² s and 2⁻³² s: no shutter has them
 _APEX_SAME_STOPS: Final = 0.5  # ShutterSpeedValue and ExposureTime may be of the dial's and of the real time
 
@@ -132,11 +134,13 @@ def camera_of(header: Header, where: str) -> dict[str, str | float]:
             found[fact] = words[1]
     numbers = {
         tag: stated[1]
-        for tag in ("FocalLength", "WhiteBalance", "LightSource", *_DEVELOPMENT)
+        for tag in ("FocalLength", "SubjectDistance", "WhiteBalance", "LightSource", *_DEVELOPMENT)
         if (stated := first_stated("number", header, places(tag), StatementMap(), [], where)) is not None
     }
     if numbers.get("FocalLength", 0.0) > 0.0:
         found["focal_length_mm"] = numbers["FocalLength"]
+    if 0.0 < numbers.get("SubjectDistance", 0.0) < _INFINITELY_M:
+        found["focus_m"] = numbers["SubjectDistance"]
     if "WhiteBalance" in numbers:
         light = numbers.get("LightSource", 0.0)
         by_hand = "manual" + (f", light source {light:g}" if light else "")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from radiometer.data.capture_header import as_binning
 from radiometer.data.frame import FrameSettings
 from radiometer.data.guards import refuse_size
+from radiometer.data.mosaic import shifted
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import (
     Place,
@@ -91,6 +92,9 @@ _COMBINED: Final = (
 _DATA_UNITS: Final = ("", "adu", "dn", "count", "counts", "ct", "pixel value")
 _COLOURS: Final = ("CTYPE3", "COLORSPC", "COLORTYP", "COLORTYPE", "COLORSPACE")
 _MOSAIC: Final = ("BAYERPAT", "CFAPAT", "CFA")
+_MOSAIC_OFFSETS: Final = ("XBAYROFF", "YBAYROFF")
+_CELLS: Final = ("RGGB", "GRBG", "GBRG", "BGGR")
+_ROW_ORDER, _FROM_TOP = "ROWORDER", "TOP-DOWN"
 _OR: Final = " or "  # between the values of a keyword that stands several times
 _EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may differ unnoticed
 
@@ -305,7 +309,8 @@ def _frames(
         exposure_s, taken["exposure_s"] = 0.0, f"{taken['shutter']} (a bias frame has no exposure)"
     doubts += contradictions(claims_of(path), exposure_s, is_dark=is_dark)
     doubts += _processing(header, history)
-    doubts += _colour_doubts(path, header, shape)
+    mosaic, doubtful = _colours(path, header, shape)
+    doubts += doubtful
     gain_db, mode = _gain(path, header, mapped, taken, doubts)
     filters = _filters(header, mapped, str(path))
     camera = _camera(path, header, mapped, taken, doubts) | ({"mode": mode} if mode else {})
@@ -313,6 +318,8 @@ def _frames(
         camera["conversion_gain_e_per_dn"] *= gain_factor(gain_db)
     if filters:
         camera["filter"] = filters[1]
+    if mosaic is not None:
+        camera["mosaic"] = mosaic
     if taps := taps_of(header, (shape[-2], shape[-1]), doubts):
         camera, taken["taps"] = camera | {"taps": taps}, "data sections"
     settings = FrameSettings(
@@ -465,8 +472,8 @@ def _processing(header: Header, history: str) -> list[str]:
     return found
 
 
-def _colour_doubts(path: Path, header: Header, shape: tuple[int, ...]) -> list[str]:
-    """Return what is to be reported of a mosaic of colours and of planes that may be colours.
+def _colours(path: Path, header: Header, shape: tuple[int, ...]) -> tuple[str | None, list[str]]:
+    """Return the mosaic of colours, None where there is none, and what is doubted of it and of planes.
 
     Raises:
         CaptureError: If the planes are colours by the header.
@@ -474,12 +481,18 @@ def _colour_doubts(path: Path, header: Header, shape: tuple[int, ...]) -> list[s
     stated = next((f"{key} {header[key].written}" for key in _COLOURS if _is_colour(header, key)), None)
     if len(shape) == 3 and stated is not None:
         raise CaptureError(f"{path}: its planes are colours ({stated}); frames need one channel: save one plane alone")
-    mosaic = next((f"{key} {header[key].written}" for key in _MOSAIC if key in header), None)
-    if mosaic is not None and len(shape) == 2 and not is_unknown(mosaic.partition(" ")[2]):
-        return [f"{mosaic}: pixels under filters of several colours count as one channel"]
+    key = next((key for key in _MOSAIC if key in header), "")
+    if key and len(shape) == 2 and not is_unknown(written := str(header[key].written).strip()):
+        x, y = (_number(header, offset) or 0.0 for offset in _MOSAIC_OFFSETS)
+        if written.upper() not in _CELLS or not (x.is_integer() and y.is_integer()):
+            return None, [f"{key} {written}: pixels under filters of several colours count as one channel"]
+        order = str(header[_ROW_ORDER].written).strip().upper() if _ROW_ORDER in header else "not stated"
+        doubts = [f"{key} {written} counts from the first stored row, as a camera's own files do: {_ROW_ORDER} {order}"]
+        return shifted(written.upper(), int(x), int(y)), [] if order == _FROM_TOP else doubts
     if len(shape) == 3 and shape[0] == 3:
-        return ["it has three planes, which count as three frames of one exposure: save one alone if they are colours"]
-    return []
+        planes = "it has three planes, which count as three frames of one exposure: save one alone if they are colours"
+        return None, [planes]
+    return None, []
 
 
 def _is_colour(header: Header, key: str) -> bool:

@@ -137,7 +137,7 @@ def open_capture(path: Path, options: ImportOptions | None = None) -> CaptureSet
 
 def as_capture(one: Assembled, path: Path, options: ImportOptions | None = None) -> CaptureSet:
     """Return the frames of one camera as a capture set that reads them where they are."""
-    return CaptureSet(path, one.header, FileStore(dict(one.frames), options or ImportOptions()))
+    return CaptureSet.of_store(path, one.header, FileStore(dict(one.frames), options or ImportOptions()))
 
 
 def statistics_of(path: Path, mapped: StatementMap | None = None) -> CaptureHeader | None:
@@ -250,7 +250,7 @@ def import_into(
 
 
 def _written(one: Assembled, out: Path, source: Path, options: ImportOptions) -> WrittenSet:
-    written = copy_into(as_capture(one, source, options), out)
+    written = copy_into(CaptureSet(source, one.header, FileStore(dict(one.frames), options), colour=None), out)
     return WrittenSet(out, len(written), 0, record_in(written.header))
 
 

@@ -37,7 +37,7 @@ from radiometer.importing.photograph_times import (
     read_list,
     with_exact_times,
 )
-from radiometer.photographs.stated import LIST_GAIN, OF_CAMERA, OF_DEVELOPMENT, with_gain
+from radiometer.photographs.stated import LIST_GAIN, OF_CAMERA, OF_DEVELOPMENT, OF_FOCUS, with_gain
 
 _LOG: Final = structlog.get_logger(__name__)
 CHANNEL_CHOICES: Final = (*COLOURS, "luminance", "each")
@@ -325,7 +325,7 @@ def _refuse_changes(folder: Path, settings: dict[str, PhotographSettings]) -> No
     raw = {Path(name).suffix.lower() in RAW_SUFFIXES for name in settings} == {True}
     for key in dict.fromkeys(key for known in settings.values() for key in known.camera):
         stated = {known.camera[key]: name for name, known in settings.items() if key in known.camera}
-        if len(stated) > 1 and not (raw and key in OF_DEVELOPMENT):
+        if len(stated) > 1 and key != OF_FOCUS and not (raw and key in OF_DEVELOPMENT):
             (one, name), (other, second), *_ = stated.items()
             raise CaptureError(
                 f"{folder}: {name} states {key.replace('_', ' ')} {one}, {second} {other}; a bracket needs one camera "

@@ -20,6 +20,12 @@ from radiometer.errors import CaptureError, InputError, required_library
 # Exif 2.32, sections 4.6.4 and 4.6.5.
 _EXIF_IFD, _MAKE, _MODEL = 0x8769, 271, 272
 _F_NUMBER, _DISTANCE, _FOCAL_LENGTH, _LENS_MAKE, _LENS_MODEL = 33437, 37382, 37386, 42035, 42036
+_SIDES, _PER_UNIT, _UNIT = (40962, 40963), 41486, 41488  # of the picture in pixels; pixels per unit of the sensor
+_MM_OF_UNIT: Final = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
+_CUT: Final = b'HasCrop="True"'  # XMP of Adobe's programs
+_SAME_SHAPE_REL: Final = 0.01  # sides that are rounded to blocks of pixels
+_WHOLE_REL: Final = 0.05  # resolutions of EXIF, and crop factors, are right to some per cent
+_FULL_FRAME_MM: Final = 43.27  # diagonal of 36 × 24 mm, which crop factors count from
 # The database's word for a far subject.
 _FAR_M: Final = 1000.0
 # Copies of a lens, real apertures, and the light that contributors measured by differ; a rectangle of some ±5 %.
@@ -38,6 +44,8 @@ class LensRecord:
     focal_length_mm: float  # focal length in mm
     f_number: float  # f-number
     distance_m: float | None = None  # distance of the subject in m; None where not stated
+    diagonal_mm: float | None = None  # of the part of the sensor that the picture shows; None where not stated
+    is_smaller: bool = False  # whether the file has fewer pixels than its record states: it was made smaller, or cut
 
 
 @bounded_reader()
@@ -48,12 +56,13 @@ def read_lens_record(path: Path, lens: str | None = None) -> LensRecord:
         lens: Name of the lens in place of the record's.
 
     Raises:
-        CaptureError: If camera, lens, focal length or f-number are not stated.
+        CaptureError: If camera, lens, focal length or f-number are not stated, or the picture was cut.
     """
     try:
         with Image.open(path) as image:
             exif = image.getexif()
             tags: dict[int, Any] = {**exif, **exif.get_ifd(_EXIF_IFD)}
+            sides, is_cut = image.size, _CUT in bytes(image.info.get("xmp", b""))
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
         raise CaptureError(f"{path}: has no readable EXIF record, which lensfun's fall-off needs: {error}") from error
     words = {tag: str(tags.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL, _LENS_MODEL)}
@@ -70,6 +79,15 @@ def read_lens_record(path: Path, lens: str | None = None) -> LensRecord:
     ]
     if missing:
         raise CaptureError(f"{path}: its EXIF record does not state {', '.join(missing)}; lensfun's fall-off needs it")
+    stated = [_number(tags.get(tag)) for tag in _SIDES]
+    known = [one for one in stated if one]
+    whole = known if len(known) == len(_SIDES) else [float(one) for one in sides]
+    if is_cut or abs(max(sides) / min(sides) * min(whole) / max(whole) - 1.0) > _SAME_SHAPE_REL:
+        raise CaptureError(
+            f"{path}: its record states that the picture was cut, and lensfun's fall-off is that of the whole picture; "
+            "use the whole one, or a flat field"
+        )
+    per_mm = (_number(tags.get(_PER_UNIT)) or 0.0) / _MM_OF_UNIT.get(int(_number(tags.get(_UNIT)) or 2), 25.4)
     return LensRecord(
         words[_MAKE],
         words[_MODEL],
@@ -77,6 +95,8 @@ def read_lens_record(path: Path, lens: str | None = None) -> LensRecord:
         numbers[_FOCAL_LENGTH] or 0.0,
         numbers[_F_NUMBER] or 0.0,
         numbers[_DISTANCE],
+        math.hypot(*whole) / per_mm if per_mm else None,
+        is_smaller=max(sides) < (1.0 - _SAME_SHAPE_REL) * max(whole),
     )
 
 
@@ -105,6 +125,12 @@ def lensfun_flat_field(record: LensRecord, shape: tuple[int, int]) -> tuple[Flat
             f"lensfun's database has no lens {record.lens!r} for the {record.camera}; name it with --lens as the "
             "database does, or use a flat field of your own"
         )
+    whole_mm = _FULL_FRAME_MM / cameras[0].crop_factor
+    if record.diagonal_mm is not None and record.diagonal_mm < (1.0 - _WHOLE_REL) * whole_mm:
+        raise InputError(
+            f"the photograph shows {record.diagonal_mm:.3g} mm of the sensor's diagonal of {whole_mm:.3g} mm: it was "
+            "cut in the camera, and lensfun's fall-off is that of the whole picture; use a flat field of your own"
+        )
     same = _of_one_name(lenses, record.lens)
     settings = record.focal_length_mm, record.f_number, record.distance_m or _FAR_M
     known = [(one, found) for one in same if (found := one.interpolate_vignetting(*settings)) is not None]
@@ -129,9 +155,11 @@ def lensfun_flat_field(record: LensRecord, shape: tuple[int, int]) -> tuple[Flat
     far = f"{record.distance_m:g} m" if record.distance_m else "a far subject (the distance is not stated)"
     is_named = _plain(lens.model, lens.maker) == _plain(record.lens, lens.maker)
     which = lens.model if is_named else f"{lens.model} (the only lens known that {record.lens!r} fits)"
+    smaller = " (it has fewer pixels than its record states: made smaller and not cut)" if record.is_smaller else ""
     return flat, (
         f"fall-off by lensfun: {which} at {record.focal_length_mm:g} mm, f/{record.f_number:g}, {far}: "
-        f"{100 * corner:.0f} % in the corners, known to {100 * LENSFUN_U_REL:g} %, of the whole picture of the camera"
+        f"{100 * corner:.0f} % in the corners, known to {100 * LENSFUN_U_REL:g} %, of the whole picture of the "
+        f"camera{smaller}"
     )
 
 

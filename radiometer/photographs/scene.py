@@ -44,6 +44,7 @@ from radiometer.photographs.response import (
     with_offset_of_response,
 )
 from radiometer.photographs.stated import (
+    focus_doubt,
     iso_speeds,
     stated_camera,
     with_f_number,
@@ -242,7 +243,7 @@ def prepared(
             of_speed = require_photograph(calibration, bracket.light[0])
     elif linear:
         taken = _in_their_own_depth(taken)
-    taken = taken.placed(align, progress)
+    taken = taken.placed(align, progress).noted(*{focus_doubt(one) for one in taken.brackets.values()})
     if calibration is not None:
         held = calibration.found.exposure_offset_s != 0.0  # a model's offset takes the place of the response's
         timed = with_offset(taken, {} if held else dict.fromkeys(taken.brackets, calibration.response))

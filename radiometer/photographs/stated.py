@@ -33,6 +33,8 @@ LIST_GAIN: Final = "list_gain_db"
 # numbers of camera raw files.
 OF_CAMERA: Final = "camera_"
 OF_DEVELOPMENT: Final = ("mode", "white_balance")
+OF_FOCUS: Final = "focus_m"  # the distance that the lens is focused at; autofocus may change it within a bracket
+_LEAST_BY_FOCUS: Final = 0.005  # of the light on the sensor: less is not reported
 
 
 def stated_camera(bracket: Bracket) -> tuple[CameraDescription, LensDescription]:
@@ -40,7 +42,28 @@ def stated_camera(bracket: Bracket) -> tuple[CameraDescription, LensDescription]
     extra = bracket.light[0].extra
     stated: dict[str, Any] = {k.removeprefix(OF_CAMERA): v for k, v in extra.items() if k.startswith(OF_CAMERA)}
     lens = LensDescription(focal_length_mm=stated.pop("focal_length_mm", None))
+    stated.pop(OF_FOCUS, None)
     return CameraDescription(bit_depth=bracket.bit_depth, **stated), lens
+
+
+def focus_doubt(bracket: Bracket) -> str | None:
+    """Return what to say of photographs that state several focus distances; None where that moves no light.
+
+    A lens that is focused nearer is farther from the sensor, which gets (d/(d − f))² times less light.
+    """
+    focal_m = float(bracket.light[0].extra.get(f"{OF_CAMERA}focal_length_mm", 0.0)) / 1e3
+    stated = {float(one.extra[key]) for one in bracket.light if (key := OF_CAMERA + OF_FOCUS) in one.extra}
+    near, far = min(stated, default=0.0), max(stated, default=0.0)
+    if near == far:
+        return None
+    less = (near * (far - focal_m) / (far * (near - focal_m))) ** 2 - 1.0 if near > focal_m else math.inf
+    if focal_m and less < _LEAST_BY_FOCUS:
+        return None
+    how_much = f" by {100 * less:.2g} %" if focal_m and math.isfinite(less) else ""
+    return (
+        f"the photographs state focus distances from {near:g} to {far:g} m: the light on the sensor may differ"
+        f"{how_much}, which no uncertainty holds; focus by hand"
+    )
 
 
 def with_f_number(bracket: Bracket, f_number: float | None) -> Bracket:

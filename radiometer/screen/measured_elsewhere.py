@@ -132,18 +132,7 @@ def _curve(
         float(np.std(levels[n], ddof=1)) / math.sqrt(len(levels[n])) if len(levels[n]) > 1 else 0.0 for n in ordered
     ]
     u = np.hypot(np.maximum(u, spread), readings.shape_u_rel * means)
-    factor = 1.0 / light.photopic_lm_per_w
-    return ChannelCurve(
-        name,
-        tuple(ordered),
-        tuple(float(v) for v in means * factor),
-        tuple(float(v) for v in u * factor),
-        meter_u_rel,
-        light.photopic_lm_per_w,
-        light.scotopic_lm_per_w,
-        light.spectrum,
-        u_spectrum_rel=light.u_rel_where_measured_in(LUMINANCE),
-    )
+    return _of_luminance(name, tuple(ordered), means, u, light, meter_u_rel)
 
 
 def _like_grey(
@@ -160,12 +149,17 @@ def _like_grey(
     scale = (top - black) / (white - black)
     own = black + (luminance - black) * scale
     u = np.hypot(np.array(grey.u_independent) * grey.photopic_lm_per_w * scale, SHARED_SHAPE_U_REL * (own - black))
-    factor = 1.0 / light.photopic_lm_per_w
+    return _of_luminance(name, grey.levels, own, np.maximum(u, REPEAT_U_REL * own), light, meter_u_rel)
+
+
+def _of_luminance(
+    name: str, levels: tuple[int, ...], luminance: Array, u: Array, light: Light, meter_u_rel: float
+) -> ChannelCurve:
     return ChannelCurve(
         name,
-        grey.levels,
-        tuple(float(v) for v in own * factor),
-        tuple(float(v) for v in np.maximum(u, REPEAT_U_REL * own) * factor),
+        levels,
+        tuple(float(v) for v in luminance / light.photopic_lm_per_w),
+        tuple(float(v) for v in u / light.photopic_lm_per_w),
         meter_u_rel,
         light.photopic_lm_per_w,
         light.scotopic_lm_per_w,

@@ -11,12 +11,14 @@ from typing import Final
 
 import numpy as np
 import scipy.linalg as la
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from radiometer.typing import Array
 
 MAD_TO_SIGMA: Final = 1.4826  # 1/Φ⁻¹(3/4): standard deviation of normal values over their median absolute deviation
 MEDIAN_U: Final = 1.2533  # √(π/2): standard error of a median of many normal values over that of their mean
+_REACH_SIGMAS: Final = 4.0  # pixels whose mean lies farther from the median are hot, cold or hit
+_LEAST_SIGMA_DN: Final = 0.5  # most means may show one code, and their median deviation is then 0
 TWENTIETH_TO_SIGMA: Final = 1.645  # −Φ⁻¹(0.05): standard deviations from the mean to a twentieth of normal values
 
 
@@ -31,6 +33,12 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
     """
     found = np.asarray(values)
     return float(MAD_TO_SIGMA * np.median(np.abs(found - (np.median(found) if centre is None else centre))))
+
+
+def typical_pixels(means_dn: Array) -> NDArray[np.bool_]:
+    """Return which pixels' means are within four robust standard deviations (at least 0.5 DN each) of their median."""
+    reach = _REACH_SIGMAS * max(robust_sigma(means_dn), _LEAST_SIGMA_DN)
+    return np.asarray(np.abs(means_dn - np.median(means_dn)) <= reach)
 
 
 def neighbour_sigma(differences: Array) -> float:

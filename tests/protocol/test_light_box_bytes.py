@@ -135,35 +135,16 @@ def test_damaged_line_is_refused(talker, raw):
     assert talker.tell(raw) == framed("=-- ER 01")
 
 
-def test_example_of_the_document(talker):
-    """The example in the protocol's document, with literal checksums."""
-    talker.ask(HELLO)
-    assert talker.tell(b"#07 SL 1 H 30000*C04ED159\n") == b"=07 OK H 30000 3750*34925C28\n"
-
-
-def test_boot_is_announced(talker):
-    """The first line after power-on is the boot event."""
+def test_a_request_is_taken_however_it_comes(talker):
+    """As in the document, with literal checksums; after garbage, which ends at its #; with CR LF; and in two halves."""
     assert talker.boot == framed("!01 BO P 0.008")
-
-
-def test_garbage_before_a_request_does_not_harm(talker):
-    """A request starts at its #, whatever came before."""
-    body = "#01 HI 1"
-    assert talker.tell(b"\x00\xff=07 OK #12 SL" + framed(body)) == framed(
+    assert talker.tell(b"\x00\xff=07 OK #12 SL" + framed("#01 HI 1")) == framed(
         "=01 OK radiometer-light-box 1 2.1 LB000007 4"
     )
-
-
-def test_carriage_return_is_ignored(talker):
-    """A terminal that ends lines with CR LF is understood."""
-    assert talker.tell(framed("#01 OF *").replace(b"\n", b"\r\n")) == framed("=01 OK")
-
-
-def test_request_in_two_halves_is_one(talker):
-    """Half a line is waited for."""
+    assert talker.tell(b"#07 SL 1 H 30000*C04ED159\n") == b"=07 OK H 30000 3750*34925C28\n"
     line = framed("#01 OF *")
-    assert talker.tell(line[:7]) == b""
-    assert talker.tell(line[7:]) == framed("=01 OK")
+    assert talker.tell(line.replace(b"\n", b"\r\n")) == framed("=01 OK")
+    assert (talker.tell(line[:7]), talker.tell(line[7:])) == (b"", framed("=01 OK"))
 
 
 def test_time_runs_between_two_questions(talker):

@@ -253,16 +253,8 @@ RECONCILE = [
     if name_of(path).startswith("radiometer/reconciliation/") and not SUBJECTS & set(path.parts)
 ]
 COMMON = {
-    "__init__",
-    "base",
-    "catalogue",
-    "context",
-    "free_law",
-    "registry",
-    "rounding",
-    "surroundings",
-    "tile_moments",
-}
+    "__init__", "base", "catalogue", "context", "free_law", "registry", "rounding", "surroundings", "tile_moments",
+}  # fmt: skip
 EFFECT_FILES = {path.stem for path in (ROOT / "simulators" / "effects").glob("*.py")} - COMMON
 # Settings and figures of the camera's description that have the name of a link of the ideal chain.
 SETTINGS = {"source_level", "quantum_efficiency", "shutter", "lens"}

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import radiometer as rm
+from radiometer.cli.main import run
 from testing.patience import within
 
 VISIT = ["--visit", "2026-03-02T14:30Z"]  # of both runs that are compared: a visit's date is in its journal
@@ -52,13 +53,12 @@ def test_killed_run_taken_up_has_the_same_events(tmp_path, devices):
     assert journal.read_bytes() == whole
 
 
-@pytest.mark.usefixtures("environment")
 @pytest.mark.parametrize(("behaviour", "verdict"), [("never", "no_response"), ("always", "unreliable")])
-def test_subject_who_cannot_be_fitted_is_exit_code_one_with_a_verdict(tmp_path, behaviour, verdict):
-    """The last JSON line says why."""
-    done = _run("--simulate", behaviour, "--json", cwd=tmp_path)
-    assert done.returncode == 1
-    result = json.loads(done.stdout.splitlines()[-1])
+def test_subject_who_cannot_be_fitted_is_exit_code_one(tmp_path, monkeypatch, capsys, behaviour, verdict):
+    """The last JSON line gives the verdict."""
+    monkeypatch.chdir(tmp_path)
+    assert run([*PROGRAM[3:], "--simulate", behaviour, "--json"]) == 1
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert (result["verdict"], result["csv"]) == (verdict, None)
     assert not list(tmp_path.glob("*.csv"))  # nothing that could be fitted by mistake
 

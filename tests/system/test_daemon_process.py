@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import daemon_kill, daemon_load, daemon_soak
+from radiometer.cli.main import run
 from testing.daemon_process import ROOT, DaemonProcess, write_small_bench
 from testing.patience import within
 
@@ -73,20 +74,26 @@ def test_a_short_soak_leaks_no_descriptor() -> None:
     assert result.end_mb - result.warm_mb < 15
 
 
-def test_log_queries_exports_and_plots(tmp_path: Path) -> None:
+def test_log_queries_exports_and_plots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """While the daemon runs and after it ended."""
+
+    def log(*arguments: str) -> str:
+        capsys.readouterr()
+        assert run(["log", str(daemon.journal), *arguments]) == 0
+        return capsys.readouterr().out
+
     with DaemonProcess(tmp_path, "--every", "0.05") as daemon:
         daemon.wait_for_reading()
         time.sleep(1.0)
-        lines = _log(daemon, "--json", "--limit", "5").splitlines()
+        lines = log("--json", "--limit", "5").splitlines()
     assert len(lines) == 5
     first = json.loads(lines[0])
     assert [json.loads(line)["sequence"] for line in lines] == list(range(first["sequence"], first["sequence"] + 5))
-    assert _log(daemon, "--csv", "--limit", "2").startswith("sequence,time,instrument,radiance,u_radiance,")
-    assert "standard deviation" in _log(daemon, "--since", "1h")
-    assert "combined (k = 1)" in _log(daemon, "--budget", str(first["sequence"]))
-    assert "camera is open" not in _log(daemon, "--events")
-    _log(daemon, "--plot", str(tmp_path / "plot.png"))
+    assert log("--csv", "--limit", "2").startswith("sequence,time,instrument,radiance,u_radiance,")
+    assert "standard deviation" in log("--since", "1h")
+    assert "combined (k = 1)" in log("--budget", str(first["sequence"]))
+    assert "camera is open" not in log("--events")
+    log("--plot", str(tmp_path / "plot.png"))
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -109,11 +116,6 @@ def test_systemd_is_notified(tmp_path: Path) -> None:
             messages.append(channel.recv(1000).decode())
         assert process.wait(within(20.0)) == 0
     assert messages[0].startswith("READY=1\n")
-
-
-def _log(daemon: DaemonProcess, *arguments: str) -> str:
-    command = [sys.executable, "-m", "radiometer", "log", str(daemon.journal), *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60), check=True).stdout
 
 
 def _until(condition: object, deadline_s: float = 30.0) -> None:

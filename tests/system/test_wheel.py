@@ -31,19 +31,8 @@ def wheel(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder that the wheel alone was installed into."""
     folder = tmp_path_factory.mktemp("site")
-    words = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "-q",
-        "--no-deps",
-        "--no-index",
-        "--target",
-        str(folder),
-        str(wheel),
-    ]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    words = ["pip", "install", "-q", "--no-deps", "--no-index", "--target", str(folder), str(wheel)]
+    done = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return folder
 

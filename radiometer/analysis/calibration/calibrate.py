@@ -75,16 +75,6 @@ def metered_u_rel(k_u_rel: float | None) -> float:
     return math.hypot(METER_U_REL, K_UNKNOWN_U_REL if k_u_rel is None else k_u_rel)
 
 
-def metered_radiance_u_rel(k_u_rel: float | None, efficacy_u_rel: float) -> float:
-    """Return the relative standard uncertainty of a radiance from a metered luminance.
-
-    Args:
-        k_u_rel: Of K; None takes what ISO 2720 leaves open.
-        efficacy_u_rel: Of the luminous efficacy of the light, between luminance and radiance.
-    """
-    return math.hypot(metered_u_rel(k_u_rel), efficacy_u_rel)
-
-
 def reference_exposure_j_m2(
     radiance_w_sr_m2: float, settings: MeterSettings, lens_factor_sr: float | None = None
 ) -> float:

@@ -12,6 +12,7 @@ from radiometer.analysis.characterise.dark_signal import (
     determined,
     gain_from_darks,
     typical_dark_current,
+    unbent,
 )
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.linearity import linearity
@@ -157,7 +158,7 @@ def _at_gain(gain_db: float, bright: list[GroupStatistics], dark: list[GroupStat
         gain_db,
         own,
         saturation,
-        photon_transfer(steps, saturation.signal_dn, step_dn=step_dn),
+        photon_transfer(saturation.rising(steps), saturation.signal_dn, step_dn=step_dn),
         tuple(s for s in bright if s.region == main),
         tuple(s for s in dark if s.region == main),
     )
@@ -196,7 +197,9 @@ class _Work:
         if from_darks is not None:
             figures["K_dark"] = from_darks[0]
             notes += disagreeing_gains(self.at.transfer.K, from_darks[0])
-        line = linearity(self.at.steps, self.at.saturation.signal_dn)
+        if bent := [d.settings.exposure_s for d in own[0] if d not in unbent(own[0])]:
+            notes.append(f"dark frames of {min(bent):g} s and longer are left out: their hot pixels are saturated")
+        line = linearity(self.at.saturation.rising(self.at.steps), self.at.saturation.signal_dn)
         if line is not None:
             figures |= {"LE_min": line.LE_min, "LE_max": line.LE_max}
         self._warn(notes)

@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, typical_pixels
+from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics
 from radiometer.analysis.characterise.line_fit import Line, fit_line
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.analysis.signal.model import FLOOR_SHARE
 from radiometer.analysis.signal.rounding import PLAIN_FROM
 from radiometer.data import Quantity
-from radiometer.statistics.scale import robust_sigma
+from radiometer.statistics.scale import robust_sigma, typical_pixels
 
 _FEWEST_FRAMES: Final = 5  # fewer tell no scatter about a line of two parameters
 _HIGHEST_LEVERAGE: Final = 0.9  # a frame above it decides its own fit, and shows no residual
@@ -45,7 +45,7 @@ class DarkSignal:
 def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal:
     """Return the dark signal of groups of one gain, region and temperature.
 
-    Groups of one frame determine its mean only.
+    Groups of one frame determine its mean only; those that hot pixels bend do not count.
 
     Args:
         dark: The groups; at least one of them with two frames or more.
@@ -53,7 +53,7 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
 
     Source: EMVA Standard 1288, release 4.0, sections 6.7 and 7.
     """
-    mean_line = None
+    dark, mean_line = unbent(dark), None
     if len({d.settings.exposure_s for d in dark}) > 2:
         mean_line = _mean_line(dark, [d.mean_dn for d in dark], step_dn)
         mean = Quantity(mean_line.intercept, mean_line.u_intercept, "DN")
@@ -74,6 +74,16 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
         float(np.mean(known)) if known else None,
         limited,
     )
+
+
+def unbent(dark: Sequence[GroupStatistics]) -> list[GroupStatistics]:
+    """Return the groups in which no more pixels are saturated than in any: hot ones that fill up bend mean and noise.
+
+    Where none of them has frames enough for a noise, all count.
+    """
+    least = min(d.clipped_share for d in dark)
+    used = [d for d in dark if d.clipped_share <= least]
+    return used if any(d.has_noise for d in used) else list(dark)
 
 
 def _u_of_means(dark: Sequence[GroupStatistics], step_dn: int) -> NDArray[np.float64]:

@@ -14,13 +14,11 @@ from radiometer.analysis.signal.rounding import rounding_u_of_mean
 from radiometer.data import FrameSettings, Patch
 from radiometer.data.frame import DigitalNumbers
 from radiometer.errors import MeasurementError
-from radiometer.statistics.scale import robust_sigma
+from radiometer.statistics.scale import typical_pixels
 
 SAME_TEMPERATURE_K: Final = 1.5  # dark current doubles in 5 to 8 K: it then changes by a fifth at most
-_REACH_SIGMAS: Final = 4.0  # pixels whose mean lies farther from the median are hot, cold or hit
 _BLOCK_PX: Final = 32  # longer than most tracks of a cosmic ray
 _FEWEST_BLOCKS: Final = 30  # fewer do not show their scatter to an eighth
-_LEAST_SIGMA_DN: Final = 0.5  # most means may show one code, and their median deviation is then 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,12 +109,6 @@ def split_spatial_variance(average: NDArray[np.float64], noise: NoiseLeft) -> Sp
         u_pixel_dn2=math.hypot(u_pixel, noise.u_rest_dn2),
         u_dn2=math.hypot(u_whole, noise.u_dn2),
     )
-
-
-def typical_pixels(average: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which pixels' means are within four robust standard deviations (at least 0.5 DN) of their median."""
-    reach = _REACH_SIGMAS * max(robust_sigma(average), _LEAST_SIGMA_DN)
-    return np.asarray(np.abs(average - np.median(average)) <= reach)
 
 
 @dataclass(frozen=True, slots=True)

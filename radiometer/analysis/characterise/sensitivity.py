@@ -32,6 +32,11 @@ class Saturation:
     # Mean on the plateau beyond, where all pixels are saturated, with standard uncertainty (the black level is still in
     # it); None where the steps end before it
     plateau_dn: Quantity | None = None
+    bright_dn: float = math.inf  # mean of that step in DN, dark signal included
+
+    def rising(self, steps: Sequence[SignalStep]) -> tuple[SignalStep, ...]:
+        """Return the steps up to the saturation point: beyond it the signal falls by what the dark signal grows."""
+        return tuple(s for s in steps if s.bright.mean_dn <= self.bright_dn)
 
 
 def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
@@ -48,7 +53,7 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
     light = np.array([s.light for s in steps])
     top = int(np.argmax(variances))
     reached = top < len(steps) - 1 or steps[top].bright.clipped_share > CLIPPED_SHARE
-    slope, u_slope = _slope_below(steps, steps[top].signal_dn)
+    slope, u_slope = _slope_below(steps[: top + 1], steps[top].signal_dn)
     u_light_rel = _spacing_u(steps, top) / steps[top].light
     if not slope > 0.0:
         raise MeasurementError(
@@ -57,7 +62,7 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
         )
     linear = slope * float(light[top])
     # Pixels that get more light than the mean are full before it.
-    below = _below(steps, steps[top].signal_dn)[-1]
+    below = _below(steps[: top + 1], steps[top].signal_dn)[-1]
     u_uneven_rel = math.sqrt(max(below.bright.spatial_variance_dn2, 0.0)) / (slope * below.light)
     return Saturation(
         signal_dn=steps[top].signal_dn,
@@ -69,6 +74,7 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
         reached=reached,
         limited_by="converter" if any(s.bright.clipped_share > CLIPPED_SHARE for s in steps[top:]) else "full well",
         plateau_dn=_plateau(steps[-1], float(variances[top])),
+        bright_dn=steps[top].bright.mean_dn,
     )
 
 
@@ -116,7 +122,7 @@ def responsivity(steps: Sequence[SignalStep], saturation: Saturation, photons_u_
 
     Source: EMVA Standard 1288, release 4.0, section 6.6, equation (13).
     """
-    used = [s for s in steps if 0 < s.signal_dn <= 0.7 * saturation.signal_dn]
+    used = [s for s in saturation.rising(steps) if 0 < s.signal_dn <= 0.7 * saturation.signal_dn]
     line = fit_line(
         [s.light for s in used], [s.signal_dn for s in used], [s.u_signal_dn for s in used], through_origin=True
     )

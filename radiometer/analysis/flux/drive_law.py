@@ -74,17 +74,23 @@ def columns_of(drive: Array) -> Array:
     return np.column_stack([np.ones_like(drive), np.log(drive), -drive])
 
 
-def fit_drive_law(drive: Array, light: Array) -> DriveLaw | None:
+def fit_drive_law(drive: Array, light: Array, ranges: Array | None = None) -> DriveLaw | None:
     """Fit the law to light over drive by least squares on ln(light/drive); relative noise is taken as constant.
 
     Drives, shape (n,), are over full drive; those below 5 % are left out. None where fewer than five are left. An onset
-    counts where it pays for its parameter by the criterion of Schwarz (1978).
+    counts where it pays for its parameter by the criterion of Schwarz (1978). The range that a meter read each light
+    in, numbered from 0, shape (n,), gives each range a factor of its own.
     """
     kept = (drive >= LEAST_DRIVE) & (light > 0.0)
     if int(kept.sum()) < _FEWEST:
         return None
     d = drive[kept]
     columns, target = columns_of(d), np.log(light[kept] / d)
+    if ranges is not None:
+        numbers = np.unique(ranges[kept])
+        columns = np.column_stack([columns, ranges[kept, None] == numbers[None, 1:]])
+        if target.size < columns.shape[1] + 2:
+            return None
 
     def solved(onset: float) -> tuple[Array, Array]:
         level = target - np.log1p(-onset / d)
@@ -104,5 +110,6 @@ def fit_drive_law(drive: Array, light: Array) -> DriveLaw | None:
     found, residual = solved(onset)
     freedom = size - moved.shape[1]
     variance = float(residual @ residual) / freedom * (coverage_factor(freedom) / 2.0) ** 2
-    covariance = variance * np.linalg.pinv(moved.T @ moved, hermitian=True)[1:, 1:]
+    own = np.ix_([1, 2, -1], [1, 2, -1])  # exponent, droop and onset
+    covariance = variance * np.linalg.pinv(moved.T @ moved, hermitian=True)[own]
     return DriveLaw(1.0 + float(found[1]), float(found[2]), onset, covariance, math.sqrt(float(np.mean(residual**2))))

@@ -530,35 +530,6 @@ def with_censored(
     return estimate, 1.0 / information, contradiction
 
 
-@compiled_apart
-def include_nearest_censored(
-    rates: Any, variances: Any, slots: Any, records: Any, frames: Any, kappa: float, contradictions: Any
-) -> None:  # pragma: no cover (compiled)
-    """Do as `with_censored` does for a run of pixels that one frame only has something to say of: many at a time.
-
-    Args:
-        rates: Estimates from the frames that did not clip; overwritten.
-        variances: Their variances; overwritten.
-        slots: Places of the records, unsigned.
-        records: As of `fill_record`; the frame is their NEAREST.
-        frames: Likewise.
-        kappa: Shot noise variance per unit of x.
-        contradictions: Whether the frame contradicts the others, written.
-    """
-    for j in range(slots.size):
-        frame = np.uint64(records[slots[j], NEAREST])
-        t, c, clips_at = frames[frame, 0], frames[frame, 5], frames[frame, 2]
-        rate, variance = rates[j], variances[j]
-        from_others = 1.0 / variance
-        rise, sharper, before = censored_score(rate, rate, variance, t, c, clips_at, kappa)
-        estimate = rate + rise / (from_others + sharper)
-        rise, sharper, after = censored_score(estimate, rate, variance, t, c, clips_at, kappa)
-        information = from_others + sharper
-        rates[j] = estimate + ((rate - estimate) * from_others + rise) / information
-        variances[j] = 1.0 / information
-        contradictions[j] = np.uint8(before | after)
-
-
 @compiled
 def near_clipping(
     rate: float, variance: float, pattern: Any, slot: int, records: Any, frames: Any, kappa: float
@@ -765,7 +736,6 @@ def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> 
     factor, radiance, u_radiance = image
     rates, variances = np.empty(_RUN), np.empty(_RUN)
     slots, doubtful = np.empty(_RUN, np.uint16), np.empty(_RUN, np.uint8)
-    waiting = np.empty(_RUN, np.uint16), np.empty(_RUN, np.uint16), np.empty((2, _RUN)), np.empty(_RUN, np.uint8)
     start, dark = 0, bool(np.any(frames[:, 4] > 0.0))
     while start < bits.size:
         end = min(start + _RUN, bits.size)
@@ -775,7 +745,6 @@ def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> 
         these, seen = bits[start:end], mask[start:end]
         if quantisation is None:
             straight(*run, these, slots, records, dark, rates, variances, seen, doubtful)
-            _include_nearest_censored(rates, variances, seen, slots, doubtful[:count], waiting, records, frames, kappa)
         else:
             part = *run, these, seen
             straight_curved(part, slots, kept, tables, quantisation, rates, variances, doubtful)
@@ -790,53 +759,6 @@ def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> 
                 rates[i], variances[i], seen[i] = _single(sums, kept, tables, quantisation, start + i, slots[i])
         scaled(rates[:count], variances[:count], factor, start, radiance, u_radiance)
         start = end
-
-
-@compiled
-def _include_nearest_censored(
-    rates: Any,
-    variances: Any,
-    mask: Any,
-    slots: Any,
-    doubtful: Any,
-    waiting: Any,
-    records: Any,
-    frames: Any,
-    kappa: float,
-) -> None:  # pragma: no cover (compiled)
-    """Hear the clipped frame nearest to a pixel where only that one has something to say; doubtful no more.
-
-    Args:
-        rates: Overwritten there; so are `variances`, `mask` and `doubtful`.
-        variances: Likewise.
-        mask: Likewise.
-        slots: Places of the records.
-        doubtful: As written by `straight`.
-        waiting: Room for such pixels: their places, slots, rates and variances, and whether frames contradict.
-        records: As of `fill_record`.
-        frames: Likewise.
-        kappa: Shot noise variance per unit of x.
-    """
-    places, places_of_records, estimates, contradictions = waiting
-    near = 0
-    for i in range(doubtful.size):  # a step of 0 or 1: no processor foresees which pixel is near
-        places[near] = i
-        near += doubtful[i] == ONLY_NEAR_CLIPPING
-    count = 0
-    for j in range(near):
-        i = places[j]
-        if rates[i] >= records[slots[i], NEXT]:
-            places[count], places_of_records[count] = i, slots[i]
-            estimates[0, count], estimates[1, count] = rates[i], variances[i]
-            count += 1
-    near_rates, their_variances = estimates[0, :count], estimates[1, :count]
-    include_nearest_censored(
-        near_rates, their_variances, places_of_records[:count], records, frames, kappa, contradictions
-    )
-    for j in range(count):
-        i = places[j]
-        rates[i], variances[i], doubtful[i] = near_rates[j], their_variances[j], 0
-        mask[i] = marks(near_rates[j], their_variances[j]) | (INCONSISTENT if contradictions[j] else np.uint8(0))
 
 
 @compiled

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from radiometer.analysis.quality.indices import Figure
 from radiometer.analysis.quality.session import Datasheet, Index
 from radiometer.analysis.reading.budget import coverage_factor
-from radiometer.data.storage import write_text_atomic
 from radiometer.numbers import rounded, with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import MODEL, dress, label, picture
@@ -18,15 +16,6 @@ if TYPE_CHECKING:
 
 _SCALES: Final = {"px": (1.0, "px"), "1": (100.0, "%")}  # how a figure of a unit is printed
 _LOWEST_PERCENT: Final = 1e-3  # what is less stands at the left edge of the picture
-
-
-def write_datasheet(path: Path, sheet: Datasheet) -> None:
-    """Write the datasheet.
-
-    Raises:
-        OutputError: If the file cannot be written.
-    """
-    write_text_atomic(path, datasheet_html(sheet))
 
 
 def datasheet_html(sheet: Datasheet) -> str:

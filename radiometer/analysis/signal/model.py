@@ -25,7 +25,7 @@ from radiometer.data import (
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.sensor_noise import most_dark_e_per_s
 from radiometer.errors import CalibrationError, MeasurementError
-from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma, robust_sigma
+from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma, robust_sigma, typical_pixels
 from radiometer.units import gain_factor
 
 # A full well is where charge stops; linearity and the datasheet's figure end a little before.
@@ -452,16 +452,20 @@ def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel, 
 
 
 def whole_darks(dark_frames: Sequence[Frame]) -> list[Frame]:
-    """Return the dark frames of the lowest gain whose noise is not cut off at 0."""
-    whole = [frame for frame in dark_frames if not is_cut_off(frame)]
+    """Return the dark frames of the lowest gain whose noise is not cut off at 0, and that are not full."""
+    whole = [one for one in dark_frames if not is_cut_off(one) and np.median(one.dn) < one.saturated_dn]
     lowest_db = min((frame.settings.gain_db for frame in whole), default=0.0)
     return [frame for frame in whole if frame.settings.gain_db == lowest_db]
 
 
 def mean_darks(dark_frames: Sequence[Frame]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return exposure times in s and mean digital numbers of dark frames, shape (frames,) each."""
+    """Return exposure times in s and mean digital numbers of dark frames, shape (frames,) each.
+
+    Pixels that are hot in the longest do not count: where they fill up, they bend the line over time.
+    """
     times = np.array([frame.settings.exposure_s for frame in dark_frames])
-    return times, np.array([float(frame.dn.mean()) for frame in dark_frames])
+    typical = typical_pixels(dark_frames[int(np.argmax(times))].dn)
+    return times, np.array([float(frame.dn[typical].mean()) for frame in dark_frames])
 
 
 def unexposed_dn(times: NDArray[np.float64], means: NDArray[np.float64]) -> float:

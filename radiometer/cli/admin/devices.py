@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import typer
+
 import radiometer as rm
 from radiometer.cli.console import console, note
 from radiometer.cli.function import command_of
-from radiometer.cli.options import BenchOption
 
 
 def _show(found: rm.Devices) -> None:
@@ -19,4 +20,4 @@ def _show(found: rm.Devices) -> None:
         note(found.note)
 
 
-command = command_of("list_devices", _show, bench=BenchOption)
+command = command_of("list_devices", _show, bench=typer.Option())

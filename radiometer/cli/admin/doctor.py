@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import typer
+
 import radiometer as rm
 from radiometer.cli.console import console
-from radiometer.cli.options import BenchOption, CameraOption, JsonOption
+from radiometer.cli.function import command_of
 
 _MARKS = {
     "ok": "[green]ok     [/]",
@@ -14,24 +16,16 @@ _MARKS = {
 }
 
 
-def command(camera: CameraOption = None, bench: BenchOption = None, json: JsonOption = False) -> int:
-    """Check the whole chain and print each finding with its cure.
-
-    Looks at the library, USB permissions, network, socket buffers and the daemon; with --camera also at features that
-    falsify radiometry, the frame rate achieved, temperature, dark level, and linearity by two exposures. Exit code 1
-    if anything keeps one from measuring.
-    """
+def _show(found: rm.Diagnosis) -> None:
     from rich.markup import escape
 
-    found = rm.doctor(camera, bench)
-    if json:
-        print(found.to_json())
-        return 0 if found.sound else 1
     width = max(len(finding.check) for finding in found.findings)
     for finding in found.findings:
         console().print(f"{_MARKS[finding.health]} {finding.check:<{width}}  {escape(finding.message)}")
         if finding.cure:
             console().print(f"{'':<8}{'':<{width}}  → {escape(finding.cure)}")
-    if camera is None:
-        console().print("the camera itself was not looked at: name one with --camera")
-    return 0 if found.sound else 1
+
+
+command = command_of(
+    "doctor", _show, camera=typer.Option(), bench=typer.Option(), code=lambda found: int(not found.sound)
+)

@@ -2,118 +2,28 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+import functools
+import inspect
+import time
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-import radiometer as rm
-from radiometer.cli.arguments import ISO_HELP, UNSTATED_ISO_HELP, parse_measured_iso, parse_patch
-from radiometer.cli.console import asker, console, note, progress
-from radiometer.cli.options import BenchOption, CameraOption, FNumberOption, PatchOption, UncalibratedOption, URelOption
-from radiometer.cli.outputs import writes
+from radiometer.cli.console import console, note
+from radiometer.cli.function import command_of
+from radiometer.cli.options import CameraOption
 from radiometer.errors import UsageError
 from radiometer.numbers import below, rounded, upper_limit, with_u
-from radiometer.plausible import Limit, Period
 from radiometer.reporting.reading_page import FLAG_MEANINGS
 
 if TYPE_CHECKING:
     from radiometer import Reading
 
 
-@writes("report")
-def command(
-    camera: CameraOption = None,
-    patch: PatchOption = None,
-    calibration: Annotated[Path | None, typer.Option(help="Calibration file; the bench's by default.")] = None,
-    uncalibrated: UncalibratedOption = False,
-    bench: BenchOption = None,
-    photographs: Annotated[Path | None, typer.Option(help="Folder of photographs to read instead of a camera.")] = None,
-    channel: Annotated[str, typer.Option(help="Of colour frames: luminance, red, green or blue.")] = "luminance",
-    align: Annotated[
-        str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
-    ] = "auto",
-    linear: Annotated[
-        bool, typer.Option("--linear", help="Uncalibrated photographs are linear above black (raw files always are).")
-    ] = False,
-    measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
-    iso: Annotated[float | None, typer.Option(help=UNSTATED_ISO_HELP)] = None,
-    pattern: Annotated[str | None, typer.Option(help="Pattern of a capture set that holds several.")] = None,
-    f_number: FNumberOption = None,
-    spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
-    u_rel: URelOption = None,
-    repeat: Annotated[Limit, typer.Option(help="Number of readings.")] = 1,
-    watch: Annotated[
-        bool, typer.Option("--watch", help="Read until stopped by Ctrl-C; a camera that is lost is waited for.")
-    ] = False,
-    every: Annotated[Period, typer.Option(help="Seconds from one reading's start to the next's.")] = 0.0,
-    darks: Annotated[
-        bool, typer.Option("--darks", help="Ask for the lens to be covered, and take dark frames with every reading.")
-    ] = False,
-    monte_carlo: Annotated[
-        bool, typer.Option("--monte-carlo", help="Print the interval by the propagation of distributions as well.")
-    ] = False,
-    report: Annotated[
-        Path | None, typer.Option(help="Page of the reading to write: .html or .pdf, with picture and budget.")
-    ] = None,
-    budget: Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object per reading on standard output.")] = False,
-) -> None:
-    """Read the radiance of a patch, with its uncertainty.
-
-    Meters the patch, takes the necessary exposures and merges them. Prints the radiance in W·sr⁻¹·m⁻² with its expanded
-    uncertainty (95.45 %, k by Student's t), the luminance, and the flags of the reading.
-    """
-    if report is not None and (watch or repeat > 1):
-        raise UsageError("--report writes the page of one reading: leave --watch and --repeat out")
-    if calibration and uncalibrated:
-        raise UsageError("--calibration and --uncalibrated exclude each other")
-    parsed = parse_patch(patch) if patch else None
-    if photographs is not None or measured_iso or linear or iso is not None or pattern is not None:
-        if photographs is None or camera or bench:
-            raise UsageError(
-                "--photographs replaces --camera and --bench; --measured-iso, --iso, --pattern and --linear "
-                "belong to it"
-            )
-        with progress(shown=not json) as shown:
-            reading = rm.measure_photographs(
-                photographs, parsed, calibration=calibration, uncalibrated=uncalibrated, channel=channel,
-                pattern=pattern, align=align, linear=linear, measured_iso=parse_measured_iso(measured_iso), iso=iso,
-                f_number=f_number, spectrum=spectrum, monte_carlo=monte_carlo, report=report, progress=shown,
-            )  # fmt: skip
-        for text in reading.more["notes"]:
-            note(text)
-        if json:
-            print(reading.to_json(), flush=True)
-        else:
-            if reading.more["alignment"]:
-                note(f"frames: {reading.more['alignment']}")
-            for assumption in reading.more["assumptions"]:
-                note(f"assumed: {assumption}")
-            _show(reading, budget=budget)
-        _note_page(report)
-        return
-    with progress(shown=not json) as shown:
-        for reading in rm.readings(
-            camera, parsed, bench=bench, calibration=calibration, uncalibrated=uncalibrated, f_number=f_number,
-            spectrum=spectrum, u_rel=u_rel, darks=darks, monte_carlo=monte_carlo, report=report, repeat=repeat,
-            watch=watch, every_s=every, ask=asker(), notice=_silent if json and not watch else note, progress=shown,
-        ):  # fmt: skip
-            if json:
-                print(reading.to_json(), flush=True)
-            else:
-                _show(reading, budget=budget)
-    _note_page(report)
-
-
-def _note_page(report: Path | None) -> None:
-    """Print where the page of a reading was written."""
-    if report is not None:
-        note(f"report: {report}")
-
-
-def _silent(line: str) -> None:
-    """Drop a notice: JSON goes to programs, which find it in the reading."""
+def _served(json: bool, watch: bool = False, **_: Any) -> dict[str, Any]:
+    """Return what the readings of a camera are given; JSON goes to programs, which find a notice in the reading."""
+    heard = (lambda line: None) if json and not watch else note
+    return {"notice": heard, "sleep": time.sleep, "clock": time.monotonic}
 
 
 def _show_distribution(reading: Reading) -> None:
@@ -177,3 +87,48 @@ def _show_budget(reading: Reading) -> None:
         share = 100 * entry.u_rel**2 / total
         table.add_row(entry.name, f"{100 * entry.u_rel:.3f}", f"{share:.1f}", entry.kind, dof, entry.note)
     console().print(table)
+
+
+def _show_of_photographs(reading: Reading, *, budget: bool) -> None:
+    if reading.more["alignment"]:
+        note(f"frames: {reading.more['alignment']}")
+    for assumption in reading.more["assumptions"]:
+        note(f"assumed: {assumption}")
+    _show(reading, budget=budget)
+
+
+_BUDGET: Final = {"budget": (False, Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")])}
+_OF_CAMERA: Final = command_of(
+    "readings", _show, files=("report",), serves=_served, shown=_BUDGET, like="measure", camera=CameraOption,
+    patch=typer.Option(),
+)  # fmt: skip
+_OF_PHOTOGRAPHS: Final = command_of(
+    "measure_photographs", _show_of_photographs, files=("report",), shown=_BUDGET,
+    defaults={"photographs": None}, photographs=typer.Option(), patch=typer.Option(),
+)  # fmt: skip
+_TAKEN: Final = {one: inspect.signature(one).parameters for one in (_OF_CAMERA, _OF_PHOTOGRAPHS)}
+
+
+@functools.wraps(_OF_CAMERA)
+def command(**given: Any) -> int:
+    """Read a camera, or photographs where a folder of them is named."""
+    if given["report"] is not None and (given["watch"] or given["repeat"] > 1):
+        raise UsageError("--report writes the page of one reading: leave --watch and --repeat out")
+    chosen, other = (_OF_CAMERA, _OF_PHOTOGRAPHS)[:: 1 if given["photographs"] is None else -1]
+    for name in _TAKEN[other].keys() - _TAKEN[chosen].keys():
+        if given.pop(name) != _TAKEN[other][name].default:
+            belongs = "belongs to" if other is _OF_PHOTOGRAPHS else "excludes"
+            raise UsageError(f"--{name.replace('_', '-')} {belongs} --photographs; leave it out, or correct both")
+    return chosen(**given)
+
+
+command.__doc__ = """Read the radiance of a patch, with its uncertainty.
+
+Meters the patch, takes the necessary exposures and merges them; --photographs reads a folder instead of a camera.
+Prints the radiance in W·sr⁻¹·m⁻² with its expanded uncertainty (95.45 %, k by Student's t), the luminance, and the
+flags of the reading.
+"""
+_parameters = {**_TAKEN[_OF_PHOTOGRAPHS], **_TAKEN[_OF_CAMERA]}
+_parameters["force"] = _parameters.pop("force")
+command.__signature__ = inspect.Signature(list(_parameters.values()))  # type: ignore[attr-defined]
+command.__annotations__ = {name: one.annotation for name, one in _parameters.items()}

@@ -21,5 +21,5 @@ def _show(chosen: Patch) -> None:
 
 command = command_of(
     "view", _show, json=False, page="live view, until Ctrl-C:\n  {}", camera=typer.Option(), bench=BenchOption,
-    serves=lambda json: {"notice": partial(print, flush=True), "sleep": time.sleep},
+    serves=lambda json, **given: {"notice": partial(print, flush=True), "sleep": time.sleep},
 )  # fmt: skip

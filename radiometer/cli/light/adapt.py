@@ -26,8 +26,8 @@ _DIM_RED: Final = "rgb(135,0,0)"  # light that spares the rods of whoever looks 
 app = command_group("Dark adaptation: run the test, and analyse the measured thresholds.")
 
 
-def _while_it_runs(json: bool) -> dict[str, Any]:
-    """Return what a run is watched and told by."""
+def _while_it_runs(json: bool, **_: Any) -> dict[str, Any]:
+    """Return what watches a run, announces its page and sounds."""
 
     @contextmanager
     def view(session: Session) -> Iterator[Watcher]:

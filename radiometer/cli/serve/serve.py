@@ -10,7 +10,7 @@ import typer
 from radiometer.cli.console import note
 from radiometer.cli.function import command_of
 
-_serve = command_of("serve", serves=lambda json: {"announce": note}, bench=typer.Option(), camera=typer.Option())
+_serve = command_of("serve", serves=lambda json, **_: {"announce": note}, bench=typer.Option(), camera=typer.Option())
 
 
 @functools.wraps(_serve)

@@ -36,7 +36,7 @@ def _entered(timeout_s: float) -> bool:
 
 
 _box = command_of(
-    "simulate_box", serves=lambda json: {"ready": _ready, "entered": _entered},
+    "simulate_box", serves=lambda json, **given: {"ready": _ready, "entered": _entered},
     serial=typer.Option(), link=typer.Option(),
     reset_every_s=time_option("--reset-every"), press_every_s=time_option("--press-every"),
 )  # fmt: skip
@@ -50,7 +50,7 @@ def _box_until_a_signal(**given: Any) -> int:
 
 app.command("camera")(
     command_of(
-        "simulate_camera", serves=lambda json: {"ready": _line}, scene=typer.Option(),
+        "simulate_camera", serves=lambda json, **given: {"ready": _line}, scene=typer.Option(),
         real_time=typer.Option("--real-time/--fast"),
     )
 )  # fmt: skip

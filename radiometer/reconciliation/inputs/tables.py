@@ -315,13 +315,14 @@ def reconcile_drive_table(path: Path) -> DriveFit:
     """
     begun = time.monotonic()
     known = read_drive_table(path)
-    laws = {one.name: fit_drive_law(one.drive, one.light) for one in known.channels}
-    onsets = {name: law.onset for name, law in laws.items() if law is not None and law.onset > 0.0}
     data = _pooled(known.channels, {})
-    effects, gaps = _named(data, _range_steps(data))
+    steps = _range_steps(data)
+    laws = _laws(known.channels, steps)
+    onsets = {name: law.onset for name, law in laws.items() if law is not None and law.onset > 0.0}
+    effects, gaps = _named(data, steps, laws)
     if onsets and _verdict(effects, gaps[-1], data.target.size) is not Verdict.EFFECTS_FOUND:
         data = _pooled(known.channels, onsets)
-        effects, gaps = _named(data, _range_steps(data))
+        effects, gaps = _named(data, _range_steps(data), laws)
     else:
         onsets = {}
     result = ReconcileResult(
@@ -345,6 +346,14 @@ def reconcile_drive_table(path: Path) -> DriveFit:
         extra={"drive_laws": {name: None if one is None else one.to_mapping() for name, one in laws.items()}},
     )
     return DriveFit(result, known, laws, path.name)
+
+
+def _laws(channels: Sequence[ChannelDrive], steps: Sequence[float]) -> dict[str, DriveLaw | None]:
+    """Return the law of each channel by its name, each range of the meter with a factor of its own."""
+    return {
+        one.name: fit_drive_law(one.drive, one.light, np.searchsorted(steps, one.reading) if steps else None)
+        for one in channels
+    }
 
 
 def _pooled(channels: Sequence[ChannelDrive], onsets: Mapping[str, float]) -> _Data:
@@ -415,7 +424,9 @@ def _gain_by_place(data: _Data, before: Array, after: Array) -> float:
     return float(0.5 * np.sum((old**2 - new**2) / np.maximum(variance, _FLOOR**2)))
 
 
-def _named(data: _Data, steps: tuple[float, ...]) -> tuple[tuple[FoundEffect, ...], tuple[float, ...]]:
+def _named(
+    data: _Data, steps: tuple[float, ...], laws: Mapping[str, DriveLaw | None]
+) -> tuple[tuple[FoundEffect, ...], tuple[float, ...]]:
     flat = data.per_channel(np.ones((data.target.size, 1)))
     law = data.per_channel(columns_of(data.drive))
     jumps = np.column_stack([data.reading > edge for edge in steps]).astype(float) if steps else None
@@ -431,7 +442,7 @@ def _named(data: _Data, steps: tuple[float, ...]) -> tuple[tuple[FoundEffect, ..
         gaps.append(_held_out(data, with_steps, sigma))
         effects.append(_step_effect(data, steps, stepped(_smooth(data)), sigma, (gaps[-2], gaps[-1])))
     curved = stepped(law)
-    drooping, after = _drooping(data, curved, sigma), _held_out(data, curved, sigma)
+    drooping, after = _drooping(laws), _held_out(data, curved, sigma)
     gain = _gain(data, with_steps, curved)
     price = data.channels * math.log(max(2, data.target.size / data.channels)) + NAMED_NATS
     if gain > price and after < gaps[-1]:
@@ -446,19 +457,18 @@ def _weighted(data: _Data, design: Array, sigma: Array) -> tuple[Array, Array]:
     return np.linalg.lstsq(rows, data.target / sigma[data.channel], rcond=None)[0], np.linalg.pinv(rows.T @ rows)
 
 
-def _drooping(data: _Data, design: Array, sigma: Array) -> dict[str, FittedParameter]:
-    """Return deviation at half drive of the channel that droops most, and how many do; nothing where none does."""
-    found, spread = _weighted(data, design, sigma)
-    half, seen = np.array([0.0, -math.log(2.0), 0.5]), []
-    for n in range(data.channels):
-        own = slice(3 * n, 3 * n + 3)
-        logarithm, u = float(half @ found[own]), math.sqrt(float(half @ spread[own, own] @ half))
-        if logarithm > max(_SIGMAS * u, _LEAST_DEVIATION):
-            seen.append((math.expm1(logarithm), math.exp(logarithm) * u))
+def _drooping(laws: Mapping[str, DriveLaw | None]) -> dict[str, FittedParameter]:
+    """Return deviation at half drive of the channel that droops most, and how many do; nothing where none does.
+
+    It is that of the law above its onset.
+    """
+    above = (replace(law, onset=0.0).parameters["deviation_at_half_drive"] for law in laws.values() if law is not None)
+    seen = [one for one in above if math.log1p(one.value) > max(_SIGMAS * one.u, _LEAST_DEVIATION)]
     if not seen:
         return {}
-    most = FittedParameter(*max(seen), "1")
-    return {"deviation_at_half_drive": most, "channels": FittedParameter(float(len(seen)), None, "1")}
+    most = max(seen, key=lambda one: one.value)
+    size = FittedParameter(most.value, most.u, "1")
+    return {"deviation_at_half_drive": size, "channels": FittedParameter(float(len(seen)), None, "1")}
 
 
 def _step_effect(

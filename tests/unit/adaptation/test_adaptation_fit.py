@@ -29,7 +29,7 @@ from radiometer.adaptation.bleach import (
 )
 from radiometer.adaptation.branch_fit import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH, BranchFit, fit_model, project
 from radiometer.adaptation.intervals import Interval, percentile_interval, profile_interval
-from radiometer.adaptation.report import curve_csv, report_html
+from radiometer.adaptation.report import curve_csv, report_html, short
 from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.cli.main import run
@@ -167,6 +167,18 @@ def test_the_bias_of_the_method_is_removed_and_its_uncertainty_counts(tmp_path):
     for name, shift, u in (("plateau", 0.08, 0.036), ("final_threshold", 0.08, 0.036), ("break_min", 0.0, 0.0)):
         assert run[name].value == pytest.approx(bare[name].value + shift, abs=2e-3)
         assert run[name].u == pytest.approx(math.hypot(bare[name].u, u), rel=0.02)
+
+
+def test_a_criterion_stands_beside_the_rod_intercept_of_the_protocol(tmp_path):
+    """The time of a level that was asked for takes no figure away; an interval that leans says so where it is short."""
+    data = series(0.05)
+    rows = "".join(f"{t},{level}\n" for t, level in zip(data.time_min, data.log_threshold, strict=True))
+    (tmp_path / "run.csv").write_text(f"# intercept_criterion_log10: -2.3\ntime_min,log10_threshold\n{rows}")
+    fit = rm.adapt_fit(tmp_path / "run.csv", criterion=-2.0, bootstrap=0).fit
+    assert {"rod_intercept_min", "criterion_min"} <= set(fit.estimates)
+    leaning = replace(fit.estimates["break_min"], value=9.0, profile=Interval(8.0, 9.5))
+    assert short(replace(fit, estimates={"break_min": leaning}), "break_min") == "9.00 +0.50 -1.00"
+    assert short(replace(fit, estimates={"break_min": replace(leaning, value=8.7)}), "break_min") == "8.70 ± 0.75"
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "time_min,log10_threshold\n1,x\n", "1\n2\n"])

@@ -27,6 +27,10 @@ GIVEN = {
 }  # fmt: skip
 
 
+# A search of a capture set takes seconds; types are checked before it begins.
+SEARCHED = {"reconcile": "meter.csv", "reconcile_plan": "missing"}
+
+
 def arguments() -> list[tuple[str, str]]:
     """Return every argument of every public function."""
     return [(name, argument) for name in FUNCTIONS for argument in inspect.signature(getattr(rm, name)).parameters]
@@ -36,6 +40,7 @@ def others(name: str, varied: str) -> dict[str, object]:
     """Return the other arguments of a call: required ones, the bench, and what ends those that serve for ever."""
     known = inspect.signature(getattr(rm, name)).parameters
     given = {one: GIVEN.get(one, "missing") for one, p in known.items() if p.default is p.empty}
+    given |= {"source": SEARCHED[name]} if name in SEARCHED else {}
     if "bench" in known and varied != "camera":
         given["bench"] = BENCH
     given |= dict.fromkeys({"announce", "ready"} & set(known), _end)

@@ -196,6 +196,17 @@ def test_dark_frames_whose_noise_is_cut_off_show_no_black_level():
     assert frames[20.0] == pytest.approx(20.0, abs=0.3)
 
 
+def test_hot_pixels_that_fill_up_do_not_bend_the_black_level():
+    """One pixel in twenty gathers 900 DN/s and is full from 8 s on, the rest 10 DN/s: the line begins at 64 DN."""
+    rate = np.where(np.arange(480) % 20 == 0, 900.0, 10.0)
+    darks = [
+        Frame(np.minimum(64.0 + rate * t, 4095.0).astype(np.uint16)[None], 12, FrameSettings(t, shutter="closed"))
+        for t in (1.0, 4.0, 8.0, 32.0)
+    ]
+    light = Frame(np.full((1, 480), 500, np.uint16), 12, FrameSettings(0.01))
+    assert black_of_darks(Bracket.from_frames([*darks, light])) == pytest.approx(64.0)
+
+
 def test_light_that_may_all_be_dark_current_carries_no_scale(tmp_path):
     """Nothing states the dark current: after half a second 36,000 e⁻/s may be all of an even picture."""
     with CaptureSetWriter(tmp_path / "set", CameraDescription(bit_depth=12, black_level_dn=BLACK_DN), LENS) as writer:

@@ -104,6 +104,7 @@ def test_luminance_of_maps_and_readings_is_of_the_stated_wavelength(desk: Path, 
     expected = 679.7 if spectrum != "white_led" else luminous_efficacy_lm_per_w(spectrum_of("white_led"))
     assert np.median(maps.value / radiance) == pytest.approx(expected, rel=1e-3)
     assert reading.luminance.value / reading.radiance.value == pytest.approx(expected, rel=1e-3)
+    assert reading.luminance.u_rel == pytest.approx(reading.radiance.u_rel, rel=0.02) or spectrum == "white_led"
     for assumptions in (
         reading.more["assumptions"], maps.map.provenance.assumptions, analysed.assumptions,
         scaled.provenance.assumptions,

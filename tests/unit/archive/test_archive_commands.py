@@ -81,6 +81,8 @@ def test_batch_names_what_failed_and_what_was_left_out(make_archive, tmp_path, c
     for folder, file in left_out.items():
         (root / folder / file).parent.mkdir(parents=True, exist_ok=True)
         (root / folder / file).touch()
+    (root / "pipe").mkdir()
+    os.mkfifo(root / "pipe" / "a.fits")  # is no frame
     assert run(["batch", str(root), "-o", str(tmp_path / "results.csv"), "--json"]) == 1
     printed = capsys.readouterr()
     summary = json.loads(printed.out)

@@ -247,7 +247,7 @@ def test_the_command_reports_people_the_same(archive, tmp_path, capsys):
         find_sessions(tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_real_camera_over_two_years(shared_data):
     """2017 and 2019: one dark law, doubling 4.6 to 4.9 K; header gain 6.5 % off against light; lamp wandered."""
     if not (shared_data / "sensors" / "sbig_stl1001_2019").is_dir():

@@ -15,7 +15,7 @@ import pytest
 from drivers.light_box.frames import request_line
 from drivers.light_box.serial_line import SerialPort
 from radiometer.bench import boxes
-from radiometer.bench.box_holder import ask_for_darkness, darken_held, held_boxes, holding, is_ours, own_folder
+from radiometer.bench.box_holder import darken_held, held_boxes, holding, is_ours, own_folder
 from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box, simulated_port_folder
 from radiometer.bench.served_box import served_box
 from radiometer.cli.main import run
@@ -30,20 +30,6 @@ from testing.patience import within
 def _own_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-
-
-def test_light_off_works_while_another_program_holds_the_box(capsys):
-    """The box on its port is lit and held; `light off` has its holder darken it, and says who that was."""
-    with served_box("HELD0001", None).server as server, open_light_box(server.port) as opened:
-        opened.box.set_level("spot", DriveLevel(1000))
-        done = []
-        asking = threading.Thread(target=lambda: done.append(run(["light", "off", "--json"])))
-        asking.start()
-        asking.join(within(20.0))
-        assert done == [0]
-        assert opened.box.read_channel("spot").drive.level == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert printed == {"box": "HELD0001", "darkened_by": os.getpid()}
 
 
 def test_another_box_on_the_port_of_the_one_that_was_lost_is_refused_by_the_daemon(tmp_path):
@@ -65,16 +51,20 @@ def test_another_box_on_the_port_of_the_one_that_was_lost_is_refused_by_the_daem
 
 @pytest.mark.parametrize("named", [False, True])
 @pytest.mark.parametrize("session", [None, "another"])
-def test_light_off_works_from_another_session(tmp_path, monkeypatch, session, named):
-    """The holder was started at a desk; cron or a service has no XDG_RUNTIME_DIR or TMPDIR of that desk."""
+def test_light_off_works_from_another_session(tmp_path, monkeypatch, capsys, session, named):
+    """The holder was started at a desk; cron or a service has no XDG_RUNTIME_DIR or TMPDIR of that desk.
+
+    The box on its port is lit and held; `light off` has its holder darken it, and says who that was.
+    """
     with served_box("HELD0001", tmp_path / "link").server as server, open_light_box(server.port) as opened:
         opened.box.set_level("spot", DriveLevel(1000))
         for name in ("XDG_RUNTIME_DIR", "TMPDIR"):
             monkeypatch.delenv(name, raising=False)
             if session:
                 monkeypatch.setenv(name, str(tmp_path / session))
-        assert run(["light", "off", *(["--box", str(tmp_path / "link")] if named else [])]) == 0
+        assert run(["light", "off", "--json", *(["--box", str(tmp_path / "link")] if named else [])]) == 0
         assert opened.box.read_channel("spot").drive.level == 0
+    assert json.loads(capsys.readouterr().out) == {"box": "HELD0001", "darkened_by": os.getpid()}
 
 
 @pytest.mark.parametrize("link", [False, True])
@@ -172,18 +162,6 @@ def test_a_port_is_reported_whole_however_deep_its_folder_is():
         assert [(box.serial, box.port) for box in held_boxes()] == [("AAAA0001", port)]
 
 
-def test_a_holder_that_does_not_darken_is_named():
-    """The message gives the process and the ways that are left."""
-
-    def stuck():
-        raise OSError("the port has gone")
-
-    with holding("AAAA0001", "/dev/a", stuck):
-        (held,) = held_boxes()
-        with pytest.raises(DeviceInUse, match=rf"process {os.getpid()} .* button"):
-            ask_for_darkness(held)
-
-
 def test_pages_darken_every_box_that_is_held():
     """Lights off of a page asks all holders, the one after a stuck one too, and says who is dark."""
     dark = []
@@ -191,10 +169,11 @@ def test_pages_darken_every_box_that_is_held():
     def stuck():
         raise OSError("the port has gone")
 
+    told = rf"process {os.getpid()} holds light box AAAA0001 .* button"
     assert darken_held() == "no program holds a light box, so none is lit"
     with holding("BBBB0001", "/dev/b", lambda: dark.append("b")):
         assert darken_held() == "dark: light box BBBB0001"
-        with holding("AAAA0001", "/dev/a", stuck), pytest.raises(DeviceInUse, match="AAAA0001"):
+        with holding("AAAA0001", "/dev/a", stuck), pytest.raises(DeviceInUse, match=told):
             darken_held()
     assert dark == ["b", "b"]
 

@@ -279,7 +279,7 @@ def test_bleach_calculator_gives_trolands_and_fractions(capsys: pytest.CaptureFi
 
 def _table(path: Path, break_min: float, seed: int, head: str = "") -> str:
     """Write thresholds of two branches with a break."""
-    times = np.arange(0.3, 20, 0.2)
+    times = np.arange(0.3, 20, 0.4)
     cones = -1.5 + 2.5 * np.exp(-times / 1.5)
     levels = np.where(times > break_min, -1.5 - 0.25 * (times - break_min), cones)
     levels = levels + np.random.default_rng(seed).normal(0, 0.05, times.size)

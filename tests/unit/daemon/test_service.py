@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,10 +82,14 @@ def fresh(tmp_path, **options):
     return Daemon(Service(station, chosen, announced.append, systemd), station, instrument, announced, systemd)
 
 
-async def ended(running):
-    """End a daemon as systemd does."""
+@asynccontextmanager
+async def running(one, eventually):
+    """Run a daemon until it is ready, and end it as systemd does."""
+    task = asyncio.create_task(one.service.run())
+    await eventually(lambda: one.systemd.lines or task.done())
+    yield
     os.kill(os.getpid(), signal.SIGTERM)
-    await running
+    await task
 
 
 @pytest.mark.parametrize(("stuck_s", "fed"), [(599.0, True), (600.0, False)])
@@ -93,38 +97,31 @@ async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(tmp_path, mon
     """The longest exposures and the longest patience are below; a call that takes longer never ends."""
     one = fresh(tmp_path)
     monkeypatch.setattr(type(one.station.camera), "stuck_s", stuck_s)
-    running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.systemd.lines)
-    if fed:
-        await eventually(lambda: one.systemd.fed >= 3)
-    else:
-        await asyncio.sleep(0.03)
-        assert one.systemd.fed == 0
-    await ended(running)
-
-
-async def test_an_alarm_of_descriptors_ends_once_some_are_free(tmp_path, eventually):
-    """The running daemon looks for itself: no client has to come first."""
-    one = fresh(tmp_path)
-    one.station.alarms.put_up("descriptors", "no file descriptor is free")
-    running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.systemd.lines and not one.station.alarms.active)
-    await ended(running)
+    async with running(one, eventually):
+        if fed:
+            await eventually(lambda: one.systemd.fed >= 3)
+        else:
+            await asyncio.sleep(0.03)
+            assert one.systemd.fed == 0
 
 
 async def test_start_and_stop_are_events_of_the_journal(tmp_path, monkeypatch, eventually):
-    """A signal is named, and so is the error of a loop that ended: it ends the daemon, and no watchdog is fed."""
+    """A signal is named, and so is the error of a loop that ended: it ends the daemon, and no watchdog is fed.
+
+    An alarm of descriptors ends once some are free: the running daemon looks for itself, no client has to come first.
+    """
     one = fresh(tmp_path)
-    running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.systemd.lines)
-    one.station.annotate("lamp changed")
-    await ended(running)
+    one.station.alarms.put_up("descriptors", "no file descriptor is free")
+    async with running(one, eventually):
+        await eventually(lambda: not one.station.alarms.active)
+        one.station.annotate("lamp changed")
     other = fresh(tmp_path)
     monkeypatch.setattr(other.station, "failed_task", lambda: ValueError("the journal's disk is gone"))
     with pytest.raises(RadiometerError, match="ValueError: the journal's disk is gone"):
         await other.service.run()
     assert (other.systemd.fed, other.systemd.lines[-1], other.instrument.is_open) == (0, "stopping", False)
-    events = [event for event in JournalReader(tmp_path / "journal.sqlite").events() if event["kind"] != "light"]
+    own = ("start", "remark", "stop")
+    events = [event for event in JournalReader(tmp_path / "journal.sqlite").events() if event["kind"] in own]
     assert [event["kind"] for event in events] == ["start", "remark", "stop", "start", "stop"]
     assert [events[number]["message"] for number in (2, 4)] == [
         "ended by SIGTERM", "the daemon ends: ValueError: the journal's disk is gone",
@@ -150,38 +147,36 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path, event
     left.close()
     one = fresh(tmp_path, scpi_socket=place)
     instrument, announced, systemd = one.instrument, one.announced, one.systemd
-    running = asyncio.create_task(one.service.run())
-    await eventually(lambda: systemd.lines or running.done())
-    assert systemd.lines == ["ready ready"]
-    port, web = announced[0].split()[2].rpartition(":")[2], announced[2].rpartition(":")[0]
-    assert announced[0].endswith("(no authentication: this machine may connect)")
-    assert announced[1] == f"SCPI on {place}"
-    assert announced[2].startswith("HTTP on http://127.0.0.1:")
-    assert announced[2].endswith("(no token: this machine only)")
-    assert announced[3:] == [f"journal {tmp_path / 'journal.sqlite'}"]
-    assert (port, web) != ("", "")
-    assert stat.S_IMODE(place.stat().st_mode) == 0o660
-    await eventually(lambda: instrument.is_open)
-    assert (await asked(place, b"*IDN?")).startswith(b"Fake,F-1,4711,")
-    os.kill(os.getpid(), signal.SIGHUP)
-    await eventually(lambda: len(announced) == 5)
-    assert announced[4] == "calibration reloaded: calibration.yaml, made 2026-11-20"
-    await eventually(lambda: systemd.lines[-1] == "ready ready")
-    assert "reloading" in systemd.lines
+    async with running(one, eventually):
+        assert systemd.lines == ["ready ready"]
+        assert announced[0].endswith("(no authentication: this machine may connect)")
+        assert announced[1] == f"SCPI on {place}"
+        assert announced[2].startswith("HTTP on http://127.0.0.1:")
+        assert announced[2].endswith("(no token: this machine only)")
+        assert announced[3:] == [f"journal {tmp_path / 'journal.sqlite'}"]
+        assert stat.S_IMODE(place.stat().st_mode) == 0o660
+        await eventually(lambda: instrument.is_open)
+        assert (await asked(place, b"*IDN?")).startswith(b"Fake,F-1,4711,")
+        os.kill(os.getpid(), signal.SIGHUP)
+        await eventually(lambda: len(announced) == 5)
+        assert announced[4] == "calibration reloaded: calibration.yaml, made 2026-11-20"
+        await eventually(lambda: systemd.lines[-1] == "ready ready")
+        assert "reloading" in systemd.lines
 
-    def broken():
-        raise CalibrationError("calibration.yaml: no scale")
+        def broken():
+            raise CalibrationError("calibration.yaml: no scale")
 
-    instrument.reload_calibration = broken
-    os.kill(os.getpid(), signal.SIGHUP)
-    await eventually(lambda: len(announced) == 6)
-    assert announced[5] == "calibration not reloaded: calibration.yaml: no scale"
-    await eventually(lambda: systemd.lines[-1].startswith("ready alarm: calibration not reloaded, the old one stays"))
-    instrument.reload_calibration = lambda: "again"
-    await one.station.reload_calibration()
-    one.station.set_every(50.0)
-    await eventually(lambda: systemd.lines[-1] == "status measuring")
-    await ended(running)
+        instrument.reload_calibration = broken
+        os.kill(os.getpid(), signal.SIGHUP)
+        await eventually(lambda: len(announced) == 6)
+        assert announced[5] == "calibration not reloaded: calibration.yaml: no scale"
+        await eventually(
+            lambda: systemd.lines[-1].startswith("ready alarm: calibration not reloaded, the old one stays")
+        )
+        instrument.reload_calibration = lambda: "again"
+        await one.station.reload_calibration()
+        one.station.set_every(50.0)
+        await eventually(lambda: systemd.lines[-1] == "status measuring")
     assert systemd.lines[-1] == "stopping"
     assert not place.exists()
     assert not instrument.is_open
@@ -192,24 +187,21 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path, event
 async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path, eventually):
     """Each reload stops the camera: 100 signals within a moment stop it twice, for the last one must count."""
     one = fresh(tmp_path)
-    running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.systemd.lines or running.done())
-    for _ in range(100):
-        os.kill(os.getpid(), signal.SIGHUP)
-        await asyncio.sleep(0.001)
-    await eventually(lambda: one.instrument.reloads == 2)
-    await asyncio.sleep(0.05)
+    async with running(one, eventually):
+        for _ in range(100):
+            os.kill(os.getpid(), signal.SIGHUP)
+            await asyncio.sleep(0.001)
+        await eventually(lambda: one.instrument.reloads == 2)
+        await asyncio.sleep(0.05)
     assert one.instrument.reloads == 2
-    await ended(running)
 
 
 async def test_who_may_connect_is_announced(tmp_path, eventually):
     """Networks that are let in, that a token is needed, and how pvAccess is served."""
     options = {"scpi_address": "0.0.0.0", "scpi_allow": parse_networks(["10.0.0.0/8", "192.0.2.0/24"])}
     one = fresh(tmp_path, **options, token="a-secret-of-sixteen", pva=PvaOptions("lab", isolated=True))
-    running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.systemd.lines or running.done())
-    scpi, web, pva, journal = one.announced
+    async with running(one, eventually):
+        scpi, web, pva, journal = one.announced
     assert re.fullmatch(
         r"SCPI on 0\.0\.0\.0:\d+ \(no authentication: 10\.0\.0\.0/8, 192\.0\.2\.0/24 may connect\)", scpi
     )
@@ -217,16 +209,13 @@ async def test_who_may_connect_is_announced(tmp_path, eventually):
     assert pva.startswith("pvAccess: ")
     assert pva.endswith("(no authentication; read only)")
     assert journal == f"journal {tmp_path / 'journal.sqlite'}"
-    await ended(running)
 
 
 async def test_a_service_that_listens_nowhere_only_keeps_its_journal(tmp_path, eventually):
     """No port is opened that was not asked for."""
     one = fresh(tmp_path, scpi_address=None, http_address=None)
-    running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.systemd.lines)
-    assert one.announced == [f"journal {tmp_path / 'journal.sqlite'}"]
-    await ended(running)
+    async with running(one, eventually):
+        assert one.announced == [f"journal {tmp_path / 'journal.sqlite'}"]
 
 
 async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path):

@@ -44,6 +44,33 @@ def test_an_import_is_a_capture_set(write_fits, run_command, tmp_path):
     assert imported_of(capture).taken
 
 
+@pytest.mark.parametrize(
+    ("stated", "options", "mosaic"),
+    [
+        ({"ROWORDER": "TOP-DOWN"}, (), "RGGB"),
+        ({"XBAYROFF": 1}, (), "GRBG"),
+        ({}, ("--crop", "1,1,40,20"), "BGGR"),
+        ({}, ("--sample", "3"), "RGGB"),
+        ({}, ("--sample", "2"), None),
+        ({"XBINNING": 2}, (), None),
+    ],
+)
+def test_a_mosaic_in_a_header_is_read_by_its_colours(write_fits, run_command, tmp_path, stated, options, mosaic):
+    """Of a whole frame or a part: the plane of a colour is that of the file, as of the capture set that is written."""
+    source = write_fits("s/0.fits", PICTURE, EXPTIME=1.0, IMAGETYP="light", BAYERPAT="RGGB", **stated)
+    assert run_command("import", source.parent, "-o", tmp_path / "out", *options)[0] == 0
+    written = CaptureSet.read(tmp_path / "out")
+    assert written.header.camera.mosaic == mosaic
+    if mosaic is None:
+        return
+    y, x = divmod(mosaic.index("B"), 2)
+    left, step = (1 if "--crop" in options else 0), (3 if "--sample" in options else 1)
+    part = PICTURE[left:21, left:41] if left else PICTURE[::step, ::step]
+    assert np.array_equal(written.in_colour("blue").read_frame(0).dn, part[y::2, x::2])
+    if not options:
+        assert np.array_equal(open_capture(source).in_colour("blue").read_frame(0).dn, part[y::2, x::2])
+
+
 def test_a_list_gives_the_times_that_files_do_not_state(write_fits, run_command, tmp_path):
     """A file's own time counts before the list; one that neither states is left out and named."""
     folder = write_fits("s/a.fits", PICTURE, EXPTIME=1.0).parent

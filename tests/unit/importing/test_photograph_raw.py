@@ -151,17 +151,8 @@ def test_measure_reads_raw_files_by_the_meters_constant_or_a_known_source(tmp_pa
     meter = ["--luminance-meter-k", "14", "--exposure", "1/32", "--iso", "100", "--reference-dn", "2048"]
     source = ["--patch", "10,10,20,10", "--luminance", str(metered), "--u-rel", "0.02"]
     for words, u_rel in ((meter, 0.19), (source, 0.24)):
-        words = [
-            "calibrate",
-            "--force",
-            str(tmp_path / "ref"),
-            *green,
-            *light,
-            *words,
-            "-o",
-            str(tmp_path / "cal.yaml"),
-        ]
-        assert run(words) == 0
+        words = ["--force", str(tmp_path / "ref"), *green, *light, *words, "-o", str(tmp_path / "cal.yaml")]
+        assert run(["calibrate", *words]) == 0
         capsys.readouterr()
         words = ["--calibration", str(tmp_path / "cal.yaml"), "--patch", "5,5,20,20", "--json"]
         assert run(["measure", "--photographs", str(tmp_path / "other"), *green, *light, *words]) == 0

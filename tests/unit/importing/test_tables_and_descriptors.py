@@ -170,8 +170,10 @@ def test_every_map_of_a_maker_is_read_and_names_its_source(file):
         ("gain", 400, "iso", 12.0412),
         ("conversion_gain", 0.5, "DN/e-", 2.0),
         ("luminance", 10, "fL", 34.2626),
+        *((fact, value, unit, value or None) for fact, unit in (("f_number", "1"), ("conversion_gain", "e-/DN"))
+          for value in (0, 1.0)),
     ],
-)
+)  # fmt: skip
 def test_numbers_become_values_in_base_units(fact, written, unit, expected):
     """By hand: K − 273.15, (F − 32)·5/9, 20·log10, 1 fL = 3.42626 cd/m²; a sentinel is unknown and doubted."""
     doubts: list[str] = []

@@ -3,6 +3,7 @@
 import csv
 import gzip
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import tifffile
 from PIL import Image
 
+import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.errors import CaptureError, InputError
 from radiometer.photographs.lens_profile import LensRecord, lensfun_flat_field, read_lens_record
@@ -25,7 +27,46 @@ def _photograph(path, values, seconds, lens=LENS, **without):
     inner[33434], inner[33437], inner[37386], inner[42036] = seconds, 4.0, 24.0, lens
     for tag in without.get("without", ()):
         del inner[tag]
+    inner.update(without.get("more", {}))
     Image.fromarray(values).save(path, exif=exif)
+
+
+WHOLE = {40962: 5616, 40963: 3744}
+PER_INCH = {41486: 5616 / 36.0 * 25.4, 41488: 2}
+
+
+@pytest.mark.parametrize(
+    ("sides", "more", "outcome"),
+    [
+        ((24, 36), WHOLE | PER_INCH, "made smaller and not cut"),
+        ((36, 24), WHOLE, "made smaller and not cut"),
+        ((24, 24), WHOLE, "was cut"),
+        ((24, 36), {}, "whole picture of the camera$"),
+        ((24, 36), {40962: 3600, 40963: 2400} | PER_INCH, "27.7 mm of the sensor's diagonal of 43.3 mm"),
+    ],
+)
+def test_a_part_of_a_picture_is_not_taken_for_the_whole(tmp_path, sides, more, outcome):
+    """Sides of another shape than the record states are a cut, and so is a smaller part of the sensor."""
+    pytest.importorskip("lensfunpy")
+    _photograph(tmp_path / "a.png", np.zeros(sides, np.uint16), 0.1, more=more)
+    try:
+        said = lensfun_flat_field(read_lens_record(tmp_path / "a.png"), sides)[1]
+    except (CaptureError, InputError) as error:
+        said = str(error)
+    assert re.search(outcome, said)
+
+
+def test_focus_that_moves_within_a_bracket_is_doubted(tmp_path):
+    """A lens of 24 mm has (0.1·0.276/(0.3·0.076))² − 1 = 47 % more light at 0.3 m than at 0.1 m, none far away."""
+    for near_m, doubted in ((0.1, "may differ by 47 %"), (30.0, None)):
+        folder = tmp_path / f"{near_m}"
+        folder.mkdir()
+        for seconds, at_m in ((0.02, near_m), (0.04, 3.0 * near_m)):
+            dn = np.random.default_rng(1).poisson(seconds * 300_000.0, (80, 120)).astype(np.uint16)
+            _photograph(folder / f"t{seconds}.png", dn, seconds, more={37382: at_m})
+        notes = [one for one in rm.merge(folder, linear=True).notes if "focus" in one]
+        assert len(notes) == (doubted is not None)
+        assert doubted is None or doubted in notes[0]
 
 
 @pytest.mark.slow

@@ -43,12 +43,15 @@ def test_proportional_engine_agrees(seed, tmp_path):
 
 @pytest.mark.parametrize("seed", [74, 75, 76])
 def test_saturating_channels_are_named_led_droop(seed, tmp_path):
-    """A droop of 10 % at full drive is named alone; half drive is e^0.05 over proportional, within 3 u."""
+    """A droop of 10 % at full drive is named alone; half drive is e^0.05 over proportional, within 3 u, as its law's."""
     file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(seed), 0.1))
     effects = rm.reconcile(file).result.effects
     assert [one.name for one in effects] == ["led_droop"]
     size = effects[0].parameters["deviation_at_half_drive"]
     assert abs(size.value - np.expm1(0.05)) <= 3.0 * size.u
+    of_laws = [one.parameters["deviation_at_half_drive"] for one in rm.light_law(file).laws.values()]
+    largest = max(of_laws, key=lambda one: one.value)
+    assert (size.value, size.u) == pytest.approx((largest.value, largest.u))
 
 
 @pytest.mark.parametrize("seed", [77, 78, 79])

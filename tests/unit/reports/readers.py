@@ -62,6 +62,7 @@ def read_nights(path: Path, of: str = "") -> Read:
     log = read_log(path)
     celsius = [None] if log.temperature_c is None else log.temperature_c.tolist()
     facts = {"rows": log.size, "s": float(log.exposure_s[0])} | {f"C {n}": one for n, one in enumerate(celsius)}
+    facts["colour"] = None if log.colour is None else float(log.colour[0])
     return facts, " ".join(one for one in log.assumptions if of in one and "Unihedron" not in one)
 
 

@@ -195,7 +195,8 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
     "scriptorron/indi_pylibcamera/issues/9": (in_fits({}, CODES * 16), {}, "multiples of 16"),
     "planes of colours": (in_fits({"CTYPE3": "RGB"}, COLOURS), {}, "refused: colours"),
     "planes that may be colours": (in_fits({}, COLOURS), {"frames": 3}, "three planes"),
-    "a mosaic as one channel": (in_fits({"BAYERPAT": "RGGB"}), {}, "several colours"),
+    "a mosaic of rows in any order": (in_fits({"BAYERPAT": "RGGB"}), {}, "first stored row"),
+    "a mosaic as one channel": (in_fits({"BAYERPAT": "RGGB", "XBINNING": 2}), {}, "several colours"),
     "spacetelescope/jwst/issues/7737": (in_fits({"NSUBEXP": 10}), {}, "10 frames were combined"),
     "stacks of smart telescopes": (in_fits({"STACKCNT": 60}), {}, "60 frames were combined"),
     "an exposure in words": (in_fits({"EXPTIME": "1/125"}), {"s": 0.008}, ""),
@@ -467,6 +468,11 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
     "sensor in Fahrenheit": (
         read_nights, nights(SKY.replace("temperature_c", "temp (F)"), lambda k: f"{3e4 + k},0.5,68,20.{k}"),
         {"C 0": 20.0}, ""),
+    "a colour temperature is in mired": (
+        read_nights, nights("utc,adu,exposure_s,sqm,cct_k", lambda k: f"{3e4 + k},0.5,20.{k},4000"),
+        {"colour": 250.0}, ""),
+    "a colour index is none": (
+        read_nights, nights("utc,adu,exposure_s,sqm,b_v", lambda k: f"{3e4 + k},0.5,20.{k},0.6"), {"colour": 0.6}, ""),
     "0 mag is no reading": (
         read_nights, nights(SKY, lambda k: f"{3e4 + k},0.5,20,{0 if k == 2 else 20}.{0 if k == 2 else k}"),
         {"rows": 16}, "0 mag is no reading"),

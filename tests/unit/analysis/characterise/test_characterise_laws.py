@@ -23,7 +23,6 @@ from radiometer.analysis.characterise.group_statistics import (
     SpatialSplit,
     split_spatial_variance,
     statistics_of_group,
-    typical_pixels,
 )
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
@@ -44,6 +43,7 @@ from radiometer.data import (
     SourceDescription,
 )
 from radiometer.errors import MeasurementError
+from radiometer.statistics.scale import typical_pixels
 
 BLACK_DN = 100.0
 
@@ -455,6 +455,27 @@ def test_darkness_begins_at_the_shortest_exposure_where_two_make_no_line():
     assert (found.mean_dn.value, found.variance_dn2.value) == pytest.approx((100.0, 38.0))
     assert found.mean_line is not None
     assert found.mean_line.slope == pytest.approx(1.0)
+
+
+def test_darks_whose_hot_pixels_are_full_bend_no_line():
+    """Hot pixels that saturate from 8 s on hold mean and noise down there: the line is that of the shorter darks."""
+    darks = [group(100.0 + t, 40.0 + 2.0 * t, t, dark=True) for t in (1.0, 2.0, 4.0)]
+    found = dark_signal([*darks, group(104.0, 44.0, 8.0, dark=True, clipped_share=0.01)])
+    assert (found.mean_dn.value, found.variance_dn2.value) == pytest.approx((100.0, 40.0))
+
+
+def test_steps_beyond_saturation_are_in_no_range():
+    """A saturated signal falls by what the dark signal grows: what comes back below 95 % is left out."""
+    signals = np.array([400.0, 800.0, 1600.0, 3200.0, 3600.0, 3500.0, 3000.0, 2000.0])
+    steps = make_steps(
+        [group(4000.0 if n > 4 else BLACK_DN + s, 100.0 + s if n < 5 else 1.0, n + 1.0, photons=p)
+         for n, (s, p) in enumerate(zip(signals, (400, 800, 1600, 3200, 3600, 5e3, 7e3, 9e3), strict=True))],
+        [group(BLACK_DN if n < 5 else 4000.0 - s, 40.0, n + 1.0, dark=True) for n, s in enumerate(signals)],
+    )  # fmt: skip
+    found = find_saturation(steps)
+    assert [s.signal_dn for s in found.rising(steps)] == pytest.approx(signals[:5])
+    assert linearity(found.rising(steps), 3600.0).LE_max.value == pytest.approx(0.0, abs=1e-9)
+    assert responsivity(steps, found, 0.0).value == pytest.approx(1.0)
 
 
 def test_degrees_of_freedom_are_those_of_frames_and_pixels():

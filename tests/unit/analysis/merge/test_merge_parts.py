@@ -15,10 +15,7 @@ from radiometer.analysis.merge.alignment import Alignment, Climb, Movement, alig
 from radiometer.analysis.merge.bracket import repair_defects
 from radiometer.analysis.merge.displaced import MeanDisplacement, relative_shift
 from radiometer.analysis.merge.finish import (
-    NEAREST,
-    RECORD_SIZE,
     MergeTables,
-    include_nearest_censored,
     merge_tables,
     with_censored,
 )
@@ -298,23 +295,6 @@ def test_a_frame_that_clips_far_below_its_level_contradicts(rate, contradicts):
     found, _, text = with_censored(rate, 1.0, np.uint64(0), FRAMES, 1, 2, 0.0)
     assert text is contradicts
     assert (found == rate) is (rate < 50.0)
-
-
-def test_many_pixels_at_a_time_hear_their_nearest_frame():
-    """Rates from where it has to clip to where it contradicts, of two sets of frames: as one by one."""
-    records = np.zeros((2, RECORD_SIZE))
-    records[:, NEAREST] = 1, 2  # the second frame is not in the one set, the third in the other not
-    rates = np.concatenate([np.linspace(0.0, 130.0, 83), np.linspace(90.0, 110.0, 84)])
-    variances, slots = np.geomspace(0.5, 9.0, rates.size), (np.arange(rates.size) % 2).astype(np.uint16)
-    heard, their_variances, contradictions = rates.copy(), variances.copy(), np.zeros(rates.size, np.uint8)
-    include_nearest_censored(heard, their_variances, slots, records, FRAMES, 0.3, contradictions)
-    singly = [
-        with_censored(rate, variance, np.uint64(0b101 if slot == 0 else 0b011), FRAMES, 0, 3, 0.3)
-        for rate, variance, slot in zip(rates, variances, slots, strict=True)
-    ]
-    assert np.allclose(np.column_stack([heard, their_variances, contradictions]), singly, rtol=1e-12, atol=1e-12)
-    assert {bool(one) for one in contradictions} == {True, False}
-    assert 20 < np.count_nonzero(heard > rates) < rates.size - 20
 
 
 def test_a_frame_without_noise_in_the_dark_is_heard_or_passed_over_in_numbers():

@@ -77,15 +77,6 @@ def test_linearity_follows_the_bend(tmp_path):
     assert figure.value == max(abs(one.value) for one in figure.details)
 
 
-@pytest.mark.slow
-def test_short_exposures_carry_the_offset_of_the_clock(tmp_path):
-    """What real times may differ by from the stated ones is no non-linearity: it widens u as 1/t."""
-    stations.bent(tmp_path, 4)
-    details = figure_of(tmp_path, "linearity").details
-    assert details[0].u > 2.9e-6 * (1.0 / 0.002 - 1.0 / 0.06)
-    assert details[0].u > 2.0 * details[3].u
-
-
 def test_veiling_glare_index_is_the_share_times_the_white_left(tmp_path):
     """A black patch of 50 × 50 pixels takes its own light out of the veil that lies on it."""
     stations.veiled(tmp_path, 4, share=0.012)

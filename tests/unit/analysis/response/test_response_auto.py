@@ -55,15 +55,6 @@ def test_response_comes_back(make_stack, inner_error, response, bit_depth, limit
     assert np.std(inner_error(curve, response)) < limit
 
 
-@pytest.mark.slow
-def test_parts_of_an_even_stack_agree(make_stack):
-    """Where all quadrants and frames follow one curve, curves without one of them differ by less than 1 %."""
-    for bit_depth in (8, 12):
-        agreement = recover_response_auto(make_stack("gamma", bit_depth=bit_depth)).agreement
-        assert 0.0 < agreement.quadrants_rms_log < 0.01
-        assert 0.0 < agreement.frames_rms_log < 0.01
-
-
 def _mean_square_in_u(make_stack, inner_error, bit_depth, responses):
     """Return the mean over responses of the mean squared error of ln H in units of its stated uncertainty."""
     squares = []
@@ -113,10 +104,6 @@ def test_wrong_time_is_found_and_taken_out(make_stack, inner_error):
 @pytest.mark.slow
 def test_black_level_is_respected(make_stack):
     """With a black level of 64 DN nothing at or below it counts as supported."""
-    from dataclasses import replace
-
-    from radiometer.data import Bracket, Frame
-
     frames = [
         Frame(
             np.minimum(f.dn.astype(np.uint32) + 64, 4095).astype(np.uint16),
@@ -138,8 +125,6 @@ def test_black_level_is_respected(make_stack):
 )
 def test_noise_behind_the_curve_is_borne_as_well(true_log_exposure, response, bit_depth):
     """With 1 DN of noise added behind the curve, close to white too, ln H over 5–95 % scatters under 0.3 %."""
-    from radiometer.data import Bracket, Frame, FrameSettings
-
     rng = np.random.default_rng(1)
     full_scale, power = 2**bit_depth - 1, {"gamma": 1 / 2.2, "linear": 1.0}[response]
     radiance = np.exp(np.linspace(-7.0, 0.0, 256))[None, :].repeat(192, axis=0)
@@ -155,8 +140,6 @@ def test_noise_behind_the_curve_is_borne_as_well(true_log_exposure, response, bi
 
 def _with_flare(stack, amount):
     """Return the stack with the left half's mean brightness spread over that half, as flare does, behind the curve."""
-    from radiometer.data import Bracket, Frame
-
     frames = []
     for frame in stack.light:
         dn = frame.dn.astype(np.float64)
@@ -172,24 +155,13 @@ def test_parts_that_disagree_widen_the_uncertainty_and_smooth_the_curve(make_sta
     """Flare in one half: groups no longer count as independent, u grows at least threefold, and it holds the error."""
     plain, flared = (recover_response_auto(s) for s in (make_stack("gamma"), _with_flare(make_stack("gamma"), 0.1)))
     assert plain.details["groups_that_count_as_one"] == pytest.approx(1.0, abs=0.5)
+    assert 0.0 < max(plain.agreement.quadrants_rms_log, plain.agreement.frames_rms_log) < 0.01
     assert flared.details["groups_that_count_as_one"] > 4.0
     low, high = (int(share * plain.curve.log_exposure.size) for share in (0.1, 0.9))
     u_plain, u_flared = (np.median(one.curve.u_log_exposure[low:high]) for one in (plain, flared))
     assert u_flared > 3.0 * u_plain
     assert any("quadrant" in note for note in flared.notes)
     assert not any("quadrant" in note for note in plain.notes)
-
-
-@pytest.mark.slow
-def test_outside_the_data_nothing_is_stated(make_stack):
-    """u is infinite outside the supported values, finite inside; g goes on with no more than the power at the edge."""
-    curve = recover_response_auto(make_stack("gamma", bit_depth=8)).curve
-    low, high = curve.valid_dn
-    assert np.all(np.isfinite(curve.u_log_exposure[low : high + 1]))
-    assert np.all(np.isinf(curve.u_log_exposure[:low]))
-    assert np.all(np.isinf(curve.u_log_exposure[high + 1 :]))
-    steepest = np.max(np.diff(curve.log_exposure[low : low + 8]) / np.diff(np.log(np.arange(low, low + 8))))
-    assert curve.log_exposure[low] - curve.log_exposure[0] <= steepest * np.log(low / 0.5)
 
 
 @pytest.mark.slow

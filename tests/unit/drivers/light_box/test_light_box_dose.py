@@ -120,22 +120,6 @@ def test_every_end_of_the_light_keeps_what_it_gave(end):
     assert ALLOWED_J - left_j(box) == pytest.approx(5.0 * given_s, rel=0.2)
 
 
-def test_pulse_after_pulse_is_refused_at_the_allowed_dose():
-    """20 s at 1000 W·sr⁻¹·m⁻² are a fifth of what is allowed: the sixth is refused, with no light."""
-    twin, line, box = bench()
-    level = DriveLevel(60000, HIGH)
-    for _ in range(5):
-        box.pulse("field", level, 20.0)
-        pass_time(line, box, 21.0)
-    with pytest.raises(UnsafeStimulus, match="blue-light"):
-        box.pulse("field", level, 20.0)
-    assert twin.duty("field") == 0.0
-    with pytest.raises(UnsafeStimulus):
-        box.foresee("spot", level, 20.0)
-    pass_time(line, box, 0.2)
-    assert box.pulse("field", level, 8.0).drive == level
-
-
 def test_what_is_foreseen_is_what_is_counted():
     """Fractions of both limits by hand; the box's energy budget is held in s at the level."""
     _, _, box = bench()

@@ -43,7 +43,6 @@ from simulators.effects.stray_light_kernel import StrayLightKernel
 from simulators.effects.tile_moments import TileMoments
 from testing.effect_context import CATALOGUE, HEIGHT, WIDTH, effect_context, starts_of
 
-FRAMES = 240
 NAMES = """
 black_level_offset black_level_gain_slope black_level_drift dark_current dark_current_clamped
 dark_current_nonuniformity gain_step_error conversion_gain_error excess_read_noise missing_codes gamma_enabled
@@ -70,31 +69,6 @@ def _radiance(context):
 def test_the_catalogue_is_whole():
     """Every canonical name of the catalogue is an effect that a model file can hold."""
     assert set(NAMES) <= set(EFFECTS)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(CATALOGUE))
-def test_entry_simulates_what_its_moments_say(name):
-    """Frames through the whole chain have the expected mean: within 5 sigma of the mean over pixels and frames."""
-    _check_mean(starts_of(CATALOGUE[name], effect_context())[0])
-
-
-def _check_mean(effect):
-    name, context = effect.name, effect_context()
-    model = CameraModel.ideal(context.camera, context.lens).with_effect(effect)
-    scene = np.full((HEIGHT, WIDTH), _radiance(context))
-    expected = model.moments(scene, context)
-    total = np.zeros((HEIGHT, WIDTH))
-    for frame in range(FRAMES):
-        total += model.sample(scene, context, (frame,)).dn
-    common = float(np.max(np.broadcast_to(expected.common_variance, total.shape)))
-    spread = expected.variance / FRAMES + expected.spatial_variance
-    sigma = np.sqrt(np.mean(spread) / total.size + common / FRAMES)
-    lines = np.sqrt(np.mean(expected.spatial_variance) / min(HEIGHT, WIDTH) + np.mean(expected.variance) / FRAMES / 24)
-    allowed = (
-        5 * sigma + (5 * lines if "row" in name or "column" in name else 0.0) + 2e-4 * float(total.mean() / FRAMES)
-    )
-    assert float(total.mean()) / FRAMES == pytest.approx(float(np.mean(expected.mean)), abs=allowed)
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
