@@ -304,7 +304,7 @@ class CaptureSums:
 
     def without(self, first: CaptureSums) -> CaptureSums:
         """Return the sums over the frames but the first; histogram and highest stay those of all."""
-        apart = {
+        apart: dict[str, Any] = {
             name: [both - one for both, one in zip(getattr(self, name), getattr(first, name), strict=True)]
             for name in ("total", "square", "pair_x", "pair_y")
         }
@@ -792,9 +792,9 @@ def reduce_frames(
     rows = [collected[number] for number in range(len(design.captures))]
     lines, uneven = (np.array([row[name] for row in rows]) for name in ("side_lines", "side_unevenness"))
     gathered = {name: np.array([row[name] for row in rows]) for name in names if name not in ("edge", "edge_u")}
-    of_tiles = (gathered[name] for name in ("mean", "spatial", "high"))
+    mean, spatial, high = (gathered[name] for name in ("mean", "spatial", "high"))
     gathered["edge"], gathered["edge_u"] = edge_shares(
-        sides, lines, uneven, *of_tiles, design.pattern_index, design.f_number
+        sides, lines, uneven, mean, spatial, high, design.pattern_index, design.f_number
     )
     return CaptureStatistics(**gathered), images
 

@@ -402,6 +402,6 @@ def directions_of_each(
     changed, at = changes_with(state, sets), 0
     for step in steps:
         there = changed[:, at : at + 1]
-        own = np.hstack([there, (changed[:, at + 1 : at + 1 + step.size] - there) / step])
-        yield own if np.isfinite(own).all() else np.zeros_like(own)
+        found = np.hstack([there, (changed[:, at + 1 : at + 1 + step.size] - there) / step])
+        yield found if np.isfinite(found).all() else np.zeros_like(found)
         at += 1 + step.size

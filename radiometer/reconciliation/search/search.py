@@ -208,8 +208,8 @@ def search(
         say("; ".join(f"{effect.name} in place of {name}" for name, effect in taken.items()))
         for old, effect in taken.items():
             at = next(i for i, step in enumerate(run.steps) if step.name == old)
-            changes = {"name": effect.name, "where": effect.where, "gap_after": likeliest.gap, "rivals": ()}
-            run.steps[at] = replace(run.steps[at], **changes)
+            step = replace(run.steps[at], name=effect.name, where=effect.where)
+            run.steps[at] = replace(step, gap_after=likeliest.gap, rivals=())
         state, dropped = pruned(likeliest, say)  # what stood next to another name may be superfluous next to this one
         for name in dropped:
             _forget(run, name)
