@@ -76,7 +76,7 @@ class DaemonSource:
                 return reading_of(parsed_json(reply.read()))
         except urllib.error.HTTPError as error:
             raise DeviceError(f"{self.origin} refuses: {_reason(error)}") from error
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             raise DeviceError(f"what {self.origin} answers is no reading: {error}") from error
         except OSError as error:
             raise DeviceLost(

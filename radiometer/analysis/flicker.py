@@ -444,11 +444,8 @@ def measure_flicker(waveform: Waveform, u_clock_rel: float | None = None) -> Fli
             f"SVM is not determined: no repetition was found; with its noise it is {stroboscopic_visibility(part):.2g}"
         )
     else:
-        if period is not None and periods and not shape.is_series:
-            has_other = other_line(waveform, period, shape) is not None
-            svm = _visibility_of_steps(part, period, with_u, has_other=has_other)
-        else:
-            svm = of_blocks(stroboscopic_visibility)
+        steps = period if periods and not shape.is_series else None
+        svm = of_blocks(stroboscopic_visibility) if steps is None else _visibility_of_steps(part, steps, shape, with_u)
         if waveform.duration_s < 1.0:
             assumptions.append(f"SVM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     if waveform.rate_hz < _PST_RATE_HZ:
@@ -565,12 +562,12 @@ def _visibility(frequency_hz: Array, amplitude: Array, averaged_s: float) -> flo
 
 
 def _visibility_of_steps(
-    waveform: Waveform, period: Period, with_u: Callable[..., list[Quantity]], *, has_other: bool
+    waveform: Waveform, period: Period, shape: ShapeMeasures, with_u: Callable[..., list[Quantity]]
 ) -> Quantity:
     """Return the stroboscopic visibility measure of a period in steps, each of them anywhere between two phases.
 
-    Sampled at instants, harmonics of a step above half the rate show at those below, so the samples are no light of
-    their own: light is straight lines between neighbouring phases but where it steps. Another line counts in u.
+    Sampled at instants, harmonics of a step above half the rate show at those below. So light counts as straight lines
+    between neighbouring phases but where it steps. Light that does not repeat with the period counts in u.
     """
     rng = np.random.default_rng(0)  # the same draws for the same record
 
@@ -584,6 +581,7 @@ def _visibility_of_steps(
     u_hz = period.frequency_hz / (math.sqrt(6.0) * waveform.light.size)
     near = [of(waveform, replace(period, frequency_hz=period.frequency_hz + off))[0] for off in (-u_hz, 0.0, u_hz)]
     own_u = _u_of_blocks([_visibilities_of_fold(one, waveform, period, None) for one in parts])
+    has_other = other_line(waveform, period, shape) is not None
     other = stroboscopic_visibility(waveform, period) - near[1] if has_other else 0.0
     own_u = np.hypot(own_u, math.hypot(float(np.std(drawn, ddof=1)), max(near) - min(near), other))
     return with_u(np.array([np.mean(drawn)]), own_u, of)[0]

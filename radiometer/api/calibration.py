@@ -35,6 +35,7 @@ from radiometer.api.result import Progress, Result
 from radiometer.bench.assembly import open_instrument
 from radiometer.bench.sources import is_photographs, open_source
 from radiometer.data import (
+    BlackLevel,
     Bracket,
     Calibration,
     CameraDescription,
@@ -93,6 +94,8 @@ PatchLike = Patch | tuple[int, int, int, int]
 _TYPICAL_GAIN_DB: Final = 24.0
 _TYPICAL_WARMER_K: Final = 15.0
 _BLACK: Final = "black level"  # its uncertainty has a place of its own in a calibration
+_MOST_BLACK: Final = 1.0 / 8.0  # of full scale: 2048 of 16 383 DN is the highest of usual cameras
+_DARKEST_PERCENT: Final = 1.0  # of pixels: fewer may be defects
 _USUAL_WELL_E: Final = 10_000.0  # what the forward model takes where none is stated
 
 
@@ -537,7 +540,14 @@ def _base(
     measured = black_from_darks(seen.bracket.dark, base)
     if measured is not None:
         return replace(base, black_level=measured), (f"black level by {len(seen.bracket.dark)} dark frames",)
-    return base, () if curve is not None else ("black level 0 DN, which nothing states",)
+    if curve is not None:
+        return base, ()
+    # Anywhere from 0 to the most that it may be: the root mean square distance from 0 is that over √3.
+    darkest_dn = min(float(np.percentile(frame.dn, _DARKEST_PERCENT)) for frame in seen.bracket.light)
+    most_dn = min(darkest_dn, _MOST_BLACK * camera.full_scale_dn)
+    unknown = BlackLevel(dn=0.0, u_dn=max(most_dn / math.sqrt(3.0), base.black_level.u_dn))
+    said = f"black level 0 DN, which nothing states: it may be up to {most_dn:.3g} DN, which u holds"
+    return replace(base, black_level=unknown), (f"{said}; state it, or take dark frames",)
 
 
 def _of_taps(base: Calibration, seen: _Seen | None) -> tuple[str, ...]:

@@ -167,9 +167,8 @@ def _passport(camera: tuple[str, ...], sessions: Sequence[Session]) -> Passport:
         apart = "" if off is None else f", {law.offset_session} {off.scaled(100.0, '%').text(with_k=True)} from it"
         what = f"{verdict} over {len(law.points)} temperatures of {len({p[0] for p in law.points})} sessions{apart}"
         changes.append(Change("dark current", not law.is_one, what))
-    unchanged = not any(change.changed for change in changes if change.quantity in ("K", "dark current"))
     return Passport(
-        camera, tuple(sessions), law, tuple(_gain(sessions)), tuple(changes), tuple(_light(sessions, unchanged))
+        camera, tuple(sessions), law, tuple(_gain(sessions)), tuple(changes), tuple(_light(sessions, changes))
     )
 
 
@@ -416,7 +415,7 @@ def _mean(values: Sequence[Quantity]) -> Quantity | None:
     return Quantity(mean, math.hypot(float(u.min()), scatter), values[0].unit)
 
 
-def _light(sessions: Sequence[Session], camera_unchanged: bool) -> list[str]:
+def _light(sessions: Sequence[Session], changes_of_camera: Sequence[Change]) -> list[str]:
     lines = [line for s in sessions for series in s.series if (line := light_line(s.name, series))]
     levels: dict[tuple[Any, ...], list[tuple[Session, float]]] = {}
     for session in sessions:
@@ -428,7 +427,11 @@ def _light(sessions: Sequence[Session], camera_unchanged: bool) -> list[str]:
             change = _level_change(before, low, after, high)
             if change is not None:
                 changes.setdefault((before.name, after.name), []).append((setting[0], change))
-    whose = "the light (gain and dark current did not change)" if camera_unchanged else "light or camera"
+    compared = {one.quantity: one.changed for one in changes_of_camera if one.quantity in ("K", "dark current")}
+    whose = "light or camera"
+    if "K" in compared and not any(compared.values()):
+        same = " and ".join("gain" if one == "K" else one for one in compared)
+        whose = f"the light, or the quantum efficiency ({same} did not change)"
     for (before_name, after_name), found in changes.items():
         (shortest, least), (longest, most) = (tuple(map(of, zip(*found, strict=True))) for of in (min, max))
         times = " to ".join(dict.fromkeys(f"{one:g}" for one in (shortest, longest)))

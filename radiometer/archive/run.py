@@ -143,7 +143,7 @@ class ResultJournal:
         for line in text.splitlines():
             try:
                 rows = parsed_json(line)
-            except (ValueError, RecursionError):
+            except ValueError:
                 continue
             if isinstance(rows, list) and all(map(_is_row, rows)):
                 yield from rows

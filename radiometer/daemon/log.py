@@ -284,7 +284,7 @@ def _is_reading(line: object) -> bool:
             and {"value", "unit"} <= content["radiance"].keys()
             and (isinstance(content["patch"], dict) and isinstance(content["time"], str))
         )
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         return False
 
 

@@ -161,7 +161,7 @@ class NamedPatch:
             every_s = content.get("every_s")  # daemons before kept none
             period_s = None if every_s is None else float(every_s)
             return cls(name, Patch(**content["patch"]), PatchLimits(**content["limits"]), period_s)
-        except (ValueError, KeyError, TypeError, RecursionError, UsageError) as error:
+        except (ValueError, KeyError, TypeError, UsageError) as error:
             raise InputError(
                 f"what the journal keeps of patch {name[:40]!r} is damaged ({type(error).__name__}); move the journal "
                 "away, and define the patch again"

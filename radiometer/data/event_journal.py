@@ -203,7 +203,7 @@ def read_events(path: Path) -> list[Event]:
     for number, line in enumerate(lines[:-1]):
         try:
             event = parsed_json(line)
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             raise InputError(f"{path}, line {number + 1}: not a line of a journal ({error})") from error
         if not isinstance(event, dict) or event.get("sequence") != number:
             raise InputError(f"{path}, line {number + 1}: events are missing or out of order")

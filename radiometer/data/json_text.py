@@ -43,10 +43,12 @@ def parsed_json(text: str | bytes) -> Any:
 
     Raises:
         RepeatedKey: If a key occurs twice in one object.
-        ValueError: If it is no JSON.
-        RecursionError: If it is nested too deeply.
+        ValueError: If it is no JSON, or nested too deeply.
     """
-    return json.loads(text, object_pairs_hook=_object)  # noqa: TID251 (the one place)
+    try:
+        return json.loads(text, object_pairs_hook=_object)  # noqa: TID251 (the one place)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

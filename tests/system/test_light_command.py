@@ -103,21 +103,21 @@ def test_calibrate_then_set_by_radiance(surroundings, capsys, tmp_path):
 
 
 def test_light_of_separate_commands_adds_up_until_it_is_refused(served, capsys, tmp_path):
-    """0.1 % of the limit is allowed, each command gives 0.05 %: the third is refused, and `light off` is not."""
+    """0.62 % of the limit is allowed, each command gives 0.24 %: the third is refused, and `light off` is not."""
     preset = tmp_path / "bright.yaml"
     preset.write_text(
-        "allowed_fraction: 0.001\n"
+        "allowed_fraction: 0.0062\n"
         "channels:\n  field: {peak_nm: null, subtense_deg: 1, radiance_bound_W_per_sr_m2: 6500}\n",
         encoding="utf-8",
     )
-    light = ["--level", "30000", "--duration", "0.4s", "--preset", str(preset), "--box", served]
+    light = ["--level", "30000", "--duration", "2s", "--preset", str(preset), "--box", served]
     pulse = ["light", "pulse", "field", *light]
     assert [run(pulse) for _ in range(3)] == [0, 0, 1]
     assert "of the blue-light exposure limit" in capsys.readouterr().err
     assert run(["light", "off"]) == 0
     assert run(["light", "account", "--box", "CLI00001", "--json"]) == 0
     (report,) = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert report["blue_light"] == pytest.approx(2 * 0.406 * 6500 * 30000 / 65535 * 0.4 / 1e6, rel=0.05)
+    assert report["blue_light"] == pytest.approx(2 * 0.406 * 6500 * 30000 / 65535 * 2.0 / 1e6, rel=0.05)
 
 
 @pytest.mark.parametrize("allowed", ["0.101", "1", "true", "0", "-0.1", ".nan"])

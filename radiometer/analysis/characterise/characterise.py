@@ -13,10 +13,11 @@ from radiometer.analysis.characterise.dark_signal import (
     gain_from_darks,
     typical_dark_current,
     unbent,
+    with_open_current,
 )
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.linearity import linearity
-from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
+from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, of_exposure, prnu
 from radiometer.analysis.characterise.partial import (
     bent,
     disagreeing_gains,
@@ -26,6 +27,7 @@ from radiometer.analysis.characterise.partial import (
 )
 from radiometer.analysis.characterise.photon_transfer import (
     CLIPPED_SHARE,
+    FewSteps,
     PhotonTransfer,
     photon_transfer,
 )
@@ -73,7 +75,13 @@ def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None 
         subject = replace(subject, notes=(*subject.notes, *named))
     if not _complete(kept, dark):
         return partial_characterisation(subject, bright, kept, dark)
-    gains = _characterised_gains(kept, dark, subject.camera.code_step_dn or 1)
+    try:
+        gains = _characterised_gains(kept, dark, subject.camera.code_step_dn or 1)
+    except FewSteps as few:
+        if not few.used:
+            raise
+        subject = replace(subject, notes=(*subject.notes, str(few)))
+        return partial_characterisation(subject, bright, [step.bright for step in few.used], dark)
     return _Work(subject, gains[0], {g.gain_db: g.transfer.K for g in sorted(gains, key=lambda g: g.gain_db)}).result()
 
 
@@ -180,7 +188,10 @@ class _Work:
 
     def result(self) -> Characterisation:
         plateaus = [
-            (group, dark_signal(group, self._step_dn))
+            (
+                group,
+                with_open_current(dark_signal(group, self._step_dn), group, self.at.transfer.K, self.subject.camera),
+            )
             for group in by_temperature(self.at.dark)
             if any(d.has_noise for d in group)
         ]
@@ -284,13 +295,12 @@ class _Work:
             return {}  # statistics without pictures
         chosen = [s for s in self.at.bright if s.clipped_share <= CLIPPED_SHARE] or list(self.at.bright)
         bright = best_stack(chosen, saturation, dark[0].mean_dn)
-        matching_dark = min(
-            dark, key=lambda d: (abs(d.settings.exposure_s - bright.settings.exposure_s) > 1e-6, -d.frames)
-        )
+        signal_dn = next(step.signal_dn for step in self.at.steps if step.bright is bright)
+        K, near = self.at.transfer.K, of_exposure(dark, bright.settings.exposure_s)
         return {
-            "DSNU_1288": dsnu(matching_dark, self.at.transfer.K),
-            "PRNU_1288": prnu(bright, matching_dark),
-            **nonuniformity_by_part(bright, matching_dark, self.at.transfer.K),
+            "DSNU_1288": dsnu(near, K),
+            "PRNU_1288": prnu(bright, dark, signal_dn),
+            **nonuniformity_by_part(bright, dark, K, signal_dn),
         }
 
     def _warn(self, notes: list[str]) -> None:

@@ -15,8 +15,10 @@ from radiometer.analysis.characterise.line_fit import Line, fit_line
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.analysis.signal.model import FLOOR_SHARE
 from radiometer.analysis.signal.rounding import PLAIN_FROM
-from radiometer.data import Quantity
+from radiometer.data import CameraDescription, Quantity
+from radiometer.data.sensor_noise import SensorNoise, most_dark_e_per_s
 from radiometer.statistics.scale import robust_sigma, typical_pixels
+from radiometer.units import gain_factor
 
 _FEWEST_FRAMES: Final = 5  # fewer tell no scatter about a line of two parameters
 _HIGHEST_LEVERAGE: Final = 0.9  # a frame above it decides its own fit, and shows no residual
@@ -24,6 +26,7 @@ _CLIP_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ normal values
 _LARGEST_U_REL: Final = 0.2  # above it the dark current is too weak to tell the gain
 _MOST_PIXELS: Final = 250_000  # a variance is then known to 0.3 %; more cost time alone
 _MOST_FRAMES: Final = 64  # bounds the memory: 64 frames of 250,000 pixels are 128 MB
+_MOST_OF_STATED: Final = 3.0  # of a data sheet's typical dark current: single sensors have up to so much
 _LEAST_SPAN_DN: Final = 2.0  # of the typical dark signal: less shows no shot noise
 _OF_DARKS: Final = ("mu_y_dark", "sigma_", "mu_e_min", "mu_p_min", "DR", "mu_I", "T_d", "DSNU")
 _FINEST_TEMPERATURE_K: Final = 0.05  # rounding to a tenth: the finest that cameras state
@@ -54,15 +57,14 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
     Source: EMVA Standard 1288, release 4.0, sections 6.7 and 7.
     """
     dark, mean_line = unbent(dark), None
+    mean, line = level_at_0_s(dark, step_dn)
     if len({d.settings.exposure_s for d in dark}) > 2:
-        mean_line = _mean_line(dark, [d.mean_dn for d in dark], step_dn)
-        mean = Quantity(mean_line.intercept, mean_line.u_intercept, "DN")
-    else:
-        first = min(range(len(dark)), key=lambda i: dark[i].settings.exposure_s)
-        mean = Quantity(dark[first].mean_dn, float(_u_of_means(dark, step_dn)[first]), "DN")
+        mean_line = line
     variance_line, variance = _variance([d for d in dark if d.has_noise])
     smallest = PLAIN_FROM * step_dn**2
-    limited = variance.value < smallest
+    limited = variance.value < smallest and variance.u < smallest
+    if variance.value < smallest and not limited:  # long exposures leave the noise at 0 s open
+        variance = Quantity(smallest, math.hypot(variance.u, smallest - variance.value), "DN^2")
     if limited:  # all that is known is a bound; over [0, bound] the root mean square distance from it is bound/√3
         variance = Quantity(smallest, smallest / math.sqrt(3.0), "DN^2")
     known = [d.settings.temperature_c for d in dark if d.settings.temperature_c is not None]
@@ -74,6 +76,57 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
         float(np.mean(known)) if known else None,
         limited,
     )
+
+
+def level_at_0_s(dark: Sequence[GroupStatistics], step_dn: int = 1) -> tuple[Quantity, Line | None]:
+    """Return the mean at exposure 0 in DN and the line over exposure; that of one exposure, and None, where it is one.
+
+    Args:
+        dark: Groups of one gain, region and temperature; frames may be one each.
+        step_dn: Distance between codes in DN.
+    """
+    if len({d.settings.exposure_s for d in dark}) > 1:
+        line = _mean_line(dark, [d.mean_dn for d in dark], step_dn)
+        return Quantity(line.intercept, line.u_intercept, "DN"), line
+    return Quantity(dark[0].mean_dn, float(_u_of_means(dark, step_dn)[0]), "DN"), None
+
+
+def with_open_current(
+    found: DarkSignal, dark: Sequence[GroupStatistics], K: Quantity | None, camera: CameraDescription
+) -> DarkSignal:
+    """Return the dark signal of one exposure, which may hold dark current, with that in u; that of several as it is.
+
+    Arguments are as of `open_current_u_dn`; `found` is the dark signal of these groups.
+    """
+    u_dn = open_current_u_dn(dark, K, camera)
+    mean = replace(found.mean_dn, u=math.hypot(found.mean_dn.u, u_dn))
+    of_noise = 0.0 if K is None else K.value * u_dn
+    return replace(
+        found, mean_dn=mean, variance_dn2=replace(found.variance_dn2, u=math.hypot(found.variance_dn2.u, of_noise))
+    )
+
+
+def open_current_u_dn(dark: Sequence[GroupStatistics], K: Quantity | None, camera: CameraDescription) -> float:
+    """Return the standard uncertainty in DN that dark current leaves in the level of one exposure; 0 of several.
+
+    Its electrons are at most those that the camera may have, and all of the variance (shot noise, σ²/K²).
+
+    Args:
+        dark: Groups of one gain, region and temperature.
+        K: Overall system gain in DN/e-; None takes the stated one; without any all may be dark signal.
+        camera: What is believed of the camera.
+    """
+    one = dark[0]
+    if len({d.settings.exposure_s for d in dark}) > 1:
+        return 0.0
+    gain = 0.0 if camera.conversion_gain_e_per_dn is None else 1.0 / camera.conversion_gain_e_per_dn
+    gain = K.value if K is not None else gain * gain_factor(one.settings.gain_db)
+    noise, exposure_s, here_c = SensorNoise.of(camera), one.settings.exposure_s, one.settings.temperature_c
+    most_e = most_dark_e_per_s(camera, here_c) * exposure_s
+    if "dark_current_e_per_s" not in noise.assumed:
+        most_e = min(most_e, _MOST_OF_STATED * noise.dark_e(exposure_s, here_c))
+    most_dn = min(gain * most_e, one.variance_dn2 / gain if one.has_noise else math.inf) if gain else one.mean_dn
+    return max(most_dn, 0.0) / math.sqrt(3.0)  # over [0, most] the root mean square distance from an end
 
 
 def unbent(dark: Sequence[GroupStatistics]) -> list[GroupStatistics]:
@@ -153,9 +206,9 @@ def _variance(dark: Sequence[GroupStatistics]) -> tuple[Line | None, Quantity]:
     """Return the line of the variance over exposure where there are three, and the variance at exposure 0 in DN²."""
     times = np.array([d.settings.exposure_s for d in dark])
     variances, u = np.array([(d.variance_dn2, max(d.u_variance_dn2, 1e-9)) for d in dark]).T
-    if np.unique(times).size > 2:
+    if (exposures := np.unique(times).size) > 1:
         line = fit_line(times, variances, u)
-        return line, Quantity(line.intercept, line.u_intercept, "DN^2")
+        return line if exposures > 2 else None, Quantity(line.intercept, line.u_intercept, "DN^2")
     first = int(np.argmin(times))
     return None, Quantity(float(variances[first]), float(u[first]), "DN^2")
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
+from radiometer.analysis.characterise.line_fit import fit_line
+from radiometer.analysis.characterise.steps import SAME_EXPOSURE_REL
 from radiometer.data import Quantity
 
 
@@ -18,44 +22,88 @@ def dsnu(dark: GroupStatistics, K: Quantity) -> Quantity:
     return Quantity(spread.value / K.value, math.hypot(spread.u / K.value, spread.value / K.value * K.u_rel), "e-")
 
 
-def prnu(bright: GroupStatistics, dark: GroupStatistics) -> Quantity:
+def prnu(bright: GroupStatistics, dark: Sequence[GroupStatistics], signal_dn: float) -> Quantity:
     """Return PRNU_1288, the relative spatial standard deviation of the response in %.
 
     Unevenness of the light itself counts in it, as in the standard.
 
+    Args:
+        bright: Bright group.
+        dark: Dark groups of its temperature.
+        signal_dn: Signal of the bright group above the dark signal of its exposure in DN.
+
     Source: EMVA Standard 1288, release 4.0, equation (55).
     """
-    difference = bright.spatial_variance_dn2 - dark.spatial_variance_dn2
-    spread = _root(difference, math.hypot(bright.u_spatial_variance_dn2, dark.u_spatial_variance_dn2))
-    signal = bright.mean_dn - dark.mean_dn
-    return Quantity(100.0 * spread.value / signal, 100.0 * spread.u / signal, "%")
+    below = _at_exposure(dark, bright, lambda one: (one.spatial_variance_dn2, one.u_spatial_variance_dn2))
+    spread = _root(bright.spatial_variance_dn2 - below[0], math.hypot(bright.u_spatial_variance_dn2, below[1]))
+    return Quantity(100.0 * spread.value / signal_dn, 100.0 * spread.u / signal_dn, "%")
+
+
+def of_exposure(dark: Sequence[GroupStatistics], exposure_s: float) -> GroupStatistics:
+    """Return the dark group of an exposure, that of most frames, or the nearest one."""
+
+    def apart_s(one: GroupStatistics) -> float:
+        here_s = one.settings.exposure_s
+        return 0.0 if math.isclose(here_s, exposure_s, rel_tol=SAME_EXPOSURE_REL) else abs(here_s - exposure_s)
+
+    return min(dark, key=lambda one: (apart_s(one), -one.frames))
+
+
+def _at_exposure(
+    dark: Sequence[GroupStatistics],
+    bright: GroupStatistics,
+    part: Callable[[GroupStatistics], tuple[float, float]],
+) -> tuple[float, float]:
+    """Return a spatial variance of the dark signal at the exposure of a bright group, and its standard uncertainty.
+
+    Its pattern is one without dark current and one that grows as time: variances lie on a line over time squared. One
+    exposure alone leaves open how much grows.
+    """
+    exposure_s = bright.settings.exposure_s
+    near = of_exposure(dark, exposure_s)
+    value, u = part(near)
+    if math.isclose(near.settings.exposure_s, exposure_s, rel_tol=SAME_EXPOSURE_REL):
+        return value, u
+    squares = np.array([d.settings.exposure_s for d in dark]) ** 2
+    if np.unique(squares).size > 1:
+        values, us = np.array([part(d) for d in dark]).T
+        line = fit_line(squares, values, np.maximum(us, 1e-9))
+        return line.intercept + line.slope * exposure_s**2, math.hypot(line.u_intercept, line.u_slope * exposure_s**2)
+    grown = value * (exposure_s / near.settings.exposure_s) ** 2 if near.settings.exposure_s else value
+    return (value + grown) / 2.0, math.hypot(u, abs(grown - value) / math.sqrt(12.0))
 
 
 def nonuniformity_by_part(
-    bright: GroupStatistics | None, dark: GroupStatistics | None, K: Quantity | None
+    bright: GroupStatistics | None, dark: Sequence[GroupStatistics], K: Quantity | None, signal_dn: float = math.nan
 ) -> dict[str, Quantity]:
     """Return DSNU and PRNU of rows, columns and pixels, as far as the pictures determine them.
 
     Args:
         bright: Bright group of the PRNU; None for no PRNU.
+        dark: Dark groups of its temperature.
         K: Overall system gain in DN/e-; None for no DSNU.
+        signal_dn: Signal of the bright group above the dark signal of its exposure in DN.
 
     Source: EMVA Standard 1288, release 4.0, sections 8.2 and 8.3.
     """
     found: dict[str, Quantity] = {}
-    if dark is None or dark.split is None:
+    known = [one for one in dark if one.split is not None]
+    if not known:
         return found
+    near = known[0] if bright is None else of_exposure(known, bright.settings.exposure_s)
     for part in ("row", "column", "pixel"):
-        below, u_below = getattr(dark.split, f"{part}_dn2"), getattr(dark.split, f"u_{part}_dn2")
+
+        def of(one: GroupStatistics, part: str = part) -> tuple[float, float]:
+            return getattr(one.split, f"{part}_dn2"), getattr(one.split, f"u_{part}_dn2")
+
         if K is not None:
-            spread = _root(below, u_below)
+            spread = _root(*of(near))
             u = math.hypot(spread.u / K.value, spread.value / K.value * K.u_rel)
             found[f"DSNU_{part}"] = Quantity(spread.value / K.value, u, "e-")
         if bright is not None and bright.split is not None:
-            above, u_above = getattr(bright.split, f"{part}_dn2"), getattr(bright.split, f"u_{part}_dn2")
+            (above, u_above), (below, u_below) = of(bright), _at_exposure(known, bright, of)
             spread = _root(above - below, math.hypot(u_above, u_below))
-            signal = bright.mean_dn - dark.mean_dn
-            found[f"PRNU_{part}"] = Quantity(100.0 * spread.value / signal, 100.0 * spread.u / signal, "%")
+            found[f"PRNU_{part}"] = Quantity(100.0 * spread.value / signal_dn, 100.0 * spread.u / signal_dn, "%")
     return found
 
 

@@ -12,10 +12,14 @@ from radiometer.analysis.characterise.dark_signal import (
     dark_signal,
     determined,
     gain_from_darks,
+    level_at_0_s,
+    open_current_u_dn,
     typical_dark_current,
+    unbent,
+    with_open_current,
 )
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
-from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
+from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, of_exposure, prnu
 from radiometer.analysis.characterise.photon_transfer import (
     CLIPPED_SHARE,
     PhotonTransfer,
@@ -216,7 +220,7 @@ def _dark_figures(
     if noisy:
         reference_c = -273.0 if temperature_c is None else temperature_c
         own = min(noisy, key=lambda p: abs((_temperature(p) or 0.0) - reference_c))
-        signal = dark_signal(own, step_dn)
+        signal = with_open_current(dark_signal(own, step_dn), own, K, subject.camera)
         temperature_c = signal.temperature_c
         figures["mu_y_dark"] = signal.mean_dn
         figures["sigma_y_dark"] = Quantity(
@@ -231,9 +235,9 @@ def _dark_figures(
                 u = math.hypot(line.u_slope, line.slope * K.u_rel) / K.value
                 figures["mu_I_mean"] = Quantity(line.slope / K.value, u, "e-/s")
     else:
-        first = min(dark, key=lambda d: d.settings.exposure_s)
-        u = math.hypot(first.u_mean_dn, first.u_of_rounding_dn(step_dn))
-        figures["mu_y_dark"] = Quantity(first.mean_dn, u, "DN")
+        coldest = by_temperature(unbent(dark))[0]
+        level, u_open = level_at_0_s(coldest, step_dn)[0], open_current_u_dn(coldest, K, subject.camera)
+        figures["mu_y_dark"] = Quantity(level.value, math.hypot(level.u, u_open), "DN")
         notes.append("no two dark frames of one setting: no temporal dark noise")
     figures |= typical_dark_current(dark, temperature_c, K, step_dn)
     if len({d.settings.exposure_s for d in dark}) < 2:
@@ -252,8 +256,11 @@ def _nonuniformity(
     bright = best_stack(clear, max(b.mean_dn for b in clear), below.mean_dn) if clear else None
     figures = {"DSNU_1288": dsnu(below, K)} if K is not None else {}
     if bright is not None:
-        figures["PRNU_1288"] = prnu(bright, below)
-    return figures | nonuniformity_by_part(bright, below, K)
+        near = of_exposure(stacks, bright.settings.exposure_s)
+        alike, signal_dn = next(one for one in by_temperature(stacks) if near in one), bright.mean_dn - near.mean_dn
+        figures["PRNU_1288"] = prnu(bright, alike, signal_dn)
+        return figures | nonuniformity_by_part(bright, alike, K, signal_dn)
+    return figures | nonuniformity_by_part(None, [below], K)
 
 
 def _of_masked_rows(masked_dn: Sequence[float]) -> Quantity:

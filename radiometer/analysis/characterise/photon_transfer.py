@@ -39,6 +39,14 @@ class PhotonTransfer:
     local: tuple[float, float] = (0.0, 0.0)
 
 
+class FewSteps(MeasurementError):
+    """Too few steps are in the range of a photon transfer."""
+
+    def __init__(self, used: Sequence[SignalStep], message: str) -> None:
+        super().__init__(message)
+        self.used = tuple(used)  # the steps that are
+
+
 def photon_transfer(
     steps: Sequence[SignalStep], saturation_dn: float, *, free: bool = False, step_dn: int = 1
 ) -> PhotonTransfer:
@@ -59,7 +67,8 @@ def photon_transfer(
         step_dn: Distance between codes in DN.
 
     Raises:
-        MeasurementError: If fewer than three steps are in the range, or the variance does not rise with the signal.
+        FewSteps: If fewer than three steps are in the range.
+        MeasurementError: If the variance does not rise with the signal.
 
     Source: EMVA Standard 1288, release 4.0, section 6.6, equation (14).
     """
@@ -68,9 +77,10 @@ def photon_transfer(
     least = _BLURRED_VARIANCE * squared if rounded else 0.0
     used = tuple(s for s in steps if _is_in_range(s, saturation_dn) and s.bright.variance_dn2 >= least)
     if len(used) < _FEWEST_STEPS:
-        raise MeasurementError(
+        raise FewSteps(
+            used,
             f"only {len(used)} of {len(steps)} bright steps are between darkness and 70 % of saturation; the photon "
-            f"transfer needs at least {_FEWEST_STEPS}: take more and shorter exposures"
+            f"transfer needs at least {_FEWEST_STEPS}: take more and shorter exposures",
         )
     x = np.array([s.signal_dn for s in used])
     y = np.array([_light_variance_dn2(s, squared) if rounded else s.photo_variance_dn2 for s in used])

@@ -15,7 +15,7 @@ from radiometer.analysis.signal.rounding import unrounded_variance
 from radiometer.errors import MeasurementError
 from radiometer.statistics.scale import robust_sigma
 
-_SAME_EXPOSURE_REL = 1e-3  # cameras round exposures to microseconds; steps of a series differ by per cents
+SAME_EXPOSURE_REL = 1e-3  # cameras round exposures to microseconds; steps of a series differ by per cents
 _NEIGHBOURS: Final = 2  # on either side
 _FEWEST: Final = 6  # with fewer a local line through the neighbours hides a mistake
 _LARGEST_PART: Final = 0.2  # of the groups: more are no exceptions
@@ -83,7 +83,7 @@ def _step(group: GroupStatistics, dark: Sequence[GroupStatistics], step_dn: int)
     exposure = group.settings.exposure_s
     level = group.settings.source_level
     light = group.photons if group.photons is not None else exposure * level
-    same = [d for d in fitting if math.isclose(d.settings.exposure_s, exposure, rel_tol=_SAME_EXPOSURE_REL)]
+    same = [d for d in fitting if math.isclose(d.settings.exposure_s, exposure, rel_tol=SAME_EXPOSURE_REL)]
     near = same[0] if same else min(fitting, key=lambda d: abs(d.settings.exposure_s - exposure))
     noise = unrounded_variance(near.variance_dn2, near.u_variance_dn2, near.mean_dn, near.spatial_variance_dn2, step_dn)
     if same:

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -34,6 +35,8 @@ from radiometer.importing import imported_of, is_foreign, open_capture, statisti
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME, EmvaListing, find_descriptor
 from radiometer.importing.record import record_in
 from radiometer.units import photon_energy_j
+
+_MEASURED_REL: Final = 1e-4  # by which measured exposures of one setting differ; steps of a ladder do by per cents
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +74,11 @@ def groups_of_capture(capture: CaptureSet) -> list[FrameGroup]:
     found: dict[tuple[object, ...], list[int]] = {}
     settings = [entry.settings for entry in capture.header.frames]
     plateaus = _temperature_plateaus([one.temperature_c for one in settings])
+    exposures = _nominal_exposures([one.exposure_s for one in settings])
     for index, one in enumerate(settings):
         photons = capture.header.frames[index].photons
         light = () if one.is_dark else (one.source_level, one.pattern, one.f_number, photons)
-        key = (one.exposure_s, one.gain_db, one.black_level_dn, one.shutter, plateaus[index], *light)
+        key = (exposures[index], one.gain_db, one.black_level_dn, one.shutter, plateaus[index], *light)
         found.setdefault(key, []).append(index)
     return [_group(capture, settings, members) for members in found.values()]
 
@@ -89,6 +93,14 @@ def _group(capture: CaptureSet, settings: list[FrameSettings], members: list[int
     are_whole = capture.store is None and capture.header.camera.mosaic is None
     read = read_digital_numbers if are_whole else lambda file: capture.read_numbers(names[file])
     return FrameGroup(first, tuple(folder / entry.file for entry in entries), entries[0].photons, read)
+
+
+def _nominal_exposures(exposures_s: list[float]) -> list[float]:
+    """Return exposures with one value for those that are measured ones of a setting: alike to 1 part in 10 000."""
+    known = np.unique(exposures_s)
+    begins = np.concatenate([[True], known[1:] > known[:-1] * (1.0 + _MEASURED_REL)])
+    nominal = known[np.flatnonzero(begins)[np.cumsum(begins) - 1]]
+    return [float(nominal[place]) for place in np.searchsorted(known, exposures_s)]
 
 
 def _temperature_plateaus(temperatures: list[float | None]) -> list[int]:

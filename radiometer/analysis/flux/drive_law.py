@@ -79,7 +79,7 @@ def fit_drive_law(drive: Array, light: Array, ranges: Array | None = None) -> Dr
 
     Drives, shape (n,), are over full drive; those below 5 % are left out. None where fewer than five are left. An onset
     counts where it pays for its parameter by the criterion of Schwarz (1978). The range that a meter read each light
-    in, numbered from 0, shape (n,), gives each range a factor of its own.
+    in, numbered from 0, shape (n,), gives each range its factor.
     """
     kept = (drive >= LEAST_DRIVE) & (light > 0.0)
     if int(kept.sum()) < _FEWEST:

@@ -76,7 +76,8 @@ def black_of_darks(bracket: Bracket) -> float | None:
     if not used or any(frame.settings.black_level_dn for frame in bracket.light):
         return None
     times, means = mean_darks(used)
-    return unexposed_dn(times, means) if np.unique(times).size > 1 else float(means.mean())
+    line = unexposed_dn(times, means)
+    return float(means.mean()) if line is None else line[0]
 
 
 def white_level_dn(bracket: Bracket) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import special
 
 from radiometer.analysis.signal.rounding import rounding_u_of_light, rounding_u_of_mean
 from radiometer.data import (
@@ -31,6 +32,7 @@ from radiometer.units import gain_factor
 # A full well is where charge stops; linearity and the datasheet's figure end a little before.
 USABLE_FULL_WELL = 0.97
 _SAME_EXPOSURE_REL = 0.01
+_TWO_SIDED = 0.97725  # of a normal distribution, two standard deviations to either side
 _OTHER_EXPOSURE_REL = 0.05  # dark frames that differ by less say nothing of the dark current
 _DARKER_SIGMAS = 5.0  # of one pixel: no middle of a picture is so far below its dark level
 _AS_WARM_K = 3.0  # a third more dark current, or a third less
@@ -447,8 +449,9 @@ def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel, 
     slope = float(model.at_dn(model.slope, model.black_dn))
     unstated = "dark_current_e_per_s" in model.noise.assumed
     u_dark = _unknown_dark_u(settings, model, darkest) if unstated else black.dark_u_rel * dark
-    u_common = math.hypot(black.u_dn * slope, u_dark)
-    return DarkLevel(dark, 0.0, u_common, "black level", u_dark if unstated else 0.0)
+    # Of a black level that nothing states the darkest pixels show more than a calibration's: it is below them.
+    u_black = min(black.u_dn * slope, max(darkest / math.sqrt(3.0), BlackLevel().u_dn * slope))
+    return DarkLevel(dark, 0.0, math.hypot(u_black, u_dark), "black level", u_dark if unstated else 0.0)
 
 
 def whole_darks(dark_frames: Sequence[Frame]) -> list[Frame]:
@@ -468,9 +471,25 @@ def mean_darks(dark_frames: Sequence[Frame]) -> tuple[NDArray[np.float64], NDArr
     return times, np.array([float(frame.dn[typical].mean()) for frame in dark_frames])
 
 
-def unexposed_dn(times: NDArray[np.float64], means: NDArray[np.float64]) -> float:
-    """Return the start, in DN, of the straight line over time of dark signals of two exposure times or more."""
-    return float(np.polynomial.polynomial.polyfit(times, means, 1)[0])
+def unexposed_dn(times: NDArray[np.float64], means: NDArray[np.float64]) -> tuple[float, float] | None:
+    """Return the start, in DN, of the straight line over time of dark signals, and what its u is over that of a mean.
+
+    None where exposure times are one, or differ by no more than 5 %: they show no line.
+    """
+    if np.ptp(times) <= _OTHER_EXPOSURE_REL * times.max():
+        return None
+    middle = float(times.mean())
+    leverage = math.sqrt(1.0 / times.size + middle**2 / float(np.sum((times - middle) ** 2)))
+    return float(np.polynomial.polynomial.polyfit(times, means, 1)[0]), leverage
+
+
+def _u_of_start(times: NDArray[np.float64], means: NDArray[np.float64], drift_dn: float) -> float:
+    """Return by how much means scatter about their line in DN, by Student's t for k = 2; two show none but drift."""
+    freedom = times.size - 2
+    if freedom < 1:
+        return drift_dn
+    left = means - np.polynomial.polynomial.polyval(times, np.polynomial.polynomial.polyfit(times, means, 1))
+    return float(np.sqrt(np.sum(left**2) / freedom)) * float(special.stdtrit(freedom, _TWO_SIDED)) / 2.0
 
 
 def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> BlackLevel | None:
@@ -488,8 +507,9 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
         return None
     times, means = mean_darks(used)
     gain = noise.gain_dn_per_e(used[0].settings.gain_db)
-    if np.unique(times).size > 1:
-        return own.model_copy(update={"dn": max(unexposed_dn(times, means), 0.0)})
+    if (line := unexposed_dn(times, means)) is not None:
+        u_dn = line[1] * _u_of_start(times, means, own.u_dn)
+        return own.model_copy(update={"dn": max(line[0], 0.0), "u_dn": math.hypot(own.u_dn, u_dn)})
     modelled = gain * np.array([noise.dark_e(f.settings.exposure_s, f.settings.temperature_c) for f in used])
     start = float(np.mean(means - modelled))
     unknown_dn = 0.0

@@ -105,7 +105,7 @@ async def read_body(request: web.Request, model: type[_Model]) -> _Model:
     content = await request.read()
     if content.strip() and request.content_type != "application/json":
         raise web.HTTPUnsupportedMediaType(text="send JSON with Content-Type: application/json")
-    with suppress(ValueError, RecursionError):  # what is no JSON is named by the model
+    with suppress(ValueError):  # what is no JSON is named by the model
         try:
             parsed_json(content)
         except RepeatedKey as error:

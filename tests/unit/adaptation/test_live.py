@@ -289,7 +289,7 @@ async def test_nonsense_from_a_browser_is_passed_over():
     controls = Controls()
     with LivePage(read_protocol("classic"), controls) as page:
         async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
-            for text in ("{", "[]", '{"kind": "explode"}', '{"kind": ["stop"]}'):
+            for text in ("{", "[" * 5000, "[]", '{"kind": "explode"}', '{"kind": ["stop"]}'):
                 await socket.send_str(text)
             await socket.send_json({"kind": "pause"})
             assert (await _until(socket, "pause_asked", "page"))["stop_asked"] is None

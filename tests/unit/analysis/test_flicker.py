@@ -65,6 +65,15 @@ def test_a_rectangle_has_depth_1_and_the_dark_share_of_its_period_as_index(duty)
     assert found.svm.value == pytest.approx(by_hand, rel=0.01)
 
 
+def test_brighter_light_has_the_same_measures():
+    """Of a rectangle with noise, four times as bright: every measure is a ratio, and so is its u."""
+    light = (light_at(3000.0, 1.0) * 101.3 % 1.0 < 0.3) + 0.5 + np.random.default_rng(1).normal(0.0, 0.01, 3000)
+    one, brighter = (measure_flicker(Waveform(factor * light, 3000.0, "pwm")) for factor in (1.0, 4.0))
+    for name in ("modulation_depth", "flicker_index", "frequency"):
+        expected, found = getattr(one, name), getattr(brighter, name)
+        assert (found.value, found.u) == pytest.approx((expected.value, expected.u)), name
+
+
 @pytest.mark.parametrize(("frequency", "depth"), [(15.0, 0.01), (20.0, 0.02), (30.0, 0.05)])
 def test_the_severity_of_a_sinusoid_is_the_gain_of_its_filters(frequency, depth):
     """The severity of a sinusoid is the gain of its filters."""

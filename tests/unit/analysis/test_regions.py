@@ -30,6 +30,21 @@ def test_mean_and_uniformity_of_a_ramp_are_those_by_hand():
     assert found.deviation.value == pytest.approx(np.std(np.linspace(1, 2, 101)), rel=1e-2)
 
 
+def test_a_map_in_another_unit_has_the_same_figures_in_it():
+    """In units 1024 times as large all figures and their u are so much smaller; ratios and their u stay."""
+    ramp, factor = np.tile(np.linspace(1.0, 2.0, 60), (50, 1)), 2.0**-10
+    one, other = (region_figures(map_of(f * ramp, u=f * 0.05), "x", Patch(0, 0, 60, 50)) for f in (1.0, factor))
+    for name, scale in {
+        "mean": factor,
+        "median": factor,
+        "lowest": factor,
+        "highest": factor,
+        "uniformity": 1.0,
+    }.items():
+        expected, found = getattr(one, name), getattr(other, name)
+        assert (found.value, found.u) == pytest.approx((scale * expected.value, scale * expected.u)), name
+
+
 def test_the_uncertainties_hold_for_drawn_noise():
     """The uncertainties hold for drawn noise."""
     rng = np.random.default_rng(46_003)

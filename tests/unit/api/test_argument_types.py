@@ -40,7 +40,7 @@ def others(name: str, varied: str) -> dict[str, object]:
     """Return the other arguments of a call: required ones, the bench, and what ends those that serve for ever."""
     known = inspect.signature(getattr(rm, name)).parameters
     given = {one: GIVEN.get(one, "missing") for one, p in known.items() if p.default is p.empty}
-    given |= {"source": SEARCHED[name]} if name in SEARCHED else {}
+    given |= {one: SEARCHED[name] for one in {"source", "capture"} & set(known) if name in SEARCHED}
     if "bench" in known and varied != "camera":
         given["bench"] = BENCH
     given |= dict.fromkeys({"announce", "ready"} & set(known), _end)

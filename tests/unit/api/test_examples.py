@@ -29,13 +29,13 @@ SHOWN_BY_FUNCTIONS = {
 ERRORS = {name for name, kind in vars_of_all() if isinstance(kind, type) and issubclass(kind, Exception)}
 
 
-# Each takes as long as twenty others.
+# Searches, each as long as twenty others: how they are called is tried in `test_argument_types.py`.
 SEARCHES = {"Separability", "reconcile_plan"}
 EXAMPLES = sorted(set(rm.__all__) - SERVERS - SHOWN_BY_FUNCTIONS - ERRORS)
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(one, marks=pytest.mark.slow) if one in SEARCHES else one for one in EXAMPLES]
+    "name", [pytest.param(one, marks=pytest.mark.long) if one in SEARCHES else one for one in EXAMPLES]
 )
 def test_the_example_of_a_public_name_runs_as_it_stands(name, desk, monkeypatch):
     """Every public name has an example, and the example prints what it says."""

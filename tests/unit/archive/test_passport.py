@@ -175,7 +175,9 @@ def test_another_lamp_is_not_another_camera(frames):
     before = session("a", temperatures=temperatures, series=[level])
     (lamp,) = passports([before, session("b", temperatures=temperatures, series=[up])])
     assert "+10.0 %" in lamp.light[0]
-    assert "the light (gain and dark current did not change)" in lamp.light[0]
+    assert "the light, or the quantum efficiency (gain and dark current did not change)" in lamp.light[0]
+    unknown = [session(name, temperatures=temperatures, series=[one], K=0) for name, one in (("a", level), ("b", up))]
+    assert passports(unknown)[0].light[0].endswith(": light or camera")
     assert not any(change.changed for change in lamp.changes)
     more = [replace(one, exposure_s=2.0) for one in (level, up)]
     pair = [session("a", series=[level, more[0]]), session("b", series=[up, more[1]])]

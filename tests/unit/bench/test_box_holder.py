@@ -20,6 +20,7 @@ from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box, 
 from radiometer.bench.served_box import served_box
 from radiometer.cli.main import run
 from radiometer.daemon.bench_instrument import bench_light
+from radiometer.devices.exposure_account import Account, FileStore, Moment
 from radiometer.devices.light_box import DriveLevel
 from radiometer.errors import DeviceError, DeviceInUse, DeviceNotFound, OutputError
 from simulators.light_box.virtual_line import LineFaults
@@ -341,3 +342,16 @@ def test_a_port_that_is_named_is_asked(stranger, monkeypatch):
     assert stranger.received().count(b"\n") > 1
     monkeypatch.setenv(boxes.PORT_VARIABLE, stranger.port)
     assert candidate_ports() == [stranger.port]
+
+
+def test_an_account_is_free_ten_thousand_seconds_after_its_last_light(monkeypatch):
+    """Light that no eye was named for counts for every eye; a box whose history is unknown says until when."""
+    given = {"box A": {}, "any eye": {19_000.0: 0.1}, "eye s right": {18_000.0: 0.2, 15_000.0: 0.4}}
+    account = Account(Moment("boot", 20_000.0, 0.0), given, {"box A": (20_500.0, "")})
+    monkeypatch.setattr(FileStore, "look", lambda store: account)
+    reports = {one.name: (one.blue_light, one.frees_in_s, one.unknown_for_s) for one in boxes.exposure_reports()[0]}
+    assert reports == {
+        "any eye": (0.1, 9000.0, 0.0),
+        "box A": (0, 0.0, 500.0),
+        "eye s right": (pytest.approx(0.7), 9000.0, 0.0),
+    }

@@ -598,6 +598,7 @@ async def test_readings_that_waited_are_taken_in_once(tmp_path, make_reading):
         await start_and_stop(path, make_reading())
         assert not list(tmp_path.glob("*waiting*"))
     assert len(JournalReader(path).lines(ReadingFilter())) == 1 + 2 + 3
+    assert len(JournalReader(path).events()) == 1, "what was taken in before is told only once"
 
 
 DAMAGES = (

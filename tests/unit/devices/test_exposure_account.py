@@ -369,11 +369,13 @@ def test_a_ramp_counts_as_the_higher_of_its_levels(desk, before, after):
 
 @pytest.mark.parametrize(("channel", "since_s"), [("b", 1.0), ("a", 100.0)])
 def test_a_ramp_sets_out_from_what_its_own_channel_still_shows(desk, channel, since_s):
-    """After 5 % by a, 60 s from dark to 1 W·sr⁻¹·m⁻² use up next to nothing: neither b nor a that has ended is bright."""
+    """After 5 % by a, 60 s from dark to 1 W·sr⁻¹·m⁻² use up next to nothing: neither b nor the ended a is bright."""
     ledger = desk.open()
     desk.pulse(ledger, 50.0)
     desk.clock.wait(since_s)
     desk.light(ledger, Stimulus(channel, 1.0, math.inf, math.inf, ramp_s=60.0))
+    with pytest.raises(UnsafeStimulus):
+        ledger.refuse_unsafe(channel, 1000.0, 60.0)
 
 
 def test_thermal_limits_of_lights_together_add_up(desk):

@@ -43,7 +43,7 @@ def test_proportional_engine_agrees(seed, tmp_path):
 
 @pytest.mark.parametrize("seed", [74, 75, 76])
 def test_saturating_channels_are_named_led_droop(seed, tmp_path):
-    """A droop of 10 % at full drive is named alone; half drive is e^0.05 over proportional, within 3 u, as its law's."""
+    """A droop of 10 % at full drive is named alone; half drive is e^0.05 over proportional, within 3 u."""
     file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(seed), 0.1))
     effects = rm.reconcile(file).result.effects
     assert [one.name for one in effects] == ["led_droop"]

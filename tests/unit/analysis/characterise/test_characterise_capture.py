@@ -187,6 +187,7 @@ def test_dark_frames_alone_tell_what_darks_can(tmp_path):
 
 
 BRIGHT = _plan(darks=False)
+FEW = [FrameSettings(t, shutter=shutter) for t in (0.01, 0.02, 0.045) for shutter in ("open", "closed")]
 LEVELS = [FrameSettings(0.05, source_level=float(level)) for level in np.linspace(0.04, 1.0, 16)]
 
 
@@ -196,9 +197,10 @@ LEVELS = [FrameSettings(0.05, source_level=float(level)) for level in np.linspac
         (BRIGHT, "slope of a free line", {"sigma_d", "mu_y_dark", "mu_e_sat"}),
         ([*_plan(), FrameSettings(0.01, f_number=8.0)], "f-number 4 and pattern 'default' were used; 2 others", set()),
         ([*BRIGHT, *(replace(one, source_level=0.0) for one in BRIGHT)], "source off are treated as dark ones", set()),
+        (FEW, "bright steps are between darkness and 70 %", {"mu_e_sat", "LE_max"}),
         ([*LEVELS, FrameSettings(0.05, shutter="closed")], "dark current needs dark frames at three", {"mu_I_mean"}),
     ],
-    ids=["no darks", "two f-numbers", "source off", "levels at one exposure"],
+    ids=["no darks", "two f-numbers", "source off", "two levels below 70 %", "levels at one exposure"],
 )
 def test_other_plans_give_the_gain_too_and_a_note(plan, note, unknown, tmp_path):
     """K within 4 standard deviations; what is left out, taken for something else or not determined is noted."""

@@ -16,6 +16,7 @@ from radiometer.analysis.characterise.dark_signal import (
     pooled_frame_sd,
     typical_dark_current,
     typical_rates,
+    with_open_current,
 )
 from radiometer.analysis.characterise.group_statistics import (
     GroupStatistics,
@@ -165,7 +166,13 @@ def test_patterns_of_darkness_and_light():
     found = dsnu(dark, Quantity(0.5, 0.05, "DN/e-"))
     assert found.value == pytest.approx(6.0)
     assert found.u == pytest.approx(0.6, rel=1e-3)
-    assert prnu(bright, dark).value == pytest.approx(1.0)
+    assert prnu(bright, [dark], 400.0).value == pytest.approx(1.0)
+    # Of other exposures the pattern grows as time: 9 DN² at 0 s and 100 DN² at 10 s.
+    longer = [group(BLACK_DN, 0.0, t, dark=True, spatial_variance_dn2=9.0 + t**2) for t in (10.0, 40.0)]
+    short = group(BLACK_DN + 400.0, 0.0, 0.01, spatial_variance_dn2=25.0)
+    assert prnu(short, longer, 400.0).value == pytest.approx(1.0, rel=0.01)
+    alone = prnu(short, longer[:1], 400.0)
+    assert abs(alone.value - 1.0) <= 2.0 * alone.u
 
 
 def test_figures_that_follow_from_gain_darkness_and_saturation():
@@ -444,13 +451,19 @@ def test_a_saturation_that_is_hardly_known_gives_figures_with_as_large_an_uncert
     assert found["SNR_max"].u_rel == pytest.approx(0.85, rel=0.05)
 
 
-def test_darkness_begins_at_the_shortest_exposure_where_two_make_no_line():
-    """Of 1 and 2 s the figures are those of 1 s, whatever the order; of three exposures those of the line at 0 s."""
+def test_darkness_begins_at_0_s_on_the_line_of_its_exposures():
+    """Of 1 and 2 s, in any order, as of three, which show scatter as well; one may hold dark electrons up to σ²/K²."""
     one, two = group(101.0, 40.0, 1.0, dark=True), group(102.0, 42.0, 2.0, dark=True)
     for darks in ([one, two], [two, one]):
         found = dark_signal(darks)
-        assert (found.mean_dn.value, found.variance_dn2.value) == (101.0, 40.0)
+        assert (found.mean_dn.value, found.variance_dn2.value) == pytest.approx((100.0, 38.0))
         assert found.mean_line is None
+    alone = dark_signal([one])
+    K = Quantity(0.5, 0.0, "DN/e-")
+    open_to = with_open_current(alone, [one], K, CameraDescription(bit_depth=12))
+    assert open_to.mean_dn.u == pytest.approx(80.0 / math.sqrt(3.0), rel=1e-3)
+    stated = CameraDescription(bit_depth=12, dark_current_e_per_s=1.0)  # of a single sensor up to three times as much
+    assert with_open_current(alone, [one], K, stated).mean_dn.u == pytest.approx(1.5 / math.sqrt(3.0), rel=1e-2)
     found = dark_signal([two, group(103.0, 44.0, 3.0, dark=True), one])
     assert (found.mean_dn.value, found.variance_dn2.value) == pytest.approx((100.0, 38.0))
     assert found.mean_line is not None
@@ -789,16 +802,16 @@ def test_patterns_of_each_kind_are_light_s_less_darkness_s():
     dark = group(BLACK_DN, 40.0, dark=True, split=dark_split)
     bright = group(BLACK_DN + 400.0, 240.0, split=SpatialSplit(25.0, 9.0, 109.0, 0.2, 0.2, 0.2))
     K = Quantity(0.5, 0.0, "DN/e-")
-    found = nonuniformity_by_part(bright, dark, K)
+    found = nonuniformity_by_part(bright, [dark], K, 400.0)
     assert {name: one.value for name, one in found.items() if name.startswith("PRNU")} == pytest.approx(
         {"PRNU_row": 1.0, "PRNU_column": 0.0, "PRNU_pixel": 2.5}
     )
     assert [found[f"DSNU_{part}"].value for part in ("row", "column", "pixel")] == pytest.approx([6.0] * 3)
     assert found["PRNU_pixel"].u == pytest.approx(100.0 / 400.0 * math.hypot(0.2, 0.1) / (2.0 * 10.0), rel=0.01)
     assert found["DSNU_row"].u == pytest.approx(0.1 / (2.0 * 3.0) / 0.5, rel=1e-2)
-    assert sorted(nonuniformity_by_part(bright, dark, None)) == ["PRNU_column", "PRNU_pixel", "PRNU_row"]
-    assert sorted(nonuniformity_by_part(None, dark, K)) == ["DSNU_column", "DSNU_pixel", "DSNU_row"]
-    assert nonuniformity_by_part(bright, None, K) == {}
+    assert sorted(nonuniformity_by_part(bright, [dark], None, 400.0)) == ["PRNU_column", "PRNU_pixel", "PRNU_row"]
+    assert sorted(nonuniformity_by_part(None, [dark], K)) == ["DSNU_column", "DSNU_pixel", "DSNU_row"]
+    assert nonuniformity_by_part(bright, [], K) == {}
     assert best_stack([replace(bright, frames=n) for n in (2, 5, 3)], 1000.0, BLACK_DN).frames == 5
 
 

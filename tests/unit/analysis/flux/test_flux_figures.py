@@ -13,6 +13,7 @@ from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescrip
 from radiometer.data.calibration import StatedUncertainties
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, UsageError
+from testing.relatively import relatively
 
 # 2 electrons per DN, of 0.5 electrons per photon of 500 nm on (10 µm)²: 4 photons stand behind a DN above black.
 CAMERA = CameraDescription(
@@ -37,14 +38,14 @@ def test_the_flux_is_that_of_all_light_by_all_time() -> None:
     """200 DN in 1 ms and 400 DN in 2 ms on 4000 pixels: 600 DN in 3 ms each, whatever the order of the frames."""
     off = frame(100, 1e-3, level=0.0)
     measured = flux_of(frame(500, 2e-3), frame(300, 1e-3), off)
-    assert measured.merged_w == pytest.approx(4000 * 600 * JOULE / 3e-3, rel=1e-9)
+    assert measured.merged_w == relatively(4000 * 600 * JOULE / 3e-3, rel=1e-9)
     # Of each frame shot noise of its electrons, reading and rounding, in DN².
     variance = (200 / 2 + (3 / 2) ** 2 + 1 / 12) + (400 / 2 + (3 / 2) ** 2 + 1 / 12)
-    assert measured.u_noise_w == pytest.approx(math.sqrt(4000 * variance) * JOULE / 3e-3, rel=1e-6)
+    assert measured.u_noise_w == relatively(math.sqrt(4000 * variance) * JOULE / 3e-3, rel=1e-6)
     assert measured.background_w == pytest.approx(0.0, abs=1e-20)
     assert measured.background_source == "frames with the source off"
     dark_noise = math.sqrt(4000 * ((3 / 2) ** 2 + 1 / 12)) * JOULE / 1e-3
-    assert measured.u_background_w == pytest.approx(dark_noise, rel=1e-6)
+    assert measured.u_background_w == relatively(dark_noise, rel=1e-6)
     assert measured.clipped_everywhere == 0
 
 
@@ -55,25 +56,25 @@ def test_a_pixel_counts_the_frames_in_which_it_does_not_clip() -> None:
     short[60, 20] = long[60, 20] = 4095
     measured = flux_of(frame(short, 1e-3), frame(long, 2e-3), frame(100, 1e-3, level=0.0))
     irradiance = measured.irradiance * 1e-10 / JOULE  # DN per s
-    assert irradiance[0, 0] == pytest.approx(600 / 3e-3)
-    assert irradiance[50, 20] == pytest.approx(200 / 1e-3)
-    assert irradiance[60, 20] == pytest.approx(3995 / 1e-3)
+    assert irradiance[0, 0] == relatively(600 / 3e-3)
+    assert irradiance[50, 20] == relatively(200 / 1e-3)
+    assert irradiance[60, 20] == relatively(3995 / 1e-3)
     assert measured.clipped_everywhere == 1
     rest = (3 / 2) ** 2 + 1 / 12
     variance = 3998 * (600 / 2 + 2 * rest) / 3e-3**2 + (200 / 2 + rest) / 1e-3**2  # nothing is known of the third
-    assert measured.u_noise_w == pytest.approx(math.sqrt(variance) * JOULE, rel=1e-6)
+    assert measured.u_noise_w == relatively(math.sqrt(variance) * JOULE, rel=1e-6)
 
 
 def test_the_background_of_a_room_is_that_of_frames_with_the_source_off() -> None:
     """10 DN in 1 ms without the source are taken off, whatever the rim of the lit picture shows."""
     measured = flux_of(frame(300, 1e-3), frame(110, 1e-3, level=0.0), frame(130, 3e-3, level=0.0))
-    assert measured.background_w == pytest.approx(4000 * 40 * JOULE / 4e-3, rel=1e-9)
+    assert measured.background_w == relatively(4000 * 40 * JOULE / 4e-3, rel=1e-9)
     region = Patch(4, 10, 5, 8)
     of_region = flux_of(frame(300, 1e-3), frame(110, 1e-3, level=0.0), region=region)
-    assert of_region.merged_w == pytest.approx(40 * 200 * JOULE / 1e-3, rel=1e-9)
-    assert of_region.background_w == pytest.approx(40 * 10 * JOULE / 1e-3, rel=1e-9)
+    assert of_region.merged_w == relatively(40 * 200 * JOULE / 1e-3, rel=1e-9)
+    assert of_region.background_w == relatively(40 * 10 * JOULE / 1e-3, rel=1e-9)
     variance = 10 / 2 + (3 / 2) ** 2 + 1 / 12
-    assert of_region.u_background_w == pytest.approx(math.sqrt(40 * variance) * JOULE / 1e-3, rel=1e-6)
+    assert of_region.u_background_w == relatively(math.sqrt(40 * variance) * JOULE / 1e-3, rel=1e-6)
 
 
 def test_hot_pixels_are_no_light_of_the_diode() -> None:
@@ -84,9 +85,9 @@ def test_hot_pixels_are_no_light_of_the_diode() -> None:
     dark = replace(frame(hot, 1e-3), settings=replace(frame(hot, 1e-3).settings, shutter="closed"))
     lit, off = (frame(hot + more, 1e-3, level=level) for more, level in ((200, 1.0), (0, 0.0)))
     measured = flux_of(lit, dark)
-    assert measured.merged_w == pytest.approx(4000 * 200 * JOULE / 1e-3, rel=1e-6)
+    assert measured.merged_w == relatively(4000 * 200 * JOULE / 1e-3, rel=1e-6)
     twice, rest = flux_of(lit, lit, off, dark), (3 / 2) ** 2 + 1 / 12
-    assert twice.u_noise_w == pytest.approx(math.sqrt(4000 * ((200 / 2 + rest) / 2 + rest)) * JOULE / 1e-3, rel=1e-3)
+    assert twice.u_noise_w == relatively(math.sqrt(4000 * ((200 / 2 + rest) / 2 + rest)) * JOULE / 1e-3, rel=1e-3)
 
 
 def rimmed(top: float, bottom: float, left: float, right: float) -> np.ndarray:
@@ -103,12 +104,12 @@ def test_without_such_frames_the_rim_is_the_background() -> None:
     dn[99, 5] = 4000  # a defect moves no median
     measured = flux_of(frame(dn, 1e-3))
     assert measured.background_source == "outermost twentieth of the frame"
-    assert measured.background_w == pytest.approx(4000 * 13 * JOULE / 1e-3, rel=1e-9)  # between 112 and 114 DN
+    assert measured.background_w == relatively(4000 * 13 * JOULE / 1e-3, rel=1e-9)  # between 112 and 114 DN
     mean = (80 * (10 + 30) + 192 * (12 + 14) + 3900 - 30) / 544
     spread = math.hypot((30 - 10) / 2, mean - 13)
-    assert measured.u_background_w == pytest.approx(4000 * spread * JOULE / 1e-3, rel=1e-9)
+    assert measured.u_background_w == relatively(4000 * spread * JOULE / 1e-3, rel=1e-9)
     region = Patch(4, 10, 5, 8)
-    assert flux_of(frame(dn, 1e-3), region=region).background_w == pytest.approx(40 * 13 * JOULE / 1e-3, rel=1e-9)
+    assert flux_of(frame(dn, 1e-3), region=region).background_w == relatively(40 * 13 * JOULE / 1e-3, rel=1e-9)
 
 
 def test_an_even_rim_is_known_by_the_scatter_of_its_pixels() -> None:
@@ -116,7 +117,7 @@ def test_an_even_rim_is_known_by_the_scatter_of_its_pixels() -> None:
     checks = np.where(np.indices(SHAPE).sum(axis=0) % 2 == 0, 110.0, 114.0)
     dn = np.where(rimmed(0, 0, 0, 0) == 0, checks, 300.0)
     measured = flux_of(frame(dn, 1e-3))
-    assert measured.u_background_w == pytest.approx(4000 * 2.0 / math.sqrt(544) * JOULE / 1e-3, rel=1e-9)
+    assert measured.u_background_w == relatively(4000 * 2.0 / math.sqrt(544) * JOULE / 1e-3, rel=1e-9)
 
 
 def test_one_photograph_stands_for_all_by_the_thesis() -> None:
@@ -126,11 +127,11 @@ def test_one_photograph_stands_for_all_by_the_thesis() -> None:
     frames[1] = frame(np.where(np.indices(SHAPE)[0] < 25, 0, 290), 1e-3)
     report = led_flux(frames, flux_scale(Setup(CAMERA, source=SOURCE)))
     assert report.thesis_exposure_s == 2e-3
-    assert report.thesis.value == pytest.approx(3600 * 200 * JOULE / 1e-3, rel=1e-9)
-    assert report.thesis_left_out == pytest.approx(0.1)
+    assert report.thesis.value == relatively(3600 * 200 * JOULE / 1e-3, rel=1e-9)
+    assert report.thesis_left_out == relatively(0.1)
     by_exposure = {one[0]: one for one in flux_of(*frames).thesis}
-    assert by_exposure[1e-3][1] == pytest.approx(3000 * 190 * JOULE / 1e-3, rel=1e-9)
-    assert by_exposure[1e-3][2] == pytest.approx(0.25)
+    assert by_exposure[1e-3][1] == relatively(3000 * 190 * JOULE / 1e-3, rel=1e-9)
+    assert by_exposure[1e-3][2] == relatively(0.25)
 
 
 def test_noise_and_background_stay_in_the_light_before_the_lens() -> None:
@@ -144,15 +145,15 @@ def test_noise_and_background_stay_in_the_light_before_the_lens() -> None:
     measured = flux_of(*frames)
     on_sensor = measured.merged_w - measured.background_w
     of_scale = math.hypot(0.03, 1e-4)  # the description's, and that of exposure times
-    assert steps["clipped pixels from shorter exposures"].u == pytest.approx(
+    assert steps["clipped pixels from shorter exposures"].u == relatively(
         math.hypot(measured.merged_w * of_scale, measured.u_noise_w), rel=1e-6
     )
-    assert report.on_sensor.value == pytest.approx(on_sensor, rel=1e-12)
+    assert report.on_sensor.value == relatively(on_sensor, rel=1e-12)
     noise = math.hypot(measured.u_noise_w, measured.u_background_w)
-    assert report.on_sensor.u == pytest.approx(math.hypot(on_sensor * of_scale, noise), rel=1e-6)
+    assert report.on_sensor.u == relatively(math.hypot(on_sensor * of_scale, noise), rel=1e-6)
     behind = steps["light lost in the lens"]
-    assert behind.value == pytest.approx(on_sensor / 0.9, rel=1e-12)
-    assert behind.u == pytest.approx(math.hypot(on_sensor * of_scale, noise, on_sensor * 0.02) / 0.9, rel=1e-6)
+    assert behind.value == relatively(on_sensor / 0.9, rel=1e-12)
+    assert behind.u == relatively(math.hypot(on_sensor * of_scale, noise, on_sensor * 0.02) / 0.9, rel=1e-6)
 
 
 def bright(rows: int, columns: int = SHAPE[1]) -> np.ndarray:
@@ -191,8 +192,8 @@ def test_a_lens_that_states_nothing_takes_nothing() -> None:
         led_flux(frames, flux_scale(Setup(CAMERA, one, None, SOURCE)), emitter) for one in (open_lens, half)
     )
     steps = {step.name: step.flux for step in plain.corrections}
-    assert steps["light lost in the lens"].value == pytest.approx(plain.on_sensor.value, rel=1e-12)
-    assert darkened.emitted["fraction_through_pupil"].value == pytest.approx(
+    assert steps["light lost in the lens"].value == relatively(plain.on_sensor.value, rel=1e-12)
+    assert darkened.emitted["fraction_through_pupil"].value == relatively(
         2.0 * plain.emitted["fraction_through_pupil"].value, rel=1e-12
     )
 
@@ -206,9 +207,9 @@ def test_the_scale_of_a_calibration_is_its_own(rig) -> None:
     calibration = replace(calibration, camera=camera)
     settings = [FrameSettings(0.01, f_number=calibration.scale.f_number)]
     scale = flux_scale(Setup(camera, calibration.lens, calibration), settings)
-    assert scale.joule_per_m2 == pytest.approx(rig.true_scale, rel=1e-12)
-    assert scale.u_rel == pytest.approx(0.005, rel=1e-12)
-    assert scale.pixel_area_m2 == pytest.approx(4.5e-6**2)
+    assert scale.joule_per_m2 == relatively(rig.true_scale, rel=1e-12)
+    assert scale.u_rel == relatively(0.005, rel=1e-12)
+    assert scale.pixel_area_m2 == relatively(4.5e-6**2)
     assert scale.assumptions == ("spectrum equal_energy",)
     with pytest.raises(CalibrationError, match="serial"):
         flux_scale(Setup(camera.model_copy(update={"serial": "2"}), calibration.lens, calibration))
@@ -221,13 +222,13 @@ def test_the_scale_of_a_calibration_is_its_own(rig) -> None:
 def test_the_scale_of_a_description_is_four_photons_a_pixel() -> None:
     """c·h·ν/(η·A) with A by the pitch; the flux sums over the spacing of the pixels that are read."""
     scale = flux_scale(Setup(CAMERA, source=SOURCE))
-    assert scale.joule_per_m2 == pytest.approx(JOULE / 1e-10, rel=1e-12)
+    assert scale.joule_per_m2 == relatively(JOULE / 1e-10, rel=1e-12)
     assert scale.u_rel == 0.03
     binned = flux_scale(
         Setup(CAMERA.model_copy(update={"pixel_spacing_um": 20.0}), source=SOURCE), responsivity_u_rel=0.01
     )
     assert binned.joule_per_m2 == scale.joule_per_m2
-    assert binned.pixel_area_m2 == pytest.approx(4e-10)
+    assert binned.pixel_area_m2 == relatively(4e-10)
     assert (binned.u_rel, binned.assumptions) == (0.01, ())
 
 
@@ -241,10 +242,10 @@ def test_what_misses_a_small_pupil_is_as_doubtful_as_twice_its_f_number():
         for stated in ({"f_number_u_rel": 0.0}, {"f_number_u_rel": 0.01}, {})
     ]
     sharp, doubtful, untold = (one["fraction_through_pupil"] for one in found)
-    assert doubtful.value == pytest.approx(sharp.value, rel=1e-12)
+    assert doubtful.value == relatively(sharp.value, rel=1e-12)
     added = math.sqrt(doubtful.u**2 - sharp.u**2) / doubtful.value
-    assert added == pytest.approx(0.02, rel=0.01)
-    assert math.sqrt(untold.u**2 - sharp.u**2) / untold.value == pytest.approx(0.04, rel=0.01)
+    assert added == relatively(0.02, rel=0.01)
+    assert math.sqrt(untold.u**2 - sharp.u**2) / untold.value == relatively(0.04, rel=0.01)
 
 
 @pytest.mark.parametrize(("stated", "added"), [(None, 0.0), (0.0, 0.0), (0.03, 0.03)])
@@ -259,7 +260,7 @@ def test_a_radiance_is_as_doubtful_as_the_lens(stated: float | None, added: floa
         one = lens.model_copy(update={"transmittance_u_rel": u_rel})
         return led_flux(frames, flux_scale(Setup(CAMERA, one, None, SOURCE)), emitter).emitted["radiance_times_area"]
 
-    assert found(stated).u_rel == pytest.approx(math.hypot(found(0.0).u_rel, added), rel=1e-3)
+    assert found(stated).u_rel == relatively(math.hypot(found(0.0).u_rel, added), rel=1e-3)
 
 
 @pytest.mark.parametrize(("side", "rim"), [(39, 1), (40, 2), (59, 2), (60, 3), (12, 1)])
@@ -271,7 +272,7 @@ def test_the_rim_is_a_twentieth_of_the_shorter_side(side: int, rim: int) -> None
             dn[k], dn[-1 - k], dn[:, k], dn[:, -1 - k] = 110, 110, 110, 110
         picture = Frame(dn, 12, FrameSettings(1e-3, black_level_dn=100.0, source_level=1.0))
         measured = flux_of(picture)
-        assert measured.background_w == pytest.approx(dn.size * 10 * JOULE / 1e-3, rel=1e-9)
+        assert measured.background_w == relatively(dn.size * 10 * JOULE / 1e-3, rel=1e-9)
         assert measured.u_background_w == pytest.approx(0.0, abs=1e-20)
 
 
