@@ -37,8 +37,8 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
 
 def typical_pixels(means_dn: ArrayLike) -> NDArray[np.bool_]:
     """Return which pixels' means are within four robust standard deviations (at least 0.5 DN each) of their median."""
-    reach = _REACH_SIGMAS * max(robust_sigma(means_dn), _LEAST_SIGMA_DN)
-    return np.asarray(np.abs(np.asarray(means_dn) - np.median(means_dn)) <= reach)
+    from_middle = np.asarray(means_dn) - np.median(np.asarray(means_dn))
+    return np.asarray(np.abs(from_middle) <= _REACH_SIGMAS * max(robust_sigma(from_middle), _LEAST_SIGMA_DN))
 
 
 def neighbour_sigma(differences: Array) -> float:
