@@ -55,7 +55,7 @@ class RecordingScreen:
     def blink(self, lit, rest, on_s, cycle_s):
         self.blinks.append((lit, rest, on_s, cycle_s))
         self.time += cycle_s
-        return Blink(self.presses, self.hold, on_s, 1 / 60, 1 / 60)
+        return Blink(self.presses, self.hold, on_s, 1 / 60)
 
     def rest(self, seconds):
         self.time += seconds

@@ -348,7 +348,7 @@ class ObservedScreen:
         place = self._place(spots[0], rest.shapes[0]) if spots and rest.shapes else None
         reaction_s = self.watcher.answer(rgb, place)
         self._pass(cycle_s)
-        return Blink(() if reaction_s is None else (reaction_s,), Hold(), on_s, _FRAME_S, _FRAME_S)
+        return Blink(() if reaction_s is None else (reaction_s,), Hold(), on_s, _FRAME_S)
 
     def _place(self, shape: Shape, mark: Shape) -> tuple[float, float]:
         """Return where a shape is, in degrees temporal of and above the mark."""

@@ -605,7 +605,7 @@ def _visibilities_of_fold(fold: _Fold, waveform: Waveform, period: Period, rng: 
     ends = np.exp(turn * np.append(phase, phase[0] + 1.0))
     straight = (ends[:, 1:] - ends[:, :-1]) @ np.where(jumps, 0.0, rise / gaps) / turn[:, 0]
     factors = straight[:, None] + np.exp(turn[:, None] * (phase[jumps] + place * gaps[jumps])) @ rise[jumps]
-    amplitude = np.abs(factors) / (np.pi * order[:, None]) / mean
+    amplitude = np.asarray(np.abs(factors) / (np.pi * order[:, None]) / mean, np.float64)
     return np.array([_visibility(order * period.frequency_hz, one, waveform.averaged_s) for one in amplitude.T])
 
 

@@ -485,7 +485,7 @@ def _planes(capture: CaptureSet, asked: _Asked) -> Iterator[tuple[str, CaptureSe
     chosen = asked.channel or ("each" if asked.calibration is None else channel_of(asked.calibration) or "luminance")
     for name in COLOURS if chosen == "each" else (chosen,):
         plane = capture.in_colour(name)
-        yield plane.colour, plane
+        yield plane.colour or name, plane
 
 
 def _streamed(capture: CaptureSet, indices: Sequence[int], report: Callable[[int, int], None]) -> Iterator[Frame]:

@@ -15,7 +15,7 @@ from radiometer.analysis.calibration.shared import require_same_camera
 from radiometer.analysis.exports.curves import CURVE_SUFFIXES, draw_responses, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
-from radiometer.analysis.response.limits import black_of_darks
+from radiometer.analysis.response.limits import black_of_darks, with_stated_black
 from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, compare_methods, method_names
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Drawn, Progress
@@ -252,6 +252,7 @@ def _read(
     else:
         stack = source if isinstance(source, Stack) else _opened(Path(source), channel, measured_iso, progress)
         taken, by_hand, camera = stack.as_photographs(), stack.photographs, stack.camera
+        taken = taken.each(lambda one: with_stated_black(one, camera.black_level_dn))
     if by_hand:
         taken = taken.thinned().each(lambda one: with_gains(one, IsoSpeeds(measured_iso)))
     reject_inconsistent_photographs(taken)
@@ -263,7 +264,7 @@ def _read(
         if level is not None:
             note(f"{taken.folder}: the black level is that of {len(one.dark)} dark frames, {level:.1f} DN")
         elif one.dark:
-            note(f"{taken.folder}: {len(one.dark)} dark frames are not used; the frames state their black level")
+            note(f"{taken.folder}: {len(one.dark)} dark frames are not used; the black level is stated")
     return camera, [(_channel(bracket), bracket) for bracket in placed.common.values()]
 
 

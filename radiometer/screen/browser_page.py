@@ -186,7 +186,6 @@ class BrowserStimulus(BrowserPage):
             _hold(answer),
             1e-3 * float(answer["on_ms"]),
             1e-3 * float(answer["frame_ms"]),
-            1e-3 * float(answer["longest_frame_ms"]),
         )
 
     def rest(self, seconds: float) -> Rest:

@@ -47,7 +47,6 @@ class Blink:
     hold: Hold  # the longest press, begun before or during it
     on_s: float  # how long the light was on
     frame_s: float  # time between two frames
-    longest_frame_s: float  # longest time between two frames; twice `frame_s` and more means that frames were dropped
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,10 +35,10 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
     return float(MAD_TO_SIGMA * np.median(np.abs(found - (np.median(found) if centre is None else centre))))
 
 
-def typical_pixels(means_dn: Array) -> NDArray[np.bool_]:
+def typical_pixels(means_dn: ArrayLike) -> NDArray[np.bool_]:
     """Return which pixels' means are within four robust standard deviations (at least 0.5 DN each) of their median."""
     reach = _REACH_SIGMAS * max(robust_sigma(means_dn), _LEAST_SIGMA_DN)
-    return np.asarray(np.abs(means_dn - np.median(means_dn)) <= reach)
+    return np.asarray(np.abs(np.asarray(means_dn) - np.median(means_dn)) <= reach)
 
 
 def neighbour_sigma(differences: Array) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -78,6 +78,21 @@ def black_of_darks(bracket: Bracket) -> float | None:
     times, means = mean_darks(used)
     line = unexposed_dn(times, means)
     return float(means.mean()) if line is None else line[0]
+
+
+def with_stated_black(bracket: Bracket, black_dn: float | None) -> Bracket:
+    """Return a bracket whose light frames state the camera's black level in DN, where dark frames do not show it.
+
+    They do where they are of several exposure times; else their dark current is not known apart from it.
+    """
+    used = whole_darks(bracket.dark)
+    if not black_dn or (used and unexposed_dn(*mean_darks(used)) is not None):
+        return bracket
+    light = [
+        replace(f, settings=replace(f.settings, black_level_dn=f.settings.black_level_dn or black_dn))
+        for f in bracket.light
+    ]
+    return replace(bracket, light=tuple(light))
 
 
 def white_level_dn(bracket: Bracket) -> int:

@@ -368,7 +368,9 @@ def reconcile_drive_table(path: Path) -> DriveFit:
 def _laws(channels: Sequence[ChannelDrive], steps: Sequence[float]) -> dict[str, DriveLaw | None]:
     """Return the law of each channel by its name, each range of the meter with its factor."""
     return {
-        one.name: fit_drive_law(one.drive, one.light, np.searchsorted(steps, one.reading) if steps else None)
+        one.name: fit_drive_law(
+            one.drive, one.light, np.searchsorted(steps, one.reading).astype(np.float64) if steps else None
+        )
         for one in channels
     }
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import radiometer as rm
-from radiometer.analysis.response.limits import black_of_darks
+from radiometer.analysis.response.limits import black_of_darks, with_stated_black
 from radiometer.data import (
     Bracket,
     Calibration,
@@ -213,7 +213,11 @@ def test_hot_pixels_that_fill_up_do_not_bend_the_black_level():
         for t in (1.0, 4.0, 8.0, 32.0)
     ]
     light = Frame(np.full((1, 480), 500, np.uint16), 12, FrameSettings(0.01))
-    assert black_of_darks(Bracket.from_frames([*darks, light])) == pytest.approx(64.0)
+    several, one = Bracket.from_frames([*darks, light]), Bracket.from_frames([darks[-1], light])
+    assert black_of_darks(several) == pytest.approx(64.0)
+    # Of one exposure the dark current is not known apart: there a stated level counts.
+    assert with_stated_black(several, 60.0) is several
+    assert [f.settings.black_level_dn for f in with_stated_black(one, 60.0).light] == [60.0]
 
 
 def test_light_that_may_all_be_dark_current_carries_no_scale(tmp_path):
