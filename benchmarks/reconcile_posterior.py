@@ -22,8 +22,8 @@ from benchmarks._posterior_sessions import Record, collect, sessions
 from benchmarks._sections import write_section
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.state import ModelFit
-from radiometer.reconciliation.posterior import UNNAMED, posterior
 from radiometer.reconciliation.result import SURE
+from radiometer.reconciliation.verdict import UNNAMED, posterior
 
 FOLDER = Path("out") / "reconcile_posterior"
 BINS = (0.0, 0.5, 0.8, 0.95, 0.99, 1.0)

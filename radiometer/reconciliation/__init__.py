@@ -2,13 +2,6 @@
 
 from radiometer.reconciliation.engine import reconcile_capture
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, ReconcileResult, Verdict
-from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reconciliation.search.search import Reconciled
 
-__all__ = [
-    "FittedParameter",
-    "FoundEffect",
-    "ReconcileResult",
-    "Reconciled",
-    "Verdict",
-    "reconcile_capture",
-]
+__all__ = ["FittedParameter", "FoundEffect", "ReconcileResult", "Reconciled", "Verdict", "reconcile_capture"]

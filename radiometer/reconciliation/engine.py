@@ -25,7 +25,7 @@ from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.descent import first_state, fitted_parameters, is_misfit, scatter_of
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
-from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
@@ -37,7 +37,6 @@ from radiometer.reconciliation.measure.reduce import (
     with_even_tiles,
 )
 from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
-from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior
 from radiometer.reconciliation.propose.search import held_to_laws
 from radiometer.reconciliation.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
 from radiometer.reconciliation.result import (
@@ -52,13 +51,14 @@ from radiometer.reconciliation.result import (
     Verdict,
 )
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
-from radiometer.reconciliation.search.outcome import Reconciled, Search
-from radiometer.reconciliation.search.search import search
+from radiometer.reconciliation.search.search import Reconciled, Search, search
 from radiometer.reconciliation.separability import Separability, inseparable, limits, separability
 from radiometer.reconciliation.verdict import (
+    UNNAMED,
+    Posterior,
     doubts_of,
-    faint,
     insignificant_names,
+    posterior,
     rest_of,
     size_of_rest,
     sizes_by_own_law,
@@ -123,11 +123,6 @@ def evidence_for(
     A series of equal frames may jump, one setting alone may not determine an undeclared black level, or the scene may
     change. The design then follows what was seen, and the frames are read again. Each scene is a separate pattern
     then.
-
-    Args:
-        shape: Height and width of the frames.
-        read: Gives the frame at a position of the header.
-        progress: Called with frames done and frames in all.
 
     Raises:
         CaptureError: If a scene is shown by one frame alone, which cannot be compared with any other.
@@ -207,10 +202,7 @@ def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureH
 
 
 def reconcile_capture(
-    path: Path,
-    model: CameraModel | None = None,
-    *,
-    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    path: Path, model: CameraModel | None = None, *, catalogue: Mapping[str, type[CatalogueEffect]] | None = None
 ) -> Reconciled:
     """Return where a capture set on disk and its simulation disagree, and which effects are missing.
 
@@ -218,8 +210,6 @@ def reconcile_capture(
 
     Args:
         path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
-        model: The camera as it is believed to be.
-        catalogue: Effects to try.
 
     Raises:
         CaptureError: If the capture set is unfinished or inconsistent.
@@ -243,9 +233,6 @@ def plan_of(
 
     Args:
         path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
-        model: The camera as it is believed to be.
-        catalogue: Effects to ask about.
-        progress: Called with frames done and frames in all.
 
     Raises:
         CaptureError: If the capture set is unfinished or inconsistent.
@@ -343,7 +330,8 @@ def _result(
         posterior(state.models, entries, scatter_of(state)),
         {effect.name: effect.alternatives for effect in found},
     )
-    doubts = [*outcome.remarks, *doubts_of(outcome, weighed, alternatives), *faint(outcome)]
+    left_out = (f"{name} is counted as part of the residual" for name in insignificant_names(outcome))
+    doubts = [*outcome.remarks, *doubts_of(outcome, weighed, alternatives), *left_out]
     verdict = verdict_of(outcome, doubts, again, other_well=other_well)
     effects = tuple(_believed(effect, weighed, verdict) for effect in found)
     if well is not None and other_well:
@@ -358,7 +346,7 @@ def _result(
         return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
     further = None if settled else _optional_step("the next capture", following, failed)
-    last = _largest(outcome.tests)
+    last, before = _largest(outcome.tests), global_p_value(outcome.start, outcome.first_tests)
     return ReconcileResult(
         verdict=verdict,
         effects=effects,
@@ -373,7 +361,7 @@ def _result(
         repeatability=state.tau,
         assumptions=(*_assumptions(outcome, doubts, well), *failed),
         localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
-        global_p=_global_p(outcome),
+        global_p=(before, before if state is outcome.start else global_p_value(state, outcome.tests)),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
         captures=len(state.design.captures),
@@ -402,7 +390,6 @@ def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> Foun
 
 
 def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | None) -> dict[str, Any]:
-    """Return what the named effects say against figures that the camera's description states."""
     named = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
     camera = state.design.header.camera
     all_remarks = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
@@ -412,18 +399,10 @@ def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | 
     return {"remarks": remarks} if remarks else {}
 
 
-def _global_p(outcome: Search) -> tuple[float, float]:
-    """Return the global p-value of the starting and of the final model."""
-    before = global_p_value(outcome.start, outcome.first_tests)
-    return before, before if outcome.state is outcome.start else global_p_value(outcome.state, outcome.tests)
-
-
 def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
     """Return the result of an optional step; None where it fails, since advice must not cost the answer.
 
     Args:
-        what: What it is, for the log and for the user.
-        work: Works it out.
         failed: Receives the reason why it is missing.
     """
     try:
@@ -437,27 +416,24 @@ def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T |
 
 
 def _found(
-    outcome: Search,
-    entries: Mapping[str, type[CatalogueEffect]],
-    again: Periodic | None,
-    failed: list[str],
+    outcome: Search, entries: Mapping[str, type[CatalogueEffect]], again: Periodic | None, failed: list[str]
 ) -> tuple[FoundEffect, ...]:
-    """Return the names in the order of finding, and the residual as one entry, where its largest part was found."""
     state, weak = outcome.state, insignificant_names(outcome)
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}
-    rest, found = rest_of(outcome, again), list[FoundEffect]()
+    unnamed, found = rest_of(outcome, again), list[FoundEffect]()
     others = with_other_functional_form(outcome)
     for step in outcome.steps:
-        if step.name == "unnamed" and rest is not None and rest not in found:
-            found.append(rest)
+        if step.name == "unnamed" and unnamed is not None and unnamed not in found:
+            found.append(unnamed)
         elif step.name in present and step.name not in weak:
             own = present[step.name]
             what = f"which effects act like {step.name}"
             alike = _optional_step(what, partial(inseparable, state, own, entries), failed) or ()
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
             what = f"the capture that separates {step.name} from its rivals"
-            advice = _optional_step(what, partial(propose, state, own, rivals), failed)
+            rest = with_effects(state, [effect for effect in state.effects if effect is not own])
+            advice = _optional_step(what, partial(propose, rest, own, rivals), failed)
             fitted, curved = dict(parameters[step.name]), tuple[str, ...]()
             if isinstance(own, FreeLaw):
                 what, curved = f"how well the size of {step.name} is known", own.law_names()
@@ -478,7 +454,7 @@ def _found(
                     curve=LawCurve.of(own, parameters[step.name]),
                 )
             )
-    return (*found, rest) if rest is not None and rest not in found else tuple(found)
+    return (*found, unnamed) if unnamed is not None and unnamed not in found else tuple(found)
 
 
 def _place(test: Disagreement) -> Place:

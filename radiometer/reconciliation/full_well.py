@@ -90,11 +90,7 @@ def limit_at(stage: Stage) -> type[CatalogueEffect]:
 
 
 def levels_of_brightest(header: CaptureHeader, read: FrameReader) -> dict[float, WhiteLevel]:
-    """Return where the frames of the lowest gains show that pixels saturate, by gain in dB.
-
-    Args:
-        read: Gives the frame at a position of the header.
-    """
+    """Return where the frames of the lowest gains show that pixels saturate, by gain in dB."""
     settings = [entry.settings for entry in header.frames]
     gains = sorted({one.gain_db for one in settings if not one.is_dark})[:_GAINS_LOOKED_AT]
     places = [place for place, one in enumerate(settings) if one.gain_db in gains and not one.is_dark]
@@ -140,7 +136,6 @@ def _is_converter(piles: Sequence[tuple[float, float, float]]) -> bool:
 
 
 def _range_dn(state: FitState, gain_db: float, well_e: float) -> tuple[float, float]:
-    """Return the digital numbers that the model predicts at a gain for empty wells and for full ones."""
     lit = (state.design.gain_db == gain_db) & ~state.design.closed
     trace, model = state.trace, state.model
     shape = (len(state.design.captures), len(state.design.tiles), 1)

@@ -176,46 +176,26 @@ _EXPLAINS: Final = 0.3  # of what the best entry explains: below it an entry is 
 _MOST_NAMED: Final = 6  # in a sentence
 
 
-def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[CatalogueEffect]) -> dict[str, Any] | None:
-    """Return the capture under which an effect and its rivals would differ most.
-
-    Args:
-        state: The fitted model that holds the chosen effect.
-        chosen: That effect.
-        rivals: Other effects at parameters that fit about as well.
-
-    Returns:
-        Settings, what they separate and the χ² expected of it; None where there is no rival, or none that any capture
-        of the pool could separate.
-    """
-    if not rivals:
-        return None
-    others = [effect for effect in state.effects if effect.name != chosen.name]
-    models = {r.name: refit(with_effects(state, [*others, r]), iterations=_REFITS) for r in rivals}
-    best = _best(state, models) or _best(state, models, _HELPS_CHI2)
-    if best is None:
-        return None
-    frame, names, chi2 = best
-    found = _advice(frame, f"separates {chosen.name} from {', '.join(names)}")
-    return found | {"separates": [chosen.name, *names], "expected_chi2": round(chi2, 1)}
-
-
-def separating_capture(
-    state: FitState, effect: CatalogueEffect, others: Sequence[CatalogueEffect]
-) -> dict[str, Any] | None:
-    """Return the capture under which an effect and others that show the same so far would differ most.
+def propose(state: FitState, effect: CatalogueEffect, others: Sequence[CatalogueEffect]) -> dict[str, Any] | None:
+    """Return the capture under which an effect and others that fit about as well would differ most.
 
     Args:
         state: The model without any of them.
-        effect: The effect at some size.
-        others: The others at the sizes that look the same.
+
+    Returns:
+        Settings, what they separate and the χ² expected of it; None where there are no others, or none that any
+        capture of the pool could separate.
     """
+    if not others:
+        return None
     first, *models = (refit_with(state, entry, iterations=_REFITS) for entry in (effect, *others))
-    best = _best(first, dict(zip([other.name for other in others], models, strict=True)), _HELPS_CHI2)
+    named = dict(zip([other.name for other in others], models, strict=True))
+    best = _best(first, named) or _best(first, named, _HELPS_CHI2)
     if best is None:
         return None
-    frame, names, _ = best
-    return _advice(frame, f"separates {effect.name} from {', '.join(names)}") | {"separates": names}
+    frame, names, chi2 = best
+    found = _advice(frame, f"separates {effect.name} from {', '.join(names)}")
+    return found | {"separates": [effect.name, *names], "expected_chi2": round(chi2, 1)}
 
 
 def propose_for_unnamed(
@@ -227,7 +207,6 @@ def propose_for_unnamed(
     predicted by the others, so that a new setting is asked for: there the entries, and no effect at all, must differ.
 
     Args:
-        catalogue: Entries, by name.
         places: Covariate and statistic of what has no name, the first first.
 
     Returns:
@@ -275,7 +254,6 @@ def propose_for_blind(
     show in the new capture.
 
     Args:
-        catalogue: Entries, by name.
         limits: What these data would have shown.
 
     Returns:

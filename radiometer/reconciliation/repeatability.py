@@ -9,12 +9,12 @@ Darkness differs from frame to frame too: a black level that wanders, a thermome
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 from scipy.special import stdtr
 
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
@@ -24,7 +24,7 @@ from radiometer.statistics.chances import chi2_beyond, chi2_quantile
 from radiometer.statistics.least_squares import solve
 from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
 from radiometer.statistics.scale import MAD_TO_SIGMA, MEDIAN_U, robust_sigma
-from radiometer.typing import Array
+from radiometer.typing import Array, Mask
 
 _ASSUMED_TAU: Final = 1e-3  # where neither repeats nor capture.yaml tell
 _ASSUMED_RANGE: Final = (0.3, 3.0)
@@ -40,13 +40,9 @@ _PLAUSIBLE_WANDER: Final = 0.003  # of a source of which nothing is stated: what
 _EXPOSURE_GROUPS: Final = 6
 _STANDS_OUT: Final = 8.0  # sigmas
 _UNSTEADY: Final = 0.01
-_ZOOMED: Final = 33  # values tried at once, of which the neighbours of the best are the next range
-_ZOOMS: Final = 6
 
 
-def capture_scale(
-    difference: Array, sensitivity: Array, deviation: Array, usable: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-) -> tuple[Array, Array]:
+def capture_scale(difference: Array, sensitivity: Array, deviation: Array, usable: Mask) -> tuple[Array, Array]:
     """Return the common relative deviation of each capture and its variance from pixel noise alone.
 
     Args:
@@ -80,12 +76,12 @@ def estimate_tau(design: Design, scale: Array, variance: Array) -> float:
     if not lit.any():
         return float(np.sqrt(low * high))
 
-    for _ in range(_ZOOMS):
-        tried = np.geomspace(low, high, _ZOOMED)
-        total = variance[lit] + np.square(tried)[:, None]
-        best = int(np.argmin(np.sum(np.log(total) + scale[lit] ** 2 / total, axis=1)))
-        low, high = tried[max(best - 1, 0)], tried[min(best + 1, _ZOOMED - 1)]
-    return float(np.sqrt(low * high))
+    def deviance(log_tau: float) -> float:
+        total = variance[lit] + np.exp(2.0 * log_tau)
+        return float(np.sum(np.log(total) + scale[lit] ** 2 / total))
+
+    found = minimize_scalar(deviance, bounds=(np.log(low), np.log(high)), method="bounded", options={"xatol": 1e-6})
+    return float(np.exp(found.x))
 
 
 def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: float | None) -> float:
@@ -98,7 +94,6 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     Args:
         tried: (values,) relative variances, 0 first.
         deviances: (values, captures) −2·ln of each capture's likelihood.
-        exposure_s: (captures,) exposure times.
         declared: Stated relative standard uncertainty of the source's reproducibility; None where not stated.
     """
     allowed = tried <= (_PLAUSIBLE_WANDER if declared is None else _DECLARED_WANDER * declared) ** 2
@@ -116,10 +111,7 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     return float(tried[np.argmin(totals)])
 
 
-_Lit = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-
-
-def _bounds(design: Design, scale: Array, variance: Array, lit: _Lit) -> tuple[float, float]:
+def _bounds(design: Design, scale: Array, variance: Array, lit: Mask) -> tuple[float, float]:
     """Return the bounds of τ, as far off as chance may have made the scatter of repeats.
 
     The scatter of repeats, each weighted by what τ and its own pixels leave it, is χ² at the right τ; captures whose
@@ -138,15 +130,13 @@ def _bounds(design: Design, scale: Array, variance: Array, lit: _Lit) -> tuple[f
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Repeats:
-    """Captures of settings that were repeated."""
-
     taken: NDArray[np.intp]  # (n,) which captures they are
     scale: Array  # (n,) their common relative deviation from the model
     variance: Array  # (n,) its variance from pixel noise alone
     basis: Array  # (n, terms) what repeats cannot show: the mean of each setting, slow change in time
 
     @classmethod
-    def of(cls, design: Design, scale: Array, variance: Array, lit: _Lit) -> _Repeats:
+    def of(cls, design: Design, scale: Array, variance: Array, lit: Mask) -> _Repeats:
         """Return the repeats that measure the light; slow change in time is not part of their scatter.
 
         Settings of which one capture stands out from all others are left out: it has another cause (a wrong label),
@@ -162,7 +152,7 @@ class _Repeats:
         return cls._taken(design, scale, variance, lit & ~np.isin(design.setting_id, odd), waves=True)
 
     @classmethod
-    def _taken(cls, design: Design, scale: Array, variance: Array, lit: _Lit, *, waves: bool) -> _Repeats:
+    def _taken(cls, design: Design, scale: Array, variance: Array, lit: Mask, *, waves: bool) -> _Repeats:
         ids = design.setting_id
         taken = np.flatnonzero(lit & np.isin(ids, [i for i in np.unique(ids[lit]) if np.sum(ids[lit] == i) > 1]))
         basis = (ids[taken][:, None] == np.unique(ids[taken])).astype(np.float64)
@@ -240,7 +230,7 @@ def repeats_of(
     dark = design.closed | ~(design.source_level > 0)
     found = []
     for kind, unit, chosen, aside in zip(("dark", "lit"), ("DN", "1"), (dark, ~dark), wander, strict=True):
-        series = []
+        seen = dict[int, tuple[Array, Array]]()
         for number in np.flatnonzero(chosen).tolist():
             frames = design.captures[number].frames
             scale = np.ones(len(design.tiles)) if kind == "dark" else sensitivity[number]
@@ -248,62 +238,54 @@ def repeats_of(
             if len(frames) > 1 and np.count_nonzero(counts) >= _FEWEST_TILES:
                 means = np.array(tiles_of(frames)[:, counts])
                 means[0] -= first[number, counts]
-                series.append(_series(design, number, means / scale[counts]))
-        if sum(len(one.frames) - 1 for one in series) >= _FEWEST:
-            found.append(_together(kind, unit, series, aside))
+                seen[number] = _apart(means / scale[counts])
+        if sum(apart.size - 1 for apart, _ in seen.values()) >= _FEWEST:
+            found.append(_together(design, kind, unit, seen, aside))
     return tuple(found)
 
 
-def _series(design: Design, number: int, means: Array) -> Series:
-    """Return each frame less the mean of the others of its capture, from (frames, tiles) in the unit to be reported."""
+def _apart(means: Array) -> tuple[Array, Array]:
+    """Return each frame less the mean of the others, and its u, from (frames, tiles) in the unit to be reported."""
     n = means.shape[0]
     apart = (means - means.mean(axis=0)) * n / (n - 1.0)
     middle = np.median(apart, axis=1)
-    u = _OF_MEDIAN * np.median(np.abs(apart - middle[:, None]), axis=1) / np.sqrt(apart.shape[1])
-    warm = float(design.temperature_c[number])
-    return Series(
-        tuple(design.captures[number].frames),
-        float(design.exposure_s[number]),
-        warm if np.isfinite(warm) else None,
-        tuple(middle.tolist()),
-        tuple(u.tolist()),
-    )
+    return middle, _OF_MEDIAN * np.median(np.abs(apart - middle[:, None]), axis=1) / np.sqrt(apart.shape[1])
 
 
-def _together(kind: str, unit: str, series: Sequence[Series], aside: float) -> Repeats:
-    """Return series of one kind with what they scatter by beyond their tiles' chance, and the frames that stick out."""
-    own = np.array([len(one.frames) - 1.0 for one in series])
-    seen, chance = (np.array([of(one) for one in series]) for of in (_square, _chance2))
+def _together(design: Design, kind: str, unit: str, seen: Mapping[int, tuple[Array, Array]], aside: float) -> Repeats:
+    """Return series of one kind with what they scatter by beyond their tiles' chance, and the frames that stick out.
+
+    Args:
+        seen: Of each capture, by its number, frames less the mean of the others, and their u.
+    """
+    own = np.array([apart.size - 1.0 for apart, _ in seen.values()])
+    kept = own / (own + 1.0)  # of a frame less the mean of the others, where it is taken less that of all
+    square = np.array([float(apart @ apart) for apart, _ in seen.values()]) * kept**2
+    chance = np.array([float(np.mean(np.square(u))) for _, u in seen.values()]) * kept
     scatter2 = 0.0
     for _ in range(_ROUNDS):
         weight = own / np.maximum(chance + scatter2, 1e-30) ** 2
-        scatter2 = max(float(weight @ (seen / own - chance)) / float(weight.sum()), 0.0)
+        scatter2 = max(float(weight @ (square / own - chance)) / float(weight.sum()), 0.0)
     spread = np.sqrt(2.0 * float(weight**2 @ ((chance + scatter2) ** 2 / own))) / float(weight.sum())
     u = spread / (2.0 * max(np.sqrt(scatter2), np.sqrt(spread / 2.0), 1e-30))
-    scaled = [_scaled(one, np.sqrt(scatter2 + noise)) for one, noise in zip(series, chance, strict=True)]
-    total = sum(_square(one) for one in scaled)
-    out = [_standing_out(one, total, int(own.sum())) for one in scaled]
-    shown = [replace(one, standing_out=at) for one, at in zip(series, out, strict=True)]
-    return Repeats(kind, FittedParameter(float(np.sqrt(scatter2)), float(u), unit), aside, tuple(shown))
+    sigma = np.maximum(np.sqrt(scatter2 + chance), 1e-30)
+    total, series = float(np.sum(square / sigma**2)), list[Series]()
+    for (number, (apart, u_apart)), by in zip(seen.items(), sigma, strict=True):
+        warm = float(design.temperature_c[number])
+        series.append(
+            Series(
+                tuple(design.captures[number].frames),
+                float(design.exposure_s[number]),
+                warm if np.isfinite(warm) else None,
+                tuple(apart.tolist()),
+                tuple(u_apart.tolist()),
+                _standing_out(apart / by, total, int(own.sum())),
+            )
+        )
+    return Repeats(kind, FittedParameter(float(np.sqrt(scatter2)), float(u), unit), aside, tuple(series))
 
 
-def _chance2(series: Series) -> float:
-    """Return the variance that the tiles' chance gives a frame about the mean of its series."""
-    n = len(series.frames)
-    return float(np.mean(np.square(series.u))) * (n - 1.0) / n
-
-
-def _scaled(series: Series, by: float) -> Series:
-    return replace(series, apart=tuple(apart / max(by, 1e-30) for apart in series.apart))
-
-
-def _square(series: Series) -> float:
-    """Return the sum of squares of the frames' deviations from their mean."""
-    n = len(series.frames)
-    return float(np.sum(np.square(series.apart))) * ((n - 1.0) / n) ** 2
-
-
-def _standing_out(series: Series, total: float, freedom: int) -> tuple[int, ...]:
+def _standing_out(apart: Array, total: float, freedom: int) -> tuple[int, ...]:
     """Return the positions of frames that are farther off than the scatter of all others allows.
 
     A frame less the mean of the n − 1 others, over their scatter times √(n/(n − 1)), follows Student's t.
@@ -311,19 +293,13 @@ def _standing_out(series: Series, total: float, freedom: int) -> tuple[int, ...]
     Source: R. D. Cook, S. Weisberg (1982), Residuals and Influence in Regression, 2.2.1, externally studentised
     residuals; Bonferroni over the frames.
     """
-    n, found = len(series.frames), []
-    for position, apart in enumerate(series.apart):
-        own = apart**2 * (n - 1.0) / n
-        left = max(total - own, 1e-30) / max(freedom - 1, 1)
-        t = abs(apart) / np.sqrt(left * n / (n - 1.0))
-        if freedom > _FEWEST and 2.0 * float(stdtr(freedom - 1, -t)) * (freedom + 1) < FRAME_SIGNIFICANCE:
-            found.append(position)
-    return tuple(found)
+    n = apart.size
+    left = np.maximum(total - apart**2 * (n - 1.0) / n, 1e-30) / max(freedom - 1, 1)
+    chance = 2.0 * stdtr(freedom - 1, -np.abs(apart) / np.sqrt(left * n / (n - 1.0))) * (freedom + 1)
+    return tuple(np.flatnonzero(chance < FRAME_SIGNIFICANCE).tolist()) if freedom > _FEWEST else ()
 
 
 # ---- darkness -------------------------------------------------------------------------------------------------------
-
-
 _FEWEST_OF_A_LINE: Final = 4  # tiles
 _CLEAR_SLOPE: Final = 5.0  # standard uncertainties
 _FEWEST_REPEATED: Final = 1.0  # degrees of freedom of repeated dark frames that show a wander

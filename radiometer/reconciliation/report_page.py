@@ -15,7 +15,7 @@ from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
 from radiometer.reconciliation.search.localise import covariates
-from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reconciliation.search.search import Reconciled
 from radiometer.reconciliation.statistics import STATISTICS, Prediction
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
@@ -26,17 +26,10 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import all_effects
 
 _LISTED_PLACES: Final = 5
-_WEAK_NATS: Final = 10.0
 
 
 def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
-    """Return the report as HTML, one file that needs nothing else.
-
-    Args:
-        reconciled: What was found.
-        title: Name of the capture set.
-        origin: Camera, lens, date and whatever else is known of the data.
-    """
+    """Return the report as HTML, one file that needs nothing else."""
     result = reconciled.result
     return page(
         title,
@@ -109,7 +102,6 @@ def _summary(result: ReconcileResult) -> str:
 
 
 def _places(result: ReconcileResult) -> str:
-    """Return where the starting model disagrees, found without the catalogue."""
     rows = [
         (seen_in(place.block), along(place.covariate), place.form, f"{place.score:.1f}", f"{place.p_value:.2g}")
         for place in result.localisation[:_LISTED_PLACES]
@@ -118,13 +110,11 @@ def _places(result: ReconcileResult) -> str:
 
 
 def _repeats(result: ReconcileResult) -> str:
-    """Return in words what equal frames differ by."""
     message = [f"{text[0].upper()}{text[1:]}." for one in result.repeats for text in one.sentences()]
     return section("How equal frames differ", listed(message)) if message else ""
 
 
 def _frames(result: ReconcileResult) -> str:
-    """Return each frame less the others of its series."""
     rows = []
     for part in result.repeats:
         scale, unit = (100.0, "%") if part.scatter.unit == "1" else (1.0, part.scatter.unit)
@@ -138,7 +128,11 @@ def _effect(effect: FoundEffect, reconciled: Reconciled) -> str:
     present = {one.name: one for one in reconciled.outcome.state.effects}
     entry = present.get(effect.name)
     title = "Not explained by any known effect" if effect.name == "unnamed" else effect.name
-    tags = [text for text, holds in (("provisional", effect.provisional), ("weak", _is_weak(effect))) if holds]
+    tags = [
+        text
+        for text, holds in (("provisional", effect.provisional), ("weak", effect.is_weak and entry is not None))
+        if holds
+    ]
     return "\n".join(
         (
             heading(title, tags),
@@ -153,12 +147,7 @@ def _effect(effect: FoundEffect, reconciled: Reconciled) -> str:
     )
 
 
-def _is_weak(effect: FoundEffect) -> bool:
-    return effect.name != "unnamed" and effect.gain_nats < _WEAK_NATS
-
-
 def _physics(kind: type[CatalogueEffect]) -> str:
-    """Return the description of an effect from its file."""
     return (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " ")
 
 
@@ -167,7 +156,7 @@ def _evidence(effect: FoundEffect) -> str:
     if effect.name == "unnamed":
         return sentence
     closed = f" With it the gap falls from {effect.gap_before:.3g} to {effect.gap_after:.3g}"
-    weak = "; that is little: repeat the captures" if _is_weak(effect) else ""
+    weak = "; that is little: repeat the captures" if effect.is_weak else ""
     known = f" {effect.evidence.capitalize()}." if effect.probability is not None else ""
     return (
         f"{sentence}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}.{known}"
@@ -266,8 +255,6 @@ def _limits(result: ReconcileResult) -> str:
 
 
 # ---- pictures -------------------------------------------------------------------------------------------------------
-
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -345,7 +332,6 @@ def _relative(state: FitState) -> tuple[Array, Array]:
 
 
 def _absolute(state: FitState) -> tuple[Array, Array]:
-    """Return the setting of each mean, counted from 1, its patches side by side, and its deviation in DN."""
     usable = state.comparison.usable["mean"]
     settings, patches = usable.shape
     place = np.arange(1.0, settings + 1.0)[:, None] + np.linspace(-0.35, 0.35, patches)
@@ -353,7 +339,6 @@ def _absolute(state: FitState) -> tuple[Array, Array]:
 
 
 def _steps(axes: Axes, reconciled: Reconciled) -> None:
-    """Draw the held-out gap after each name, from top to bottom."""
     result, steps = reconciled.result, reconciled.outcome.steps
     names = ["ideal camera", *(f"+ {step.name}" for step in steps)]
     gaps = [result.gap_before, *(step.gap_after for step in steps)]
@@ -383,8 +368,6 @@ def plot_along(
     """Return what the model leaves of a statistic along a covariate, without an effect and with what that predicts.
 
     Args:
-        where: The covariate.
-        block: The statistic.
         effect: One of the model's effects; None for what no name explains.
         u_rel: Relative standard uncertainty of its main parameter; None where it has none.
 
@@ -420,7 +403,6 @@ def plot_along(
 
 
 def _left(state: FitState, value: Array, block: str, prediction: Prediction) -> tuple[Array, Array]:
-    """Return a covariate's values and standardised residuals of a statistic, in all of its directions, where usable."""
     residual = state.comparison.residual(prediction)
     values, left = [np.zeros(0)], [np.zeros(0)]
     for name, cut in state.comparison.cuts.items():
@@ -507,7 +489,6 @@ def residual_panels(reconciled: Reconciled) -> str:
 
 
 def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
-    """Return bin centres, mean standardised residual of the means, and its standard uncertainty."""
     axis = covariates(state.model, state.prediction)[name]
     usable = state.comparison.usable["mean"]
     deviation = np.hypot(state.comparison.deviation["mean"], state.tau * state.sensitivity)
@@ -531,7 +512,6 @@ def _binned(name: str, value: Array, standardised: Array) -> tuple[Array, Array,
 
 
 def _in_units(name: str, value: Array) -> Array:
-    """Return values of a covariate as people read them; the tests use logarithms of most."""
     if name == "f_number":
         return np.asarray(2.0**value)
     if name == "signal":
@@ -549,8 +529,6 @@ def _along(axes: Axes, covariate: str, what: str) -> None:
 
 
 # ---- words ----------------------------------------------------------------------------------------------------------
-
-
 # What stands at the axis of a covariate, whether that is logarithmic, and along what something changes.
 _COVARIATES: Final = {
     "exposure_s": ("exposure in s", True, "with the exposure time"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, Final
 
 from radiometer.data.json_text import finite_or_null, json_text
@@ -13,6 +14,7 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
 _CLEAR_SIGMAS: Final = 5.0  # of the tiles' scatter, from which a first frame is reported to differ
+_WEAK_NATS: Final = 10.0
 _MOST_STATED: Final = 6  # frames in a sentence
 SURE: Final = 0.95  # probability from which a name is almost certain: one in twenty such names may be wrong
 _LIKELY: Final = 2.0 / 3.0  # as the word is used in assessments: Mastrandrea et al. (2010), guidance note of the IPCC
@@ -116,6 +118,11 @@ class FoundEffect:
     averaged: Mapping[str, FittedParameter] = field(default_factory=dict)
 
     @property
+    def is_weak(self) -> bool:
+        """Return whether it improves the prediction by so little that the captures had better be repeated."""
+        return self.gain_nats < _WEAK_NATS
+
+    @property
     def evidence(self) -> str:
         """Return in words how certain it is: its probability, or the nats where no models were compared."""
         alone = not self.alternatives
@@ -129,6 +136,7 @@ class FoundEffect:
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the documented JSON form."""
         closest = {"name": self.closest[0], "share": self.closest[1]} if self.closest else None
+        elsewhere = [{"where": where, "statistic": block} for where, block in self.elsewhere]
         return {
             "name": self.name,
             "parameters": {name: entry.to_mapping() for name, entry in self.parameters.items()},
@@ -139,12 +147,12 @@ class FoundEffect:
             "next_capture": dict(self.next_capture) if self.next_capture else None,
             "statistic": self.block,
             "gain_nats": self.gain_nats,
-            "strength": "weak" if self.gain_nats < 10.0 else "clear",
+            "strength": "weak" if self.is_weak else "clear",
             "provisional": self.provisional,
             "probability": self.probability,
             "probability_of_any": self.probability_of_any,
             "averaged": {name: entry.to_mapping() for name, entry in self.averaged.items()},
-        } | ({"closest": closest, "elsewhere": self._elsewhere()} if self.name == "unnamed" else self._law())
+        } | ({"closest": closest, "elsewhere": elsewhere} if self.name == "unnamed" else self._law())
 
     def _law(self) -> dict[str, Any]:
         if self.other_law is None and self.curve is None:
@@ -152,9 +160,6 @@ class FoundEffect:
         left = {name: entry.to_mapping() for name, entry in (self.other_law or {}).items()}
         curve = self.curve.to_mapping() if self.curve else None
         return {"law": "other than the catalogue's", "left_by_the_law": left, "curve": curve}
-
-    def _elsewhere(self) -> list[dict[str, str]]:
-        return [{"where": where, "statistic": block} for where, block in self.elsewhere]
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +258,16 @@ class Repeats:
         return f"{size * value:.2g}{unit}" if u is None else f"({size * value:.2f} ± {size * u:.2g}){unit}"
 
 
+class ByHand:
+    """What is reconciled and is measured by hand: the result says what to take again."""
+
+    __slots__ = ()
+
+    def write_plan(self, path: Path) -> bool:
+        """Write nothing: there are no captures to plan."""
+        return False
+
+
 _SENTENCES: Final = {
     Verdict.AGREES: "Nothing is missing: simulation and measurement agree.",
     Verdict.EFFECTS_FOUND: "The missing effect was found; with it simulation and measurement agree.",
@@ -321,7 +336,7 @@ class ReconcileResult:
                 "by_covariate": {name: asdict(gap) for name, gap in self.covariates.items()},
             },
             "limits": {name: limit.amplitude for name, limit in self.limits.items()},
-            "limit_parameters": {n: v.parameter_mapping() for n, v in self.limits.items()},
+            "limit_parameters": {name: limit.parameter_mapping() for name, limit in self.limits.items()},
             "tests": {"number": self.tests[0], "significant": self.tests[1]},
             "localisation": [place.to_mapping() for place in self.localisation],
             "null_tests": list(self.calls),

@@ -27,9 +27,9 @@ from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects
-from radiometer.reconciliation.next_capture import separating_capture
+from radiometer.reconciliation.next_capture import propose
 from radiometer.reconciliation.result import Limit
-from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
+from radiometer.reconciliation.search.screening import AT_ONCE, changes_with, directions_of_each
 from radiometer.reconciliation.statistics import Prediction, partly_at_the_top
 from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
 from radiometer.typing import Array
@@ -55,10 +55,6 @@ def mildest(state: FitState, starts: Sequence[CatalogueEffect], asked: Asked) ->
     """Return the mildest form of each entry that stands out by so much, by name; none where no start has one.
 
     All starts take one look after the other side by side: what many change is projected at once.
-
-    Args:
-        starts: Starts of any entries.
-        asked: By how much they are to stand out.
     """
     found: dict[str, Grown] = {}
     looks = grown(state, starts, asked)
@@ -75,12 +71,7 @@ def mildest(state: FitState, starts: Sequence[CatalogueEffect], asked: Asked) ->
 
 
 def grown(state: FitState, effects: Sequence[CatalogueEffect], asked: Asked) -> list[Grown]:
-    """Return effects as they are, with the χ² by which each alone stands out.
-
-    Args:
-        effects: Any effects.
-        asked: By how much they are to stand out.
-    """
+    """Return effects as they are, with the χ² by which each alone stands out."""
     found = []
     for first in range(0, len(effects), AT_ONCE):
         batch = effects[first : first + AT_ONCE]
@@ -138,8 +129,6 @@ class Grown:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Search for the size that is asked for."""
-
     first: float  # size of the start
     near: Grown  # the last look
     below: Grown | None = None  # the last look that did not show
@@ -178,8 +167,7 @@ def _next_size(below: Grown | None, above: Grown | None) -> float:
 
 def _information(state: FitState, effects: Sequence[CatalogueEffect]) -> list[float]:
     several = [(*state.effects, effect) for effect in effects]
-    moved = np.nan_to_num(changes_where_possible(state, several))  # what no camera does shows nothing
-    changes, part = state.fit.followed_with_half(moved)
+    changes, part = state.fit.followed_with_half(np.nan_to_num(changes_with(state, several)))
     whole = np.einsum("ij,ij->j", changes, changes)
     left = whole - np.einsum("ij,ij->j", part, part)
     return [float(value) for value in np.where(left > np.maximum(_BLIND * whole, 0.0), left, 0.0)]
@@ -215,13 +203,13 @@ def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> d
     found = {name: Limit(None, *main_parameter(kind, None)) for name, kind in sorted(catalogue.items())}
     asked = {name: kind for name, kind in catalogue.items() if _can_show(state, kind, found[name].unit)}
     present = {effect.name for effect in state.effects if effect.name in asked}
-    starts = [_few(kind.starts(state.model.context)) for name, kind in asked.items() if name not in present]
+    starts = [_spread(kind.starts(state.model.context)) for name, kind in asked.items() if name not in present]
     found |= _mildest(state, [start for several in starts for start in several])
     for name in sorted(present):  # what is named already: how small could it have been?
         others = with_effects(state, [effect for effect in state.effects if effect.name != name])
         named = _mildest(others, [effect for effect in state.effects if effect.name == name])
         # Further terms that stay while the size shrinks may show at any size: then the plain form decides.
-        found |= named or _mildest(others, _few(asked[name].starts(state.model.context)))
+        found |= named or _mildest(others, _spread(asked[name].starts(state.model.context)))
     return found
 
 
@@ -231,18 +219,11 @@ def _can_show(state: FitState, kind: type[CatalogueEffect], unit: str) -> bool:
     return kind.usable(state.model.context) and (unit != _ABSOLUTE_LIGHT or state.design.has_known_radiance)
 
 
-def _few(starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
-    """Return a few starts spread over all: the smallest and some others."""
-    step = max(1, len(starts) // 6)
-    return starts[::step]
-
-
 def _mildest(state: FitState, starts: Sequence[CatalogueEffect]) -> dict[str, Limit]:
     return {name: _limit(near) for name, near in mildest(state, starts, _ASKED_OF_LIMITS).items()}
 
 
 def _limit(near: Grown) -> Limit:
-    """Return a size as a limit."""
     stated = near.effect.values()["reference_C"] if near.effect.heated else None
     return Limit(abs(near.size) if near.grows else near.size, near.parameter, near.unit, stated)
 
@@ -280,17 +261,13 @@ class Directions:
 
     @classmethod
     def of(cls, state: FitState, entries: Mapping[str, Sequence[CatalogueEffect]]) -> Directions:
-        """Return the directions of the starts of entries.
-
-        Args:
-            entries: Starts by name.
-        """
+        """Return the directions of the starts of entries."""
         columns, forms, at = list[Array](), dict[str, tuple[_Form, ...]](), 0
         every = _columns(state, [start for starts in entries.values() for start in starts])
         for name, starts in entries.items():
             found = []
             for start, own in zip(starts, every, strict=False):
-                if np.isfinite(own).all() and own[:, 0].any():  # what no camera does is no likeness
+                if own[:, 0].any():  # what no camera does is no likeness
                     columns.append(own)
                     found.append(_Form(start, slice(at, at + own.shape[1])))
                     at += own.shape[1]
@@ -338,9 +315,7 @@ def _followed(gram: Array, right: Array, whole: float) -> tuple[float, Array]:
     """Return what columns leave of a χ² at best, and how much of each they take.
 
     Args:
-        gram: Inner products of the columns.
         right: Their products with what is to be followed.
-        whole: Its χ².
     """
     lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
@@ -371,7 +346,7 @@ def _columns(state: FitState, starts: Sequence[CatalogueEffect]) -> Iterator[Arr
     for first in range(0, len(starts), AT_ONCE):
         batch = starts[first : first + AT_ONCE]
         entries = [((*state.effects, start), place, 1 if start.grows else 0) for start in batch]
-        yield from directions_of_each(state, entries, changes_where_possible)
+        yield from directions_of_each(state, entries)
 
 
 def inseparable(
@@ -380,8 +355,6 @@ def inseparable(
     """Return entries, at a start of theirs, that these captures cannot separate from a named effect of its fitted size.
 
     Args:
-        state: The fitted model that holds the effect.
-        chosen: The effect.
         catalogue: All entries; also those whose covariate does not vary, for that very reason.
     """
     rest = with_effects(state, [effect for effect in state.effects if effect is not chosen])
@@ -482,7 +455,6 @@ class ConfusablePair:
 
 
 def _spread(starts: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
-    """Return a few starts spread over all."""
     return tuple(starts[:: max(1, -(-len(starts) // _STARTS))])
 
 
@@ -518,7 +490,6 @@ def separability(
 
     Args:
         state: The starting camera, nuisances fitted; the data's disagreements have no part in it.
-        catalogue: All entries.
         every: List a set once for each of its names, without captures, instead of once in all.
     """
     seen = asked_sizes(state, catalogue)
@@ -549,5 +520,5 @@ def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bo
         names = frozenset({name, *(effect.name for effect in others)})
         if others and (every or names not in reported):
             reported.add(names)
-            capture = None if every else separating_capture(state, alike.target.effect, others)
+            capture = None if every else propose(state, alike.target.effect, others)
             yield Together(name, tuple(effect.name for effect in others), capture)

@@ -71,9 +71,7 @@ def whiteners(
     """Return the inverse Cholesky factors of the captures' covariances, of every statistic that shares an error.
 
     Args:
-        errors: The sources.
         deviation: Standard uncertainty of each entry by itself, by statistic.
-        usable: Which entries count.
     """
     found = {}
     for name in dict.fromkeys(name for error in errors for name in error.parts):
@@ -175,12 +173,7 @@ def _spread_of_rows(design: Design) -> dict[str, Array]:
     frames = np.maximum(design.frame_count, 2.0)
     square = 2.0 / (frames - 1.0)
     products = 1.0 / (frames - 1.0)  # of two rows, not squares of one
-    return {
-        "variance": square,
-        "neighbour_x": square,
-        "neighbour_y": products,
-        "spatial": np.full(frames.shape, 2.0),
-    }
+    return {"variance": square, "neighbour_x": square, "neighbour_y": products, "spatial": np.full(frames.shape, 2.0)}
 
 
 def _free_rows(design: Design, taken: int) -> Array:
@@ -190,7 +183,6 @@ def _free_rows(design: Design, taken: int) -> Array:
 
 
 def _wave(design: Design, light: Mapping[str, Array], repeatability: Repeatability) -> list[SharedError]:
-    """Return light that goes as a wave along the rows, at a new phase in each frame."""
     n, left = design.frame_count, TileBands.of(design, repeatability.band_frequency)
     first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
     bands2, mean, rise = repeatability.bands2, left.quadratures(left.mean), left.quadratures(left.rise)
@@ -455,7 +447,6 @@ def light_response(model: TileModel, here: Trace) -> tuple[Array, Array]:
 
 
 def _brighter(nuisance: Nuisance) -> Nuisance:
-    """Return the nuisances with a little more of all light."""
     return nuisance.with_off(log_responsivity=nuisance.off.log_responsivity + _SENSITIVITY_STEP)
 
 
@@ -551,11 +542,8 @@ def _drift(design: Design, usable: Mapping[str, Mask], drift_dn: float, first: A
 
 
 # ---- fixed patterns -------------------------------------------------------------------------------------------------
-
-
 _EDGES: Final = 5.0  # √(number of edges that average out), few to be safe
 _LEAST_STEP: Final = 0.1  # of the brightest light, where all patches are alike
-_TREND_TERMS: Final = 3  # of a tile's lines: constant, slope and curvature are taken out
 _SMALLEST_SHARE: Final = 1e-6
 ANSCOMBE: Final = 0.375  # added to a count before its root
 _SMALL_SHARE: Final = 0.01  # of the variance of twice the root of a count, which is 1
@@ -595,12 +583,14 @@ def fixed_errors(
     others = prediction.renewed_variance
     for effect, electrons in own:
         if electrons is not None:
-            unit = _unit_of_electrons(np.broadcast_to(electrons, (*prediction.mean.shape, 1))[:, :, 0])
+            unit = _times_gain(np.broadcast_to(electrons, (*prediction.mean.shape, 1))[:, :, 0])
             others = others + unit(prediction) ** 2
             terms += _offset_terms(effect.name, unit, np.ones(len(design.tiles)), (0.0, 0.0), pixels, design)
     if limited:
         others = others + prediction.limit_variance
-        terms += _offset_terms("uneven limit", _unit_of_limit, np.ones(len(design.tiles)), (0.0, 0.0), pixels, design)
+        terms += _offset_terms(
+            "uneven limit", lambda p: np.sqrt(p.limit_variance), np.ones(len(design.tiles)), (0.0, 0.0), pixels, design
+        )
     fixed = prediction.fixed - others
     if any(effect.proportional for effect in plain):
         # Purest in bright captures, but for full wells, which hide it.
@@ -611,9 +601,9 @@ def fixed_errors(
         terms += _offset_terms("proportional pattern", _unit_of_light, white, (0.0, 0.0), pixels, design)
     if additive:
         lines = _line_variances(prediction)
-        relative = fixed / np.maximum(_unit_of_gain(prediction) ** 2, 1e-30) - sum(lines)
+        relative = fixed / np.maximum(_times_gain(1.0)(prediction) ** 2, 1e-30) - sum(lines)
         white = relative[np.argmin(prediction.signal, axis=0), np.arange(pixels.size)]  # purest in the darkest
-        terms += _offset_terms("additive pattern", _unit_of_gain, white, lines, pixels, design)
+        terms += _offset_terms("additive pattern", _times_gain(1.0), white, lines, pixels, design)
     terms.append(_spread_of_pixels(seen, max((effect.excess_kurtosis() for effect in patterns), default=0.0)))
     for name in ("columns", "rows"):
         terms.append(_spread_of_lines(name, seen))
@@ -710,7 +700,6 @@ def _offset_terms(
     """Return what a pattern does to means, slopes and edges.
 
     Args:
-        name: What the pattern is called.
         unit: Gives (captures, tiles) DN per unit of the pattern for a prediction.
         white: (tiles,) variance from pixel to pixel in squared units.
         lines: Variance of rows and of columns in squared units.
@@ -746,7 +735,6 @@ def _root(covariance: Array) -> Array:
 
 
 def _line_variances(prediction: Prediction) -> tuple[float, float]:
-    """Return the variances of row and column patterns in e-²."""
     gain2 = prediction.gain**2
     return float(np.median(prediction.fixed_row_variance / gain2)), float(
         np.median(prediction.fixed_column_variance / gain2)
@@ -763,12 +751,7 @@ def shared_lines(design: Design) -> tuple[Array, Array]:
 
 
 def _outer(length: Array) -> Array:
-    """Return √(l_i·l_j), so that a tile shares all of its lines with itself."""
     return np.asarray(np.sqrt(length[:, None] * length[None, :]))
-
-
-def _unit_of_gain(prediction: Prediction) -> Array:
-    return np.asarray(np.broadcast_to(prediction.gain[:, None], prediction.mean.shape))
 
 
 def _unit_of_light(prediction: Prediction) -> Array:
@@ -779,8 +762,8 @@ def _unit_of_limit(prediction: Prediction) -> Array:
     return np.asarray(np.sqrt(prediction.limit_variance))
 
 
-def _unit_of_electrons(electrons: Array) -> Unit:
-    return lambda prediction: electrons * prediction.gain[:, None]
+def _times_gain(electrons: Array | float) -> Unit:
+    return lambda prediction: np.broadcast_to(electrons * prediction.gain[:, None], prediction.mean.shape)
 
 
 def _moving(name: str, unit: Unit, root: Array) -> Callable[[Prediction], Mapping[str, Part]]:
@@ -817,7 +800,6 @@ def _spread_of_pixels(seen: CaptureStatistics, excess_kurtosis: float) -> FixedE
 
 
 def _lines(name: str, prediction: Prediction) -> Array:
-    """Return the variance of a pattern of columns or rows in DN², (captures,)."""
     return prediction.fixed_column_variance if name == "columns" else prediction.fixed_row_variance
 
 
@@ -827,7 +809,7 @@ def _spread_of_lines_in_tiles(name: str, seen: CaptureStatistics, design: Design
     Tiles side by side share it, and the spread of all lines is the mean of the tiles'.
     """
     rows, columns = shared_lines(design)
-    free = np.maximum((design.tile_height if name == "rows" else design.tile_width) - _TREND_TERMS, 1.0)
+    free = np.maximum((design.tile_height if name == "rows" else design.tile_width) - SURFACE_LINES, 1.0)
     values, vectors = np.linalg.eigh(2.0 * (rows if name == "rows" else columns) / _outer(free))
     kept = values > _SMALLEST_SHARE * values.max()
     root = vectors[:, kept] * np.sqrt(values[kept])

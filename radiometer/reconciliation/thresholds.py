@@ -6,6 +6,7 @@ stands here and nowhere else. A nat is a factor of e in likelihood.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -83,12 +84,6 @@ NAMED_NATS: Final = _row(
 SMOOTH_SHARE: Final = _row(
     "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate", _acted(16)
 )
-LAW_SHARE: Final = _row(
-    "LAW_SHARE",
-    0.5,
-    "1",
-    "a name whose law must be bent beyond recognition: the least share that its own equation brings",
-)
 
 # ---- the search -----------------------------------------------------------------------------------------------------
 RIVAL_NATS: Final = _row(
@@ -98,15 +93,6 @@ RIVAL_NATS: Final = _row(
     "one name reported where another is as good: rivals within odds of 150; a flexible form that takes a name from a "
     "rigid entry of another without leading by as much",
     _acted(6),
-)
-HUGE_NATS: Final = _row(
-    "HUGE_NATS",
-    2000.0,
-    "nats",
-    "judging near candidates by linearised nuisances that are far off: they are fitted in full",
-)
-MOST_STEPS: Final = int(
-    _row("MOST_STEPS", 12, "1", "a search without an end", "a CCD's darks show nine effects, two in freer forms")
 )
 
 # ---- doubts ---------------------------------------------------------------------------------------------------------
@@ -119,3 +105,8 @@ ESSENTIAL_SIGMAS: Final = _row(
 )
 
 TABLE: Final[tuple[Threshold, ...]] = tuple(_ROWS.values())
+
+
+def is_open(gap: float, count: float) -> bool:
+    """Return whether the reduced χ² of so many held-out entries exceeds 1 by more than chance."""
+    return gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * math.sqrt(2.0 / max(count, 1.0)))

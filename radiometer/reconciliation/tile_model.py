@@ -42,10 +42,8 @@ class FrameTimes:
         """Take up the frames.
 
         Args:
-            stamps_s: (frames,) times.
             owner: (frames,) capture that each belongs to, one after the other.
             place: (frames,) its number within the capture.
-            captures: How many captures there are.
         """
         self._stamps_s, self._owner = stamps_s, owner
         self._starts = np.searchsorted(owner, np.arange(captures))
@@ -396,19 +394,13 @@ def _level(signal: Signal) -> Signal:
 
 
 def _looked_up(images: PatternImages, picture: Array, x: Array, y: Array) -> Array:
-    """Return a coarse picture's values at places of the frame in pixels."""
     return _bilinear(picture, (x + 0.5) / images.cell_px - 0.5, (y + 0.5) / images.cell_px - 0.5)
 
 
 def _bilinear(picture: Array, x: Array, y: Array) -> Array:
-    x = np.clip(x, 0, picture.shape[1] - 1)
-    y = np.clip(y, 0, picture.shape[0] - 1)
-    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
-    right, bottom = np.minimum(left + 1, picture.shape[1] - 1), np.minimum(top + 1, picture.shape[0] - 1)
-    fx, fy = x - left, y - top
-    upper = picture[top, left] * (1 - fx) + picture[top, right] * fx
-    lower = picture[bottom, left] * (1 - fx) + picture[bottom, right] * fx
-    return cast(Array, upper * (1 - fy) + lower * fy)
+    from scipy.ndimage import map_coordinates
+
+    return cast(Array, map_coordinates(picture, (y, x), order=1, mode="nearest"))
 
 
 def _soft(picture: Array, radius_fraction: float, border: Border = "nearest") -> Array:
@@ -471,7 +463,6 @@ class TileModel:
         """Return the expected statistics.
 
         Args:
-            nuisance: The nuisances.
             like: The chain as it ran for the same captures with other effects or nuisances; only what comes behind the
                 first step that differs is worked out.
         """
@@ -582,7 +573,6 @@ class TileModel:
         """Return the statistics that moments come to; those of several models are along a first axis.
 
         Args:
-            final: Moments behind the chain.
             signal: (captures, tiles) light signal in electrons.
             gain: (captures,) DN per electron.
         """
@@ -686,12 +676,7 @@ def looks_back(step: Effect) -> bool:
 
 @lru_cache(maxsize=4096)
 def _ordered(kinds: tuple[type[Effect], ...], links: int) -> tuple[int, ...]:
-    """Return the numbers of steps in the order of the light.
-
-    Args:
-        kinds: Kinds of the links and, behind them, of the effects.
-        links: How many links there are.
-    """
+    """Return the numbers of steps in the order of the light."""
     steps_at: dict[int, list[int]] = defaultdict(list)
     for number in sorted(range(links, len(kinds)), key=lambda number: in_order(kinds[number])):
         steps_at[place_for(kinds[number], kinds[:links])].append(number)
@@ -719,12 +704,7 @@ _AT_ONCE: Final = 1 << 16  # entries of a stacked array: more of them leave the 
 def predict_several(
     models: Sequence[tuple[TileModel, Nuisance]], like: Trace
 ) -> Iterator[tuple[list[int], Prediction]]:
-    """Yield what models of the same captures expect: numbers of some, and their statistics along a first axis.
-
-    Args:
-        models: The models, which differ in their effects, and their nuisances.
-        like: The chain as it ran for the same captures.
-    """
+    """Yield what models of the same captures expect: numbers of some, and their statistics along a first axis."""
     waiting = sorted((_Apart.of(n, *entry, like) for n, entry in enumerate(models)), key=lambda one: one.joins)
     most = max(1, _AT_ONCE // like.passed[0].mean.size)
     while waiting:
@@ -736,8 +716,6 @@ def predict_several(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Apart:
-    """A model after the steps in which it differs."""
-
     number: int  # its number
     model: TileModel  # the model
     walk: Walk  # the chain so far
@@ -801,13 +779,7 @@ class _Together:
         return [one for one, fit in zip(joining, fitting, strict=True) if not fit]
 
     def _of_members(self, place: int, of: Callable[[TileModel, Walk], Array], shape: tuple[int, ...]) -> Array:
-        """Return something that walks show in front of a link: of those who had joined by then at once, of each else.
-
-        Args:
-            place: Position of the link.
-            of: What is asked for.
-            shape: Its shape for one model.
-        """
+        """Return what walks show in front of a link: of those who had joined by then at once, of each else."""
         number, like = self._like.number(place), self._like
         late = [one for one in self.members if one.joins > number]
         found = [of(one.model, one.walk)[None] for one in late]
@@ -826,10 +798,6 @@ def stacked(parts: Sequence[SomeMoments], counts: Sequence[int]) -> SomeMoments:
     """Return moments of several models along a first axis; a field that all have in common stays as it is.
 
     The mean always has that axis, by which their number is known.
-
-    Args:
-        parts: Moments of one model each, or of several already.
-        counts: How many.
     """
     first = parts[0]
     further = [part.unrounded for part in parts if part.unrounded]

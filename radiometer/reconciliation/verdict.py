@@ -2,29 +2,32 @@
 
 The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
 above 1.
+
+The list of fitted models turns into posterior probabilities of models and of effects. A hypothesis is a set of names.
+Of its models the one of the highest score represents it: the held-out log density, plus the log prior odds of its
+effects, less what parameters cost. With w_k ∝ exp(score_k) alone, one lucky setting could decide. Groups
+are therefore weighted at random (Dirichlet), and w_k is averaged over the draws: few settings cannot give certainty.
+
+Source: Yao, Vehtari, Simpson, Gelman, Bayesian Analysis 13 (2018) 917, section 3.4 (pseudo-BMA+). Prior odds of 1 to
+the number of entries for each name: Scott, Berger, Ann. Stat. 38 (2010) 2587, multiplicity of variable selection.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
-from radiometer.reconciliation.fit.descent import fitted_parameters, is_misfit, refit, scatter_of
-from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
+from radiometer.reconciliation.fit.comparison import FAMILY, Comparison
+from radiometer.reconciliation.fit.descent import fitted_parameters, is_misfit, refit
+from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects, with_terms
 from radiometer.reconciliation.measure.frame_order import Periodic
-from radiometer.reconciliation.posterior import Posterior
 from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
-from radiometer.reconciliation.search.localise import axis_of, covariates, departing, own_place
-from radiometer.reconciliation.search.outcome import Search, Step
-from radiometer.reconciliation.thresholds import (
-    ESSENTIAL_SIGMAS,
-    NAMED_NATS,
-    SMOOTH_SHARE,
-)
-from radiometer.statistics.least_squares import chi_square
+from radiometer.reconciliation.search.localise import Disagreement, axis_of, departing, own_place
+from radiometer.reconciliation.search.search import Search, Step
+from radiometer.reconciliation.thresholds import ESSENTIAL_SIGMAS, NAMED_NATS, PARAMETER_NATS, SMOOTH_SHARE
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
@@ -40,8 +43,6 @@ def verdict_of(
     """Return the verdict on a search.
 
     Args:
-        outcome: The search.
-        doubts: What speaks against its names.
         again: What comes back in the order of the frames, which no name explains.
         other_well: Whether the brightest pixels show another full well than the declared one.
     """
@@ -58,7 +59,6 @@ def doubts_of(
     """Return in words why names are provisional though nothing structured is left.
 
     Args:
-        weighed: The posterior over all models that it fitted.
         alternatives: What these data cannot separate from each name; by default the rivals of its step.
     """
     state, effects = outcome.state, outcome.state.effects
@@ -89,40 +89,18 @@ def leaves_structure(outcome: Search) -> bool:
 def insignificant_names(outcome: Search) -> list[str]:
     """Return names that are not significant where structure remains: faint ones, and those without essential term.
 
-    Names may absorb a part of the residual of a stronger name's wrong law. They may also absorb the residual of a
-    curve along one covariate for an unknown cause, where that brings most of what both bring. An entry whose
-    essential parameter is not significant, its uncertainty including the residual, fits by its further terms, as any
-    curve would.
+    Names may absorb a part of the residual of a curve along one covariate for an unknown cause, where that brings most
+    of what both bring. An entry whose essential parameter is not significant, its uncertainty including the residual,
+    fits by its further terms, as any curve would.
     """
     if not leaves_structure(outcome):
         return []
-    faint = _fainter_than_the_rest(outcome)
     bare = without_essential(outcome.state.effects, fitted_parameters(outcome.state))
-    return [*faint, *(name for name in bare if name not in faint)]
-
-
-def _fainter_than_the_rest(outcome: Search) -> list[str]:
     present = {effect.name for effect in outcome.state.effects}
-    named = [step for step in outcome.steps if step.name in present]
-    most = max((step.gain_nats for step in named), default=0.0)
     unknown = max((step.gain_nats for step in outcome.steps if step.name == "unnamed"), default=0.0)
-    needed = max(min(NAMED_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
-    return [step.name for step in named if step.gain_nats < needed]
-
-
-def faint(outcome: Search) -> list[str]:
-    """Return in words which names are left out."""
-    gains = {step.name: step.gain_nats for step in outcome.steps}
-    little = _fainter_than_the_rest(outcome)
-    return [
-        f"{name} is counted as part of the residual"
-        + (
-            f": it improves the prediction by {gains[name]:.0f} nats, the remaining structure by more"
-            if name in little
-            else ""
-        )
-        for name in insignificant_names(outcome)
-    ]
+    least = (1.0 / SMOOTH_SHARE - 1.0) * unknown
+    faint = (step.name for step in outcome.steps if step.name in present and step.gain_nats < least)
+    return list(dict.fromkeys([*faint, *bare]))
 
 
 def with_other_functional_form(outcome: Search) -> tuple[CatalogueEffect, ...]:
@@ -168,7 +146,7 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
     weak = insignificant_names(outcome)
     places += [(step.where, "") for step in outcome.steps if step.name in weak]
     if not places and not explained and is_misfit(state):
-        block, where = place_of_scatter(state)
+        block, where = place_of_scatter(state, outcome.tests)
         places = [(where, block)]
     if again is not None:
         places.insert(0, ("frame", "common"))
@@ -178,7 +156,12 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
     before, after = (steps[0].gap_before, steps[-1].gap_after) if steps else (state.gap, state.gap)
     return FoundEffect(
         "unnamed",
-        _period(again) if again is not None else size_of_rest(_named_alone(outcome, weak), block),
+        size_of_rest(_named_alone(outcome, weak), block)
+        if again is None
+        else {
+            "period_frames": FittedParameter(float(again.period), None, "1"),
+            "depth_rel": FittedParameter(again.depth, None, "1"),
+        },
         where,
         before,
         after,
@@ -198,13 +181,6 @@ def _named_alone(outcome: Search, weak: Collection[str]) -> FitState:
         return outcome.state
     kept = tuple(effect for effect in outcome.state.effects if effect.name not in weak)
     return refit(with_effects(outcome.start, kept), iterations=_REFITS)
-
-
-def _period(again: Periodic) -> dict[str, FittedParameter]:
-    return {
-        "period_frames": FittedParameter(float(again.period), None, "1"),
-        "depth_rel": FittedParameter(again.depth, None, "1"),
-    }
 
 
 def size_of_rest(state: FitState, block: str) -> dict[str, FittedParameter]:
@@ -230,7 +206,6 @@ def size_of_rest(state: FitState, block: str) -> dict[str, FittedParameter]:
 
 
 def _unwhitened(comparison: Comparison, block: str, values: Array) -> Array:
-    """Return what whitened entries of a statistic are in its own unit, (captures, tiles)."""
     if block in comparison.whiteners:
         return np.asarray(np.linalg.solve(comparison.whiteners[block], values[..., None])[..., 0])
     return np.asarray(np.where(comparison.usable[block], values * comparison.deviation[block], 0.0))
@@ -265,7 +240,6 @@ def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParame
 
     Args:
         state: The model with the effect by another law.
-        effect: That effect.
     """
     own = effect.own
     plain = refit(with_effects(state, [own if other is effect else other for other in state.effects]))
@@ -278,32 +252,17 @@ def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParame
 
 
 # ---- what speaks against names --------------------------------------------------------------------------------------
+def place_of_scatter(state: FitState, tests: Sequence[Disagreement]) -> tuple[str, str]:
+    """Return the statistic that scatters most beyond its uncertainties, and the covariate along which it trends most.
 
-
-def place_of_scatter(state: FitState) -> tuple[str, str]:
-    """Return the statistic that scatters most beyond its uncertainties, and the covariate along which it does so."""
+    Args:
+        tests: All tests of the model, the most significant first.
+    """
     comparison, square = state.comparison, np.square(state.data_residual)
     more = {n: float(np.sum(square[cut])) - comparison.degrees(n) for n, cut in comparison.cuts.items()}
     block = max(more, key=lambda name: more[name])
-    mask = comparison.usable[block]
-    excess = np.where(mask, square[comparison.cuts[block]].reshape(mask.shape) - 1.0, 0.0)
-    tiled = block in TILE_BLOCKS
-    shares = {}
-    for name, axis in covariates(state.model, state.prediction).items():
-        if tiled or axis.per_capture:
-            basis = axis.basis() if tiled else axis.basis()[:, 0]
-            values = excess if tiled else excess.reshape(len(excess), -1).sum(axis=1)
-            counted = mask if tiled else mask.reshape(len(mask), -1).any(axis=1)
-            shares[name] = _explained(values[counted], basis[counted])
-    where = max(shares, key=lambda name: shares[name], default="constant")
-    return FAMILY.get(block, block), axis_of(where, block)
-
-
-def _explained(values: Array, basis: Array) -> float:
-    """Return the share of the values' variance that a basis explains, each of its terms worth one value less."""
-    columns = np.column_stack([np.ones(len(values)), basis])
-    freedom = max(len(values) - columns.shape[1], 1)
-    return float(1.0 - chi_square(columns, values) / freedom / max(float(np.var(values)), 1e-30))
+    where = next((test.where for test in tests if test.block == block), "constant")
+    return FAMILY[block], axis_of(where, block)
 
 
 def uncertain(
@@ -315,8 +274,6 @@ def uncertain(
     alone may explain what all of them do.
 
     Args:
-        names: The names that are reported.
-        weighed: The posterior over all models.
         alternatives: What these data cannot separate from each name.
     """
     alike = {name: set(alternatives.get(name, ())) for name in names}
@@ -344,3 +301,96 @@ def without_essential(
         if any(far <= ESSENTIAL_SIGMAS * (u or 0.0) for far, u in known):
             found.append(effect.name)
     return found
+
+
+# ---- probabilities --------------------------------------------------------------------------------------------------
+UNNAMED: Final = "unnamed"
+_DRAWS: Final = 1000
+_DRAWN_WITH: Final = 20261126  # the same draws for the same data
+_LEAST_WEIGHT: Final = 1e-3  # of a model that is listed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeightedModel:
+    """One hypothesis with its posterior probability."""
+
+    names: tuple[str, ...]  # names of its effects in alphabetical order; `unnamed` for what no entry explains
+    weight: float  # posterior probability
+    fit: ModelFit  # the model that represents it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """All hypotheses, the most probable first; their weights sum to 1."""
+
+    models: tuple[WeightedModel, ...]
+
+    def probability(self, *names: str) -> float:
+        """Return the probability that one of these effects is present: the weight of all models that hold any."""
+        return float(min(sum(model.weight for model in self.models if set(names) & set(model.names)), 1.0))
+
+    def listed(self) -> tuple[tuple[tuple[str, ...], float], ...]:
+        """Return names and weight of the models that have one in a thousand at least."""
+        return tuple((model.names, model.weight) for model in self.models if model.weight >= _LEAST_WEIGHT)
+
+    def averaged(self, name: str) -> dict[str, FittedParameter]:
+        """Return the parameters of an effect averaged over the models that hold it.
+
+        The variance is the mean variance plus the variance of the means (law of total variance).
+        """
+        held = [(m.weight, e, m.fit) for m in self.models for e in m.fit.effects if e.name == name and m.fit.is_full]
+        found = {}
+        for key in dict.fromkeys(key for _, _, fit in held for owner, key in fit.u if owner == name and "[" not in key):
+            known = [(w, float(getattr(e, key)), fit.u[name, key]) for w, e, fit in held if (name, key) in fit.u]
+            weight, value, u = np.array(known).T
+            share = weight / weight.sum() if weight.sum() > 0 else np.full(weight.size, 1.0 / weight.size)
+            mean = float(share @ value)
+            unit = next(entry.unit for entry in held[0][1].parameters() if entry.name == key)
+            found[key] = FittedParameter(mean, float(np.sqrt(share @ (u**2 + (value - mean) ** 2))), unit)
+        return found
+
+
+def posterior(fits: Sequence[ModelFit], catalogue: Collection[str], dispersion: float = 1.0) -> Posterior:
+    """Return the posterior probabilities of fitted models.
+
+    Args:
+        fits: The models, not none.
+        catalogue: Names of the entries that may be named; effects of other names have none.
+        dispersion: Reduced χ² that the best of them leaves; log densities are divided by it where it exceeds 1.
+    """
+    best: dict[frozenset[str], tuple[float, ModelFit]] = {}
+    for fit in fits:
+        names = frozenset(effect.name if effect.name in catalogue else UNNAMED for effect in fit.effects)
+        names |= {UNNAMED} if fit.curves else set()
+        score = float(np.sum(fit.log_density)) / dispersion + _log_prior(fit, names, len(catalogue))
+        if np.isfinite(score) and (names not in best or score > best[names][0]):
+            best[names] = (score, fit)
+    density = np.array([fit.log_density for _, fit in best.values()]) / dispersion
+    prior = np.array([_log_prior(fit, names, len(catalogue)) for names, (_, fit) in best.items()])
+    weights = pseudo_bma(density, prior)
+    found = [
+        WeightedModel(tuple(sorted(names)), float(weight), fit)
+        for weight, (names, (_, fit)) in zip(weights, best.items(), strict=True)
+    ]
+    return Posterior(tuple(sorted(found, key=lambda model: -model.weight)))
+
+
+def pseudo_bma(log_density: Array, log_prior: Array) -> Array:
+    """Return the weights of models, (models,), averaged over random weights of the groups.
+
+    Args:
+        log_density: (models, groups) held-out log density.
+        log_prior: (models,) log prior probability, constants left out.
+    """
+    differing = log_density - log_density[np.argmax(log_density.sum(axis=1) + log_prior)]
+    groups = log_density.shape[1]
+    shares = groups * np.random.default_rng(_DRAWN_WITH).dirichlet(np.ones(groups), _DRAWS)
+    scores = shares @ differing.T + log_prior
+    weights = np.exp(scores - scores.max(axis=1, keepdims=True))
+    return np.asarray((weights / weights.sum(axis=1, keepdims=True)).mean(axis=0))
+
+
+def _log_prior(fit: ModelFit, names: Collection[str], entries: int) -> float:
+    """Return the log prior odds of a model: of its effects as usual as they are, its parameters paid for."""
+    odds = sum(effect.log_prior_odds for effect in fit.effects) - len(names) * np.log(max(entries, 1))
+    return float(odds - (NAMED_NATS if UNNAMED in names else 0.0) - PARAMETER_NATS * fit.parameters)

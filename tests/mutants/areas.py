@@ -73,7 +73,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
     "reconcile_rooms": (
         "radiometer/reconciliation/*.py",
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("inputs", "logs", "measure", "propose")),
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("inputs", "measure", "propose")),
     ),
     "alarms_and_networks": (
         "radiometer/adapters/*.py",

@@ -245,8 +245,8 @@ def test_nothing_names_a_package_registry():
     assert [file.name for file in files if host.search(file.read_text(encoding="utf-8"))] == []
 
 
-# The other folders hold what other instruments' logs and files are reconciled with, each with its few effects.
-SUBJECTS = {"inputs", "logs"}
+# The other folder holds what other instruments' logs and files are reconciled with, each with its few effects.
+SUBJECTS = {"inputs"}
 RECONCILE = [
     path
     for path in SOURCES

@@ -39,14 +39,12 @@ class FittedCandidate:
     """An effect at its best parameters."""
 
     effect: CatalogueEffect  # the effect
+    start: Candidate  # where the fit began
     gain: float  # χ² that it explains
     evidence: float  # χ² that it explains in the statistics that must show it
-    parameters: int  # number of fitted parameters
-    flexible: bool  # whether it is a flexible form
     residual: Array  # whitened residual with the effect, nuisances where they were; prior rows included
     columns: Array  # −d(residual)/d(scaled parameter of the effect), prior rows included
-    tries: int = 1  # number of starts that the entry had
-    overrated: float = 0.0  # nats that the scores of few frames' variances promise beyond their exact likelihood
+    overrated: float  # nats that the scores of few frames' variances promise beyond their exact likelihood
     forms: tuple[CatalogueEffect, ...] = ()  # the best of each variant: where to begin with another model
 
     @property
@@ -55,19 +53,12 @@ class FittedCandidate:
         return self.effect.name
 
 
-def fit_candidate(state: FitState, candidate: Candidate, most: float = np.inf) -> FittedCandidate:
-    """Return the effect at the least χ², all nuisances and earlier effects following linearly.
-
-    Args:
-        state: The model.
-        candidate: The effect at its starts.
-        most: χ² beyond which the likeliest variant decides for the others too: they are not fitted then.
-    """
+def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
+    """Return the effect at the least χ², all nuisances and earlier effects following linearly."""
     trials = _Trial.of_each(state, (candidate.effect, *candidate.others))
     best = min(trials, key=lambda trial: trial.cost)
     begun = [_profiled(state, best)] if best.effect.profiled else _variants(trials)
-    fitted = [_fitted(state, begun[0])]
-    fitted += [_fitted(state, trial) for trial in begun[1:] if fitted[0].cost < most]
+    fitted = [_fitted(state, trial) for trial in begun]
     judged = _judged(state, min(fitted, key=lambda trial: trial.cost), candidate)
     return replace(judged, forms=tuple(trial.effect for trial in fitted))
 
@@ -82,7 +73,6 @@ def _variants(trials: Sequence[_Trial]) -> list[_Trial]:
 
 
 def _fitted(state: FitState, start: _Trial) -> _Trial:
-    """Return the trial at the least χ² (Levenberg's damping, less after each step that helped)."""
     damping, trial = _DAMPING, start
     for _ in range(_ITERATIONS if start.effect.free() else 0):
         lower, normal = None, trial.normal(state)
@@ -162,28 +152,17 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
     evidence = sum(before.get(block, 0.0) - after.get(block, 0.0) for block in shown)
     if "mean" in shown:  # what the means say against the stated radiances stands in the prior rows
         evidence += stated
-    overrated = _overrated(state, best.effect, {name: before[name] - after[name] for name in ("common", "bands")})
-    return FittedCandidate(
-        best.effect,
-        gain - 2.0 * overrated,
-        evidence - 2.0 * overrated,
-        candidate.parameters,
-        candidate.flexible,
-        best.residual,
-        columns,
-        candidate.tries,
-        overrated,
-    )
+    more = _overrated(state, best.effect, {name: before[name] - after[name] for name in ("common", "bands")})
+    gain, evidence = gain - 2.0 * more, evidence - 2.0 * more
+    return FittedCandidate(best.effect, candidate, gain, evidence, best.residual, columns, more)
 
 
 def _overrated(state: FitState, effect: CatalogueEffect, promised: Mapping[str, float]) -> float:
     """Return by how many nats the normal scores of few frames' variances flatter a variance fitted to them."""
     predicted = state.predicted_with((*state.effects, effect))
     exact = {"common": state.comparison.common_deviance, "bands": state.comparison.band_deviance}
-    shown = {
-        name: exact[name](state.prediction) - exact[name](predicted) for name, gain in promised.items() if gain > 0
-    }
-    return sum(max(promised[name] - gain, 0.0) for name, gain in shown.items()) / 2.0
+    gains = {n: exact[n](state.prediction) - exact[n](predicted) for n, gain in promised.items() if gain > 0}
+    return sum(max(promised[name] - gain, 0.0) for name, gain in gains.items()) / 2.0
 
 
 def _off_bounds(state: FitState, effect: CatalogueEffect, columns: Array) -> Array:
@@ -205,30 +184,30 @@ def family_chi2(state: FitState, residual: Array) -> dict[str, float]:
 
 def judged_gain(state: FitState, fitted: FittedCandidate) -> float:
     """Return by how many nats a fitted effect improves the prediction of held-out settings; its model is recorded."""
-    gains = _held_out_gains(state, fitted.residual, fitted.columns)
-    gains[: state.settings] -= fitted.overrated / state.settings  # it is known of all settings together alone
-    density = state.log_density + gains[: state.log_density.size]
-    parameters = state.parameters.size + state.curves + fitted.parameters
-    state.models.append(ModelFit((*state.effects, fitted.effect), state.curves, density, parameters))
-    return float(np.sum(gains))
+    effects, size = (*state.effects, fitted.effect), fitted.start.parameters
+    return _recorded_gain(state, effects, fitted.residual, fitted.columns, 0, size, fitted.overrated)
 
 
 def curve_gain(state: FitState, columns: Array) -> float:
     """Return the same of the columns of a curve without a name; its model is recorded too."""
-    gains = _held_out_gains(state, state.fit.residual, columns)
-    density = state.log_density + gains[: state.log_density.size]
-    curves = state.curves + columns.shape[1]
-    state.models.append(ModelFit(state.effects, curves, density, state.parameters.size + curves))
-    return float(np.sum(gains))
+    size = columns.shape[1]
+    return _recorded_gain(state, state.effects, state.fit.residual, columns, size, size)
 
 
-def _held_out_gains(state: FitState, residual: Array, columns: Array) -> Array:
-    """Return by how many nats further columns improve the prediction of each held-out group, (groups,).
+def _recorded_gain(
+    state: FitState, effects: tuple[CatalogueEffect, ...], residual: Array, columns: Array,
+    curves: int, parameters: int, overrated: float = 0.0,
+) -> float:  # fmt: skip
+    """Return by how many nats further columns improve the prediction of held-out groups, and record the model.
 
     Args:
-        state: The model without them.
         residual: Whitened residual with the addition, prior rows included, followers followed.
-        columns: Its columns, the same.
+        curves: How many of them are of a curve without a name.
+        overrated: Nats that they promise too many; it is known of all settings together alone.
     """
-    with_it = leave_one_group_out(state.fit.extended(columns, residual), state.groups)
-    return np.asarray(with_it.log_density - state.held_out.log_density)
+    gains = leave_one_group_out(state.fit.extended(columns, residual), state.groups).log_density
+    gains = gains - state.held_out.log_density
+    gains[: state.settings] -= overrated / state.settings
+    density, own = state.log_density + gains[: state.log_density.size], state.parameters.size + state.curves
+    state.models.append(ModelFit(effects, state.curves + curves, density, own + parameters))
+    return float(np.sum(gains))

@@ -38,19 +38,10 @@ from radiometer.reconciliation.shared_errors import (
     whiteners,
     with_heavy_rows,
 )
-from radiometer.reconciliation.statistics import (
-    STATISTICS,
-    Given,
-    Prediction,
-    Scale,
-    Scatter,
-    family_of,
-    named,
-)
+from radiometer.reconciliation.statistics import STATISTICS, Given, Prediction, Scale, Scatter, family_of, named
 from radiometer.statistics.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.typing import Array, Mask
 
-TILE_BLOCKS: Final = named(given=Given.TILE)
 CAPTURE_BLOCKS: Final = named(given=Given.CAPTURE)
 FAMILY: Final = {name: family_of(name) for name in STATISTICS}
 _LOGARITHMS: Final = (*named(scale=Scale.LOGARITHM), *named(scale=Scale.LINES))
@@ -154,12 +145,10 @@ class Comparison:
 
     @cached_property
     def _calm_common(self) -> Array:
-        """Return the scores of the frame-common fluctuation where nothing is predicted to move whole frames."""
         return self.common_scores(np.zeros_like(self.flicker2), np.zeros(len(self.design.captures)))
 
     @cached_property
     def _calm_bands(self) -> Array:
-        """Return the scores of the bands where nothing is predicted to move the rows."""
         return self.band_scores(np.zeros_like(self.seen.bands_of_rows), np.zeros(len(self.design.captures)))
 
     def _weighed(self, name: str, values: Array) -> Array:
@@ -313,14 +302,12 @@ class Comparison:
         return np.asarray(np.maximum(whole, _LEAST_RATIO))
 
     def _comb(self, prediction: Prediction) -> Array:
-        return np.array([_comb_of(round(prediction.comb_step), prediction.comb_kept, p) for p in COMB_PERIODS])
-
-
-def _comb_of(step: int, kept: float, period: int) -> float:
-    """Return the amplitude at a period of a histogram that fills the first codes of each step only."""
-    if step == 1 or step % period:
-        return 0.0
-    return float(np.mean(np.cos(2.0 * np.pi * np.minimum(np.arange(step), kept - 1.0) / period)))
+        """Return the amplitude at each period of a histogram that fills the first codes of each step only."""
+        step, kept = round(prediction.comb_step), prediction.comb_kept
+        filled = np.minimum(np.arange(step), kept - 1.0)
+        there = [step > 1 and step % period == 0 for period in COMB_PERIODS]
+        waves = (np.mean(np.cos(2.0 * np.pi * filled / period)) for period in COMB_PERIODS)
+        return np.array([float(wave) if shown else 0.0 for wave, shown in zip(waves, there, strict=True)])
 
 
 def compare(
@@ -372,7 +359,6 @@ def compare(
 def _deviations(
     scatter: Scatter, repeatability: Repeatability, variance_response: Array, floors: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Return the standard uncertainty of each entry by itself, by statistic."""
     found = {name: row.sigma(scatter) for name, row in STATISTICS.items()}
     given = (scatter.design, scatter.seen, scatter.base)
     by_light = _of_noise(max(repeatability.tau, _LIGHT_U_REL) * variance_response)
@@ -382,7 +368,6 @@ def _deviations(
 
 
 def _of_noise(response: Array) -> dict[str, Array]:
-    """Return a response to the light for each statistic of a tile's noise."""
     return {name: response for name, row in STATISTICS.items() if row.follows_light}
 
 

@@ -8,7 +8,6 @@ A⁻¹ + A⁻¹·Jᵀ·X·J·A⁻¹.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
@@ -25,7 +24,7 @@ from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.shared_errors import chances_of_rows
-from radiometer.reconciliation.thresholds import CLOSED_GAP, SCATTER_SIGMAS
+from radiometer.reconciliation.thresholds import is_open
 from radiometer.reconciliation.tile_model import TileModel
 from radiometer.statistics.chances import frames_counted
 from radiometer.typing import Array
@@ -36,9 +35,6 @@ _SHORTER, _SHORTENINGS = 0.3, 6  # steps that are tried
 _IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
 _CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
 _HOLDS: Final = 0.25  # share of the gain before that a step by old derivatives may have; beyond, new ones are taken
-_SLOW: Final = 0.1  # share of what a step promised, below which it creeps along a valley that bends …
-_LITTLE: Final = 1.0  # … if it gains less than this χ², too, in units of the reduced one where that is above 1
-_PATIENCE: Final = 3  # steps that creep one after the other
 _REWEIGHTINGS: Final = 3
 _SETTLED: Final = 0.02  # share of a parameter's size
 _PAST_WELL: Final = 1.02  # times the declared full well, which is rounded
@@ -52,7 +48,6 @@ def first_state(
     """Return the starting camera fitted to the statistics: nuisances only.
 
     Args:
-        seen: Measured statistics.
         given: Effects that the starting model adds to the ideal chain; they are not fitted.
     """
     model = replace(TileModel.of(design, images), given=given, passes_well=_passes_well(design, seen))
@@ -64,8 +59,7 @@ def first_state(
     unclipped = (seen.high < 1e-3) & (seen.low < 1e-3)
     values[0] = rough_log_responsivity(design, seen.mean, rough, unclipped)
     state = weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
-    state = refit(state)
-    state = refit(reweighted(state)).recorded()
+    state = refit(reweighted(refit(state))).recorded()
     return state if layout.is_linear(state.values) else _from_stated(state)
 
 
@@ -96,31 +90,23 @@ def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
     return bool(np.any(alive & (held_e > _PAST_WELL * camera.full_well_e) & (seen.high < 1e-3)))
 
 
-def refit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = False) -> FitState:
+def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
     """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
 
     Parameters that come frozen within their bounds stay so. They are known by effect and name: a further term that
     falls to nothing on the way is none of its effect's parameters any more, and all behind it move up.
-
-    With `early_stop` it ends once it creeps. A name's fit goes on: that it leads to the end of a range is a finding.
     """
-    return _held_at_bounds(coarse_fit(state, iterations, early_stop=early_stop), _fixed(state))
+    return _held_at_bounds(coarse_fit(state, iterations), _fixed(state))
 
 
-def coarse_fit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = False) -> FitState:
+def coarse_fit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
     """Return the same, for weights that will be brought up to date there: parameters at bounds are not held yet.
 
     The end is where derivatives of one point lead, if they hold all the way: none are taken there to confirm it.
     """
-    fixed, slow, before = _fixed(state), 0, state
-    for number in range(iterations):
+    fixed = _fixed(state)
+    for _ in range(iterations):
         state = _held_at_bounds(state, fixed)
-        if early_stop and number:  # where parameters nearly replace each other it has no end, but gains next to nothing
-            least = min(_SLOW * (before.cost - before.promised), _LITTLE * state.misfit)
-            slow = slow + 1 if before.cost - state.cost < least else 0
-            if slow >= _PATIENCE:
-                break
-        before = state
         lower = next((trial for trial in _trials(state) if trial.cost < state.cost), None)
         if lower is None:
             break
@@ -138,17 +124,17 @@ def converged_fit(state: FitState) -> FitState:
     return _converged(state).recorded()
 
 
-def _converged(state: FitState, *, early_stop: bool = False) -> FitState:
+def _converged(state: FitState) -> FitState:
     for _ in range(_REWEIGHTINGS):
-        before, state = state.parameters.values, coarse_fit(reweighted(state), early_stop=early_stop)
+        before, state = state.parameters.values, coarse_fit(reweighted(state))
         after = state.parameters.values
         if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
             continue
         if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
             return _held_at_bounds(state)
-    last = refit(state, early_stop=early_stop)
+    last = refit(state)
     # Beside realisations that its former size allowed a pattern may have been fitted to nothing.
-    own = refit(reweighted(last), early_stop=early_stop)
+    own = refit(reweighted(last))
     return min(last, own, key=lambda found: found.evidence)
 
 
@@ -166,7 +152,6 @@ def refit_with(state: FitState, effect: CatalogueEffect, iterations: int = _ITER
 
 
 def _fixed(state: FitState) -> frozenset[tuple[int, str]]:
-    """Return the effect and the name of each parameter that is frozen within its bounds."""
     own = state.parameters
     on_low, on_high = own.on_bounds()
     inside = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())
@@ -264,10 +249,8 @@ def _moved(state: FitState, step: Array, origin: FitState | None = None) -> FitS
 
 
 # ---- with a further effect ------------------------------------------------------------------------------------------
-
-
 class UnfitError(ArithmeticError):
-    """An effect cannot be fitted to the data, or not so far as it must; its name is the argument."""
+    """An effect cannot be fitted to the data; its name is the argument."""
 
 
 def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
@@ -278,32 +261,21 @@ def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
     return with_effects(state, effects)
 
 
-def included(
-    state: FitState, effect: CatalogueEffect, *, far: bool, most: float = np.inf, early_stop: bool = False
-) -> FitState:
-    """Return the state with the effect in the model, refitted in full.
+def included(state: FitState, effect: CatalogueEffect) -> FitState:
+    """Return the state with the effect in the model, refitted in full: all else moves first, then its parameters too.
 
     Args:
         state: The model without it.
         effect: The effect at its best parameters, nuisances having followed linearly.
-        far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
-        most: χ² under the weights of the state that it may leave, to be refitted under its own.
-        early_stop: Whether it ends where it creeps (`refit`).
 
     Raises:
-        UnfitError: If with it the model predicts what no camera does or leaves more than that, or if its essential
-            parameter falls to nothing.
+        UnfitError: If with it the model predicts what no camera does, or if its essential parameter falls to nothing.
     """
     following = accepted(state, effect)
+    mine = frozenset(i for i, at in enumerate(following.parameters.owner) if following.effects[at].name == effect.name)
     try:
-        if far:
-            own = following.parameters.owner
-            mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
-            following = replace(coarse_fit(replace(following, frozen=mine), early_stop=early_stop), frozen=frozenset())
-        near = coarse_fit(_profiled_anew(following), early_stop=early_stop)
-        if near.cost > most:
-            raise UnfitError(effect.name)
-        fitted = _converged(near, early_stop=early_stop)
+        moved = replace(coarse_fit(replace(following, frozen=mine)), frozen=frozenset())
+        fitted = _converged(coarse_fit(_profiled_anew(moved)))
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
     if _is_nothing(fitted, effect.name):  # no separate model, so none of the posterior's
@@ -337,38 +309,7 @@ def _profiled_anew(state: FitState) -> FitState:
     return state
 
 
-class FullFits:
-    """Full fits from one model, kept so that nothing is fitted twice while a step is decided.
-
-    Attributes:
-        state: The model.
-        most: χ² under its weights that a fit may leave; with such a bound fits stop early, since they are compared
-            with what was found.
-    """
-
-    def __init__(self, state: FitState, most: float = np.inf) -> None:
-        self.state, self.most = state, most
-        self._known: list[tuple[CatalogueEffect, bool, FitState]] = []
-
-    def included(self, effect: CatalogueEffect, *, far: bool) -> FitState:
-        """Return `included` of the model and an effect."""
-        for known, was_far, fitted in self._known:
-            if known is effect and was_far is far:
-                return fitted
-        early_stop = bool(np.isfinite(self.most))
-        fitted = included(self.state, effect, far=far, most=self.most, early_stop=early_stop)
-        self._known.append((effect, far, fitted))
-        return fitted
-
-    def try_out(self, effect: CatalogueEffect, *, far: bool) -> None:
-        """Fit the model and an effect in full, so that its posterior probability is comparable, if it can be fitted."""
-        with contextlib.suppress(UnfitError):
-            self.included(effect, far=far)
-
-
 # ---- parameters and covariance --------------------------------------------------------------------------------------
-
-
 _BLOCKS: Final = 5  # along a covariate, each left out in turn
 _ALONE: Final = 0.9  # share of a direction determined by one group, beyond which the others cannot check it
 _WAVE: Final = "bands"
@@ -378,8 +319,7 @@ _SEES_WAVE: Final = ("variance", "neighbour_x", "neighbour_y", "row_temporal", _
 
 def is_misfit(state: FitState) -> bool:
     """Return whether structure remains: the gap of held-out settings exceeds 1 by more than chance."""
-    count = max(float(state.held_out.count[: state.settings].sum()), 1.0)
-    return state.gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * float(np.sqrt(2.0 / count)))
+    return is_open(state.gap, float(state.held_out.count[: state.settings].sum()))
 
 
 def scatter_of(state: FitState) -> float:

@@ -44,7 +44,6 @@ class RowBlock:
         """Return the block joined with another, and with further rows below both that have one entry each.
 
         Args:
-            other: The other block, of the same rows.
             below: (columns,) the entry of each column in its row.
         """
         rows = np.union1d(self.rows, other.rows)
@@ -148,20 +147,11 @@ class LinearFit:
 
     @cached_property
     def _slope(self) -> Array:
-        """Return Jᵀ·residual."""
         return np.concatenate([self._pulled[:, 0], self.effects.T @ self.residual])
 
     def step_from(self, residual: Array) -> tuple[Array, float]:
         """Return the same step from another point's residual, followers not followed yet, and what χ² it promises."""
-        return self._step_of(self.followed(residual))
-
-    def left_from(self, residual: Array) -> float:
-        """Return the χ² that such a step promises to leave."""
-        followed = self.followed(residual)
-        return float(followed @ followed) - self._step_of(followed)[1]
-
-    def _step_of(self, followed: Array) -> tuple[Array, float]:
-        pulled = self.pull(followed)
+        pulled = self.pull(self.followed(residual))
         step = self.solve(pulled)
         return step, float(pulled @ step)
 
@@ -189,7 +179,6 @@ class LinearFit:
         return moved, self.half(np.concatenate([pulled, own]))
 
     def _followed(self, vectors: Array) -> tuple[Array, Array]:
-        """Return `followed(vectors)` and Nᵀ of it."""
         pulled = self.nuisances.pull(vectors)
         if not self.followers.rows.size:
             return vectors.copy(), pulled
@@ -201,7 +190,6 @@ class LinearFit:
 
     @cached_property
     def _crossed(self) -> Array:
-        """Return Nᵀ·F."""
         _, own, theirs = np.intersect1d(
             self.nuisances.rows, self.followers.rows, assume_unique=True, return_indices=True
         )
@@ -302,8 +290,6 @@ def triangular(factor: Array, right: Array, *, transposed: bool = False) -> Arra
 
 
 # ---- settings held out ----------------------------------------------------------------------------------------------
-
-
 _LEAST_OWN: Final = 1e-9  # a parameter that one group alone determines leaves nothing to predict it by
 _SMALLEST: Final = 1e-12
 
@@ -364,7 +350,6 @@ class Groups:
 
     @cached_property
     def _position(self) -> NDArray[np.intp]:
-        """Return for each row its place among those that nuisances touch; −1 for the others."""
         position = np.full(self.group.size, -1, dtype=np.intp)
         position[self.nuisances.rows] = np.arange(self.nuisances.rows.size)
         return position

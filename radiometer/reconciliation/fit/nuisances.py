@@ -73,7 +73,8 @@ class NuisanceLayout:
         free_scene = not design.uniform
         wide = _SCALAR_PRIOR | {"black_dn": _FREE_BLACK * camera.full_scale_dn}
         prior = [wide.get(name, _FREE_LOG) for name in scalars]
-        patches = _one_of_each(design)
+        _, first = np.unique(design.patch_of_tile, return_index=True)
+        patches = [design.tiles[at] for at in first.tolist()]  # what is known of a patch is known of all its tiles
         own = [_radiance_prior(design, p, tile) for p in patterns for tile in patches]
         # A calibration error may be one and the same for several radiances, or not: each has a part of its own and
         # one that it shares.
@@ -110,7 +111,6 @@ class NuisanceLayout:
         return replace(self, prior=np.where(self.stated, _HELD * self.prior, self.prior))
 
     def _summed(self, own: Array) -> Array:
-        """Return the columns of the shared errors from those of each radiance, (rows, patterns · patches)."""
         found = np.zeros((own.shape[0], self._common.stop - self._common.start))
         for number, errors in enumerate(self.shared):  # one pattern has each error once
             found[:, errors] += own[:, number * errors.size : (number + 1) * errors.size]
@@ -241,7 +241,6 @@ class _TileColumns:
         """Write the change of each tile into the column of that tile (and pattern).
 
         Args:
-            change: What changes.
             first: The first of those columns.
             blocks: Statistics of which it is written.
             column_of: (tiles,) column of each tile, rising; several may share one. By default each has its own.
@@ -305,12 +304,6 @@ def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:
             matrix[cut, column] = 0.0
 
 
-def _one_of_each(design: Design) -> list[Tile]:
-    """Return the first tile of every patch: what is known of its radiance is known of all its tiles."""
-    _, first = np.unique(design.patch_of_tile, return_index=True)
-    return [design.tiles[at] for at in first.tolist()]
-
-
 def _radiance_prior(design: Design, pattern: int, tile: Tile) -> float:
     known = tile.radiance[pattern]
     if known is None or known <= 0:
@@ -353,7 +346,6 @@ def _shared_errors(patches: Sequence[Tile], patterns: tuple[int, ...]) -> NDArra
 
 
 def _shared_priors(design: Design, patches: Sequence[Tile], shared: NDArray[np.intp], own: list[float]) -> list[float]:
-    """Return the prior standard deviation of each shared error: that of the first radiance that has it."""
     _, first = np.unique(shared, return_index=True)
     found = []
     for at in first.tolist():

@@ -119,7 +119,6 @@ class EffectParameters:
 
 
 def _changed(effect: CatalogueEffect, values: dict[str, Any]) -> CatalogueEffect:
-    """Return the effect with other values; the same object where nothing changes."""
     if all(getattr(effect, name) == value for name, value in values.items()):
         return effect
     return effect.with_parameters(**values)
@@ -518,11 +517,7 @@ def weighted(
     """Return the state of a model and its nuisances with weights that come from what it predicts there.
 
     Args:
-        seen: Measured statistics.
-        layout: Which nuisances are fitted.
-        values: Nuisance parameters.
         terms: Unnamed terms and realisations, all of weight 0.
-        tau: Capture-to-capture repeatability.
         floors: Standard uncertainty of the effects' own form, by statistic.
         usable: Which entries count, by statistic; found anew where None.
         trace: The chain as it runs, where it is known.

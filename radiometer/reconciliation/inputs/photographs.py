@@ -22,16 +22,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
-from radiometer.analysis.response.labels import (
-    frame_name,
-    refuse_equal_throughout,
-    refuse_falling_brightness,
-)
+from radiometer.analysis.response.labels import frame_name, refuse_equal_throughout, refuse_falling_brightness
 from radiometer.analysis.response.left_out import dial_step_dn, follow_no_curve, prediction_error_dn
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, settle
-from radiometer.analysis.response.shutter_offset import Exposures, ShutterOffset, find_exposures
+from radiometer.analysis.response.shutter_offset import Exposures, find_exposures
 from radiometer.analysis.response.wrong_labels import (
     LEAST_GAIN,
     WrongLabel,
@@ -46,7 +42,7 @@ from radiometer.errors import CaptureError, InputError, MeasurementError
 from radiometer.importing.exif import read_exif_header
 from radiometer.numbers import with_u
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reconciliation.result import ByHand, FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
@@ -64,7 +60,7 @@ _ENOUGH_PIXELS: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class PhotographsReconciled:
+class PhotographsReconciled(ByHand):
     """The result for a stack of photographs, with the exposures found."""
 
     result: ReconcileResult  # the verdict and what was found
@@ -92,17 +88,12 @@ class PhotographsReconciled:
         return str(path)
 
     def _origin(self) -> Origin:
-        """Return what EXIF of the first photograph states of date and camera."""
         stated = read_exif_header(Path(self.origin) / next(iter(self.exposures_s)))
         found = {name: str(stated[name].written) for name in ("DateTimeOriginal", "Make", "Model") if name in stated}
         camera = " ".join(found[name] for name in ("Make", "Model") if name in found)
         frames = str(len(self.exposures_s))
         date = found.get("DateTimeOriginal", "")
         return Origin(date, camera, further=(("photographs", frames), ("folder", self.origin)))
-
-    def write_plan(self, path: Path) -> bool:
-        """Write nothing: photographs are taken by hand; the result names the exposure to take again."""
-        return False
 
 
 @on_one_blas_thread
@@ -115,7 +106,6 @@ def reconcile_photographs(
         frames: Photographs of one scene, at least three with different exposures.
         other_colours: The same photographs in other colours, each with a separate tone curve. Their labels are the
             same, and all colours together show a wrong one.
-        origin: Their folder.
 
     Raises:
         CaptureError: If there are too few, they hardly overlap, or all are equally bright.
@@ -160,8 +150,6 @@ def reconcile_photographs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """Outcome for a stack: rounded stops or not, wrong labels, and the errors before and after each."""
-
     samples: ResponseSamples
     fitted: FittedResponse
     log_time: Array
@@ -174,29 +162,19 @@ class _Judged:
     can_show: bool = True  # whether enough photographs show enough to identify a wrong label
 
     @property
-    def labels(self) -> tuple[WrongLabel, ...]:
-        """Return the labels that are wrong, their ratios to the exact stop and the shutter's offset."""
-        return self.exposures.wrong
-
-    @property
-    def offset(self) -> ShutterOffset | None:
-        """Return the time by which the shutter exposes longer; None where none was taken."""
-        return self.exposures.offset
-
-    @property
     def u_rel(self) -> list[float]:
         """Return the relative standard uncertainty of every exposure that was not taken from its label; 0 else."""
         u = np.zeros(self.log_time.size)
-        if self.offset is not None:
-            u = self.offset.u_seconds / self.samples.exposures_s
-        for one in self.labels:
+        if self.exposures.offset is not None:
+            u = self.exposures.offset.u_seconds / self.samples.exposures_s
+        for one in self.exposures.wrong:
             u[one.frame] = one.u_ratio / one.ratio
         return [float(value) for value in u]
 
     @property
     def expected(self) -> Array:
         """Return what label and shutter's offset make together over the label, shape (frames,)."""
-        seconds = 0.0 if self.offset is None else self.offset.seconds
+        seconds = 0.0 if self.exposures.offset is None else self.exposures.offset.seconds
         return np.asarray(self.samples.exposures_s / (self.samples.exposures_s - seconds))
 
     @property
@@ -266,44 +244,26 @@ def _judge(plane: Plane, others: Sequence[Plane], exact: Array) -> _Judged:
 
 def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> ReconcileResult:
     before, stops, after = judged.errors
-    effects = []
+    effects, found = list[FoundEffect](), partial(FoundEffect, where="exposure_s", block="left-out DN")
     if judged.rounded:
         share = {"share": FittedParameter(1.0, None, "1")}
+        effects.append(found("nominal_settings", share, gap_before=before / after, gap_after=stops / after))
+    if (offset := judged.exposures.offset) is not None:
+        size = {"offset_s": FittedParameter(offset.seconds, offset.u_seconds, "s")}
+        nats = 0.5 * (offset.seconds / offset.u_seconds) ** 2
+        effects.append(found(OFFSET, size, gap_before=stops / after, gap_after=1.0, gain_nats=nats))
+    for printed in judged.exposures.wrong:
+        stated = FittedParameter(float(bracket.light[printed.frame].settings.exposure_s), None, "s")
+        ratio = FittedParameter(*_of_printed(printed, judged, bracket), "1")
+        again = {"description": f"take the exposure of {names[printed.frame]} again, or read its EXIF record"}
+        # Of a normal distribution as wide as the uncertainty: the label as printed against the ratio found.
+        nats = 0.5 * (printed.log_ratio[0] / printed.log_ratio[1]) ** 2
         effects.append(
-            FoundEffect("nominal_settings", share, "exposure_s", before / after, stops / after, block="left-out DN")
-        )
-    if (offset := judged.offset) is not None:
-        effects.append(
-            FoundEffect(
-                OFFSET,
-                {"offset_s": FittedParameter(offset.seconds, offset.u_seconds, "s")},
-                "exposure_s",
-                stops / after,
-                1.0,
-                gain_nats=0.5 * (offset.seconds / offset.u_seconds) ** 2,
-                block="left-out DN",
+            found(
+                _LABEL, {"label_s": stated, "ratio": ratio}, gap_before=stops / after, gap_after=1.0, gain_nats=nats,
+                alternatives=_rivals(printed, judged, names), next_capture=again,
             )
-        )
-    for printed in judged.labels:
-        stated = bracket.light[printed.frame].settings.exposure_s
-        ratio, u_ratio = _of_printed(printed, judged, bracket)
-        effects.append(
-            FoundEffect(
-                _LABEL,
-                {
-                    "label_s": FittedParameter(float(stated), None, "s"),
-                    "ratio": FittedParameter(ratio, u_ratio, "1"),
-                },
-                "exposure_s",
-                stops / after,
-                1.0,
-                _rivals(printed, judged, names),
-                {"description": f"take the exposure of {names[printed.frame]} again, or read its EXIF record"},
-                # Of a normal distribution as wide as the uncertainty: the label as printed against the ratio found.
-                gain_nats=0.5 * (printed.log_ratio[0] / printed.log_ratio[1]) ** 2,
-                block="left-out DN",
-            )
-        )
+        )  # fmt: skip
     return ReconcileResult(
         verdict=_verdict(judged, found=bool(effects)),
         effects=tuple(effects),
@@ -331,20 +291,17 @@ def _verdict(judged: _Judged, *, found: bool) -> Verdict:
 
 
 def _of_printed(label: WrongLabel, judged: _Judged, bracket: Bracket) -> tuple[float, float]:
-    """Return real over printed exposure and its standard uncertainty: a label's own ratio is to the exact stop."""
     ratio = math.exp(judged.log_time[label.frame]) / float(bracket.effective_exposures_s[label.frame])
     return ratio, label.log_ratio[1] * ratio
 
 
 def _rivals(label: WrongLabel, judged: _Judged, names: Sequence[str]) -> tuple[str, ...]:
-    """Return which other labels predict left-out parts nearly as well, each alone in its place."""
     return tuple(
         f"{_LABEL} of {names[frame]} (ratio {ratio * judged.expected[frame]:.3f})" for frame, ratio in label.rivals
     )
 
 
 def _limits(judged: _Judged) -> list[float]:
-    """Return of each frame ln of real over stated exposure from which its label is named; infinite where none is."""
     return [
         smallest_label_error(float(seconds), judged.exposures.allowed_s) + _SURE * u if judged.can_show else math.inf
         for seconds, (_, u) in zip(judged.samples.exposures_s, judged.by_others, strict=True)
@@ -361,7 +318,7 @@ def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> 
     before, _, after = judged.errors
     if judged.follow_no_curve:
         return _no_curve(judged, bracket, names)
-    if not judged.labels and not judged.rounded and judged.offset is None:
+    if not judged.exposures.wrong and not judged.rounded and judged.exposures.offset is None:
         few = "" if judged.can_show else "; with so few, the tone curve may hide a wrong one"
         return (
             f"Left-out parts of the picture are predicted by the other photographs to {after:.2g} DN on average{few}."
@@ -373,7 +330,6 @@ def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> 
 
 
 def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
-    """Return what to say of photographs that no tone curve joins."""
     few = "" if judged.can_show else ", wrong exposures (so few photographs cannot show which)"
     step_dn = dial_step_dn(judged.fitted.samples, judged.fitted.log_exposure)
     return (
@@ -385,7 +341,6 @@ def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
 
 
 def _worst(judged: _Judged, names: Sequence[str]) -> str:
-    """Return which photograph is predicted worst, where it is so by far."""
     times = judged.log_time - judged.samples.frame_log_time
     errors = np.abs(prediction_error_dn(judged.samples, judged.fitted.log_exposure, times))
     shown = [errors[(judged.samples.frame == k) & np.isfinite(errors)] for k in range(times.size)]
@@ -395,14 +350,13 @@ def _worst(judged: _Judged, names: Sequence[str]) -> str:
 
 
 def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[FrameFinding, ...]:
-    """Return what the others say of each photograph."""
     rows, g = judged.fitted.samples, judged.fitted.log_exposure
     final = prediction_error_dn(rows, g, judged.fitted.fit.log_time_errors)
     printed = np.log(bracket.effective_exposures_s) - rows.frame_log_time
     before = prediction_error_dn(rows, g, printed)
     times = judged.log_time - np.log(bracket.effective_exposures_s)
     limits = _limits(judged)
-    wrong = {one.frame: one for one in judged.labels}
+    wrong = {one.frame: one for one in judged.exposures.wrong}
     found = []
     for k, (name, frame) in enumerate(zip(names, bracket.light, strict=True)):
         stated, here = frame.settings.exposure_s, rows.frame == k
@@ -431,8 +385,6 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
 
 
 # ---- report ---------------------------------------------------------------------------------------------------------
-
-
 OFFSET: Final = "exposure_time_offset"
 _BINS: Final = 24
 _LONGEST_NAME: Final = 18
@@ -466,15 +418,7 @@ class FrameFinding:
 def report_html(
     result: ReconcileResult, frames: Sequence[FrameFinding], sentence: str, title: str, origin: Origin
 ) -> str:
-    """Return the report as HTML.
-
-    Args:
-        result: Verdict, effects and assumptions.
-        frames: The photographs in the order of their exposure.
-        sentence: The outcome in a sentence.
-        title: What was reconciled.
-        origin: What the photographs come from.
-    """
+    """Return the report as HTML."""
     wrong = [one for one in frames if one.wrong]
     line = "the line of 1" if all(one.expected == 1.0 for one in frames) else "what label and shutter's offset make"
     return page(
@@ -563,8 +507,7 @@ def _what_to_do(wrong: Sequence[FrameFinding], result: ReconcileResult) -> str:
         return ""
     if not wrong:
         return paragraph(
-            "-o exposures.txt writes the exposures that agree, which every command reads with the photographs.",
-            "do",
+            "-o exposures.txt writes the exposures that agree, which every command reads with the photographs.", "do"
         )
     names = ", ".join(one.name for one in wrong)
     return paragraph(
@@ -660,7 +603,6 @@ def _draw_errors(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -
 
 
 def _binned(dn: Array, error: Array) -> tuple[Array, Array, Array]:
-    """Return middle, mean error and its standard deviation of bins along the digital numbers, empty ones left out."""
     known = np.isfinite(error)
     if not known.any():
         return np.empty(0), np.empty(0), np.empty(0)

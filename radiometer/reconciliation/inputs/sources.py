@@ -32,7 +32,7 @@ from radiometer.reconciliation.inputs.tables import (
 from radiometer.reconciliation.measure.reduce import Progress
 from radiometer.reconciliation.propose import Proposal
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
-from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reconciliation.search.search import Reconciled
 from radiometer.reporting.origin import Origin
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.undeclared import completed
@@ -88,7 +88,6 @@ class DoneCapture:
         return str(path)
 
     def _origin(self) -> Origin:
-        """Return what the capture set states of camera, lens, date and conditions."""
         further = (("model", self._model), ("capture set", str(self._source)))
         return Origin.of_captures([self._header], further=further)
 
@@ -117,12 +116,8 @@ def reconcile_source(
     A table is of a light meter, or of a light engine's drives.
 
     Args:
-        path: What the user names.
-        model_path: Model file to start from.
         without: Entries to leave out of the catalogue.
         photographs: Frames of a folder of photographs by colour, the one to report on first, read by the caller.
-        progress: Called with frames done and frames in all.
-        say: Told what happens.
         doubt: Told what is missing and what is doubted of files that are read where they are.
 
     Raises:
@@ -155,8 +150,6 @@ def _hash(capture: CaptureSet) -> str:
 
 
 # ---- model file -----------------------------------------------------------------------------------------------------
-
-
 _SMALLEST, _LARGEST = 0.01, 1.0  # quantum efficiency
 
 
@@ -177,13 +170,9 @@ def reconciled_model(
         notes = _notes(state, effect, found.get(effect.name), capture_hash)
         model = model.with_effect(effect, notes)
         if not enabled:
-            entries = [_switched_off(entry, effect) for entry in model.entries]
+            entries = [EffectEntry(e.effect, False, e.notes) if e.effect is effect else e for e in model.entries]
             model = CameraModel(model.camera, tuple(entries), model.lens, model.wavelength_nm)
     return model
-
-
-def _switched_off(entry: EffectEntry, effect: CatalogueEffect) -> EffectEntry:
-    return EffectEntry(entry.effect, False, entry.notes) if entry.effect is effect else entry
 
 
 def _other_well_e(state: FitState, found: FoundEffect | None) -> float | None:
@@ -212,7 +201,6 @@ def _base(state: FitState, other_well_e: float | None = None) -> CameraModel:
 
 
 def _completed(state: FitState) -> CameraDescription:
-    """Return the camera with every figure that the ideal chain needs: declared, else fitted, else typical."""
     camera, off = state.design.header.camera, state.nuisance.off
     dark = {"dark_current_e_per_s": max((camera.dark_current_e_per_s or 0.0) + off.dark_e_per_s, 0.0)}
     black = {"black_level_dn": max(off.black_dn, 0.0)} if camera.black_level_dn is None else {}

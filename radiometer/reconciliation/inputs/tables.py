@@ -26,8 +26,8 @@ from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.importing.drive_table import ChannelDrive, DriveTable, read_drive_table
 from radiometer.importing.meter_table import MeterRow, read_meter_table
 from radiometer.numbers import with_u
-from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
-from radiometer.reconciliation.thresholds import CLOSED_GAP, NAMED_NATS, SCATTER_SIGMAS
+from radiometer.reconciliation.result import ByHand, FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reconciliation.thresholds import NAMED_NATS, is_open
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, paragraph, section, table
 from radiometer.typing import Array
@@ -40,7 +40,7 @@ _STEP_OF_A_METER: Final = math.log(2.0) / 3.0  # meters and cameras run in third
 
 
 @dataclass(frozen=True, slots=True)
-class MeterReconciled:
+class MeterReconciled(ByHand):
     """The result for a light-meter table, with its rows."""
 
     result: ReconcileResult
@@ -77,21 +77,13 @@ class MeterReconciled:
         )
         return str(path)
 
-    def write_plan(self, path: Path) -> bool:
-        """Write nothing: a light meter is read by hand; the remarks say which readings would help."""
-        return False
-
 
 def reconcile_meter_table(path: Path) -> MeterReconciled:
     """Return whether the readings agree, and whether the rounding of printed stops is why not."""
     begun = time.monotonic()
     rows = read_meter_table(path)
     result = _judge(rows)
-    return MeterReconciled(_timed(result, begun), rows, str(path))
-
-
-def _timed(result: ReconcileResult, begun: float) -> ReconcileResult:
-    return replace(result, seconds=time.monotonic() - begun)
+    return MeterReconciled(replace(result, seconds=time.monotonic() - begun), rows, str(path))
 
 
 def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
@@ -199,7 +191,6 @@ def _by_stop(rows: Sequence[MeterRow]) -> tuple[dict[float, float], float, int]:
 
 
 def _of_stops(stops: Mapping[float, float], before: float, left: float, freedom: int) -> FoundEffect:
-    """Return the effect of stops that let through more or less light than their number says, against the middle one."""
     errors = {n: math.expm1(-more) for n, more in stops.items() if abs(more) > _COINCIDENCE}
     found = {f"errors_rel at f/{n:.2g}": FittedParameter(error, _COINCIDENCE, "1") for n, error in errors.items()}
     nats, rivals = freedom * math.log(before / _COINCIDENCE), ("meter_resolution",)
@@ -209,7 +200,6 @@ def _of_stops(stops: Mapping[float, float], before: float, left: float, freedom:
 
 
 def _likely_axis(rows: Sequence[MeterRow]) -> str:
-    """Return the setting along which K changes most."""
     k = np.array([math.log(row.k_exact) for row in rows])
     axes = {
         "f_number": np.array([math.log(row.f_number) for row in rows]),
@@ -230,7 +220,6 @@ def _by_source(rows: Sequence[MeterRow], *, exact: bool) -> dict[str, Array]:
 
 
 def _spread(constants: Mapping[str, Array]) -> float:
-    """Return the standard deviation of ln K within sources."""
     deviations = [np.log(k) - np.mean(np.log(k)) for k in constants.values()]
     freedom = sum(d.size - 1 for d in deviations)
     return float(np.sqrt(sum(float(np.sum(d**2)) for d in deviations) / freedom)) if freedom else 0.0
@@ -250,8 +239,6 @@ def _table(rows: Sequence[MeterRow]) -> list[dict[str, Any]]:
 
 
 # ---- light over drive -----------------------------------------------------------------------------------------------
-
-
 GAP_UNIT: Final = "reduced chi-square on held-out drives"
 DROOP, STEP = "led_droop", "meter_range_step"
 _FOLDS: Final = 5  # every fifth drive is held out: neighbours of it stay
@@ -284,7 +271,7 @@ class _Data:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DriveFit:
+class DriveFit(ByHand):
     """The outcome for a table; write_model, write_report and write_plan are those of every reconciled source."""
 
     result: ReconcileResult
@@ -318,10 +305,6 @@ class DriveFit:
         origin = Origin(further=(("table", self.origin),))
         write_text_atomic(path, page(self.origin, self.result.sentence, parts, kind="light engine", origin=origin))
         return str(path)
-
-    def write_plan(self, path: Path) -> bool:
-        """Write nothing: the next readings are of a meter, not of a camera."""
-        return False
 
 
 def reconcile_drive_table(path: Path) -> DriveFit:
@@ -394,7 +377,6 @@ def _smooth(data: _Data) -> Array:
 
 
 def _rss(data: _Data, design: Array) -> tuple[Array, Array]:
-    """Return the residual sum of squares and the number of readings of each channel."""
     found = np.linalg.lstsq(design, data.target, rcond=None)[0]
     residual = (data.target - design @ found) ** 2
     sums = np.array([float(residual[data.channel == n].sum()) for n in range(data.channels)])
@@ -447,56 +429,48 @@ def _gain_by_place(data: _Data, before: Array, after: Array) -> float:
 def _named(
     data: _Data, steps: tuple[float, ...], laws: Mapping[str, DriveLaw | None]
 ) -> tuple[tuple[FoundEffect, ...], tuple[float, ...]]:
-    """Return the effects in the order of their gain, and the held-out gap before and after each."""
     flat = data.per_channel(np.ones((data.target.size, 1)))
     law = data.per_channel(columns_of(data.drive))
     jumps = np.column_stack([data.reading > edge for edge in steps]).astype(float) if steps else None
 
-    def joined(base: Array, *, stepped: bool) -> Array:
-        return np.column_stack([base, jumps]) if stepped and jumps is not None else base
+    def stepped(base: Array) -> Array:
+        return base if jumps is None else np.column_stack([base, jumps])
 
-    sigma = _sigma(data, joined(_smooth(data), stepped=True))
+    sigma = _sigma(data, stepped(_smooth(data)))
     gaps = [_held_out(data, flat, sigma)]
     effects = []
-    with_steps = joined(flat, stepped=True)
+    with_steps = stepped(flat)
     if jumps is not None:
         gaps.append(_held_out(data, with_steps, sigma))
-        effects.append(_step_effect(data, steps, joined(_smooth(data), stepped=True), sigma, (gaps[-2], gaps[-1])))
-    drooping = _drooping(laws)
-    curved = joined(law, stepped=True)
+        effects.append(_step_effect(data, steps, stepped(_smooth(data)), sigma, (gaps[-2], gaps[-1])))
+    curved = stepped(law)
+    drooping, after = _drooping(laws), _held_out(data, curved, sigma)
     gain = _gain(data, with_steps, curved)
     price = data.channels * math.log(max(2, data.target.size / data.channels)) + NAMED_NATS
-    if drooping and gain > price and (after := _held_out(data, curved, sigma)) < gaps[-1]:
-        size, u, count = drooping
-        share = {
-            "deviation_at_half_drive": FittedParameter(size, u, "1"),
-            "channels": FittedParameter(float(count), None, "1"),
-        }
-        effects.append(FoundEffect(DROOP, share, "drive", gaps[-1], after, gain_nats=gain, block="mean"))
+    if gain > price and after < gaps[-1]:
+        name, found = (DROOP, drooping) if drooping else ("unnamed", {})
+        effects.append(FoundEffect(name, found, "drive", gaps[-1], after, gain_nats=gain, block="mean"))
         gaps.append(after)
-    elif gain > price:
-        after = _held_out(data, curved, sigma)
-        if after < gaps[-1]:
-            effects.append(FoundEffect("unnamed", {}, "drive", gaps[-1], after, gain_nats=gain, block="mean"))
-            gaps.append(after)
     return tuple(effects), tuple(gaps)
 
 
 def _weighted(data: _Data, design: Array, sigma: Array) -> tuple[Array, Array]:
-    """Return the coefficients of a design by the noise of each channel, and their covariance."""
     rows = design / sigma[data.channel][:, None]
     return np.linalg.lstsq(rows, data.target / sigma[data.channel], rcond=None)[0], np.linalg.pinv(rows.T @ rows)
 
 
-def _drooping(laws: Mapping[str, DriveLaw | None]) -> tuple[float, float, int] | None:
-    """Return deviation at half drive of the channel that droops most, its u, and how many do; None where none does.
+def _drooping(laws: Mapping[str, DriveLaw | None]) -> dict[str, FittedParameter]:
+    """Return deviation at half drive of the channel that droops most, and how many do; nothing where none does.
 
     It is that of the law above its onset.
     """
     above = (replace(law, onset=0.0).parameters["deviation_at_half_drive"] for law in laws.values() if law is not None)
     seen = [one for one in above if math.log1p(one.value) > max(_SIGMAS * one.u, _LEAST_DEVIATION)]
-    largest = max(seen, key=lambda one: one.value, default=None)
-    return None if largest is None else (largest.value, largest.u, len(seen))
+    if not seen:
+        return {}
+    most = max(seen, key=lambda one: one.value)
+    size = FittedParameter(most.value, most.u, "1")
+    return {"deviation_at_half_drive": size, "channels": FittedParameter(float(len(seen)), None, "1")}
 
 
 def _step_effect(
@@ -518,14 +492,12 @@ def _step_effect(
 
 
 def _sigma(data: _Data, design: Array) -> Array:
-    """Return the relative noise of each channel about the freest model."""
     sums, counts = _rss(data, design)
     freedom = np.maximum(1.0, counts - design.shape[1] / data.channels)
     return np.asarray(np.maximum(np.sqrt(sums / freedom), _FLOOR))
 
 
 def _held_out(data: _Data, design: Array, sigma: Array) -> float:
-    """Return the reduced chi-square of drives predicted from the others."""
     total, place = 0.0, np.arange(data.target.size)
     for fold in range(_FOLDS):
         out = place % _FOLDS == fold
@@ -536,7 +508,6 @@ def _held_out(data: _Data, design: Array, sigma: Array) -> float:
 
 
 def _limits(data: _Data, effects: Sequence[FoundEffect]) -> dict[str, Limit]:
-    """Return what would have shown at 5 sigma of what was not found."""
     named = {one.name for one in effects}
     sigma = float(np.median(_sigma(data, _smooth(data))))
     per_channel = data.target.size / data.channels
@@ -550,11 +521,9 @@ def _limits(data: _Data, effects: Sequence[FoundEffect]) -> dict[str, Limit]:
 
 def _verdict(effects: Sequence[FoundEffect], gap: float, readings: int) -> Verdict:
     """Return the verdict; names are incomplete while the gap that they leave is more than chance."""
-    chance = 1.0 + SCATTER_SIGMAS * math.sqrt(2.0 / readings)
     names = {one.name for one in effects}
     if not names:
         return Verdict.AGREES
     if names == {"unnamed"}:
         return Verdict.UNNAMED
-    is_open = gap > max(CLOSED_GAP, chance)
-    return Verdict.INCOMPLETE if "unnamed" in names or is_open else Verdict.EFFECTS_FOUND
+    return Verdict.INCOMPLETE if "unnamed" in names or is_open(gap, readings) else Verdict.EFFECTS_FOUND

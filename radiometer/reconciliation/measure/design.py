@@ -86,7 +86,6 @@ class Design:
         """Return the design of a capture set whose frames have the given (height, width).
 
         Args:
-            shape: Height and width.
             jumps: Positions of frames at which a long series of equal ones is cut.
 
         Raises:
@@ -188,7 +187,6 @@ class Design:
         return np.asarray(stamps - stamps.min())
 
     def _of_frames(self, name: str) -> Array:
-        """Return a setting of every frame of the header; NaN where one does not state it."""
         return np.array([getattr(entry.settings, name) for entry in self.header.frames], dtype=np.float64)
 
     def _in_parts(self, of_frames: Array) -> tuple[Array, Array, Array]:
@@ -254,7 +252,6 @@ class Design:
 
     @property
     def _times_s(self) -> Array:
-        """Return the time in s of every frame of the header since the first capture."""
         return self._of_frames("timestamp_s") - float(np.min(self._column("timestamp_s")))
 
     def _one_by_one(self, of_frames: Array) -> tuple[Array, Array, Array]:
@@ -357,10 +354,6 @@ def rough_share(length: Array, across: Array) -> Array:
     """Return what a tile's variance about its quadratic surface keeps of a pattern of lines.
 
     The surface takes three of the tile's lines, but six of all its pixels.
-
-    Args:
-        length: Number of lines in the tile.
-        across: Number of pixels in each.
     """
     kept = np.maximum(length - SURFACE_LINES, 1.0) * across
     return np.asarray(kept / np.maximum(length * across - SURFACE_TERMS, kept))
@@ -459,7 +452,6 @@ def _capture(header: CaptureHeader, frames: Sequence[int]) -> Capture:
 
 
 def _patterns(header: CaptureHeader) -> tuple[str, ...]:
-    """Return the patterns that were shown, in the header's order."""
     shown = dict.fromkeys(frame.pattern for frame in header.frames)
     return tuple(dict.fromkeys((*(name for name in header.patterns if name in shown), *shown)))
 
@@ -525,7 +517,6 @@ def _grid_tiles(header: CaptureHeader, shape: tuple[int, int]) -> tuple[Tile, ..
 
 
 def _cells(whole: int, length: int, frame: int) -> int:
-    """Return how many of a frame's cells an area takes along one side: one at least, none too narrow."""
     return max(1, min(round(whole * length / frame), length // SMALLEST_TILE_PX))
 
 
@@ -593,7 +584,6 @@ def surface(height: int, width: int) -> Array:
 
 
 def _centred(count: int) -> Array:
-    """Return positions −1 … 1 of `count` equal cells' centres."""
     return (2.0 * np.arange(count) + 1.0) / count - 1.0
 
 
@@ -660,7 +650,6 @@ def patch_sides(design: Design) -> PatchSides:
 
 
 def _sides(number: int, tile: Tile) -> list[tuple[int, NDArray[np.intp], NDArray[np.intp]]]:
-    """Return (tile, rows, columns) of the lines along the four sides."""
     outwards = np.arange(-1, LINES - 1)[:, None]
     along_y = np.arange(tile.y, tile.y + tile.height)[None, :]
     along_x = np.arange(tile.x, tile.x + tile.width)[None, :]
@@ -676,8 +665,6 @@ def _sides(number: int, tile: Tile) -> list[tuple[int, NDArray[np.intp], NDArray
 
 
 # ---- what captures show ---------------------------------------------------------------------------------------------
-
-
 COMB_PERIODS: Final = (2, 3, 4, 5)  # a coarser step shows at one of its divisors
 
 

@@ -89,7 +89,6 @@ def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.b
     setting before. A first frame that differs, or a drift within the repeats, has a separate statistic.
 
     Args:
-        light: The light of each frame.
         unit: (captures,) relative variance of a frame's light by the noise of its pixels alone.
         clear: (captures, tiles) where no frame clips.
     """
@@ -157,8 +156,6 @@ def _rated(
 
 
 # ---- scenes ---------------------------------------------------------------------------------------------------------
-
-
 _MOST_BLOCKS: Final = 32  # along either side of a frame
 _SMALLEST_BLOCK_PX: Final = 4
 _SAMPLES: Final = 12  # pixels along a block's side that are looked at, every n-th of large frames
@@ -181,7 +178,6 @@ class FineStructure:
         """Return what a frame shows.
 
         Args:
-            dn: (height, width) digital numbers.
             black_dn: Black level; 0 where none is stated.
             full_scale_dn: Highest code: a block that holds it is clipped.
         """

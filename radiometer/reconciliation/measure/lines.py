@@ -68,8 +68,6 @@ def row_light(
     The first frame of three or more is left out: it may differ for another reason.
 
     Args:
-        bins: Bins of rows.
-        groups: Groups of tiles.
         row_sums: Per group and frame, the sums of deviations from the tile's mean along each row, (tiles, height).
         known: Per group, the pixels that the sums hold, (tiles, height, width).
         means: (frames, tiles) mean of each tile in DN.
@@ -112,7 +110,6 @@ def row_light(
 
 
 def _white(sums: Array, pixels: NDArray[np.intp], variance: Array, width: int) -> Array:
-    """Return the temporal variance of a pixel within its row in DN², (tiles,)."""
     frames, held = sums.shape[0], pixels.sum(axis=1)
     if frames < 2 or width < 3:
         return variance
@@ -145,7 +142,6 @@ def wave_power(bins: RowBins, basis: Array, frequency: float) -> tuple[Array, Ar
     """Return what a wave along the rows adds to the statistics, per unit of its relative variance.
 
     Args:
-        bins: Bins of rows.
         basis: (captures, 1 + orders, bins) functions of the rows, the constant first.
         frequency: Periods per row.
 
@@ -216,8 +212,6 @@ def _of_height(height: int, frequency: float) -> tuple[float, ...]:
 
 
 # ---- edges of patches -----------------------------------------------------------------------------------------------
-
-
 _LEAVES: Final = 0.2  # share of the largest deviation at which a line is no longer the patch
 _OUTLYING: Final = 4.0  # sigmas from the median of all sides
 _OUTLYING_SHARE: Final = 0.1
@@ -309,8 +303,6 @@ def _pixel_noise(lines: Array, mean: Array, spatial: Array, tile: NDArray[np.int
 
 @dataclass(frozen=True, slots=True)
 class _Straightness:
-    """Statistics that show whether borders run along their lines."""
-
     step: Array  # (captures, sides, lines) deviation of each line from the patch in DN
     uneven: Array  # variance along each in DN²
     noise: Array  # what pixel noise adds to it

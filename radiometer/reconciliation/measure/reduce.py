@@ -20,6 +20,8 @@ from radiometer.errors import CaptureError
 from radiometer.reconciliation.measure.design import (
     COMB_PERIODS,
     SMALLEST_TILE_PX,
+    SURFACE_LINES,
+    SURFACE_TERMS,
     CaptureStatistics,
     Design,
     PatchSides,
@@ -135,12 +137,7 @@ def _within(counts: NDArray[np.int64], middle: float, distance: float) -> int:
 
 @compiled
 def coarse_cells(dn: NDArray[Any], cell: int, rows: int, columns: int) -> tuple[Array, Array]:
-    """Return the mean of each cell of `cell` × `cell` pixels in DN, and its largest value.
-
-    Args:
-        dn: The frame in DN.
-        cell: Edge of a cell in pixels.
-    """
+    """Return the mean of each cell of `cell` × `cell` pixels in DN, and its largest value."""
     mean, largest = np.zeros((rows, columns)), np.zeros((rows, columns))
     for i in range(rows * cell):
         for j in range(columns * cell):
@@ -149,9 +146,6 @@ def coarse_cells(dn: NDArray[Any], cell: int, rows: int, columns: int) -> tuple[
             if value > largest[i // cell, j // cell]:
                 largest[i // cell, j // cell] = value
     return mean / (cell * cell), largest
-
-
-_TREND_TERMS_PER_AXIS = 3  # constant, slope and curvature of each tile are taken out of its profile
 
 
 def row_temporal_profile(
@@ -163,9 +157,7 @@ def row_temporal_profile(
     per tile and frame.
 
     Args:
-        groups: Groups of tiles.
         row_sums: Per group and frame, the sums of deviations along each tile row, shape (tiles, height).
-        variance: (tiles,) temporal variance of a pixel in DN².
         counting: Per group, the pixels that the sums hold, shape (tiles, height, width).
     """
     frames = len(row_sums[0])
@@ -186,7 +178,6 @@ def fixed_profile(
     """Return how much the time mean's columns and rows scatter, over what a white pixel pattern gives.
 
     Args:
-        groups: Groups of tiles.
         residuals: Per group, the time mean minus its quadratic surface, shape (tiles, height, width).
         spatial: (tiles,) variance of the time mean from pixel to pixel in DN².
         counting: Per group, the pixels that count, same shape; residuals are 0 elsewhere.
@@ -196,7 +187,7 @@ def fixed_profile(
     for group, residual, good in zip(groups, residuals, counting, strict=True):
         for found, lines, across in ((columns, group.columns, 1), (rows, group.rows, 2)):
             sums, pixels = residual.sum(axis=across)[..., None], good.sum(axis=across)
-            found.append((lines, sums, pixels, spatial[group.index], _TREND_TERMS_PER_AXIS))
+            found.append((lines, sums, pixels, spatial[group.index], SURFACE_LINES))
     return _named("columns", _profile(columns), 1) | _named("rows", _profile(rows), 1)
 
 
@@ -239,7 +230,6 @@ _LOPSIDED: Final = 2.0  # a twentieth of the pixels as many times farther below:
 # median deviation gives it, for one hot pixel does not move that.
 _SMOOTH_MAD_DN: Final = 15.0**0.5 / MAD_TO_SIGMA
 _MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more would cost time and change nothing
-_TREND_TERMS: Final = 6
 _HALF_WAVES: Final = 3  # down a frame, of a black level that moves while the rows are read
 _LITTLE_CUT: Final = 0.05  # share of a tile's samples at an end of the codes that leaves its noise nearly normal
 _CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cut off: six sigmas of 36 pixels in pairs
@@ -295,20 +285,10 @@ class CaptureSums:
         mean = np.empty(self.low.size)
         for number, group in enumerate(self.groups):
             index = group.index
+            own = (sums[number] for sums in (self.total, self.square, self.highest, self.pair_x, self.pair_y))
+            places = (group.rows[:, 0], group.columns[:, 0])
             mean[index], low, high, rows = add_tiles(
-                frame.dn,
-                good,
-                group.rows[:, 0],
-                group.columns[:, 0],
-                nearly_full,
-                _SMOOTH_MAD_DN,
-                self.total[number],
-                self.square[number],
-                self.highest[number],
-                self.pair_x[number],
-                self.pair_y[number],
-                self.histogram,
-                self.occurring,
+                frame.dn, good, *places, nearly_full, _SMOOTH_MAD_DN, *own, self.histogram, self.occurring
             )
             self.low[index] += low
             self.high[index] += high
@@ -324,18 +304,13 @@ class CaptureSums:
 
     def without(self, first: CaptureSums) -> CaptureSums:
         """Return the sums over the frames but the first; histogram and highest stay those of all."""
-        return replace(
-            self,
-            frame_means=self.frame_means[1:],
-            total=[both - one for both, one in zip(self.total, first.total, strict=True)],
-            square=[both - one for both, one in zip(self.square, first.square, strict=True)],
-            pair_x=[both - one for both, one in zip(self.pair_x, first.pair_x, strict=True)],
-            pair_y=[both - one for both, one in zip(self.pair_y, first.pair_y, strict=True)],
-            row_sums=[sums[1:] for sums in self.row_sums],
-            low=self.low - first.low,
-            high=self.high - first.high,
-            side_pixels=self.side_pixels - first.side_pixels,
-        )
+        apart: dict[str, Any] = {
+            name: [both - one for both, one in zip(getattr(self, name), getattr(first, name), strict=True)]
+            for name in ("total", "square", "pair_x", "pair_y")
+        }
+        apart |= {name: getattr(self, name) - getattr(first, name) for name in ("low", "high", "side_pixels")}
+        row_sums = [sums[1:] for sums in self.row_sums]
+        return replace(self, frame_means=self.frame_means[1:], row_sums=row_sums, **apart)
 
     def finish(
         self, black_dn: float, bins: RowBins, *, structured: bool = False, dark: bool = False
@@ -344,7 +319,6 @@ class CaptureSums:
 
         Args:
             black_dn: Stated black level in DN; NaN where unknown.
-            bins: Bins of rows for bands.
             structured: Whether the tiles show a scene rather than even light: nothing in them is outlying or unsteady.
             dark: Whether it is a dark capture, whose restless pixels leave its noise.
         """
@@ -447,8 +421,8 @@ class CaptureSums:
         out["mean"][index] = means[:, index].mean(axis=0) + shift
         out["peak"][index] = means[:, index].mean(axis=0) + np.where(good > 0, picture, -np.inf).max(axis=(1, 2))
         out["pixels"][index] = pixels
-        out["spatial_dof"][index] = pixels - _TREND_TERMS
-        out["spatial"][index] = np.sum(residual**2, axis=(1, 2)) / (pixels - _TREND_TERMS)
+        out["spatial_dof"][index] = pixels - SURFACE_TERMS
+        out["spatial"][index] = np.sum(residual**2, axis=(1, 2)) / (pixels - SURFACE_TERMS)
         out["slope_x"][index] = coefficients[:, 1] / group.slope_norm[0]
         out["slope_y"][index] = coefficients[:, 2] / group.slope_norm[1]
         calm = good * ~scattering if dark else good
@@ -489,11 +463,7 @@ class CaptureSums:
         """Work out the tiles' noise.
 
         Args:
-            number: Number of the group.
-            group: Tiles of one size.
-            good: Their pixels that count.
             out: Statistics by name; those of noise are filled in.
-            n: Number of frames.
             shaken: (tiles,) sum of squares of what the light of the frames differs by, relatively; 0 where missing.
         """
         total, index = self.total[number], group.index
@@ -723,7 +693,6 @@ def with_even_tiles(design: Design, read: FrameReader) -> Design:
 
     Args:
         design: The cells of the scene; a design of known patches is returned as it is.
-        read: Gives the frame at a position of the header.
     """
     images = PatternImages.empty(design)
     for pattern in range(0 if design.uniform else len(design.patterns)):
@@ -766,12 +735,12 @@ def _u2_of_mean(parts: Array) -> Array:
     """
     patterns, count, height, width = parts.shape
     pixels = height * width
-    if pixels <= _TREND_TERMS:
+    if pixels <= SURFACE_TERMS:
         return np.full(count, np.inf)
     flat = parts.reshape(patterns, count, pixels)
     left = np.sum(np.square(flat), axis=-1) - np.sum(np.square(flat @ surface(height, width)), axis=-1)
     mean = np.maximum(flat.mean(axis=-1), 1e-30)
-    return np.asarray(np.sum(np.maximum(left, 0.0) / (pixels - _TREND_TERMS) / pixels / mean**2, axis=0))
+    return np.asarray(np.sum(np.maximum(left, 0.0) / (pixels - SURFACE_TERMS) / pixels / mean**2, axis=0))
 
 
 _AHEAD: Final = 2  # frames that are read before they are needed
@@ -783,10 +752,6 @@ def reduce_frames(
     """Return the statistics of all captures and the mean image of each pattern.
 
     Dark captures come first, so that their outlying and restless pixels (defects) are left out everywhere.
-
-    Args:
-        read: Gives the frame at a position of the header.
-        progress: Called with frames done and frames in all.
 
     Raises:
         CaptureError: If a frame's size differs from the design's.
@@ -827,15 +792,9 @@ def reduce_frames(
     rows = [collected[number] for number in range(len(design.captures))]
     lines, uneven = (np.array([row[name] for row in rows]) for name in ("side_lines", "side_unevenness"))
     gathered = {name: np.array([row[name] for row in rows]) for name in names if name not in ("edge", "edge_u")}
+    mean, spatial, high = (gathered[name] for name in ("mean", "spatial", "high"))
     gathered["edge"], gathered["edge_u"] = edge_shares(
-        sides,
-        lines,
-        uneven,
-        gathered["mean"],
-        gathered["spatial"],
-        gathered["high"],
-        design.pattern_index,
-        design.f_number,
+        sides, lines, uneven, mean, spatial, high, design.pattern_index, design.f_number
     )
     return CaptureStatistics(**gathered), images
 
@@ -858,11 +817,6 @@ def _later_noise(
     """Return the noise of a scene's frames after the first, by name: a picture left behind in that is no noise.
 
     The spatial variance of darks is brought to what the mean of all frames would have; mostly noise, it scatters more.
-
-    Args:
-        later: Statistics of the frames after the first.
-        frames: Number of all frames.
-        structured: Whether the scene is seen.
     """
     noise: dict[str, NDArray[np.float64] | float] = {name: later[name] for name in _NOISE}
     if not structured:

@@ -183,7 +183,6 @@ def _at(values: Array, share: float) -> float:
 
 
 def _along(role: str, *shares: float) -> Callable[[Array, _Known], _Made]:
-    """Return what tries a parameter at shares of the covariate's range."""
     return lambda values, known: [({}, {role: _at(values, share)}) for share in shares]
 
 
@@ -252,7 +251,6 @@ def _edge(values: Array, known: _Known) -> _Made:
 
 
 def _picked(count: int, *roles: str) -> Callable[[Array, _Known], _Made]:
-    """Return what tries some of a setting's few values."""
     return lambda values, known: [
         ({}, dict(zip(roles, map(float, some), strict=True)))
         for some in (combinations(values, count) if values.size in _FEW else ())
@@ -383,7 +381,6 @@ class Term:
 
         Args:
             known: Values of its covariates by tag.
-            values: Parameters by role.
         """
         form = FORMS[self.form]
         constants = {name: float(f"{value:.6g}") for name, value in self.constants.items()}  # as written
@@ -401,13 +398,7 @@ def terms_of(name: str, known: Mapping[str, Array]) -> Iterator[Term]:
 
 
 def finer(term: Term, values: Array, tried: Collection[float]) -> Iterator[Term]:
-    """Yield a step or a border at places between it and the next ones that were tried.
-
-    Args:
-        term: One that did well where it stands.
-        values: All values of its covariate.
-        tried: Places that were tried.
-    """
+    """Yield a step or a border at places between it and the next ones that were tried."""
     at = term.values["at"]
     low = max((place for place in tried if place < at), default=at)
     high = min((place for place in tried if place > at), default=at)

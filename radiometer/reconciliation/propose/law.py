@@ -121,7 +121,6 @@ class Law:
 
 
 def _fields(law: Law, amplitude: float) -> list[tuple[str, type[float], Any]]:
-    """Return the parameters that the effect of a law declares, the amplitude first, with ranges about their values."""
     wide = round_to(_WIDEST * max(abs(amplitude), 1e-12))
     found = [(law.amplitude, LINKS[law.link].unit, 0.0, -wide, wide)]
     for term, role in [(one, role) for one in law.terms for role in one.values]:

@@ -34,7 +34,6 @@ def effect_source(
     """Return the text of an effect file: the law as data, of which its class is made.
 
     Args:
-        law: The law at its parameters.
         amplitude: Its amplitude; trials start there and at its negative.
         sentence: What it does, for its docstring.
         source: Where its values come from.
@@ -71,9 +70,6 @@ def source_of_test(
     """Return the text of a test of an effect file: its values at some places, and nothing at amplitude 0.
 
     Args:
-        law: The law at its parameters.
-        amplitude: Its amplitude.
-        file_name: Name of the effect file in the folder of the test.
         settings: Of the frame, by their names in `FrameSettings`.
         shape: Height and width of the sensor in pixels.
         values: Column, row, signal in front of it and what `acted` makes of it.
@@ -251,11 +247,6 @@ def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]
 
 def write_files(proposal: Proposal, folder: Path, origin: str) -> tuple[Path, ...]:
     """Write effect file, test and the plan that would refute a law, and return their paths.
-
-    Args:
-        proposal: The law with its evidence.
-        folder: Made where it is missing.
-        origin: What the law was found in.
 
     Raises:
         OutputError: If a file cannot be written.

@@ -23,21 +23,17 @@ from scipy.special import ndtr
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.descent import FullFits, UnfitError, fitted_parameters, included, scatter_of
-from radiometer.reconciliation.fit.linear import LinearFit
+from radiometer.reconciliation.fit.descent import UnfitError, fitted_parameters, included, scatter_of
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.posterior import posterior
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
-from radiometer.reconciliation.search.localise import significant
-from radiometer.reconciliation.search.outcome import Search, Step, contenders_of, worth
 from radiometer.reconciliation.search.screening import best_start
-from radiometer.reconciliation.search.search import nowhere_near
+from radiometer.reconciliation.search.search import Contender, Search, Step, contenders_of, worth
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconciliation.tile_model import from_grid, rise_of
-from radiometer.reconciliation.verdict import doubts_of, leaves_structure
+from radiometer.reconciliation.verdict import doubts_of, leaves_structure, posterior
 from radiometer.typing import Array
 from simulators.chain.law_stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
@@ -46,7 +42,6 @@ from simulators.effects.surroundings import column_light, picture_mean
 
 _AT_ONCE: Final = 64  # laws that are projected together
 _FAINT: Final = 1e-9
-_FAR_GAP: Final = 100.0  # reduced χ²
 _FOLLOWING: Final = ("mean", *(name for name, row in STATISTICS.items() if row.follows_light))
 
 
@@ -87,7 +82,6 @@ class _Values:
         """Return those of a law's values.
 
         Args:
-            values: As `values_of` gives them.
             frames: (captures, 1, 1) number of frames.
         """
         first, others = np.nan_to_num(values[[0, -1]])
@@ -102,24 +96,24 @@ class _Look:
     """Changes that laws make in the tested statistics, and how much of the residual they would take up."""
 
     def __init__(self, state: FitState) -> None:
-        self._state = state
+        whole, self._cuts, at = state.comparison.cuts, dict[str, slice](), 0
+        for block in (*_FOLLOWING, "slope_x", "slope_y", "first"):
+            self._cuts[block] = slice(at, at := at + whole[block].stop - whole[block].start)
+        rows = np.concatenate([np.arange(whole[block].start, whole[block].stop) for block in self._cuts])
+        self._comparison, self._projected = state.comparison, state.fit.projected[rows]
+        self._fit = state.fit.within(rows)
         self._response = {key: _response(state, key) for key, link in LINKS.items() if not link.is_noise}
-        self._parts: dict[tuple[str, ...], tuple[dict[str, slice], LinearFit, Array]] = {}
 
     def gains(self, laws: Sequence[Law], shown: Sequence[Sequence[_Values]]) -> list[Screened]:
         """Return laws, of one column each or (a wave) of two, with amplitude and χ²."""
         columns = [(values, self._response[law.link]) for law, own in zip(laws, shown, strict=True) for values in own]
-        blocks = list(_FOLLOWING)
-        blocks += ["slope_x", "slope_y"] if any(values.rises for values, _ in columns) else []
-        blocks += ["first"] if any(values.first is not None for values, _ in columns) else []
-        cuts, fit, projected = self._part(tuple(blocks))
-        changes = np.zeros((fit.residual.size, len(columns)))
-        for block, cut in cuts.items():
+        changes = np.zeros((self._fit.residual.size, len(columns)))
+        for block, cut in self._cuts.items():
             own = self._changes(block, columns)
             if own.any():
-                changes[cut] = self._state.comparison.whiten(block, np.moveaxis(own, 0, -1)).reshape(-1, len(columns))
-        followed, part = fit.followed_with_half(changes)
-        slope = followed.T @ projected
+                changes[cut] = self._comparison.whiten(block, np.moveaxis(own, 0, -1)).reshape(-1, len(columns))
+        followed, part = self._fit.followed_with_half(changes)
+        slope = followed.T @ self._projected
         squares, rows = np.einsum("ij,ij->j", changes, changes), np.ascontiguousarray(followed.T)
         found, at = [], 0
         for law, pair in zip(laws, shown, strict=True):
@@ -145,17 +139,6 @@ class _Look:
             if factor is not None:
                 np.multiply(factor, response.get(block, response["mean"]), out=own)
         return found
-
-    def _part(self, blocks: tuple[str, ...]) -> tuple[dict[str, slice], LinearFit, Array]:
-        """Return some statistics' places among theirs alone, the fit in these, and the residual that is left there."""
-        if blocks not in self._parts:
-            whole, cuts, at = self._state.comparison.cuts, dict[str, slice](), 0
-            for block in blocks:
-                cuts[block] = slice(at, at := at + whole[block].stop - whole[block].start)
-            rows = np.concatenate([np.arange(whole[block].start, whole[block].stop) for block in blocks])
-            fit = self._state.fit
-            self._parts[blocks] = cuts, fit.within(rows), fit.projected[rows]
-        return self._parts[blocks]
 
 
 def known_values(state: FitState) -> dict[str, Array]:
@@ -200,7 +183,6 @@ def _varies(values: Array) -> bool:
 
 
 def _response(state: FitState, link: str) -> dict[str, Array]:
-    """Return the change by a unit of a constant law in means and in statistics of the light, (captures, tiles) each."""
     exposure = state.design.exposure_s
     step = {
         "1": 1e-3,
@@ -244,7 +226,6 @@ class _Terms:
 
 
 def _ahead(term: Term) -> Term:
-    """Return a wave a quarter of a period later; anything else as it is."""
     later = {name: value + 0.5 * np.pi for name, value in term.values.items() if name == "phase"}
     return replace(term, values={**term.values, **later})
 
@@ -284,7 +265,7 @@ def _turned(law: Law, best: Array, gain: float) -> Screened:
 _NOISES: Final = {"1": (0.002, 0.01), "DN": (0.5, 3.0)}  # standard deviations that laws of noise start from, by unit
 _OF_NOISE: Final = ("power", "step")  # forms that are nowhere below 0
 _FITTED: Final = 16  # laws that are fitted to all statistics
-_JUDGED: Final = 9
+_JUDGED: Final = 4  # of them, those that are fitted in full
 _MULTIPLIED: Final = 5  # laws of one term that are multiplied by another
 _CONSTANT: Final = ("analog", "digital")  # a constant there is a black level that is off
 _ALONE: Final = ("well", "range")  # what goes with the signal goes with nothing else, nor what comes back in turns
@@ -300,13 +281,11 @@ _FINER: Final = 6  # laws of a sharp place that are refined
 
 
 @on_one_blas_thread
-def propose_law(state: FitState, along: Collection[str] = (), most: float = np.inf) -> Proposal | None:
+def propose_law(state: FitState, along: Collection[str] = ()) -> Proposal | None:
     """Return the law that explains best what a starting camera lacks; None where none is beyond chance.
 
     Args:
-        state: The starting camera fitted, without any effect that was named.
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
-        most: χ² under the weights of the starting camera that a law may leave at best.
     """
     singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)))
     for forms in _REFINED:
@@ -317,18 +296,13 @@ def propose_law(state: FitState, along: Collection[str] = (), most: float = np.i
         for entry in (screened(state, _products(state, singles)) if not along else ())
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
-    fits = FullFits(state, most)
-    judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]))
+    judged = _judged(state, _chosen([*singles, *products, *_noises(state, along)]))
     if not judged:
         return None
     best = _plainest(judged)
     if _score(best) < NAMED_NATS:
         return None
-    law, fitted, nats = best
-    try:
-        after = fits.included(fitted.effect, far=True)
-    except UnfitError:
-        return None
+    law, after, nats = best[0], best[1].state, best[1].nats
     effect = next(e for e in after.effects if e.name == law.name)
     law = law.with_parameters(effect.values())
     rivals = tuple(
@@ -341,8 +315,6 @@ def propose_law(state: FitState, along: Collection[str] = (), most: float = np.i
 
 
 # ---- which laws are looked at ------------------------------------------------------------------------------
-
-
 def _singles(state: FitState) -> Iterator[Law]:
     known = known_values(state)
     terms = {name: tuple(terms_of(name, known)) for name in known}
@@ -390,13 +362,13 @@ def _is_sharp(law: Law) -> bool:
 
 
 def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
-    """Yield the best laws of one term times a term of another covariate."""
     known = known_values(state)
     for place in PLACES if "source_level" in known else ():
         tilts = [term for term in terms_of(place, known) if term.form in ("ramp", "bow")]
         levels = [term for term in terms_of("source_level", known) if term.form in ("power", "step")]
         yield from (Law("scene", (tilt, level)) for tilt in tilts for level in levels)
-    for entry in _distinct((entry for entry in singles if not _goes_alone(entry.law)), _MULTIPLIED):
+    together = (e for e in singles if e.law.terms and e.law.link not in _ALONE and "frame" not in e.law.covariates)
+    for entry in _distinct(together, _MULTIPLIED):
         own = entry.law.terms[0]
         for name in known:
             if name in (*own.covariates, "signal", "value", "frame") or {name, own.covariate} <= _OF_A_PLACE:
@@ -407,12 +379,7 @@ def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
             yield from (Law("scene" if scenic else entry.law.link, (own, term)) for term in further)
 
 
-def _goes_alone(law: Law) -> bool:
-    return not law.terms or law.link in _ALONE or "frame" in law.covariates
-
-
 def _distinct(screened_: Iterable[Screened], most: int) -> list[Screened]:
-    """Return the best laws that differ in formula, whatever their stage."""
     found: dict[tuple[tuple[str, str], ...], Screened] = {}
     for entry in sorted(screened_, key=lambda entry: -entry.score):
         found.setdefault(_formula(entry.law), entry)
@@ -440,57 +407,28 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
 
 
 # ---- judged as effects -------------------------------------------------------------------------------------
+_JudgedLaw = tuple[Law, Contender]
 
-_JudgedLaw = tuple[Law, FittedCandidate, float]
 
-
-def _judged(fits: FullFits, chosen: list[Screened]) -> list[_JudgedLaw]:
-    """Return the laws fitted to all statistics, with the nats that they improve held-out settings by.
-
-    Those that leave too much though the nuisances follow are not among them; where entries are far off, these follow
-    too badly to judge.
-    """
-    fitted, state = list[tuple[Law, FittedCandidate]](), fits.state
-    most = np.inf if _is_far(state) else fits.most
+def _judged(state: FitState, chosen: list[Screened]) -> list[_JudgedLaw]:
+    """Return the best laws fitted to all statistics, then in full."""
+    laws, rated = dict[int, Law](), list[tuple[float, FittedCandidate]]()
     for entry in chosen:
         effect = _started(entry)
         if effect is None:
             continue
         try:
             others = tuple(start for other in entry.others if (start := _started(other)) is not None)
-            candidate = Candidate(effect, entry.gain, entry.law.size, others=others)
-            fitted.append((entry.law, fit_candidate(state, candidate, most)))
-        except (UnfitError, MeasurementError, np.linalg.LinAlgError):
+            fitted = fit_candidate(state, Candidate(effect, entry.gain, entry.law.size, others=others))
+        except (MeasurementError, np.linalg.LinAlgError):
             continue
-    fitted = [pair for pair in fitted if state.cost - pair[1].gain < most]
-    fitted.sort(key=lambda pair: -pair[1].gain + 2.0 * PARAMETER_NATS * pair[0].size)
-    rated = [(f, judged_gain(state, f)) for _, f in fitted[:_JUDGED]]
-    laws = {id(f): law for law, f in fitted}
-    return [(laws[id(f)], f, nats) for f, nats in _fitted_in_full(fits, rated)]
-
-
-def _is_far(state: FitState) -> bool:
-    """Return whether entries are off by ten of their uncertainties and more: linear predictions mean little there.
-
-    Entries are held-out settings and stated values: a wrong model may fit the former by moving the latter.
-    """
-    stated = slice(state.settings, None)
-    off = float(state.held_out.chi2[stated].sum()) / max(float(state.held_out.count[stated].sum()), 1.0)
-    return max(state.gap, off) >= _FAR_GAP
-
-
-def _fitted_in_full(fits: FullFits, rated: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
-    """Return the laws that contend; one with which the model predicts what no camera does is none of them."""
-    while rated:
-        try:
-            return contenders_of(fits, rated)
-        except UnfitError as unfit:
-            rated = [(fitted, nats) for fitted, nats in rated if fitted.name != str(unfit)]
-    return []
+        laws[id(fitted)] = entry.law
+        rated.append((judged_gain(state, fitted) - PARAMETER_NATS * entry.law.size, fitted))
+    best = sorted(rated, key=lambda entry: -entry[0])[:_JUDGED]
+    return [(laws[id(one.fitted)], one) for one in contenders_of(state, [fitted for _, fitted in best])]
 
 
 def _started(entry: Screened) -> CatalogueEffect | None:
-    """Return the effect at the screened parameters; None where its amplitude is nothing."""
     return effect_of(entry.law, round_to(entry.amplitude)) if entry.amplitude else None
 
 
@@ -502,14 +440,13 @@ def _plainest(judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
 
 
 def _holds(law: Law, other: Law) -> bool:
-    """Return whether a law is another one times something more."""
     return law.link == other.link and set(_formula(other)) < set(_formula(law))
 
 
 def _score(entry: _JudgedLaw) -> float:
     """Return the nats of a law less what its parameters cost, and what a second factor does."""
-    law, _, nats = entry
-    return nats - PARAMETER_NATS * law.size - NAMED_NATS * (len(law.terms) - 1)
+    law, fitted = entry
+    return fitted.nats - PARAMETER_NATS * law.size - NAMED_NATS * (len(law.terms) - 1)
 
 
 # ---- names against laws ---------------------------------------------------------------------------------------------
@@ -523,23 +460,16 @@ def _score(entry: _JudgedLaw) -> float:
 
 
 def held_to_laws(
-    outcome: Search,
-    catalogue: Mapping[str, type[CatalogueEffect]],
-    say: Callable[[str], None] = lambda line: None,
+    outcome: Search, catalogue: Mapping[str, type[CatalogueEffect]], say: Callable[[str], None] = lambda line: None
 ) -> Search:
-    """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none.
-
-    Args:
-        catalogue: The entries that may be named.
-        say: Told what happens.
-    """
+    """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none."""
     effects = outcome.state.effects
     if not effects:
         return outcome
     weighed = posterior(outcome.state.models, catalogue, scatter_of(outcome.state))
     stays = len(effects) > 1 or leaves_structure(outcome) or bool(doubts_of(outcome, weighed))
     along = () if stays else own_covariates(effects[0])
-    law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
+    law = propose_law(outcome.start, along=along)
     if law is None:
         return outcome
     is_plainer = law.law.size < outcome.state.parameters.size
@@ -598,7 +528,7 @@ def by_own_equations(outcome: Search) -> FitState:
     plain = outcome.start
     try:
         for effect in own:
-            plain = included(plain, effect, far=True)
+            plain = included(plain, effect)
     except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # they bring what those bring that can be fitted
         pass
     return plain
@@ -618,4 +548,4 @@ def without_names(outcome: Search, law: Proposal, remark: str) -> Search:
         block="mean",
     )
     tests = outcome.first_tests
-    return replace(outcome, state=outcome.start, steps=(step,), left=significant(tests), tests=tests, remarks=(remark,))
+    return replace(outcome, state=outcome.start, steps=(step,), tests=tests, remarks=(remark,))

@@ -56,14 +56,9 @@ class Covariate:
         if levels.size <= _MOST_LEVELS or (self.name in _LEVELLED and levels.size <= 2 * _MOST_LEVELS):
             columns = [(np.abs(flat - level) < 1e-8).astype(np.float64) for level in levels[1:]]
             return np.stack(columns, axis=-1).reshape(*self.value.shape, -1)
-        u = 0.5 * (_rank_axis(flat) + _linear_axis(flat))
+        u = 0.5 * (_linear_axis(ranks(np.round(flat, 9))) + _linear_axis(flat))  # repeats differ in their last bits
         columns = [np.asarray(legendre.legval(u, np.eye(DEGREE + 1)[k])) for k in range(1, DEGREE + 1)]
         return np.stack(columns, axis=-1).reshape(*self.value.shape, -1)
-
-
-def _rank_axis(values: Array) -> Array:
-    rank = ranks(np.round(values, 9))  # repeats differ in their last bits
-    return np.asarray(2.0 * (rank - rank.min()) / max(np.ptp(rank), 1e-30) - 1.0)
 
 
 def _linear_axis(values: Array) -> Array:
@@ -275,12 +270,7 @@ def _least_of_draws(state: FitState, bases: Sequence[Basis]) -> Array:
 
 
 def whitened_basis(
-    comparison: Comparison,
-    prediction: Prediction,
-    sensitivity: Array,
-    block: str,
-    form: str,
-    axis: Covariate | None,
+    comparison: Comparison, prediction: Prediction, sensitivity: Array, block: str, form: str, axis: Covariate | None
 ) -> Array:
     """Return the whitened columns of a smooth trend in one block, (entries of the block, terms)."""
     captures, tiles = prediction.mean.shape
@@ -357,7 +347,6 @@ def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
 
 
 def _fitted_with(state: FitState, fit: LinearFit, basis: Basis) -> LinearFit:
-    """Return the fit with a trend taken up."""
     lengths = np.linalg.norm(basis.columns, axis=0)
     columns = np.zeros((state.comparison.size, int(np.sum(lengths > 0))))
     columns[state.comparison.cuts[basis.block]] = basis.columns[:, lengths > 0] / lengths[lengths > 0]

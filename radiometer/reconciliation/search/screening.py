@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.errors import ConfigurationError, MeasurementError
+from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import Candidate
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics
@@ -96,7 +96,6 @@ def _stacked(values: Any, captures: int) -> Array:
 
 
 def _variant(start: CatalogueEffect) -> tuple[object, ...]:
-    """Return what of a start is not fitted."""
     free = start.free()
     return tuple(value for name, value in start.values().items() if name not in free)
 
@@ -138,8 +137,6 @@ def _of_each_capture(state: FitState, start: CatalogueEffect) -> Array:
 
 
 # ---- waves along the rows -------------------------------------------------------------------------------------
-
-
 def _of_bands(state: FitState, starts: Starts) -> Starts:
     """Return the likeliest waves along the rows with their likeliest size, the best first.
 
@@ -160,8 +157,6 @@ def _of_bands(state: FitState, starts: Starts) -> Starts:
 
 @dataclass(frozen=True, slots=True)
 class _Rated:
-    """A wave at its likeliest size, a factor on its start's: the deviance of the bands, and its periods per row."""
-
     deviance: float
     start: CatalogueEffect
     size: float
@@ -242,8 +237,6 @@ def screen(
     model. The rest come as they were, behind these.
 
     Args:
-        catalogue: Entries to try, by name.
-        pool: Their starts, where they were made before.
         before: What a smaller model's screening found, by which the likeliest are tested first.
         needed: How many of the best are needed then.
 
@@ -309,25 +302,15 @@ def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
 def changes_with(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
     """Return what sets of effects change in the whitened data residual (minus the residual's change), (entries, sets).
 
-    Raises:
-        MeasurementError: If the prediction with one of them is not finite.
+    They are numbers that are none for sets with which the model predicts what no camera does.
     """
-    changed = state.moved_by(several)
-    for number in np.flatnonzero(~np.isfinite(changed).all(axis=0))[:1].tolist():
-        names = ", ".join(effect.name for effect in several[number])
-        raise MeasurementError(f"the prediction with {names} is not finite; report this with the capture set")
-    return changed
-
-
-def changes_where_possible(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
-    """Return the same; numbers that are none for sets with which the model predicts what no camera does."""
     try:
-        return changes_with(state, several)
-    except (MeasurementError, ConfigurationError):
+        return state.moved_by(several)
+    except ConfigurationError:
         if len(several) == 1:
             return np.full((state.comparison.size, 1), np.nan)
     half = len(several) // 2
-    return np.hstack([changes_where_possible(state, part) for part in (several[:half], several[half:])])
+    return np.hstack([changes_with(state, part) for part in (several[:half], several[half:])])
 
 
 def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
@@ -338,7 +321,8 @@ def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate
 def _rigid_batch(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
     rows = state.comparison.size
     fit = state.fit
-    changes, part = fit.followed_with_half(changes_with(state, [(*state.effects, start) for start in starts]))
+    moved = np.nan_to_num(state.moved_by([(*state.effects, start) for start in starts]))
+    changes, part = fit.followed_with_half(moved)
     whole = np.einsum("ij,ij->j", changes, changes)
     curvature = whole - np.einsum("ij,ij->j", part, part)
     slope = changes.T @ fit.projected[:rows]
@@ -401,17 +385,13 @@ def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: in
     return next(iter(directions_of_each(state, [(effects, index, 0)])))
 
 
-_Changes = Callable[[FitState, Sequence[Sequence[CatalogueEffect]]], Array]
-
-
 def directions_of_each(
-    state: FitState, entries: Sequence[tuple[Sequence[CatalogueEffect], int, int]], changes: _Changes = changes_with
+    state: FitState, entries: Sequence[tuple[Sequence[CatalogueEffect], int, int]]
 ) -> Iterator[Array]:
-    """Yield the same of several sets of effects; their chains run together.
+    """Yield the same of several sets of effects, nothing of what no camera does; their chains run together.
 
     Args:
         entries: Each set, the position of the one whose parameters are moved, and the first of these.
-        changes: Gives what sets change.
     """
     sets, steps = list[Sequence[CatalogueEffect]](), list[Array]()
     for effects, index, first in entries:
@@ -419,8 +399,9 @@ def directions_of_each(
         step, moved = own.a_step_away(_FAR_STEP, own.of_effect(index)[first:])
         steps.append(step)
         sets += [effects, *moved]
-    changed, at = changes(state, sets), 0
+    changed, at = changes_with(state, sets), 0
     for step in steps:
         there = changed[:, at : at + 1]
-        yield np.hstack([there, (changed[:, at + 1 : at + 1 + step.size] - there) / step])
+        found = np.hstack([there, (changed[:, at + 1 : at + 1 + step.size] - there) / step])
+        yield found if np.isfinite(found).all() else np.zeros_like(found)
         at += 1 + step.size

@@ -1,25 +1,24 @@
 """Names missing effects one after the other until nothing structured is left.
 
-What was named first knew nothing of what came later. Names are dropped, laws loosened, or one name given a free law.
-Each move is judged by the score that also adds names: the held-out log density, every parameter paid for.
+What was named first knew nothing of what came later. Names are dropped, laws loosened, or one name gives way to
+another. Each move is judged by the score that also adds names: the held-out log density plus the log prior odds of the
+names, each parameter paid for.
 
-Where structure stays in the end, the names that were found may be one cause by another law than the catalogue's. Each
-entry's change is then multiplied by a free curve along its own covariates (`simulators/effects/free_law.py`). It is
-tried alone from the start on or in the place of a name, by the score of all models. It is kept where it leaves
-nothing unexplained.
+Where a name's equation leaves structure, its change may be multiplied by a free curve along its own covariates
+(`simulators/effects/free_law.py`). That is one more flexible form of it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from radiometer.errors import ConfigurationError, MeasurementError
+from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
@@ -28,7 +27,6 @@ from radiometer.reconciliation.fit.candidate_fit import (
     judged_gain,
 )
 from radiometer.reconciliation.fit.descent import (
-    FullFits,
     UnfitError,
     coarse_fit,
     converged_fit,
@@ -38,24 +36,12 @@ from radiometer.reconciliation.fit.descent import (
     scatter_of,
 )
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
+from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
-from radiometer.reconciliation.search.outcome import (
-    Search,
-    Step,
-    contenders_of,
-    is_shown,
-    penalised_chi2,
-    rated,
-    rivals_of,
-    score,
-    worth,
-)
 from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.statistics import STATISTICS, Scale
 from radiometer.reconciliation.thresholds import (
-    HUGE_NATS,
-    LAW_SHARE,
-    MOST_STEPS,
+    ESSENTIAL_SIGMAS,
     NAMED_NATS,
     PARAMETER_NATS,
     RIVAL_NATS,
@@ -69,14 +55,136 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw, axis_scale, axis_values, freed, unscaled
 from simulators.effects.tile_moments import TileMoments
 
+_MOST_STEPS: Final = 12  # bounds the time: a CCD's darks show nine effects, two in freer forms
 _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
-_NEAR_FORM: Final = 0.5
-_LITTLE_PROMISE: Final = 0.05  # of what a further effect brings: forms came to eleven times their promise at most
-_AFTER_A_LAW: Final = 3  # further steps next to a free law
 
 
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One effect (or unnamed term) as it was added."""
+
+    name: str  # name of the effect, or `unnamed`
+    where: str  # covariate along which the disagreement lay
+    gain_nats: float  # improvement of the held-out log density
+    gap_before: float  # reduced χ² of held-out settings before
+    gap_after: float  # the same after
+    rivals: tuple[CatalogueEffect, ...] = ()  # effects within 5 nats
+    # For an unnamed term, the closest entry and the share of it that it explains
+    closest: tuple[str, float] | None = None
+    block: str = ""  # for an unnamed term, the statistic that shows it
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The outcome."""
+
+    state: FitState  # the fitted model
+    start: FitState  # the ideal camera fitted
+    steps: tuple[Step, ...]  # what was added and stayed, in order
+    tests: tuple[Disagreement, ...]  # all tests of the final model
+    first_tests: tuple[Disagreement, ...]  # all tests of the ideal camera
+    remarks: tuple[str, ...] = ()  # further remarks on how it came about
+
+    @property
+    def left(self) -> tuple[Disagreement, ...]:
+        """Return the disagreements that stay significant."""
+        return significant(self.tests)
+
+
+@dataclass(frozen=True, eq=False)
+class Reconciled:
+    """A result with what it was drawn from, for the model file and the report."""
+
+    result: ReconcileResult  # the result
+    outcome: Search  # the search behind it
+    # Fits the starting camera to the frames as they were taken, where the search had them with light that comes back
+    # every so many of them taken out
+    taken: Callable[[], FitState] | None = None
+
+    @property
+    def start(self) -> FitState:
+        """Return the starting camera fitted to the frames as they were taken."""
+        return self.outcome.start if self.taken is None else self.taken()
+
+
+# ---- scores ---------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A candidate after a full fit of all that is in the model."""
+
+    fitted: FittedCandidate  # as it was fitted, the nuisances following linearly
+    state: FitState  # the model with it
+    nats: float  # improvement of the held-out log density
+
+    @property
+    def score(self) -> float:
+        """Return its nats less what it pays; a flexible form pays as much as separates rivals."""
+        return self.nats - _penalty(self.fitted) - (RIVAL_NATS if self.fitted.start.flexible else 0.0)
+
+    @property
+    def is_shown(self) -> bool:
+        """Return whether settings held out are predicted better, and in the statistic that must show it too.
+
+        Of many starts one fits by chance. Scatter that stays makes nats worth less.
+        """
+        needed = NAMED_NATS - self.fitted.effect.log_prior_odds + float(np.log(self.fitted.start.tries))
+        needed += RIVAL_NATS if self.fitted.start.flexible else 0.0
+        enough = max(needed, NAMED_NATS * scatter_of(self.state))
+        return self.nats >= enough and self.fitted.evidence >= ESSENTIAL_SIGMAS**2
+
+
+def contenders_of(state: FitState, candidates: Sequence[FittedCandidate]) -> list[Contender]:
+    """Return candidates after a full fit of each; one with which the model predicts what no camera does is left out."""
+    found = []
+    for fitted in candidates:
+        with contextlib.suppress(UnfitError):
+            with_it = included(state, fitted.effect)
+            fairly = with_it.models[-1].log_density.copy()
+            fairly[: state.settings] -= fitted.overrated / state.settings
+            with_it.models[-1] = replace(with_it.models[-1], log_density=fairly)
+            found.append(Contender(fitted, with_it, with_it.evidence - state.evidence - fitted.overrated))
+    return found
+
+
+def worth(state: FitState) -> float:
+    """Return the score of a model: its held-out log density, each parameter and each column of a curve paid for."""
+    return state.evidence - PARAMETER_NATS * (state.parameters.size + state.curves)
+
+
+def rated(state: FitState) -> float:
+    """Return the score of a model with the prior odds of its names."""
+    return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
+
+
+def penalised_chi2(fitted: FittedCandidate) -> float:
+    """Return the χ² that a candidate explains, less what it pays for its parameters and for being unlikely."""
+    return fitted.gain - 2.0 * _penalty(fitted)
+
+
+def _penalty(fitted: FittedCandidate) -> float:
+    return PARAMETER_NATS * fitted.start.parameters - fitted.effect.log_prior_odds
+
+
+def rivals_of(chosen: Contender, contenders: Sequence[Contender]) -> tuple[CatalogueEffect, ...]:
+    """Return the effects, at their best parameters, that the data cannot separate from the chosen one.
+
+    Each further parameter must be paid for. One with more parameters, one of them on its bound, imitates the chosen one
+    in a limit: a kernel as wide as the picture is a veil. What the plan cannot separate, because a setting does not
+    vary, is asked of the reported model (`inseparable`).
+    """
+    found = {}
+    for other in contenders:
+        fitted, further = other.fitted, max(other.fitted.start.parameters - chosen.fitted.start.parameters, 0)
+        on_bound = further and fitted.columns.shape[1] < fitted.start.parameters
+        near = other.nats - PARAMETER_NATS * further > chosen.nats - RIVAL_NATS
+        if near and not on_bound and fitted.name != chosen.fitted.name:
+            found[fitted.name] = fitted.effect
+    return tuple(found.values())
+
+
+# ---- the search -----------------------------------------------------------------------------------------------------
 @dataclass(slots=True)
 class _Run:
     catalogue: Mapping[str, type[CatalogueEffect]]
@@ -84,7 +192,6 @@ class _Run:
     steps: list[Step] = field(default_factory=list)
     refused: set[str] = field(default_factory=set)
     pool: StartPool = field(default_factory=StartPool)
-    first: list[CatalogueEffect] = field(default_factory=list)  # what fitted best before anything was named
     screened: list[Candidate] = field(default_factory=list)  # next to the model before
     forms: dict[tuple[str, bool], tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # as they were fitted then
     fitted_with: dict[str, tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # what was fitted with each name
@@ -93,51 +200,26 @@ class _Run:
 def search(
     start: FitState, catalogue: Mapping[str, type[CatalogueEffect]], say: Callable[[str], None] = lambda line: None
 ) -> Search:
-    """Return the model with every missing effect that the data can name.
-
-    Args:
-        start: The ideal camera fitted.
-        catalogue: Entries to try, by name.
-        say: Told what happens, line by line.
-    """
+    """Return the model with every missing effect that the data can name."""
     run, first = _Run(catalogue, say), localise(start)
-    state, tests = _stepped(start, first, run, MOST_STEPS)
-    changed = _refined(start, state, tests, run)
-    if changed is not None:
-        state, tests, steps = changed, localise(changed), list(run.steps)
-        further, later = _stepped(state, tests, run, _AFTER_A_LAW)
-        if worth(further) > worth(state):
-            state, tests = further, later
-        else:
-            run.steps = steps
+    state, tests = _stepped(start, first, run)
     likeliest, taken = swapped(state, run.fitted_with)
     if taken:
         say("; ".join(f"{effect.name} in place of {name}" for name, effect in taken.items()))
-        run.steps = [_renamed(step, taken.get(step.name), likeliest) for step in run.steps]
+        for old, effect in taken.items():
+            at = next(i for i, step in enumerate(run.steps) if step.name == old)
+            step = replace(run.steps[at], name=effect.name, where=effect.where)
+            run.steps[at] = replace(step, gap_after=likeliest.gap, rivals=())
         state, dropped = pruned(likeliest, say)  # what stood next to another name may be superfluous next to this one
         for name in dropped:
             _forget(run, name)
         tests = localise(state)
-    return Search(state, start, tuple(run.steps), significant(tests), tests, first)
+    return Search(state, start, tuple(run.steps), tests, first)
 
 
-def _renamed(step: Step, effect: CatalogueEffect | None, state: FitState) -> Step:
-    """Return the step of a name with the entry that took its place, if any."""
-    if effect is None:
-        return step
-    return replace(step, name=effect.name, where=effect.where, gap_after=state.gap, rivals=())
-
-
-def _stepped(
-    state: FitState, tests: tuple[Disagreement, ...], run: _Run, most: int
-) -> tuple[FitState, tuple[Disagreement, ...]]:
-    """Return the model after up to so many steps, and its tests."""
-    for _ in range(most):
-        try:
-            following = _one_step(state, tests, run)
-        except UnfitError as unfit:
-            run.refused.add(str(unfit))
-            continue
+def _stepped(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> tuple[FitState, tuple[Disagreement, ...]]:
+    for _ in range(_MOST_STEPS):
+        following = _one_step(state, tests, run)
         if following is None:
             break
         state, dropped = pruned(following, run.say)
@@ -149,55 +231,29 @@ def _stepped(
     return state, tests
 
 
-def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
-    """Return the model with a free law for one name, where structure stays and it does better than what was found."""
-    unnamed = any(step.name == "unnamed" for step in run.steps)
-    stays = unnamed or significant(tests) or is_misfit(state) or departing(tests, state.effects)
-    if not (stays and is_misfit(start)):  # the law of what hardly shows can be any
-        return None
-    found = by_a_free_law(start, state, run.first)
-    if found is None:
-        return None
-    run.say(f"{found.name} by a free law: gap {state.gap:.3f} → {found.state.gap:.3f}")
-    old = {step.name: step for step in run.steps}
-    refined, dropped = pruned(found.state, run.say)
-    run.steps = []
-    for effect in sorted(refined.effects, key=lambda effect: effect.name == found.name):
-        step = Step(effect.name, effect.where, found.nats, found.without.gap, refined.gap, found.rivals)
-        run.steps.append(step if effect.name == found.name else old[effect.name])
-    run.refused |= set(dropped)
-    return refined
-
-
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     standing = significant(tests)
     screened = run.screened = screen(state, run.catalogue, run.pool, run.screened, _FITTED + len(run.refused))
-    limit = SIGNIFICANCE / max(len(screened), 1)
-    promising = _promising(screened, limit, standing)
-    promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
+    # What is significant among all that were tried, or may yet become so: a start shows only part of its gain.
+    limit = (SIGNIFICANCE / max(len(screened), 1)) ** (0.5 if standing else 1.0)
+    likely = (c for c in screened if chi2_beyond(max(c.gain, 1e-9), c.parameters) < limit)
+    promising = [candidate for candidate in likely if candidate.effect.name not in run.refused]
     departed = [] if standing else departing(tests, state.effects)
     if not standing and not promising and not departed:
         return None
     all_fitted = (_fitted(state, candidate, run) for candidate in promising[:_FITTED])
     fitted = sorted((f for f in all_fitted if not f.effect.is_nothing()), key=lambda f: -penalised_chi2(f))
-    run.first = run.first or [candidate.effect for candidate in fitted]
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
-    shown = [entry for entry in judged if is_shown(*entry)]
-    looser = LooserForms.of(state, None if standing else departed)
-    fits = FullFits(state)
-    while shown:
-        contenders = contenders_of(fits, shown)
-        chosen = max(contenders, key=score)
-        if not _convinces(state, chosen, standing) or _is_likelier(fits, looser, chosen):
-            break
-        others = judged if contenders is shown else contenders
-        following = _named(fits, chosen, others, run)
-        if following is not None:
-            run.fitted_with[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
-            return following
-        shown = [entry for entry in shown if entry[0].name != chosen[0].name]
-    if looser.best is not None:
-        return _taken(state, looser.best, run)
+    contenders = contenders_of(state, [f for f, nats in judged if nats >= NAMED_NATS - RIVAL_NATS])
+    shown = sorted((entry for entry in contenders if entry.is_shown), key=lambda entry: -entry.score)
+    looser = loosened(state, None if standing else departed)
+    gained = -np.inf if looser is None else worth(looser) - worth(state) - RIVAL_NATS
+    for chosen in shown[:1]:
+        if _convinces(state, chosen, standing) and chosen.score >= gained:
+            run.fitted_with[chosen.fitted.name] = tuple(f.effect for f in fitted if f.name != chosen.fitted.name)
+            return _named(state, chosen, contenders, run)
+    if looser is not None:
+        return _taken(state, looser, run)
     return _unnamed(state, standing, judged, run) if standing else None
 
 
@@ -209,42 +265,22 @@ def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate
     return found
 
 
-def _is_likelier(fits: FullFits, looser: LooserForms, chosen: tuple[FittedCandidate, float]) -> bool:
-    """Return whether another form of an effect that is there predicts better than a further effect.
-
-    The form is fitted in full, unless it promises too little; where the two are near, the further effect is too, before
-    they are compared.
-    """
-    if looser.promise < _LITTLE_PROMISE * score(chosen) or looser.best is None:
-        return False
-    form = looser.best.nats - PARAMETER_NATS * looser.best.further - RIVAL_NATS
-    if form > score(chosen) or form < _NEAR_FORM * score(chosen):
-        return form > score(chosen)
-    fitted = fits.included(chosen[0].effect, far=False)
-    return form > score((chosen[0], fitted.evidence - fits.state.evidence))
+def _taken(state: FitState, looser: FitState, run: _Run) -> FitState:
+    newest, nats, gap = looser.effects[-1], looser.evidence - state.evidence, looser.gap
+    at = next(i for i, step in enumerate(run.steps) if step.name == newest.name)
+    old = run.steps[at]
+    rivals = _by_laws_of_theirs(looser, run.fitted_with.get(newest.name, ())) if isinstance(newest, FreeLaw) else ()
+    run.steps[at] = replace(old, gain_nats=old.gain_nats + nats, gap_after=gap, rivals=(*old.rivals, *rivals))
+    run.say(f"{newest.name} in a more flexible form: {nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
+    return looser
 
 
-def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
-    at = next(i for i, step in enumerate(run.steps) if step.name == looser.name)
-    gap = looser.state.gap
-    run.steps[at] = replace(run.steps[at], gain_nats=run.steps[at].gain_nats + looser.nats, gap_after=gap)
-    run.say(f"{looser.name} in a more flexible form: {looser.nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
-    return looser.state
-
-
-def _promising(candidates: list[Candidate], limit: float, standing: tuple[Disagreement, ...]) -> list[Candidate]:
-    """Return candidates whose gain is significant among all that were tried, or may yet become so."""
-    slack = 0.5 if standing else 1.0  # a start far from the best parameters shows only part of its gain
-    return [c for c in candidates if chi2_beyond(max(c.gain, 1e-9), c.parameters) < limit**slack]
-
-
-def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], standing: tuple[Disagreement, ...]) -> bool:
-    fitted, nats = chosen
-    same = [test for test in standing if test.family == fitted.effect.block]
+def _convinces(state: FitState, chosen: Contender, standing: tuple[Disagreement, ...]) -> bool:
+    same = [test for test in standing if test.family == chosen.fitted.effect.block]
     if not same:
         return True
     smooth = _smooth_gain(state, same[0])
-    return nats >= SMOOTH_SHARE * smooth or nats >= smooth - NAMED_NATS
+    return chosen.nats >= SMOOTH_SHARE * smooth or chosen.nats >= smooth - NAMED_NATS
 
 
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
@@ -253,42 +289,21 @@ def _smooth_gain(state: FitState, test: Disagreement) -> float:
     return curve_gain(state, state.fit.followed(columns))
 
 
-def _named(
-    fits: FullFits,
-    chosen: tuple[FittedCandidate, float],
-    contenders: list[tuple[FittedCandidate, float]],
-    run: _Run,
-) -> FitState | None:
-    """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
-
-    Contenders are judged as the chosen one is.
-    """
-    (fitted, nats), state = chosen, fits.state
-    following = fits.included(fitted.effect, far=nats > HUGE_NATS)
-    brought = following.evidence - state.evidence
-    if brought < NAMED_NATS * scatter_of(following):
-        run.refused.add(fitted.name)
-        return None
-    rivals = rivals_of(chosen, contenders)
-    for rival in rivals:
-        fits.try_out(rival, far=nats > HUGE_NATS)
-    gap_before = state.gap
-    again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
+def _named(state: FitState, chosen: Contender, contenders: Sequence[Contender], run: _Run) -> FitState:
+    effect, gap = chosen.fitted.effect, chosen.state.gap
+    again = next((i for i, step in enumerate(run.steps) if step.name == effect.name), None)
     if again is None:
-        where = fitted.effect.where
-        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals))
+        rivals = rivals_of(chosen, contenders)
+        run.steps.append(Step(effect.name, effect.where, chosen.nats, state.gap, gap, rivals))
     else:
         old = run.steps[again]
-        run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
-    run.say(f"{fitted.name}: {nats:.1f} nats, gap {gap_before:.3f} → {following.gap:.3f}")
-    return following
+        run.steps[again] = replace(old, gain_nats=old.gain_nats + chosen.nats, gap_after=gap)
+    run.say(f"{effect.name}: {chosen.nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
+    return chosen.state
 
 
 def _unnamed(
-    state: FitState,
-    standing: tuple[Disagreement, ...],
-    judged: list[tuple[FittedCandidate, float]],
-    run: _Run,
+    state: FitState, standing: tuple[Disagreement, ...], judged: list[tuple[FittedCandidate, float]], run: _Run
 ) -> FitState | None:
     tried = {old.name for old in state.terms} | run.refused
     fresh = [t for t in standing if smooth_term(state, t).name not in tried and not _too_few(state, t.block)]
@@ -325,8 +340,6 @@ def _forget(run: _Run, name: str) -> None:
 
 
 # ---- changes of a model with names ----------------------------------------------------------------------------------
-
-
 _SWAPPED: Final = 4  # entries that are fitted in another's place
 _FAR_OFF: Final = 400.0  # χ² that a smaller model leaves by its own derivatives still, and is asked no further
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
@@ -341,9 +354,7 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
     changed, dropped = True, list[str]()
     while changed:
         changed = False
-        for name, promised, smaller in _without_one(state):
-            if promised - state.cost > 2.0 * HUGE_NATS:  # the others, free to move, come nowhere near
-                continue
+        for name, smaller in _without_one(state):
             lost = _lost(state, smaller)
             if lost < PARAMETER_NATS:
                 say(f"{name} dropped again: it brings {lost:.1f} nats")
@@ -361,21 +372,13 @@ def _lost(state: FitState, smaller: FitState) -> float:
     return _log_density(state) - _log_density(refit(nearer, iterations=5).recorded())
 
 
-def _without_one(state: FitState) -> Iterator[tuple[str, float, FitState]]:
-    """Yield the models with one earlier addition less (the newest effect is not questioned), and the χ² they promise.
-
-    What is left of an effect that is gone the others may take up as they do where it stands.
-    """
+def _without_one(state: FitState) -> Iterator[tuple[str, FitState]]:
+    """Yield the models with one earlier addition less; the newest effect is not questioned."""
     smooth = tuple(term for term in state.terms if term.is_smooth)
-    older = state.effects[:-1] if not smooth else state.effects
-    rests = [[other for other in state.effects if other is not effect] for effect in older]
-    for index, (effect, change) in enumerate(zip(older, state.moved_by(rests).T, strict=True)):
-        others = state.whole_fit.without(state.parameters.of_effect(index))
-        residual = state.residual - state.pad(change[:, None])[:, 0]
-        yield effect.name, others.left_from(residual), with_effects(state, rests[index])
+    for effect in state.effects if smooth else state.effects[:-1]:
+        yield effect.name, with_effects(state, [other for other in state.effects if other is not effect])
     for term in smooth if state.effects else ():
-        smaller = with_terms(state, [other for other in smooth if other is not term])
-        yield term.name, smaller.promised, smaller
+        yield term.name, with_terms(state, [other for other in smooth if other is not term])
 
 
 def _log_density(state: FitState) -> float:
@@ -390,113 +393,81 @@ def swapped(
     What was fitted at the step of a name did not know the later ones. The only name was compared at its step.
 
     Args:
-        state: The model with all names.
         others: What was fitted with each name, the best first.
     """
     taken = dict[str, CatalogueEffect]()
     for effect in state.effects if len(state.effects) > 1 else ():
         present = {other.name for other in state.effects}
-        starts = [other for other in others.get(effect.name, ()) if other.name not in present]
-        if not starts:
-            continue
-        try:
-            rest = with_effects(state, [other for other in state.effects if other.name != effect.name])
-            fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts[:_SWAPPED]]
-            best = max(fitted, key=penalised_chi2)
-            judged_gain(rest, best)
-            changed = included(rest, best.effect, far=False)
-        except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
-            continue
-        if rated(changed) > rated(state) and not is_misfit(changed):  # else it takes up the residual of others
-            state, taken[effect.name] = changed, changed.effects[-1]
+        starts = [other for other in others.get(effect.name, ()) if other.name not in present][:_SWAPPED]
+        rest = with_effects(state, [other for other in state.effects if other.name != effect.name])
+        fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts]
+        for entry in contenders_of(rest, sorted(fitted, key=penalised_chi2)[-1:]):
+            if rated(entry.state) > rated(state) and not is_misfit(entry.state):  # else it takes up others' residual
+                state, taken[effect.name] = entry.state, entry.fitted.effect
     return state, taken
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Loosened:
-    """A model in which one effect took a more flexible form."""
-
-    name: str  # name of the effect
-    state: FitState  # the fitted model
-    nats: float  # improvement of the held-out log density
-    further: int  # number of parameters that the form has beyond the former one
-
-
-@dataclass(eq=False)
-class LooserForms:
-    """The forms that may do more than those of the effects in a model; they are fitted where they are asked for.
+def loosened(state: FitState, only: Sequence[str] | None = None) -> FitState | None:
+    """Return the model in which one effect, the last then, took a more flexible form; None where none is worth it.
 
     Each further parameter must be paid for, and the whole be as far beyond chance as a further name.
+
+    Args:
+        only: Names of the effects that leave structure in their own place, where these alone are asked and the
+            tests of that place are what is beyond chance; by default all effects.
     """
+    needed = NAMED_NATS if only is None else 0.0
+    forms = sorted(_forms_of_promise(state, only), key=lambda entry: -entry[0])[:_REFITTED]
+    fitted = (_with_form(state, index, form) for nats, index, form in forms if nats >= needed)
+    best = max((one for one in fitted if one is not None), key=worth, default=state)
+    return best if best is not state and worth(best) - worth(state) >= needed else None
 
-    state: FitState  # the model
-    needed: float  # nats that a form must bring
-    # Nats that the likeliest would bring if they acted linearly, the places of their effects, the forms
-    promising: list[tuple[float, int, CatalogueEffect]]
 
-    @classmethod
-    def of(cls, state: FitState, only: Sequence[str] | None = None) -> LooserForms:
-        """Return the forms of the effects of a model.
+def _by_laws_of_theirs(looser: FitState, others: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
+    """Return other entries, each by a free law, that leave nothing in the place of the newest effect either."""
+    rest, found = with_effects(looser, looser.effects[:-1]), list[CatalogueEffect]()
+    present, place = {effect.name for effect in looser.effects}, len(rest.effects)
+    for other in [other for other in others if other.name not in present][:_SWAPPED]:
+        forms = free_forms(rest, other)
+        best = max(forms, key=lambda form: _promise(rest, (*rest.effects, form), place) - _cost(form), default=None)
+        fitted = None if best is None else _with_form(rest, place, best)
+        if fitted is not None and not is_misfit(fitted):
+            found.append(fitted.effects[-1])
+    return tuple(found)
 
-        Args:
-            only: Names of the effects that leave structure in their own place, where these alone are asked and the
-                tests of that place are what is beyond chance; by default all effects.
-        """
-        needed = NAMED_NATS if only is None else 0.0
-        forms = (form for form in _forms_of_promise(state, only) if form[0] >= needed)
-        return cls(state, needed, sorted(forms, key=lambda entry: -entry[0])[:_REFITTED])
 
-    @property
-    def promise(self) -> float:
-        """Return the nats that the likeliest form would bring if it acted linearly."""
-        return max((nats for nats, _, _ in self.promising), default=0.0)
+def _cost(effect: CatalogueEffect) -> float:
+    return PARAMETER_NATS * len(effect.free())
 
-    @cached_property
-    def best(self) -> Loosened | None:
-        """Return the model with the form that predicts held-out settings best; None where none is worth it."""
-        fitted = [_loosened(self.state, index, form) for _, index, form in self.promising]
-        worth = [e for e in fitted if e is not None and e.nats - PARAMETER_NATS * e.further >= self.needed]
-        return max(worth, key=lambda entry: entry.nats - PARAMETER_NATS * entry.further, default=None)
+
+def _promise(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> float:
+    """Return the nats that one of some effects, instead of the model's, would bring if it acted linearly."""
+    followed = state.fit.followed(directions_of(state, effects, index))
+    return state.fit.score(slice(0, state.comparison.size), followed)[0] / 2.0
 
 
 def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[tuple[float, int, CatalogueEffect]]:
-    """Yield nats that each form would bring if it acted linearly, the place of its effect, and the form."""
+    """Yield nats that each form would bring beyond its cost, the place of its effect, and the form."""
     for index, effect in enumerate(state.effects):
         if only is not None and effect.name not in only:
             continue
-        for form in effect.loosened(state.model.context):
+        free = free_forms(state, effect) if is_misfit(state) else ()  # the law of what hardly shows can be any
+        for form in (*effect.loosened(state.model.context), *free):
             effects = [form if place == index else other for place, other in enumerate(state.effects)]
-            nats = _linear_gain(state, effects, index) / 2.0 - PARAMETER_NATS * _further(effect, form)
-            yield nats, index, form
+            yield _promise(state, effects, index) - _cost(form) + _cost(effect), index, form
 
 
-def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:
-    return max(len(form.free()) - len(effect.free()), 1)
-
-
-def _linear_gain(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> float:
-    """Return the χ² that one of some effects, instead of the model's, explains by itself and by its parameters."""
-    followed = state.fit.followed(directions_of(state, effects, index))
-    return state.fit.score(slice(0, state.comparison.size), followed)[0]
-
-
-def _loosened(state: FitState, index: int, form: CatalogueEffect) -> Loosened | None:
-    """Return the model with a form in an effect's place, fitted; it stands last, as the newest of all.
-
-    None where the form cannot be fitted: with it the model predicts what no camera does.
-    """
+def _with_form(state: FitState, index: int, form: CatalogueEffect) -> FitState | None:
+    """Return the model with a form in an effect's place, fitted; None where it predicts what no camera does."""
     others = [effect for place, effect in enumerate(state.effects) if place != index]
     try:
-        following = converged_fit(coarse_fit(with_effects(state, [*others, form])))
+        fitted = converged_fit(coarse_fit(with_effects(state, [*others, form])))
     except (np.linalg.LinAlgError, ConfigurationError):  # no covariance, or parameters that are no numbers
         return None
-    further = _further(state.effects[index], form)
-    return Loosened(form.name, following, following.evidence - state.evidence, further)
+    return None if fitted.effects[-1] == form else fitted  # what does not move is the plain form
 
 
 # ---- looser forms and free laws -------------------------------------------------------------------------------------
-
-
 _KNOTS: Final = (5, 9)
 _OF_TWO: Final = 6  # of the first of two covariates
 _LEVELS: Final = 6  # of a covariate, each of which is a knot
@@ -507,7 +478,6 @@ def free_forms(state: FitState, effect: CatalogueEffect) -> tuple[FreeLaw, ...]:
 
     Args:
         state: The model, which gives the signals in front of the effect.
-        effect: The effect by its own law.
     """
     if isinstance(effect, FreeLaw) or not effect.free() or any("[" in name for name in effect.free()):
         return ()
@@ -552,119 +522,3 @@ def _acts(state: FitState, effect: CatalogueEffect, before: TileMoments) -> Mask
     names = ("mean", *before.squared, *before.linear)
     moved = [np.not_equal(getattr(after, name), getattr(before, name)) for name in names]
     return np.asarray(np.broadcast_to(np.any(np.broadcast_arrays(*moved), axis=0), before.mean.shape))
-
-
-_FORMS_FITTED: Final = 3  # forms that are fitted in full, the most promising first
-_NEAR: Final = 2.0  # times the residual beyond chance, under the same weights: a law that leaves more is far off
-_FEW: Final = 6  # iterations that show how the others do alone
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Refined:
-    """A model in which one name took a free law."""
-
-    state: FitState  # the fitted model
-    name: str  # the name
-    without: FitState  # the model without that name
-    rivals: tuple[CatalogueEffect, ...] = ()  # other entries that leave nothing by a law of theirs either
-
-    @property
-    def nats(self) -> float:
-        """Return by how much the name by its free law raises the held-out log density."""
-        return self.state.evidence - self.without.evidence
-
-
-def nowhere_near(base: FitState, found: FitState) -> float:
-    """Return the χ² beyond which a single law that is fitted comes nowhere near what was found.
-
-    Args:
-        base: The model that the law is put into; its weights are those of the χ².
-        found: What was found; curves without a name are left out.
-    """
-    left, count = base.comparison.residual(found.prediction), float(base.comparison.counts().sum())
-    return count + _NEAR * max(float(left @ left) - count, 0.0) + 2.0 * HUGE_NATS
-
-
-def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Refined | None:
-    """Return the model with one name by a free law that does better than all that was found; None for none.
-
-    Args:
-        start: The model without any name.
-        state: What was found; structure stays in it.
-        alone: Entries as they fit the start, each alone.
-    """
-    found = list[Refined]()
-    for promises in (_of_one(start, alone), _in_place(start, state)):
-        found += _tried(promises, state)
-        if any(not is_misfit(refined.state) for refined in found):
-            break
-    if not found:
-        return None
-    best = max(found, key=lambda refined: worth(refined.state))
-    closing = [refined for refined in found if not is_misfit(refined.state) and refined.name != best.name]
-    forms = {own.name: effect for own in closing for effect in own.state.effects if effect.name == own.name}
-    return replace(best, rivals=tuple(forms.values()))
-
-
-_Promise = tuple[float, FitState, FreeLaw]
-
-
-def _tried(promises: Iterator[_Promise], state: FitState) -> Iterator[Refined]:
-    """Yield the models of the most promising forms, one for each name, that are worth more than what was found."""
-    least = worth(state)
-    tried = set[str]()
-    for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
-        if form.name not in tried and len(tried) < _FORMS_FITTED:
-            tried.add(form.name)
-            refined = _with_form(base, form, least, nowhere_near(base, state))
-            if refined is not None:
-                yield refined
-
-
-def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Promise]:
-    """Yield what free forms promise alone, the model that each is put into, and the form."""
-    for effect in alone:
-        for form in free_forms(start, effect):
-            yield promise(start, form), start, form
-
-
-def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
-    """Yield the same of forms in the place of a name, the other names kept."""
-    for effect in state.effects if len(state.effects) > 1 else ():
-        without = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
-        base = refit(without, iterations=_FEW)
-        for form in free_forms(base, effect):
-            yield base.evidence - start.evidence + promise(base, form), base, form
-
-
-def promise(base: FitState, form: FreeLaw) -> float:
-    """Return the nats that a form would bring if it acted linearly, its parameters and its law's paid for.
-
-    Args:
-        base: The model without it.
-        form: A form with a free law.
-    """
-    try:
-        gain = _linear_gain(base, (*base.effects, form), len(base.effects))
-    except (MeasurementError, ConfigurationError):  # what no camera does
-        return -np.inf
-    return gain / 2.0 - PARAMETER_NATS * (len(form.free()) + len(form.own.free()))
-
-
-def _with_form(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:
-    """Return the model with a form, or with its plain law where that is worth more and leaves nothing, fitted in full.
-
-    None where the form is not worth more than `least`, or leaves more than `most` under the weights of the model
-    without it. None too where the plain law is far from the result.
-    """
-    try:
-        state = included(base, form, far=True, most=most)
-        if worth(state) <= least:
-            return None
-        plain = included(base, form.own, far=True)
-    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):
-        return None
-    brought, whole = plain.evidence - base.evidence, state.evidence - base.evidence
-    if brought < LAW_SHARE * whole:
-        return None
-    return Refined(plain if worth(plain) >= worth(state) and not is_misfit(plain) else state, form.name, base)

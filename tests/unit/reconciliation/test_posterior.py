@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from radiometer.reconciliation import thresholds
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.state import ModelFit
-from radiometer.reconciliation.posterior import UNNAMED, posterior, pseudo_bma
 from radiometer.reconciliation.result import FittedParameter, FoundEffect
 from radiometer.reconciliation.search.localise import Disagreement, departing
 from radiometer.reconciliation.thresholds import TABLE
-from radiometer.reconciliation.verdict import uncertain, without_essential
+from radiometer.reconciliation.verdict import UNNAMED, posterior, pseudo_bma, uncertain, without_essential
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.conversion_gain_error import ConversionGainError

@@ -114,4 +114,4 @@ def test_scatter_without_any_trend_is_reported(make_capture):
     calm, restless = (start_of(make_capture(plan=plan, seed=8, **hidden)) for hidden in ({}, {"picture": uneasy}))
     assert not is_misfit(calm)
     assert is_misfit(restless)
-    assert place_of_scatter(restless)[0] in ("mean", "first", "bands")
+    assert place_of_scatter(restless, localise(restless))[0] in ("mean", "first", "bands")

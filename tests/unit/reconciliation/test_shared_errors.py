@@ -319,4 +319,4 @@ class _Impossible(Scaling):
 def test_effect_that_cannot_be_is_refused_by_name(declared):
     """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
     with pytest.raises(UnfitError, match="impossible"):
-        included(declared, _Impossible(0.5), far=False)
+        included(declared, _Impossible(0.5))

@@ -9,9 +9,7 @@ import pytest
 
 from radiometer.data import TapDescription
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit import descent
 from radiometer.reconciliation.fit.descent import (
-    FullFits,
     UnfitError,
     coarse_fit,
     converged_fit,
@@ -112,35 +110,6 @@ def test_what_is_next_to_is_followed_without_new_derivatives(plain):
     assert start.cost - fitted.cost > 10.0, "there must be something to follow"
     assert found.cost == pytest.approx(fitted.cost, abs=1e-3 * (start.cost - fitted.cost))
     assert found.effects[0].values()["offset_s"] == pytest.approx(fitted.effects[0].values()["offset_s"], abs=1e-8)
-
-
-def test_one_step_fits_nothing_twice(plain, monkeypatch):
-    """The same start is fitted once near and once far; another start of equal values is its own."""
-    fitted = []
-    in_a_hurry = []
-
-    def counted(state, effect, *, far, most, early_stop):
-        fitted.append((effect, far))
-        in_a_hurry.append(early_stop)
-        return with_effects(state, [effect])
-
-    monkeypatch.setattr(descent, "included", counted)
-    fits, effect = FullFits(plain), ExposureTimeOffset(1e-6)
-    first = fits.included(effect, far=True)
-    assert fits.included(effect, far=True) is first
-    assert fits.included(effect, far=False) is not first
-    assert fitted == [(effect, True), (effect, False)]
-    FullFits(plain, 1e6).included(effect, far=True)  # held against what was found
-    assert in_a_hurry == [False, False, True]
-
-
-def test_what_leaves_more_than_it_may_is_not_refitted_under_its_own_weights(plain):
-    """The χ² under the weights of the state decides, once all parameters have followed."""
-    effect = ExposureTimeOffset(1e-6)
-    near = coarse_fit(descent.accepted(plain, effect)).cost
-    assert FullFits(plain, near + 1.0).included(effect, far=False).effects
-    with pytest.raises(UnfitError, match=effect.name):
-        FullFits(plain, near - 1.0).included(effect, far=False)
 
 
 def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_capture):
@@ -260,7 +229,7 @@ def test_what_jumps_is_fitted_anew_next_to_a_further_effect(make_capture):
     """Exposures are whole lines of 12 µs: next to an offset each has its true number of lines, which some had not."""
     captured = make_capture(5, plan=LADDER * 2, exposure=lambda t: 12e-6 * round(t / 12e-6), extra_dn=lambda s: 3.0)
     wrong = refit(with_effects(start_of(captured), [ExposureQuantisation(12.012e-6, 0.5)]))
-    found = included(wrong, BlackLevelOffset(2.0), far=True)
+    found = included(wrong, BlackLevelOffset(2.0))
     lines, before = (
         np.rint([setting["t"] / state.effects[0].values()["quantum_s"] for setting in LADDER])
         for state in (found, wrong)
@@ -274,7 +243,7 @@ def test_a_black_level_that_is_taken_off_is_no_dark_frame(make_capture):
     """Darks without noise are none: the fit ends at a share of zero, and the entry is refused as a model, too."""
     start = start_of(make_capture(5, plan=LADDER, extra_dn=lambda s: -64.0))
     with pytest.raises(UnfitError, match="dark_frame_subtracted"):
-        included(start, DarkFrameSubtracted(0.1, 0.0), far=True)
+        included(start, DarkFrameSubtracted(0.1, 0.0))
     assert [fit.effects for fit in start.models] == [()]
 
 

@@ -35,7 +35,6 @@ from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, Row
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
-    MOST_STEPS,
     NAMED_NATS,
     PARAMETER_NATS,
     RIVAL_NATS,
@@ -105,7 +104,6 @@ def predicted_log(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *,
     """Return ln of the predicted values.
 
     Args:
-        terms: The terms that are there.
         parameters: ln R, then theirs in order.
         measured: Take the signal that bends, offsets and leaks act on from the values as measured.
 
@@ -178,7 +176,6 @@ def catalogue(log: LogTable) -> tuple[LogTerm, ...]:
 
 
 def _term(name: str, where: str, parameter: str, unit: str, scale: float, part: str, adds: Adds) -> LogTerm:
-    """Return a term of one parameter."""
     return LogTerm(name, where, (parameter,), (unit,), (scale,), part, adds)
 
 
@@ -393,12 +390,10 @@ class LogState:
         return state
 
     def _bounded(self, step: Array) -> Array:
-        """Return a step that moves no term's parameter by more than so many of its scales."""
         scales = np.array([math.inf, *(scale for term in self.terms for scale in term.scales)])
         return np.asarray(np.clip(step, -_FARTHEST * scales, _FARTHEST * scales))
 
     def _halved(self, step: Array) -> LogState:
-        """Return the state after a step, halved until it does not worsen the fit."""
         moved = self
         for halving in range(8):
             moved = replace(self, parameters=self.parameters + step / 2**halving)
@@ -424,10 +419,6 @@ class LogState:
         begins = np.concatenate([self.parameters[:1], *(term.begins for term in self.terms)])
         return replace(self, measured=not self.measured, trends=trends, parameters=begins).fitted()
 
-    def with_trend(self, name: str, columns: Array) -> LogState:
-        """Return the fitted state with a further trend."""
-        return replace(self, trends=(*self.trends, (name, columns))).fitted()
-
     def uncertainty(self) -> Array:
         """Return the standard uncertainties of the terms' parameters, (parameters,)."""
         return np.asarray(np.sqrt(np.diag(self.fit.covariance))[1 : self.parameters.size])
@@ -439,18 +430,6 @@ _CLOUDS: Final = ((0.0, 0.0), *product((0.3, 0.6, 0.9), (0.6, 0.8, 0.9, 0.96)))
 _NIGHTS: Final = (0.0, 0.3, 1.0, 3.0, 10.0)  # scatter of nights over that of readings
 _SIGMAS: Final = 5.0
 _WHOLE: Final = 100.0  # scales of a parameter (1 % of the light each): a limit beyond the light itself shows nothing
-
-
-@dataclass(frozen=True, slots=True)
-class LogStep:
-    """One thing that was found: a term, or a trend without a name."""
-
-    name: str
-    where: str
-    gain_nats: float
-    gap_before: float
-    gap_after: float
-    rivals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -487,7 +466,6 @@ def fit_log(log: LogTable, *, control: bool = True) -> LogFit:
 
 
 def _start(log: LogTable) -> LogState:
-    """Return the responsivity alone, fitted, with the scatter that a full model leaves."""
     level = float(np.mean(np.log(log.value) - predicted_log(log, (), np.zeros(1))))
     unit = Scatter(1.0, 0.0, 0.0, 0.0)
     state = LogState(log, unit, (), np.array([level]), unit.whiteners(log))
@@ -548,13 +526,10 @@ def _restricted(
 
 
 # ---- the search -----------------------------------------------------------------------------------------------------
-
-
-def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
-    """Return the model with every term that held-out nights support, and the steps in order."""
-    state, steps = start, list[LogStep]()
+def _search(start: LogState) -> tuple[LogState, tuple[FoundEffect, ...]]:
+    state, steps = start, list[FoundEffect]()
     every = [term for term in catalogue(start.log) if not is_lost_in_scatter(start.log, term.where)]
-    for _ in range(MOST_STEPS):
+    for _ in (*every, *axes(start.log)):
         following = _one_step(state, every)
         if following is None:
             break
@@ -564,12 +539,12 @@ def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
     return state, tuple(steps)
 
 
-def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, LogStep] | None:
+def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, FoundEffect] | None:
     there = {term.name for term in state.terms}
     tried = [(term, state.with_term(term)) for term in every if term.name not in there]
     known = {name for name, _ in state.trends}
     free = [name for name in axes(state.log) if name not in known and not is_lost_in_scatter(state.log, name)]
-    curves = [(name, state.with_trend(name, trend(state.log, name))) for name in free]
+    curves = [(name, replace(state, trends=(*state.trends, (name, trend(state.log, name)))).fitted()) for name in free]
     limit = SIGNIFICANCE / max(len(tried) + len(curves), 1)
     named = [(term, one, _score(state, one, term)) for term, one in tried if _is_shown(state, one, limit)]
     smooth = [(name, one, _score(state, one)) for name, one in curves if _is_shown(state, one, limit)]
@@ -578,11 +553,16 @@ def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, LogS
     if best is not None and (plain is None or best[2] >= SMOOTH_SHARE * plain[2]):
         term, one, score = best
         rivals = tuple(dict.fromkeys(t.name for t, _, s in named if t.name != term.name and s > score - RIVAL_NATS))
-        return one, LogStep(term.name, term.where, one.evidence - state.evidence, state.gap, one.gap, rivals)
+        return one, _found(state, one, term.name, term.where, rivals)
     if plain is None:
         return None
     name, one, _ = plain
-    return one, LogStep("unnamed", name, one.evidence - state.evidence, state.gap, one.gap)
+    return one, _found(state, one, "unnamed", name)
+
+
+def _found(old: LogState, new: LogState, name: str, where: str, rivals: tuple[str, ...] = ()) -> FoundEffect:
+    nats = new.evidence - old.evidence
+    return FoundEffect(name, {}, where, old.gap, new.gap, rivals, gain_nats=nats, block="mean")
 
 
 def _ways(old: LogState, new: LogState) -> list[tuple[LogState, LogState]]:
@@ -622,8 +602,7 @@ def _is_determined(state: LogState) -> bool:
     return all(math.isfinite(u) for _, u in found) and any(abs(value) > ESSENTIAL_SIGMAS * u for value, u in essential)
 
 
-def _pruned(state: LogState, steps: list[LogStep]) -> tuple[LogState, list[LogStep]]:
-    """Return the model without terms that later ones made superfluous."""
+def _pruned(state: LogState, steps: list[FoundEffect]) -> tuple[LogState, list[FoundEffect]]:
     for term in state.terms[:-1]:
         rest = replace(
             state, terms=tuple(t for t in state.terms if t is not term), parameters=_without(state, term)
@@ -667,9 +646,7 @@ def night_error(state: LogState) -> float:
 
 
 # ---- in the words of reconcile --------------------------------------------------------------------------------------
-
-
-def _verdict(steps: Sequence[LogStep]) -> Verdict:
+def _verdict(steps: Sequence[FoundEffect]) -> Verdict:
     named, unnamed = (any((s.name == "unnamed") is kind for s in steps) for kind in (False, True))
     if named:
         return Verdict.INCOMPLETE if unnamed else Verdict.EFFECTS_FOUND
@@ -677,7 +654,7 @@ def _verdict(steps: Sequence[LogStep]) -> Verdict:
 
 
 def _result(
-    start: LogState, state: LogState, steps: Sequence[LogStep], before: float, after: float, control: str
+    start: LogState, state: LogState, steps: Sequence[FoundEffect], before: float, after: float, control: str
 ) -> ReconcileResult:
     log = state.log
     verdict = _verdict(steps)
@@ -697,7 +674,10 @@ def _result(
         extra["gain_reference_dB"] = gain_levels(log)[0]
     return ReconcileResult(
         verdict=verdict,
-        effects=tuple(_effect(state, step, provisional=verdict is Verdict.INCOMPLETE) for step in steps),
+        effects=tuple(
+            replace(one, parameters=fitted_parameters(state, one.name), provisional=verdict is Verdict.INCOMPLETE)
+            for one in steps
+        ),
         gap_before=start.gap,
         gap_after=state.gap,
         limits=_limits(state),
@@ -723,20 +703,6 @@ def _advice(log: LogTable) -> list[str]:
     return lines
 
 
-def _effect(state: LogState, step: LogStep, *, provisional: bool) -> FoundEffect:
-    return FoundEffect(
-        step.name,
-        fitted_parameters(state, step.name),
-        step.where,
-        step.gap_before,
-        step.gap_after,
-        step.rivals,
-        gain_nats=step.gain_nats,
-        block="mean",
-        provisional=provisional,
-    )
-
-
 def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:
     """Return the parameters of a named term with their standard uncertainties; none for a trend without a name.
 
@@ -757,7 +723,6 @@ def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:
 
 
 def _limits(state: LogState) -> dict[str, Limit]:
-    """Return the amplitude of each further term that these readings would have shown at 5 sigma."""
     there = {term.name for term in state.terms}
     found: dict[str, Limit] = {}
     for term in catalogue(state.log):

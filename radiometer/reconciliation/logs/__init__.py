@@ -1,1 +1,0 @@
-"""Finds the term that a camera's log lacks, compared with a reference meter."""
