@@ -19,9 +19,11 @@ from radiometer.typing import Array
 
 # To what an unchanged camera repeats at best between sessions, relative: a smaller difference is no change, however
 # well it is known.
-_REPEATABILITY: Final[dict[str, float]] = {"K": 0.01, "K_dark": 0.01, "sigma_y_dark": 0.01}
+_DARK: Final = "dark current"
+_REPEATABILITY: Final[dict[str, float]] = {"K": 0.01, "K_dark": 0.01, "sigma_y_dark": 0.01, _DARK: 0.01}
 _REPEATABILITY_BLACK_DN: Final = 1.0  # black levels wander by a DN with temperature and age
 _COMPARED: Final = ("K", "K_dark", "sigma_y_dark", "mu_y_dark")
+_PER_K: Final = math.log(2.0) / 6.0  # change of a dark current that doubles per 6 K, the least that is usual
 _AGREE_SIGMAS: Final = 2.0  # 95 %
 _CHANGED_SIGMAS: Final = 3.0  # 0.3 % by chance; the limit rises with the number of pairs
 _TINY_U: Final = 1e-300  # where nothing is known of both uncertainties
@@ -160,16 +162,30 @@ def passports(sessions: Sequence[Session]) -> list[Passport]:
 
 def _passport(camera: tuple[str, ...], sessions: Sequence[Session]) -> Passport:
     law = fit_dark_law(sessions)
-    changes = [change for name in _COMPARED if (change := _compared(name, sessions)) is not None]
+    figures = ([(s, s.figures[name]) for s in sessions if name in s.figures] for name in _COMPARED)
+    found = (_compared(name, known) for name, known in zip(_COMPARED, figures, strict=True))
+    changes = [change for change in found if change is not None]
     if law is not None and len({point[0] for point in law.points}) > 1:
         verdict = "one law" if law.is_one else "no one law"
         off = law.relative_offset
         apart = "" if off is None else f", {law.offset_session} {off.scaled(100.0, '%').text(with_k=True)} from it"
         what = f"{verdict} over {len(law.points)} temperatures of {len({p[0] for p in law.points})} sessions{apart}"
-        changes.append(Change("dark current", not law.is_one, what))
+        changes.append(Change(_DARK, not law.is_one, what))
+    elif law is None and (change := _compared(_DARK, _rates_of_one_temperature(sessions))) is not None:
+        changes.append(change)
     return Passport(
         camera, tuple(sessions), law, tuple(_gain(sessions)), tuple(changes), tuple(_light(sessions, changes))
     )
+
+
+def _rates_of_one_temperature(sessions: Sequence[Session]) -> list[tuple[Session, Quantity]]:
+    """Return the dark current of each session that shows one, where no two temperatures make a law of it."""
+    shown = [(s, *s.dark_rates[0]) for s in sessions if s.dark_rates and s.dark_rates[0][2].value > 0.0]
+    mean_c = sum(t for _, t, _, _ in shown) / max(len(shown), 1)
+    return [
+        (s, Quantity(rate.value, math.hypot(rate.u, rate.value * _PER_K * math.hypot(u_t, t - mean_c)), rate.unit))
+        for s, t, u_t, rate in shown
+    ]
 
 
 def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
@@ -341,14 +357,13 @@ def _offset(law: _Fitted, own: Array, temperatures: Array, logs: Array, u: Array
     return Quantity(float(solution[2]), math.sqrt(float(normal[2, 2])) * max(1.0, scatter), "1")
 
 
-def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
+def _compared(name: str, known: Sequence[tuple[Session, Quantity]]) -> Change | None:
     """Return how a figure compares between the sessions that hold it; None where fewer than two do.
 
     It changed where two sessions differ by more than three standard uncertainties of their difference, and by more
     than an unchanged camera repeats. Of many sessions, some pair differs by three by chance: the limit rises so that
     chance names a change as seldom as of two sessions.
     """
-    known = [(s, s.figures[name]) for s in sessions if name in s.figures]
     if len(known) < 2:
         return None
     pairs = list(itertools.combinations(known, 2))
@@ -427,7 +442,7 @@ def _light(sessions: Sequence[Session], changes_of_camera: Sequence[Change]) -> 
             change = _level_change(before, low, after, high)
             if change is not None:
                 changes.setdefault((before.name, after.name), []).append((setting[0], change))
-    compared = {one.quantity: one.changed for one in changes_of_camera if one.quantity in ("K", "dark current")}
+    compared = {one.quantity: one.changed for one in changes_of_camera if one.quantity in ("K", _DARK)}
     whose = "light or camera"
     if "K" in compared and not any(compared.values()):
         same = " and ".join("gain" if one == "K" else one for one in compared)

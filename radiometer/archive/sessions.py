@@ -13,9 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.analysis.characterise import Characterisation, characterise, subject_of_capture
-from radiometer.analysis.characterise.dark_signal import typical_rates
+from radiometer.analysis.characterise.dark_signal import by_temperature, level_at_0_s, typical_rates, unbent
+from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.subject import groups_of_capture
-from radiometer.data import CaptureSet, Quantity
+from radiometer.data import CameraDescription, CaptureSet, FrameSettings, Quantity
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.raw_files import RAW_SUFFIXES
 from radiometer.errors import InputError, MeasurementError, RadiometerError, UnsettledError
@@ -131,7 +132,6 @@ def read_session(capture: CaptureSet, report: Callable[[str], None] = lambda lin
     dark = [s for s in statistics if s.settings.is_dark and s.region == main]
     found = typical_rates(dark, camera.code_step_dn or 1)
     rates = tuple((t, u, rate) for t, u, rate in found if t is not None)
-    black_dn = min((d.mean_dn for d in dark), default=camera.black_level_dn or 0.0)
     return Session(
         str(capture.path),
         _identity(capture),
@@ -139,7 +139,7 @@ def read_session(capture: CaptureSet, report: Callable[[str], None] = lambda lin
         camera.conversion_gain_e_per_dn,
         dict(result.figures) if result else {},
         rates,
-        tuple(_series(capture, black_dn)),
+        tuple(_series(capture, dark)),
         notes,
     )
 
@@ -209,7 +209,21 @@ def _taken(capture: CaptureSet) -> dt.datetime | None:
         return None
 
 
-def _series(capture: CaptureSet, black_dn: float) -> list[LightSeries]:
+def _dark_dn(dark: Sequence[GroupStatistics], light: FrameSettings, camera: CameraDescription) -> float:
+    """Return the dark signal of a bright setting in DN: on the line of the dark frames of its gain and temperature."""
+    own = [d for d in dark if d.settings.gain_db == light.gain_db]
+    if not own:
+        return min((d.mean_dn for d in dark), default=camera.black_level_dn or 0.0)
+
+    def apart_k(plateau: list[GroupStatistics]) -> float:
+        here_c = plateau[0].settings.temperature_c
+        return 0.0 if here_c is None or light.temperature_c is None else abs(here_c - light.temperature_c)
+
+    level, line = level_at_0_s(unbent(min(by_temperature(own), key=apart_k)), camera.code_step_dn or 1)
+    return level.value if line is None else line.intercept + line.slope * light.exposure_s
+
+
+def _series(capture: CaptureSet, dark: Sequence[GroupStatistics]) -> list[LightSeries]:
     found = []
     for group in groups_of_capture(capture):
         one = group.settings
@@ -218,6 +232,7 @@ def _series(capture: CaptureSet, black_dn: float) -> list[LightSeries]:
         frames = list(group.read(capture.header.camera.full_scale_dn))
         if any(np.mean(dn >= capture.header.camera.saturated_dn) > _CLIPS for dn in frames):
             continue
+        black_dn = _dark_dn(dark, one, capture.header.camera)
         means = [float(np.mean(dn)) - black_dn for dn in frames]
         files = tuple(file.name for file in group.files)
         found.append(LightSeries(one.exposure_s, one.gain_db, one.source_level, one.pattern, files, tuple(means)))

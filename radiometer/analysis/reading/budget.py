@@ -713,9 +713,11 @@ def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Fla
     calibration, estimate, now = situation.calibration, situation.shown.estimate, situation.now
     # A dark current that nothing states is no noise: it may be all of the signal, or nothing of it.
     floor, unstated = _floor(terms), _unstated_dark_u(situation)
+    clips = not situation.shown.frames[0].unclipped  # then its light has no upper limit, however dark it seems
+    is_dark = situation.value < _NOISE_FLOOR_SIGMA * math.sqrt(max(0.0, floor**2 - unstated**2))
     found = {
-        Flag.SATURATED: not situation.shown.frames[0].unclipped,
-        Flag.BELOW_NOISE: situation.value < _NOISE_FLOOR_SIGMA * math.sqrt(max(0.0, floor**2 - unstated**2)),
+        Flag.SATURATED: clips,
+        Flag.BELOW_NOISE: is_dark and not clips,
         Flag.DARK_ASSUMED: unstated > 0.0 and situation.value < _NOISE_FLOOR_SIGMA * floor,
         Flag.EXTRAPOLATED: _extrapolates(situation),
         Flag.NONUNIFORM: _is_nonuniform(situation),

@@ -155,12 +155,12 @@ def test_netcdf_keeps_units_uncertainties_and_flags(stack, tmp_path):
     with xarray.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as back:
         assert back.attrs["Conventions"].startswith("CF-")
         assert np.array_equal(back.radiance.values, radiance.value)
-        assert np.array_equal(back.u_radiance.values, radiance.u)
+        assert np.allclose(np.hypot(back.u_radiance.values, back.u_shared.values), radiance.u)  # of the dark frames
         assert np.allclose(back.u_common.values, np.abs(radiance.value) * radiance.u_rel_common)
         assert {back[name].attrs["units"] for name in ("radiance", "u_radiance", "u_common")} == {"1"}
-        assert list(back.radiance.attrs["unc_comps"]) == ["u_radiance", "u_common"]
+        assert list(back.radiance.attrs["unc_comps"]) == ["u_radiance", "u_common", "u_shared"]
         forms = {name: back[name].attrs["err_corr_1_form"] for name in back.radiance.attrs["unc_comps"]}
-        assert forms == {"u_radiance": "random", "u_common": "systematic"}
+        assert forms == {"u_radiance": "random", "u_common": "systematic", "u_shared": "systematic"}
         assert [back.u_common.attrs[f"err_corr_{n}_dim"] for n in (1, 2)] == ["y", "x"]
         assert back.mask.attrs["flag_masks"].dtype == back.mask.dtype
         assert back.attrs["exposures_s"].tolist() == pytest.approx(list(radiance.map.exposures_s))

@@ -99,6 +99,15 @@ def test_a_sensor_that_ages_follows_no_one_law():
     assert [change.changed for change in found.changes if change.quantity == "dark current"] == [True]
 
 
+@pytest.mark.parametrize(("risen", "changed"), [(1.0, False), (1.004, False), (1.3, True)])
+def test_at_one_temperature_dark_currents_are_compared_as_they_are(risen, changed):
+    """No law needs to be known for that; the temperature is, to 0.05 K, which is 0.6 % of a rate."""
+    sessions = [session("a", temperatures=(20.0,)), session("b", temperatures=(20.0,), rate_at_0=0.7 * risen)]
+    (found,) = passports(sessions)
+    assert found.dark_law is None
+    assert [change.changed for change in found.changes if change.quantity == "dark current"] == [changed]
+
+
 def test_what_shows_no_law_is_fitted_by_none_and_judges_nothing():
     """Light that leaks in falls with the temperature; one temperature per session, or one session, tells no ageing."""
     for temperatures in ((-10, 0, 10), (-10, 10)):

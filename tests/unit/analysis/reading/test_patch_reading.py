@@ -638,6 +638,13 @@ def test_what_clips_in_every_frame_is_a_lower_bound(rig):
     assert u_rel_of(found, "clipping") <= found.radiance.u / found.radiance.value
 
 
+def test_dark_signal_that_fills_a_pixel_leaves_no_upper_limit(rig):
+    """Light less darkness is nothing where both are full, and may be anything."""
+    found = read_exactly(rig, [flat(4095, shutter="closed"), flat(4095)])
+    assert Flag.SATURATED in found.flags
+    assert found.upper_limit is None
+
+
 def test_a_frame_that_clips_for_no_reason_means_that_the_light_changes(rig):
     """White at an exposure no longer than one that is not: half on, half off, and not saturated."""
     steady = [flat(1000), flat(4095, 0.5)]
