@@ -215,7 +215,7 @@ def _dark_dn(dark: Sequence[GroupStatistics], light: FrameSettings, camera: Came
     if not own:
         return min((d.mean_dn for d in dark), default=camera.black_level_dn or 0.0)
 
-    def apart_k(plateau: list[GroupStatistics]) -> float:
+    def apart_k(plateau: Sequence[GroupStatistics]) -> float:
         here_c = plateau[0].settings.temperature_c
         return 0.0 if here_c is None or light.temperature_c is None else abs(here_c - light.temperature_c)
 
