@@ -251,7 +251,7 @@ def dark_levels(
 
     A dark frame of the same exposure and gain is used as it is; so are masked pixels of the frame itself. Dark
     frames of other exposures correct the black level, with the modelled dark current taken off theirs. Without any,
-    or where they show it less well than it is known, black level and model stand alone. Of dark frames that are cut
+    or where they show it less well than it is stated, black level and model stand alone. Of dark frames that are cut
     off at 0 the mean is the most that the dark signal can be.
 
     Args:
@@ -281,11 +281,11 @@ def _level(
         return _from_masked(settings, masked_dn, model)
     same_gain = [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]
     if whole := [frame for frame in same_gain if not is_cut_off(frame)]:
-        ways = (
-            _from_other_exposures(settings, whole, model, black, darkest),
-            _from_model(settings, model, black, darkest),
-        )
-        return min(ways, key=lambda one: math.hypot(one.u_independent, one.u_common))
+        shown = _from_other_exposures(settings, whole, model, black, darkest)
+        if settings.black_level_dn is None and model.camera.black_level_dn is None:
+            return shown
+        stated = _from_model(settings, model, black, darkest)
+        return min(shown, stated, key=lambda one: math.hypot(one.u_independent, one.u_common))
     level = _from_model(settings, model, black, darkest)
     if not same_gain:
         return level

@@ -53,7 +53,7 @@ def test_trend_gives_json_and_a_report(table, tmp_path, capsys):
     (sentence,) = re.findall(r"<p class='outcome'>(.*?)</p>", page.read_text(encoding="utf-8"))
     assert re.match(r"1 of 2 patches drift.* lamp", sentence)
     assert run(["trend", str(table), "--report", str(page), "--force"]) == 0
-    assert f"report: {page}" in capsys.readouterr().err.replace("\n", "")
+    assert f"wrote {page}" in capsys.readouterr().err.replace("\n", "")
 
 
 def test_trend_of_a_journal_names_what_it_needs(tmp_path, capsys):

@@ -189,7 +189,7 @@ def test_misuse_gets_one_clear_line_and_its_exit_code(words, code, message, caps
     [
         *(
             (words, streams, code)
-            for words in ("--help", "alpha-opic 80")
+            for words in ("--help", "alpha-opic 80 --unit lx --spectrum cie_d65")
             for streams, code in ((">/dev/full", 1), (">&-", 1), (">/dev/full 2>&-", 1), ("<&- >&- 2>&-", 1))
         ),
         ("measure", "2>&-", 0),

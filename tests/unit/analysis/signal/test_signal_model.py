@@ -172,10 +172,13 @@ def test_a_dark_frame_of_another_exposure_corrects_the_black_level():
     assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(noise, 0.4 * 2.5)))
 
 
-def test_a_long_dark_frame_does_not_widen_a_black_level_that_is_known():
+def test_a_long_dark_frame_does_not_widen_a_black_level_that_is_stated():
     """After 30 s a dark current of 50 e⁻/s ± 40 % leaves 300 DN in doubt: black level and model alone are ± 1.1 DN."""
-    (level,) = dark_levels([LIGHT], [dark_frame(850, 30.0)], LINEAR, DOUBT)
+    stated = replace(LINEAR, camera=LINEAR.camera.model_copy(update={"black_level_dn": BLACK}))
+    (level,) = dark_levels([LIGHT], [dark_frame(850, 30.0)], stated, DOUBT)
     assert (level.signal, level.u_common) == (pytest.approx(2.5), pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
+    (unknown,) = dark_levels([LIGHT], [dark_frame(850, 30.0)], LINEAR, DOUBT)
+    assert unknown.u_common > 100.0
 
 
 def test_dark_frames_of_two_other_exposures_show_black_level_and_dark_current():
