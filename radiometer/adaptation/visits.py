@@ -147,7 +147,7 @@ def _begun(start: Event) -> str:
 
 
 OVERLAID: Final = ("break_min", "s2_slope_per_min", "rod_intercept_min", "plateau", "final_threshold")
-HALF_INTERVAL: Final = "± is half of the 95 % interval."
+HALF_INTERVAL: Final = "± is half of the 95 % interval, + and - go to its ends."
 # Colours that the colour-blind can distinguish, dark enough on white (after Okabe and Ito 2008).
 _COLOURS: Final = ("#0072b2", "#b3461b", "#00725a", "#8a4a7d", "#333333", "#8a6d00")
 _POINTS: Final = 300
