@@ -93,7 +93,7 @@ _NEGLIGIBLE: Final = 1e-4  # of the fundamental's amplitude
 _WORST_CONDITION: Final = 100.0  # of the normal equations: beyond it phases do not separate harmonics
 _SHORT_PERIODS: Final = 1e-3  # an exposure of so small a part of the period loses less than other doubts leave
 _LEAST_KEPT: Final = 0.2  # of an amplitude that an exposure keeps; below, the correction would amplify noise
-_STEP_RATIO: Final = 4.0  # of a rise between neighbouring phases over the lesser beside it, and over the median
+_STEP_RATIO: Final = 4.0  # of a rise between neighbouring phases over the lesser of its neighbours, and over the median
 _EDGE_DRAWS: Final = 64  # of the places of steps: their scatter is then known to 9 %
 _WINDOW: Final = 1 / 200  # of a period: mean over it before extremes of noisy phases are taken
 _NOISELESS: Final = 1e-3  # of the range: noise below it needs no means
@@ -595,8 +595,8 @@ def _visibilities_of_fold(fold: _Fold, waveform: Waveform, period: Period, rng: 
     phase, light = fold.phase, fold.light
     gaps, rise = np.diff(phase, append=phase[0] + 1.0), np.diff(light, append=light[0])
     size = np.abs(rise)
-    beside, usual = np.minimum(np.roll(size, 1), np.roll(size, -1)), np.sort(size)[(size.size - 1) // 2]
-    jumps = size > _STEP_RATIO * np.maximum(beside, usual)
+    nearby, usual = np.minimum(np.roll(size, 1), np.roll(size, -1)), np.sort(size)[(size.size - 1) // 2]
+    jumps = size > _STEP_RATIO * np.maximum(nearby, usual)
     count = int(jumps.sum())
     place = np.full((1, count), 0.5) if rng is None else rng.uniform(size=(_EDGE_DRAWS, count))
     mean = float(np.sum(gaps * (light + rise / 2.0))) + (0.5 - place) @ (gaps * rise)[jumps]

@@ -546,8 +546,8 @@ def _base(
     darkest_dn = min(float(np.percentile(frame.dn, _DARKEST_PERCENT)) for frame in seen.bracket.light)
     most_dn = min(darkest_dn, _MOST_BLACK * camera.full_scale_dn)
     unknown = BlackLevel(dn=0.0, u_dn=max(most_dn / math.sqrt(3.0), base.black_level.u_dn))
-    said = f"black level 0 DN, which nothing states: it may be up to {most_dn:.3g} DN, which u holds"
-    return replace(base, black_level=unknown), (f"{said}; state it, or take dark frames",)
+    unstated = f"black level 0 DN, which nothing states: it may be up to {most_dn:.3g} DN, which u holds"
+    return replace(base, black_level=unknown), (f"{unstated}; state it, or take dark frames",)
 
 
 def _of_taps(base: Calibration, seen: _Seen | None) -> tuple[str, ...]:

@@ -120,8 +120,8 @@ def command_of(
     parameters.sort(key=lambda one: one.name == "force")  # last, as `writes` has it
 
     def command(*, json: bool = False, open_browser: bool = False, **given: Any) -> int:
-        written, told = {one: given.pop(one) for one in results}, {one: given.pop(one) for one in shown or ()}
-        present = _print_json if json else functools.partial(show or _print_nothing, **told)
+        written, displayed = {one: given.pop(one) for one in results}, {one: given.pop(one) for one in shown or ()}
+        present = _print_json if json else functools.partial(show or _print_nothing, **displayed)
         with progress(shown="progress" in taken and not json) as bar:
             announce = functools.partial(_announce, page, open_browser)
             hand = {"notice": note, "progress": bar, "announce": announce, reports: present, **serves(json, **given)}

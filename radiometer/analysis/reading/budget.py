@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -582,14 +583,26 @@ def _response(situation: PatchSituation) -> Term:
     return Term("response curve", situation.scale * float(sum(each)), correlated=True, note=note)
 
 
+def own_dark_u(estimate: PatchEstimate, level: DarkLevel, expected: float) -> float:
+    """Return the standard uncertainty of a frame's dark level that frames of its exposure share, in its signal's unit.
+
+    One dark frame scatters as the light frames do.
+
+    Args:
+        estimate: That of the patch.
+        level: Dark level of the frame.
+        expected: Its expected signal.
+    """
+    return math.hypot(level.u_independent, estimate.fluctuation_rel * expected if level.is_single else 0.0)
+
+
 def _dark(situation: PatchSituation) -> list[Term]:
-    c = situation.shown.estimate.coefficients
-    of_exposures: dict[tuple[float, float], float] = {}
-    shown = zip(c, situation.shown.frames, situation.shown.dark, situation.shown.estimate.expected, strict=True)
+    estimate, of_exposures = situation.shown.estimate, defaultdict[tuple[float, float], float](float)
+    c = estimate.coefficients
+    shown = zip(c, situation.shown.frames, situation.shown.dark, estimate.expected, strict=True)
     for factor, frame, level, expected in shown:
         key = frame.settings.exposure_s, frame.settings.gain_db
-        scatter = situation.shown.estimate.fluctuation_rel * float(expected) if level.is_single else 0.0
-        of_exposures[key] = of_exposures.get(key, 0.0) + float(factor) * math.hypot(level.u_independent, scatter)
+        of_exposures[key] += float(factor) * own_dark_u(estimate, level, float(expected))
     own = math.hypot(*of_exposures.values())
     common = float(abs(c @ [d.u_common for d in situation.shown.dark]))
     source = ", ".join(sorted({d.source for d in situation.shown.dark}))

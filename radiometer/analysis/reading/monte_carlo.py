@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.analysis.reading.budget import PatchSituation, budget_terms
+from radiometer.analysis.reading.budget import PatchSituation, budget_terms, own_dark_u
 from radiometer.data import Reading
 from radiometer.typing import Array
 
@@ -99,7 +99,7 @@ def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> 
         drawn += _student(fluctuation, max(estimate.degrees_of_freedom, 1), rng, trials)
         bent = (drawn - dark.signal) * situation.model.curve_u_rel(expected, frame.settings) * curve * curve_counts
         own_dark = of_exposure[frame.settings.exposure_s, frame.settings.gain_db]
-        dark_error = dark.u_common * common_dark + dark.u_independent * own_dark
+        dark_error = dark.u_common * common_dark + own_dark_u(estimate, dark, float(expected)) * own_dark
         rates += c * (drawn + bent - dark.signal - dark_error)
     pattern = next(term for term in budget_terms(situation) if term.name == "pixel pattern")
     return rates + _student(pattern.u / situation.scale, pattern.degrees_of_freedom, rng, trials)

@@ -161,8 +161,8 @@ def test_an_unstated_black_level_is_that_of_the_dark_frames(tmp_path):
     assert scales["with"].black_level.dn == pytest.approx(BLACK_DN, abs=0.2)
     assert "black level by 3 dark frames" in scales["with"].provenance.assumptions
     unknown = scales["without"]
-    said = "black level 0 DN, which nothing states: it may be up to 512 DN, which u holds"
-    assert any(line.startswith(said) for line in unknown.provenance.assumptions)
+    unstated = "black level 0 DN, which nothing states: it may be up to 512 DN, which u holds"
+    assert any(line.startswith(unstated) for line in unknown.provenance.assumptions)
     scene = tmp_path / "scene"
     with CaptureSetWriter(scene, CameraDescription(bit_depth=12), LENS) as writer:
         for time_s in (0.001, 0.002):

@@ -15,6 +15,7 @@ from radiometer.devices.retinal_safety import (
     thermal_weight,
 )
 from radiometer.errors import UnsafeStimulus
+from testing.relatively import relatively
 
 NARROW = ChannelOptics(437.5, 0.5, 1.5, 1.0)  # B = 1 and R = 10 over its whole line
 
@@ -56,7 +57,7 @@ def test_hazards_grow_with_the_radiance_and_never_fall_with_time(alpha_rad, brig
     one, two, longer = (
         hazard_fractions(source, *given) for given in ((50.0, bright_s), (100.0, bright_s), (50.0, 1.01 * bright_s))
     )
-    assert (two.blue_light, two.thermal) == pytest.approx((2.0 * one.blue_light, 2.0 * one.thermal))
+    assert (two.blue_light, two.thermal) == relatively((2.0 * one.blue_light, 2.0 * one.thermal))
     assert longer.blue_light >= one.blue_light
     assert longer.thermal >= one.thermal * (1.0 - 1e-12)
     if bright_s <= 1e-5:
@@ -164,11 +165,11 @@ def test_fractions_agree_with_the_second_hand(name: str, time_s: float) -> None:
     ours = hazard_fractions(ChannelOptics(peak_nm, fwhm_nm, subtense_deg, radiance), radiance, time_s)
     alpha = math.radians(subtense_deg)
     if alpha >= 0.011:
-        assert ours.blue_light == pytest.approx(time_s * blue * radiance / 1e6, rel=0.01)
+        assert ours.blue_light == relatively(time_s * blue * radiance / 1e6, rel=0.01)
     else:  # a small source: E_B·t ≤ 100 J·m⁻², E_B = L_B·π·α²/4, at most 1 W·m⁻²
         irradiance = blue * radiance * math.pi * alpha**2 / 4
-        assert ours.blue_light == pytest.approx(min(irradiance * time_s / 100, irradiance), rel=0.01)
-    assert ours.thermal == pytest.approx(red * radiance / thermal_limit(alpha, time_s), rel=0.01)
+        assert ours.blue_light == relatively(min(irradiance * time_s / 100, irradiance), rel=0.01)
+    assert ours.thermal == relatively(red * radiance / thermal_limit(alpha, time_s), rel=0.01)
 
 
 def test_the_hazard_functions_are_the_standard_s_at_every_wavelength_of_its_table() -> None:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ from radiometer.analysis.characterise.report import outcome
 from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.sensitivity import find_saturation, propagated, responsivity, sensitivity_figures
 from radiometer.analysis.characterise.steps import contradicting_darks, contradicting_steps, make_steps
-from radiometer.analysis.characterise.subject import PhotonFlux, Subject, photon_flux
+from radiometer.analysis.characterise.subject import FrameGroup, PhotonFlux, Subject, photon_flux
 from radiometer.data import (
     CameraDescription,
     FrameSettings,
@@ -758,21 +759,24 @@ def test_a_dark_current_is_that_of_the_long_exposures_and_of_their_temperature()
 
 
 @pytest.mark.parametrize(("span_dn", "count", "asked"), [(1.99, 3, False), (2.0, 3, True), (50.0, 2, False)])
-def test_a_gain_from_darks_needs_two_dn_of_dark_signal_at_three_exposures(span_dn, count, asked, monkeypatch):
+def test_a_gain_from_darks_needs_two_dn_of_dark_signal_at_three_exposures(span_dn, count, asked):
     """Less shows no shot noise; then the frames are not even read."""
     seen = []
-    module = "radiometer.analysis.characterise.dark_signal"
-    monkeypatch.setattr(f"{module}._frames", lambda _, plateau: seen.append(len(plateau)) or [])
+
+    def read(file):
+        seen.append(file)
+        return np.full((4, 4), 100, np.uint16)
+
     darks = [group(BLACK_DN + span_dn * k / (count - 1), 40.0, 1.0 + k, dark=True) for k in range(count)]
-    assert gain_from_darks(subject(), darks) is None
-    assert seen == ([count] if asked else [])
+    groups = tuple(FrameGroup(one.settings, (Path("d"),), None, read) for one in darks)
+    assert gain_from_darks(replace(subject(), groups=groups), darks) is None
+    assert len(seen) == (count if asked else 0)
 
 
 def test_plateaus_of_darks_that_disagree_widen_their_mean(monkeypatch):
     """0.5 and 0.6 ± 0.01 DN/e⁻: 0.55 with their scatter of 0.05 next to the better u; one alone keeps its own."""
     module = "radiometer.analysis.characterise.dark_signal"
     gains = []
-    monkeypatch.setattr(f"{module}._frames", lambda *_: [])
     monkeypatch.setattr(f"{module}.dark_transfer", lambda _: type("T", (), {"K": gains.pop(0)})())
     plateaus = [
         [group(BLACK_DN + 5.0 * t, 40.0, t, dark=True, celsius=c) for t in (1.0, 2.0, 3.0)] for c in (20.0, 40.0)
