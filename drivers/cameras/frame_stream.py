@@ -21,6 +21,8 @@ _LOG = structlog.get_logger(__name__)
 BUFFER_COUNT: Final = 8  # a pause of Python of several frame times loses no frame; at 20 MB a frame it holds 160 MB
 # With 10 ‰ of the packets lost and no resend, half of the frames of 70 packets are whole: 40 in a row fail 1e-12.
 MAX_ATTEMPTS: Final = 40
+# What a kernel gives unasked. The library's own choice is the frame's size: with headers, 3 kB do not hold 3 packets.
+_LEAST_SOCKET_BYTES: Final = 212_992
 _POLL_S: Final = 0.2  # how often a wait looks whether the camera is still there
 _LEGACY_FRAME_IDS: Final = 65535  # GigE Vision 1.x counts frames 1 to 65535 and starts again
 
@@ -99,7 +101,8 @@ class FrameStream:
         if self._stream is None:
             raise DeviceError(f"{self._name}: no stream channel could be opened; another program may hold it")
         if hasattr(self._stream.props, "socket_buffer"):  # GigE Vision: room for a whole frame in the kernel
-            self._stream.set_property("socket-buffer", self._aravis.GvStreamSocketBuffer.AUTO)
+            self._stream.set_property("socket-buffer", self._aravis.GvStreamSocketBuffer.FIXED)
+            self._stream.set_property("socket-buffer-size", max(payload, _LEAST_SOCKET_BYTES))
         for _ in range(BUFFER_COUNT):
             self._stream.push_buffer(self._aravis.Buffer.new_allocate(payload))
         self._last_id, self._turns = None, 0

@@ -162,15 +162,23 @@ def test_a_stream_that_ignores_all_that_comes_is_not_waited_for(started):
 
 @pytest.mark.parametrize(("limit_bytes", "kind"), [(3, "packet socket"), (4, "ordinary socket")])
 def test_an_ordinary_socket_is_preferred_where_it_holds_a_frame(library_error, monkeypatch, limit_bytes, kind):
-    """The library's packet socket, which strangers' packets mislead, is kept for frames too large for another."""
+    """The library's packet socket, which strangers' packets mislead, is kept for frames too large for another.
+
+    Either has the room that a kernel gives unasked: that of the smallest frame does not hold its packets' headers.
+    """
     camera, chosen = WoodenCamera([]), []
     camera.is_gv_device, camera.gv_set_stream_options = lambda: True, chosen.append
     monkeypatch.setattr("drivers.cameras.frame_stream.socket_buffer_limit", lambda: limit_bytes)
     aravis = SimpleNamespace(
-        **vars(ARAVIS), GvStreamOption=SimpleNamespace(NONE="packet socket", PACKET_SOCKET_DISABLED="ordinary socket")
+        **vars(ARAVIS),
+        GvStreamOption=SimpleNamespace(NONE="packet socket", PACKET_SOCKET_DISABLED="ordinary socket"),
+        GvStreamSocketBuffer=SimpleNamespace(FIXED="fixed"),
     )
+    camera.stream.props, room = SimpleNamespace(socket_buffer="auto"), {}
+    camera.stream.set_property = room.__setitem__
     FrameStream(aravis, camera, FeatureAccess(camera, "camera W1", library_error), "camera W1", Tally()).start()
     assert chosen == [kind]
+    assert room == {"socket-buffer": "fixed", "socket-buffer-size": 212_992}
 
 
 def test_each_attempt_is_triggered_anew(started):
