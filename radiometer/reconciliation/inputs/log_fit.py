@@ -526,17 +526,13 @@ def _found(old: LogState, new: LogState, name: str, where: str, rivals: tuple[st
 
 
 def _ways(old: LogState, new: LogState) -> list[tuple[LogState, LogState]]:
-    """Return both models with the signal as predicted and as measured; once where nothing acts along it."""
     if new.other_way is new:
         return [(old, new)]
     return [(old, new), (old.other_way, new.other_way)]
 
 
 def _score(old: LogState, new: LogState, term: LogTerm | None = None) -> float:
-    """Return the held-out nats that a model gains, less what its parameters and its flexibility cost.
-
-    A term along the signal must gain them with the signal as predicted and as measured.
-    """
+    """Return the held-out nats that a model gains, less what its parameters and its flexibility cost."""
     flexible = RIVAL_NATS if term is not None and term.flexible else 0.0
     gained = min(after.evidence - before.evidence for before, after in _ways(old, new))
     return gained - PARAMETER_NATS * (new.free - old.free) - flexible
@@ -552,10 +548,7 @@ def _is_shown(old: LogState, new: LogState, limit: float) -> bool:
 
 
 def _is_determined(state: LogState) -> bool:
-    """Return whether the newest term's uncertainties are finite, and its first parameter (of a table: any) is not zero.
-
-    The difference between the signal as predicted and as measured is part of the uncertainty.
-    """
+    """Return whether the newest term has finite uncertainties and its first parameter (of a table: any) is not zero."""
     term = state.terms[-1]
     found = [(one.value, math.inf if one.u is None else one.u) for one in fitted_parameters(state, term.name).values()]
     essential = found if term.flexible else found[:1]
@@ -574,7 +567,6 @@ def _pruned(state: LogState, steps: list[FoundEffect]) -> tuple[LogState, list[F
 
 
 def _lacking_nothing(state: LogState) -> LogTable:
-    """Return the table with values that the responsivity alone predicts, scattered as the readings do."""
     log, rng = state.log, np.random.default_rng(1)
     values = predicted_log(log, (), state.parameters[:1])
     for rows, factor in state.scatter.factors(log):
