@@ -714,7 +714,7 @@ def _even_part(tile: Tile, pictures: Array, cell_px: int) -> Tile:
 
 
 def _u2_of_mean(parts: Array) -> Array:
-    """Return the relative variance of the mean of parts of pictures, (patterns, parts, rows, columns), off a surface."""
+    """Return the relative variance of the mean of parts, (patterns, parts, rows, columns), off a surface."""
     patterns, count, height, width = parts.shape
     pixels = height * width
     if pixels <= SURFACE_TERMS:
