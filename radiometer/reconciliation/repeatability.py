@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import stdtr
 
-from radiometer.reconciliation.measure.design import CaptureStatistics, Design
+from radiometer.reconciliation.design import CaptureStatistics, Design
 from radiometer.reconciliation.result import FittedParameter, Repeats, Series
 from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
 from radiometer.statistics.chances import chi2_beyond, chi2_quantile

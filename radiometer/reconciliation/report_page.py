@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from radiometer.numbers import unit_text, with_u
-from radiometer.reconciliation.fit.comparison import FAMILY
-from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.comparison import FAMILY
+from radiometer.reconciliation.localise import covariates
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
-from radiometer.reconciliation.search.localise import covariates
-from radiometer.reconciliation.search.search import Reconciled
+from radiometer.reconciliation.search import Reconciled
+from radiometer.reconciliation.state import FitState
 from radiometer.reconciliation.statistics import STATISTICS, Prediction
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table

@@ -23,13 +23,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
-from radiometer.reconciliation.fit.comparison import Comparison
-from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects
+from radiometer.reconciliation.comparison import Comparison
+from radiometer.reconciliation.descent import Candidate, fit_candidate, refit
 from radiometer.reconciliation.next_capture import propose
 from radiometer.reconciliation.result import Limit
-from radiometer.reconciliation.search.screening import AT_ONCE, changes_with, directions_of_each
+from radiometer.reconciliation.screening import AT_ONCE, changes_with, directions_of_each
+from radiometer.reconciliation.state import FitState, ModelFit, with_effects
 from radiometer.reconciliation.statistics import Prediction, partly_at_the_top
 from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
 from radiometer.typing import Array

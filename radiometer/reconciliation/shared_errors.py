@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import SURFACE_LINES, CaptureStatistics, Design, slope_lengths
-from radiometer.reconciliation.measure.lines import SHARPEST, RowBins, TileBands
+from radiometer.reconciliation.design import SURFACE_LINES, CaptureStatistics, Design, slope_lengths
+from radiometer.reconciliation.lines import SHARPEST, RowBins, TileBands
 from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.statistics import STATISTICS, Prediction, Scale
 from radiometer.reconciliation.tile_model import Nuisance, TileModel, Trace

@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics, Design, slope_lengths
-from radiometer.reconciliation.measure.lines import RowBins
+from radiometer.reconciliation.design import COMB_PERIODS, CaptureStatistics, Design, slope_lengths
+from radiometer.reconciliation.lines import RowBins
 from radiometer.statistics.chances import log_variance
 from radiometer.typing import Array, Mask
 from simulators.effects.context import Signal

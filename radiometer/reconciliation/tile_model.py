@@ -18,9 +18,9 @@ from typing import Any, Final, Literal, Self, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.lines import TileBands
-from radiometer.reconciliation.measure.reduce import PatternImages
+from radiometer.reconciliation.design import Design
+from radiometer.reconciliation.lines import TileBands
+from radiometer.reconciliation.reduce import PatternImages
 from radiometer.reconciliation.statistics import Prediction, of_tiles
 from radiometer.typing import Array
 from simulators.chain.stages import in_order, place_for

@@ -55,12 +55,13 @@ AREAS: dict[str, tuple[str, ...]] = {
     ),
     "adaptation": ("radiometer/adaptation/*.py",),
     "reconcile": (
-        "radiometer/reconciliation/fit/*.py",
-        "radiometer/reconciliation/repeatability.py",
-        "radiometer/reconciliation/shared_errors.py",
-        "radiometer/reconciliation/verdict.py",
-        "radiometer/reconciliation/statistics.py",
-        "radiometer/reconciliation/search/*.py",
+        *(
+            f"radiometer/reconciliation/{name}.py"
+            for name in (
+                *("comparison", "descent", "linear", "nuisances", "state", "localise", "screening", "search"),
+                *("repeatability", "shared_errors", "statistics", "verdict"),
+            )
+        ),
     ),
     "sensor_effects": ("simulators/effects/*.py",),
     "files": ("radiometer/data/*.py", "radiometer/importing/*.py"),
@@ -73,7 +74,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
     "reconcile_rooms": (
         "radiometer/reconciliation/*.py",
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("inputs", "measure", "propose")),
+        "radiometer/reconciliation/propose/*.py",
     ),
     "alarms_and_networks": (
         "radiometer/adapters/*.py",

@@ -13,12 +13,12 @@ import numpy as np
 
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import OutputError
-from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.next_capture import FORMAT as PLAN_FORMAT
 from radiometer.reconciliation.next_capture import FRAMES, CapturePool
 from radiometer.reconciliation.propose.grammar import COVARIATES, FORMS
 from radiometer.reconciliation.propose.law import Law, acted, context_at, round_to
 from radiometer.reconciliation.result import FittedParameter
+from radiometer.reconciliation.state import FitState
 from simulators.chain.law_stages import LINKS
 
 _WIDTH: Final = 116

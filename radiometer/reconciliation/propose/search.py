@@ -22,14 +22,22 @@ from scipy.special import ndtr
 
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.descent import UnfitError, fitted_parameters, included, scatter_of
-from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.descent import (
+    Candidate,
+    FittedCandidate,
+    UnfitError,
+    fit_candidate,
+    fitted_parameters,
+    included,
+    judged_gain,
+    scatter_of,
+)
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
-from radiometer.reconciliation.search.screening import best_start
-from radiometer.reconciliation.search.search import Contender, Search, Step, contenders_of, worth
+from radiometer.reconciliation.screening import best_start
+from radiometer.reconciliation.search import Contender, Search, Step, contenders_of, worth
+from radiometer.reconciliation.state import FitState
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconciliation.tile_model import from_grid, rise_of

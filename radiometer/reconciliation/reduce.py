@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from radiometer.compiled import compiled
 from radiometer.data import Frame
 from radiometer.errors import CaptureError
-from radiometer.reconciliation.measure.design import (
+from radiometer.reconciliation.design import (
     COMB_PERIODS,
     SMALLEST_TILE_PX,
     SURFACE_LINES,
@@ -31,7 +31,7 @@ from radiometer.reconciliation.measure.design import (
     surface,
     tile_groups,
 )
-from radiometer.reconciliation.measure.lines import RowBins, edge_shares, row_light
+from radiometer.reconciliation.lines import RowBins, edge_shares, row_light
 from radiometer.statistics.scale import MAD_TO_SIGMA, TWENTIETH_TO_SIGMA
 from radiometer.typing import Array, Mask
 from radiometer.units import gain_factor

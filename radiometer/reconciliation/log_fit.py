@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from radiometer.errors import MeasurementError
 from radiometer.importing.log_table import LogTable
-from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
+from radiometer.reconciliation.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,

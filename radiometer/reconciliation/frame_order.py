@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from radiometer.data import Frame
-from radiometer.reconciliation.measure.design import CaptureStatistics, Design
-from radiometer.reconciliation.measure.reduce import FrameReader, light_of_frames
+from radiometer.reconciliation.design import CaptureStatistics, Design
+from radiometer.reconciliation.reduce import FrameReader, light_of_frames
 from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
 from radiometer.statistics.least_squares import residual
 from radiometer.typing import Array

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.special import chdtrc, gammaln
 
-from radiometer.reconciliation.fit.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
-from radiometer.reconciliation.fit.linear import LinearFit
-from radiometer.reconciliation.fit.state import FitState, LinearTerm
-from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
+from radiometer.reconciliation.design import Design
+from radiometer.reconciliation.linear import LinearFit
+from radiometer.reconciliation.state import FitState, LinearTerm
 from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS, Prediction
 from radiometer.reconciliation.thresholds import SIGNIFICANCE
 from radiometer.reconciliation.tile_model import TileModel

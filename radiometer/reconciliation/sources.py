@@ -18,21 +18,20 @@ from radiometer.data.storage import write_text_atomic
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.importing.drive_table import is_drive_table
-from radiometer.reconciliation.engine import Say, examine, whole_catalogue
-from radiometer.reconciliation.fit.descent import effect_covariance, fitted_parameters
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.full_well import limit_at
-from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, reconcile_photographs
-from radiometer.reconciliation.inputs.tables import (
+from radiometer.reconciliation.descent import effect_covariance, fitted_parameters
+from radiometer.reconciliation.engine import Say, examine, limit_at, whole_catalogue
+from radiometer.reconciliation.photographs import PhotographsReconciled, reconcile_photographs
+from radiometer.reconciliation.propose import Proposal
+from radiometer.reconciliation.reduce import Progress
+from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
+from radiometer.reconciliation.search import Reconciled
+from radiometer.reconciliation.state import FitState
+from radiometer.reconciliation.tables import (
     DriveFit,
     MeterReconciled,
     reconcile_drive_table,
     reconcile_meter_table,
 )
-from radiometer.reconciliation.measure.reduce import Progress
-from radiometer.reconciliation.propose import Proposal
-from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
-from radiometer.reconciliation.search.search import Reconciled
 from radiometer.reporting.origin import Origin
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.undeclared import completed

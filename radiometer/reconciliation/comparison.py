@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics, Design
-from radiometer.reconciliation.measure.lines import RowBins, wave_power
+from radiometer.reconciliation.design import COMB_PERIODS, CaptureStatistics, Design
+from radiometer.reconciliation.lines import RowBins, wave_power
 from radiometer.reconciliation.repeatability import Darkness, steady_wander2
 from radiometer.reconciliation.shared_errors import (
     ANSCOMBE,

@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.fit.comparison import Comparison, compare
-from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
-from radiometer.reconciliation.fit.nuisances import Change, NuisanceLayout
-from radiometer.reconciliation.measure.design import CaptureStatistics, Design
+from radiometer.reconciliation.comparison import Comparison, compare
+from radiometer.reconciliation.design import CaptureStatistics, Design
+from radiometer.reconciliation.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
+from radiometer.reconciliation.nuisances import Change, NuisanceLayout
 from radiometer.reconciliation.repeatability import capture_scale, estimate_tau
 from radiometer.reconciliation.shared_errors import (
     FixedError,

@@ -11,11 +11,11 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.fit.candidate_fit import Candidate
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics
-from radiometer.reconciliation.measure.lines import RowBins, wave_power
+from radiometer.reconciliation.descent import Candidate
+from radiometer.reconciliation.design import COMB_PERIODS, CaptureStatistics
+from radiometer.reconciliation.lines import RowBins, wave_power
 from radiometer.reconciliation.shared_errors import mixing_of_bands, relative_bands
+from radiometer.reconciliation.state import FitState
 from radiometer.reconciliation.statistics import seen_step
 from radiometer.typing import Array
 from simulators.effects.base import DIGITAL_NUMBER

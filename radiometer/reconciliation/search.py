@@ -19,26 +19,24 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.fit.candidate_fit import (
+from radiometer.reconciliation.descent import (
     Candidate,
     FittedCandidate,
-    curve_gain,
-    fit_candidate,
-    judged_gain,
-)
-from radiometer.reconciliation.fit.descent import (
     UnfitError,
     coarse_fit,
     converged_fit,
+    curve_gain,
+    fit_candidate,
     included,
     is_misfit,
+    judged_gain,
     refit,
     scatter_of,
 )
-from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
+from radiometer.reconciliation.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconciliation.result import ReconcileResult
-from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
-from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
+from radiometer.reconciliation.screening import StartPool, directions_of, screen
+from radiometer.reconciliation.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconciliation.statistics import STATISTICS, Scale
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
