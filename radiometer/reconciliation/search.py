@@ -37,7 +37,6 @@ from radiometer.reconciliation.localise import Disagreement, departing, localise
 from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.state import FitState, reweighted, with_effects, with_terms
-from radiometer.reconciliation.statistics import STATISTICS, Scale
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
     NAMED_NATS,
@@ -139,10 +138,7 @@ def contenders_of(state: FitState, candidates: Sequence[FittedCandidate]) -> lis
     for fitted in candidates:
         with contextlib.suppress(UnfitError):
             with_it = included(state, fitted.effect)
-            fairly = with_it.models[-1].log_density.copy()
-            fairly[: state.settings] -= fitted.overrated / state.settings
-            with_it.models[-1] = replace(with_it.models[-1], log_density=fairly)
-            found.append(Contender(fitted, with_it, with_it.evidence - state.evidence - fitted.overrated))
+            found.append(Contender(fitted, with_it, with_it.evidence - state.evidence))
     return found
 
 
@@ -266,8 +262,7 @@ def _taken(state: FitState, looser: FitState, run: _Run) -> FitState:
     newest, nats, gap = looser.effects[-1], looser.evidence - state.evidence, looser.gap
     at = next(i for i, step in enumerate(run.steps) if step.name == newest.name)
     old = run.steps[at]
-    rivals = _by_laws_of_theirs(looser, run.fitted_with.get(newest.name, ())) if isinstance(newest, FreeLaw) else ()
-    run.steps[at] = replace(old, gain_nats=old.gain_nats + nats, gap_after=gap, rivals=(*old.rivals, *rivals))
+    run.steps[at] = replace(old, gain_nats=old.gain_nats + nats, gap_after=gap)
     run.say(f"{newest.name} in a more flexible form: {nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
     return looser
 
@@ -303,7 +298,7 @@ def _unnamed(
     state: FitState, standing: tuple[Disagreement, ...], judged: list[tuple[FittedCandidate, float]], run: _Run
 ) -> FitState | None:
     tried = {old.name for old in state.terms} | run.refused
-    fresh = [t for t in standing if smooth_term(state, t).name not in tried and not _too_few(state, t.block)]
+    fresh = [t for t in standing if smooth_term(state, t).name not in tried]
     rated = ((test, _smooth_gain(state, test)) for test in fresh[:_SMOOTHS_TRIED])
     worthy = ((test, nats) for test, nats in rated if nats > PARAMETER_NATS * scatter_of(state))
     old = tuple(term for term in state.terms if term.is_smooth)
@@ -319,12 +314,6 @@ def _unnamed(
     run.steps.append(Step("unnamed", test.where, nats, state.gap, following.gap, closest=closest, block=test.family))
     run.say(f"unnamed {smooth_term(state, test).name}: {nats:.1f} nats, gap {state.gap:.3f} → {following.gap:.3f}")
     return following
-
-
-def _too_few(state: FitState, block: str) -> bool:
-    """Return whether fewer pixels count than names predict: that refutes a name, for what stays unnamed only adds."""
-    left = state.residual[state.comparison.cuts[block]]
-    return STATISTICS[block].scale is Scale.ROOT and float(left.sum()) < 0
 
 
 def _forget(run: _Run, name: str) -> None:
@@ -417,19 +406,6 @@ def loosened(state: FitState, only: Sequence[str] | None = None) -> FitState | N
     fitted = (_with_form(state, index, form) for nats, index, form in forms if nats >= needed)
     best = max((one for one in fitted if one is not None), key=worth, default=state)
     return best if best is not state and worth(best) - worth(state) >= needed else None
-
-
-def _by_laws_of_theirs(looser: FitState, others: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
-    """Return other entries, each by a free law, that leave nothing in the place of the newest effect either."""
-    rest, found = with_effects(looser, looser.effects[:-1]), list[CatalogueEffect]()
-    present, place = {effect.name for effect in looser.effects}, len(rest.effects)
-    for other in [other for other in others if other.name not in present][:_SWAPPED]:
-        forms = free_forms(rest, other)
-        best = max(forms, key=lambda form: _promise(rest, (*rest.effects, form), place) - _cost(form), default=None)
-        fitted = None if best is None else _with_form(rest, place, best)
-        if fitted is not None and not is_misfit(fitted):
-            found.append(fitted.effects[-1])
-    return tuple(found)
 
 
 def _cost(effect: CatalogueEffect) -> float:
