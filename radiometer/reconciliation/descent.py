@@ -417,8 +417,8 @@ def _profiled(state: FitState, best: _Trial) -> _Trial:
 def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandidate:
     columns = _off_bounds(state, best.effect, state.fit.followed(best.moves(state)))
     fit = state.fit.extended(columns, best.residual)
-    before = family_chi2(state, state.fit.projected)
-    after = family_chi2(state, fit.projected)
+    before = _family_chi2(state, state.fit.projected)
+    after = _family_chi2(state, fit.projected)
     rows = state.comparison.size
     stated = float(np.sum(state.fit.projected[rows:] ** 2) - np.sum(fit.projected[rows:] ** 2))
     gain = sum(before.values()) - sum(after.values()) + stated
@@ -436,8 +436,7 @@ def _off_bounds(state: FitState, effect: CatalogueEffect, columns: Array) -> Arr
     return columns[:, free]
 
 
-def family_chi2(state: FitState, residual: Array) -> dict[str, float]:
-    """Return χ² by statistic, directions of one statistic together."""
+def _family_chi2(state: FitState, residual: Array) -> dict[str, float]:
     found: dict[str, float] = {}
     for name, cut in state.comparison.cuts.items():
         family = FAMILY.get(name, name)

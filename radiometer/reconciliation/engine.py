@@ -604,51 +604,33 @@ def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
 
 
 def _assumptions(outcome: Search, doubts: Sequence[str], well: ShownWell | None) -> tuple[str, ...]:
-    state = outcome.state
-    camera = state.design.header.camera
-    notes = list(doubts)
-    for key, text in (
-        ("conversion_gain_e_per_dn", "the conversion gain is not declared: it was fitted from the noise"),
-        ("read_noise_e", "the read noise is not declared: it was fitted"),
-        ("full_well_e", "the full well is not declared: clipping alone limits the data"),
-    ):
-        if getattr(camera, key) is None:
-            notes.append(text)
-    if camera.dark_current_e_per_s is None:
-        free = dark_current_is_free(state.design)
-        notes.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
-    if well is not None and not well.contradicts and well.remark:
-        notes.append(well.remark)
-    if state.model.passes_well and not (well is not None and well.contradicts):
-        notes.append(
-            "pixels hold more than the declared full well, with the noise of that charge: the declared "
-            "value is not used as a limit"
-        )
-    if is_misfit(state):
-        notes.append(f"structure remains (gap {state.gap:.3g}): it widens the uncertainties of all parameters")
-    if state.comparison.wander2:
-        notes.append(
-            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted as a "
-            "nuisance, not named"
-        )
-    wander_dn = wander_of_black(state.design, state.seen)
-    if wander_dn:
-        notes.append(
-            f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted as a nuisance, not named"
-        )
-    drift_dn = drift_of_black(state.design, state.seen)
-    if drift_dn:
-        notes.append(
-            f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted as a nuisance, not named"
-        )
-    reading_k = state.design.reading_u_k
-    if reading_k:
-        notes.append(f"temperatures are recorded in steps: each is known within {reading_k:.2g} K")
-    if np.isnan(state.design.black_level_dn).any():
-        notes.append("the black level is not declared: it was fitted")
-    if not state.design.uniform:
-        notes.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
-        notes.append("uneven tiles that reach the highest measured level are left out: only even tiles show saturation")
-    if not state.design.has_timestamps:
-        notes.append("times are missing: captures are treated as taken in the order listed")
-    return tuple(notes)
+    state, contradicts = outcome.state, well is not None and well.contradicts
+    camera, design, wander2 = state.design.header.camera, state.design, state.comparison.wander2
+    free, reading_k = dark_current_is_free(design), design.reading_u_k
+    wander_dn, drift_dn = wander_of_black(design, state.seen), drift_of_black(design, state.seen)
+    shown = well.remark if well is not None and not contradicts else ""
+    aside = "fitted as a nuisance, not named"
+    notes = (
+        (camera.conversion_gain_e_per_dn is None,
+         "the conversion gain is not declared: it was fitted from the noise"),
+        (camera.read_noise_e is None, "the read noise is not declared: it was fitted"),
+        (camera.full_well_e is None, "the full well is not declared: clipping alone limits the data"),
+        (camera.dark_current_e_per_s is None,
+         f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}"),
+        (shown, shown),
+        (state.model.passes_well and not contradicts,
+         "pixels hold more than the declared full well, with the noise of that charge: the declared value is not used "
+         "as a limit"),
+        (is_misfit(state),
+         f"structure remains (gap {state.gap:.3g}): it widens the uncertainties of all parameters"),
+        (wander2, f"the source wanders by {np.sqrt(wander2):.2g} from frame to frame: {aside}"),
+        (wander_dn, f"the black level wanders by {wander_dn:.2g} DN from frame to frame: {aside}"),
+        (drift_dn, f"the black level moves by {drift_dn:.2g} DN while a frame is read: {aside}"),
+        (reading_k, f"temperatures are recorded in steps: each is known within {reading_k:.2g} K"),
+        (np.isnan(design.black_level_dn).any(), "the black level is not declared: it was fitted"),
+        (not design.uniform, "no patches are given: the scene is unknown but constant, cut into a grid of tiles"),
+        (not design.uniform,
+         "uneven tiles that reach the highest measured level are left out: only even tiles show saturation"),
+        (not design.has_timestamps, "times are missing: captures are treated as taken in the order listed"),
+    )  # fmt: skip
+    return (*doubts, *(text for holds, text in notes if holds))

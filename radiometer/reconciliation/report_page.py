@@ -36,11 +36,11 @@ def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
         outcome(result),
         [
             paragraph(_summary(result)),
-            story(reconciled),
+            _story(reconciled),
             *[_effect(effect, reconciled) for effect in result.effects],
             paragraph(f"Next capture: {result.next_capture['description']}", "do") if result.next_capture else "",
             _repeats(result),
-            section("Where the residual is", rest_map(reconciled.outcome.state)),
+            section("Where the residual is", _rest_map(reconciled.outcome.state)),
             heading("Figures"),
             folded("Equal frames, each less the others of its series", _frames(result)),
             folded(
@@ -249,8 +249,7 @@ _SMALLEST_REACH: Final = 0.01  # of an axis, in % or DN: finer than any converte
 _DIMMEST_DN: Final = 3.0  # below, a relative deviation of the means says nothing
 
 
-def story(reconciled: Reconciled) -> str:
-    """Return the opening picture: measured over simulated before and after, and the gap step by step."""
+def _story(reconciled: Reconciled) -> str:
     steps = len(reconciled.outcome.steps)
 
     def draw(figure: Figure, narrow: bool) -> None:
@@ -396,8 +395,7 @@ def _fitting(value: Array, dimensions: int) -> Array:
     )
 
 
-def rest_map(state: FitState) -> str:
-    """Return where on the picture the final model still disagrees: each patch by its residual over all captures."""
+def _rest_map(state: FitState) -> str:
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import TwoSlopeNorm

@@ -147,12 +147,11 @@ def worth(state: FitState) -> float:
     return state.evidence - PARAMETER_NATS * (state.parameters.size + state.curves)
 
 
-def rated(state: FitState) -> float:
-    """Return the score of a model with the prior odds of its names."""
+def _rated(state: FitState) -> float:
     return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
 
 
-def penalised_chi2(fitted: FittedCandidate) -> float:
+def _penalised_chi2(fitted: FittedCandidate) -> float:
     """Return the χ² that a candidate explains, less what it pays for its parameters and for being unlikely."""
     return fitted.gain - 2.0 * _penalty(fitted)
 
@@ -161,13 +160,8 @@ def _penalty(fitted: FittedCandidate) -> float:
     return PARAMETER_NATS * fitted.start.parameters - fitted.effect.log_prior_odds
 
 
-def rivals_of(chosen: Contender, contenders: Sequence[Contender]) -> tuple[CatalogueEffect, ...]:
-    """Return the effects, at their best parameters, that the data cannot separate from the chosen one.
-
-    Each further parameter must be paid for. One with more parameters, one of them on its bound, imitates the chosen one
-    in a limit: a kernel as wide as the picture is a veil. What the plan cannot separate, because a setting does not
-    vary, is asked of the reported model (`inseparable`).
-    """
+def _rivals_of(chosen: Contender, contenders: Sequence[Contender]) -> tuple[CatalogueEffect, ...]:
+    """Return the effects, at their best parameters, that the data cannot separate from the chosen one."""
     found = {}
     for other in contenders:
         fitted, further = other.fitted, max(other.fitted.start.parameters - chosen.fitted.start.parameters, 0)
@@ -204,7 +198,7 @@ def search(
             at = next(i for i, step in enumerate(run.steps) if step.name == old)
             step = replace(run.steps[at], name=effect.name, where=effect.where)
             run.steps[at] = replace(step, gap_after=likeliest.gap, rivals=())
-        state, dropped = pruned(likeliest, say)  # what stood next to another name may be superfluous next to this one
+        state, dropped = _pruned(likeliest, say)  # what stood next to another name may be superfluous next to this one
         for name in dropped:
             _forget(run, name)
         tests = localise(state)
@@ -216,7 +210,7 @@ def _stepped(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> tup
         following = _one_step(state, tests, run)
         if following is None:
             break
-        state, dropped = pruned(following, run.say)
+        state, dropped = _pruned(following, run.say)
         for name in dropped:
             _forget(run, name)
         if dropped:  # rivals were judged next to what is gone; what the plan cannot separate is determined again
@@ -236,7 +230,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     if not standing and not promising and not departed:
         return None
     all_fitted = (_fitted(state, candidate, run) for candidate in promising[:_FITTED])
-    fitted = sorted((f for f in all_fitted if not f.effect.is_nothing()), key=lambda f: -penalised_chi2(f))
+    fitted = sorted((f for f in all_fitted if not f.effect.is_nothing()), key=lambda f: -_penalised_chi2(f))
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     contenders = contenders_of(state, [f for f, nats in judged if nats >= NAMED_NATS - RIVAL_NATS])
     shown = sorted((entry for entry in contenders if entry.is_shown), key=lambda entry: -entry.score)
@@ -285,7 +279,7 @@ def _named(state: FitState, chosen: Contender, contenders: Sequence[Contender], 
     effect, gap = chosen.fitted.effect, chosen.state.gap
     again = next((i for i, step in enumerate(run.steps) if step.name == effect.name), None)
     if again is None:
-        rivals = rivals_of(chosen, contenders)
+        rivals = _rivals_of(chosen, contenders)
         run.steps.append(Step(effect.name, effect.where, chosen.nats, state.gap, gap, rivals))
     else:
         old = run.steps[again]
@@ -331,12 +325,8 @@ _FAR_OFF: Final = 400.0  # χ² that a smaller model leaves by its own derivativ
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 
 
-def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
-    """Drop earlier effects and unnamed terms that the newest made superfluous.
-
-    Returns:
-        The model that is left, and the names of what was dropped.
-    """
+def _pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
+    """Drop earlier effects and unnamed terms that the newest made superfluous."""
     changed, dropped = True, list[str]()
     while changed:
         changed = False
@@ -386,8 +376,8 @@ def swapped(
         starts = [other for other in others.get(effect.name, ()) if other.name not in present][:_SWAPPED]
         rest = with_effects(state, [other for other in state.effects if other.name != effect.name])
         fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts]
-        for entry in contenders_of(rest, sorted(fitted, key=penalised_chi2)[-1:]):
-            if rated(entry.state) > rated(state) and not is_misfit(entry.state):  # else it takes up others' residual
+        for entry in contenders_of(rest, sorted(fitted, key=_penalised_chi2)[-1:]):
+            if _rated(entry.state) > _rated(state) and not is_misfit(entry.state):  # else it takes up others' residual
                 state, taken[effect.name] = entry.state, entry.fitted.effect
     return state, taken
 
