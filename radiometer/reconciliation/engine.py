@@ -148,8 +148,13 @@ def _by_scene(header: CaptureHeader, light: FrameLight) -> CaptureHeader | None:
     for pattern in dict.fromkeys(header.frames[index].pattern for index in light.structures):
         own = {index: seen for index, seen in light.structures.items() if header.frames[index].pattern == pattern}
         scenes = scenes_of(own)
-        if max(scenes.values()):
-            _refuse_lone_frames(header, scenes)
+        times = Counter(scenes.values())
+        lone = [header.frames[index].file for index, scene in scenes.items() if times[scene] == 1]
+        if lone and len(times) > 1:
+            raise CaptureError(
+                f"the frames show {len(times)} scenes, and no other frame shows that of {', nor that of '.join(lone)}: "
+                "it cannot be compared with any; give two frames or more of each scene, or those of one scene only"
+            )
         names |= {index: f"{pattern}, scene {scene + 1}" for index, scene in scenes.items() if scene}
     if not names:
         return None
@@ -159,16 +164,6 @@ def _by_scene(header: CaptureHeader, light: FrameLight) -> CaptureHeader | None:
     ]
     patterns = tuple(dict.fromkeys((*header.patterns, *names.values())))
     return header.model_copy(update={"frames": tuple(frames), "patterns": patterns})
-
-
-def _refuse_lone_frames(header: CaptureHeader, scenes: Mapping[int, int]) -> None:
-    times = Counter(scenes.values())
-    lone = [header.frames[index].file for index, scene in scenes.items() if times[scene] == 1]
-    if lone:
-        raise CaptureError(
-            f"the frames show {len(times)} scenes, and no other frame shows that of {', nor that of '.join(lone)}: "
-            "it cannot be compared with any; give two frames or more of each scene, or those of one scene only"
-        )
 
 
 def _read_by(design: Design, read: FrameReader, progress: Progress | None) -> Shown:
@@ -487,6 +482,9 @@ def _result(
         return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
     further = None if settled else _optional_step("the next capture", following, failed)
+    fitted = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
+    own = [one.remark(state.design.header.camera, fitted[one.name]) for one in state.effects if one.name in fitted]
+    remarks = [remark for remark in (*own, well.remark if well is not None and other_well else "") if remark]
     last, before = _largest(outcome.tests), global_p_value(outcome.start, outcome.first_tests)
     return ReconcileResult(
         verdict=verdict,
@@ -501,7 +499,10 @@ def _result(
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,
         assumptions=(*_assumptions(outcome, doubts, well), *failed),
-        localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
+        localisation=tuple(
+            Place(test.family, axis_of(test.where, test.block), test.form, test.chi2, test.p_value)
+            for test in places(outcome.start, _PLACES)
+        ),
         global_p=(before, before if state is outcome.start else global_p_value(state, outcome.tests)),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
@@ -509,7 +510,7 @@ def _result(
         frames=frames,
         seconds=time.monotonic() - begun,
         models=weighed.listed(),
-        extra=_remarks(state, effects, well),
+        extra={"remarks": remarks} if remarks else {},
     )
 
 
@@ -525,16 +526,6 @@ def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> Foun
         probability_of_any=weighed.probability(effect.name, *effect.alternatives),
         averaged=weighed.averaged(effect.name),
     )
-
-
-def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | None) -> dict[str, Any]:
-    named = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
-    camera = state.design.header.camera
-    all_remarks = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
-    remarks = [remark for remark in all_remarks if remark]
-    if well is not None and well.contradicts:
-        remarks.append(well.remark)
-    return {"remarks": remarks} if remarks else {}
 
 
 def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
@@ -589,10 +580,6 @@ def _found(
                 )
             )
     return (*found, unnamed) if unnamed is not None and unnamed not in found else tuple(found)
-
-
-def _place(test: Disagreement) -> Place:
-    return Place(test.family, axis_of(test.where, test.block), test.form, test.chi2, test.p_value)
 
 
 def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:

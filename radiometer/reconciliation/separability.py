@@ -211,12 +211,13 @@ def _can_show(state: FitState, kind: type[CatalogueEffect], unit: str) -> bool:
 
 
 def _mildest(state: FitState, starts: Sequence[CatalogueEffect]) -> dict[str, Limit]:
-    return {name: _limit(near) for name, near in mildest(state, starts, _ASKED_OF_LIMITS).items()}
-
-
-def _limit(near: Grown) -> Limit:
-    stated = near.effect.values()["reference_C"] if near.effect.heated else None
-    return Limit(abs(near.size) if near.grows else near.size, near.parameter, near.unit, stated)
+    return {
+        name: Limit(
+            abs(near.size) if near.grows else near.size, near.parameter, near.unit,
+            near.effect.values()["reference_C"] if near.effect.heated else None,
+        )
+        for name, near in mildest(state, starts, _ASKED_OF_LIMITS).items()
+    }  # fmt: skip
 
 
 _STARTS: Final = 6  # of an entry, spread over all that it has

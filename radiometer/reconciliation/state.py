@@ -467,7 +467,9 @@ def reweighted(state: FitState) -> FitState:
     """Return the state with repeatability, weights and realisations brought up to date; parameters as they are."""
     tau = _estimate_tau(state)
     smooth = tuple(term for term in state.terms if term.is_smooth)
-    kept = _kept_weights(state, smooth)
+    starts = np.cumsum([0, *(term.size for term in state.terms)])
+    own = (state.weights[at : at + term.size] for at, term in zip(starts, state.terms, strict=False) if term.is_smooth)
+    kept = np.concatenate([np.zeros(0), *own])
     model, known = state.model, (state.design, state.seen, state.prediction)
     errors = (
         *fixed_errors((*model.given, *model.effects), state.prediction, state.seen, state.design, model.context),
@@ -549,12 +551,3 @@ def _estimate_tau(state: FitState) -> float:
         comparison.usable["mean"],
     )
     return estimate_tau(state.design, scale, variance)
-
-
-def _kept_weights(state: FitState, smooth: tuple[LinearTerm, ...]) -> Array:
-    kept, at = [], 0
-    for term in state.terms:
-        if term in smooth:
-            kept.append(state.weights[at : at + term.size])
-        at += term.size
-    return np.concatenate(kept) if kept else np.zeros(0)
