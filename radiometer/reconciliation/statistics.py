@@ -19,8 +19,8 @@ from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatis
 from radiometer.reconciliation.measure.lines import RowBins
 from radiometer.statistics.chances import log_variance
 from radiometer.typing import Array, Mask
-from simulators.effects.codes import excess_kurtosis, rounding_amplitude
 from simulators.effects.context import Signal
+from simulators.effects.rounding import excess_kurtosis, rounding_amplitude
 from simulators.effects.tile_moments import Moments
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from radiometer.typing import Array
 from simulators.effects.catalogue import elapsed_s
 from simulators.effects.context import ExposureContext
-from simulators.effects.stray_light import column_light, picture_mean
+from simulators.effects.surroundings import column_light, picture_mean
 
 Formula = Callable[[Mapping[str, Any]], Any]
 

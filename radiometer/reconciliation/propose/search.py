@@ -38,7 +38,7 @@ from radiometer.typing import Array
 from simulators.chain.law_stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
-from simulators.effects.stray_light import column_light, picture_mean
+from simulators.effects.surroundings import column_light, picture_mean
 
 _AT_ONCE: Final = 64  # laws that are projected together
 _FAINT: Final = 1e-9

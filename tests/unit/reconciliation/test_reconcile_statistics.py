@@ -16,9 +16,11 @@ from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.separability import limits
 from radiometer.reconciliation.shared_errors import fixed_errors
 from radiometer.reconciliation.statistics import usable_entries
-from simulators.effects.black_level import BlackLevelDrift, BlackLevelOffset
-from simulators.effects.blur import PsfBlur, disc_edge_share
-from simulators.effects.patterns import RowPattern
+from simulators.effects.black_level_drift import BlackLevelDrift
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.pixel_mixing import disc_edge_share
+from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.row_pattern import RowPattern
 from testing.reduced import start_of, statistics_of, taken
 
 

@@ -12,11 +12,12 @@ from radiometer.reconciliation.propose.grammar import Term
 from radiometer.reconciliation.propose.law import Law, effect_of
 from radiometer.reconciliation.propose.search import own_covariates
 from radiometer.reconciliation.result import Verdict
-from simulators.effects.dark_charge import DarkCurrent
-from simulators.effects.display import DisplayNonuniformity
-from simulators.effects.lens import MechanicalVignetting, NaturalVignetting
-from simulators.effects.response import ResponseNonlinearity
-from simulators.effects.source import LedThermalDroop
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.display_nonuniformity import DisplayNonuniformity
+from simulators.effects.led_thermal_droop import LedThermalDroop
+from simulators.effects.mechanical_vignetting import MechanicalVignetting
+from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from testing.generator.session import make_session
 from testing.outside import two
 from testing.outside.two_hidden import HIDDEN

@@ -13,26 +13,33 @@ from scipy.signal import fftconvolve
 from radiometer.data import CameraDescription, FrameSettings
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.base import Moments, Stage
-from simulators.effects.black_level import BlackLevelGainSlope, BlackLevelOffset, DarkFrameSubtracted
-from simulators.effects.blur import (
+from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.brighter_fatter import BrighterFatter, push_of
+from simulators.effects.catalogue import well_e
+from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
+from simulators.effects.excess_read_noise import ExcessReadNoise
+from simulators.effects.exposure_label_error import ExposureLabelError
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.free_law import axis_values, freed
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.gamma_enabled import GammaEnabled
+from simulators.effects.image_lag import ImageLag
+from simulators.effects.mechanical_vignetting import MechanicalVignetting, common_area
+from simulators.effects.missing_codes import MissingCodes
+from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.pixel_mixing import (
     disc_edge_share,
     exchange_between_neighbours,
     exchange_moments,
     spread_over_disc,
 )
-from simulators.effects.catalogue import well_e
-from simulators.effects.charge_transfer import BrighterFatter, push_of
-from simulators.effects.codes import MissingCodes, Quantisation
-from simulators.effects.context import ExposureContext, FrameGeometry
-from simulators.effects.exposure_time import ExposureLabelError, ExposureTimeOffset
-from simulators.effects.free_law import axis_values, freed
-from simulators.effects.lens import MechanicalVignetting, NaturalVignetting, common_area
-from simulators.effects.memory import ImageLag
-from simulators.effects.noise import ExcessReadNoise
+from simulators.effects.quantisation import Quantisation
 from simulators.effects.registry import EFFECTS, EffectEntry, make_effect
-from simulators.effects.response import GammaEnabled, ResponseNonlinearity
-from simulators.effects.saturation import FullWellSaturation, SoftSaturation
-from simulators.effects.stray_light import StrayLightKernel
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from simulators.effects.soft_saturation import SoftSaturation
+from simulators.effects.stray_light_kernel import StrayLightKernel
 from simulators.effects.tile_moments import TileMoments
 from testing.effect_context import CATALOGUE, HEIGHT, WIDTH, effect_context, starts_of
 
