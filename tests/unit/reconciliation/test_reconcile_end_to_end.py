@@ -123,18 +123,6 @@ def test_found_model_as_start_agrees(commanded, make_capture, tmp_path):
     assert again.gap_before == pytest.approx(1.0, abs=0.05)
 
 
-def test_unfinished_capture_is_one_line_and_exit_code_1(tmp_path, capsys):
-    """A folder without capture.yaml is refused with the reason."""
-    (tmp_path / "empty").mkdir()
-    assert run(["reconcile", str(tmp_path / "empty")]) == 1
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
-
-
-def test_unknown_entry_is_misuse(tmp_path):
-    """`--without` an entry that does not exist is exit code 2."""
-    assert run(["reconcile", str(tmp_path), "--without", "phlogiston"]) == 2
-
-
 # Limits and next captures are advice: whatever happens to them, the answer stands.
 
 

@@ -86,24 +86,6 @@ def test_printed_settings_are_reported_with_the_stops_behind_them(curve, tmp_pat
     assert "is 60 s meant, or 1/60 s?" in capsys.readouterr().err
 
 
-def test_the_stated_uncertainty_of_the_constant_counts(curve, tmp_path, capsys):
-    """K known to 3 %: next to the meter's sixth of a stop and the curve's 0.5 %, in the scale and in the luminance."""
-    command = ["calibrate", "--response", str(curve), *METER, "--k-u-rel", "0.03", "--reference-dn", "127", "--json"]
-    assert run([*command, "-o", str(tmp_path / "cal.yaml")]) == 0
-    meter = math.log(2) / 6 / math.sqrt(3)
-    scale = Calibration.read(tmp_path / "cal.yaml").scale
-    assert scale.u_rel == pytest.approx(math.hypot(meter, 0.03, 0.005), rel=1e-3)
-    luminance = json.loads(capsys.readouterr().out)["metered"]["luminance"]
-    assert luminance["u"] / luminance["value"] == pytest.approx(math.hypot(meter, 0.03), rel=1e-6)
-
-
-def test_settings_are_read_as_exact_stops(curve, tmp_path, capsys):
-    """1/125 s runs as 2⁻⁷ s: the luminance is 128/125 of that at face value."""
-    assert run(["calibrate", "--response", str(curve), *METER, "--json", "-o", str(tmp_path / "cal.yaml")]) == 0
-    luminance = json.loads(capsys.readouterr().out)["metered"]["luminance"]["value"]
-    assert luminance == pytest.approx(3882.3529 * 128 / 125, rel=1e-6)
-
-
 def test_both_ways_give_a_ratio_and_the_better_scale(capture, tmp_path, capsys):
     """With meter and source the ratio is printed with its uncertainty, and the source's scale is kept."""
     folder, _ = capture
