@@ -73,7 +73,6 @@ def flux_scale(
     Without a calibration H = x·c·h·c₀/(λ·η·A): conversion gain c, quantum efficiency η, pixel area A, wavelength λ.
 
     Args:
-        setup: Camera, lens, calibration and light.
         settings: Of the light frames, which a calibration is compared with as for a radiance.
         responsivity_u_rel: Relative standard uncertainty of η/c where it was measured; None takes 3 %.
 
@@ -134,7 +133,6 @@ def sensor_flux(frames: Sequence[Frame], scale: FluxScale, region: Patch | None 
 
     Args:
         frames: Light frames of the lit source, frames with source level 0, and dark frames, in any order.
-        scale: From digital numbers to exposure.
         region: Where the source and all its glow are; None for the whole frame.
 
     Raises:

@@ -58,7 +58,6 @@ def frame_terms(
     """Return the constants of a light frame.
 
     Args:
-        situation: What the merge rests on.
         dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
         through_lens: Whether the exposure carries the lens factor of the frame's f-number.
         masked_dn: What masked pixels of the frame read in DN; None where it is not stated.
@@ -188,9 +187,7 @@ def dark_map(
     """Return the dark signal x of every pixel, flat, with the variance of that mean, or one level for all with none.
 
     Args:
-        settings: Of the light frame.
         dark_frames: Frames with the shutter closed; those of the same exposure count.
-        model: Signal model of the camera.
         level: Dark signal where there are none.
     """
     matching = matching_darks(settings, dark_frames)

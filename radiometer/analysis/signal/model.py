@@ -156,10 +156,7 @@ def signal_model(
     on as the straight line to zero at the black level. Without that a dark patch would be read too bright.
 
     Args:
-        camera: The camera.
         response: Its response curve; None takes the sensor as linear above black.
-        noise: Its noise model.
-        black_dn: Black level in DN.
         linearity_u_rel: Relative standard uncertainty of a signal where the sensor is taken as linear.
 
     Raises:
@@ -255,9 +252,6 @@ def dark_levels(
     off at 0 the mean is the most that the dark signal can be.
 
     Args:
-        settings: Of the light frames.
-        dark_frames: Frames with the shutter closed.
-        black: Black level of the calibration, with its uncertainty.
         masked_dn: What masked pixels read in every light frame in DN, where known.
         darkest: Signal x of the darkest pixels of every light frame: no dark signal is above it.
     """
@@ -311,10 +305,8 @@ def refuse_brighter_darks(
     """Refuse dark frames that are brighter than a light frame: their dark signal is not that of its exposure.
 
     Args:
-        settings: Of the light frame.
         middle: Its signal in the middle of its pixels.
         dark: Dark signal that the dark frames show for it.
-        u_dark: Standard uncertainty of that.
 
     Raises:
         MeasurementError: If they are.
@@ -360,9 +352,6 @@ def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: Sign
     """Return what rounding to whole codes leaves in light less dark, in x: an error that all pixels and frames share.
 
     Args:
-        settings: Of the light frame.
-        frames: Dark frames.
-        model: Signal model of the camera.
         least: Signal x of the least light of the frame, whose shot noise spreads the pixels over the codes; inf where
             it is not known.
     """
@@ -383,7 +372,6 @@ def with_found_code_step(model: SignalModel, light: Iterable[DigitalNumbers]) ->
     It is a power of two, as of padded low bits, and most numbers that occur are neighbours at that distance.
 
     Args:
-        model: Signal model of the camera.
         light: Digital numbers of pixels of light frames, any shape.
     """
     if model.camera.code_step_dn is not None:
@@ -511,7 +499,6 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
 
     Args:
         dark_frames: Frames with the shutter closed; those of the lowest gain are used.
-        calibration: Its noise model and the uncertainty of its black level.
     """
     own, noise, used = calibration.black_level, calibration.noise, whole_darks(dark_frames)
     if not used:
@@ -535,8 +522,6 @@ def _unknown_dark_u(settings: FrameSettings, model: SignalModel, darkest: float)
     """Return the standard uncertainty of the signal x of a dark current that nothing states: k = 2 covers the most.
 
     Args:
-        settings: Of the light frame.
-        model: Signal model of the camera.
         darkest: Signal x of the frame's darkest pixels; inf where it is not known.
     """
     most_e = most_dark_e_per_s(model.camera, settings.temperature_c) * settings.exposure_s
@@ -551,7 +536,6 @@ def signal_of(frame: Frame, model: SignalModel, settings: FrameSettings | None =
 
     Args:
         frame: Where its pixels have black levels of their taps, these count with its own settings.
-        model: Signal model of the camera.
         settings: Those of a light frame that a dark frame is compared with; the frame's by default.
     """
     if frame.black_offset_dn is None:
@@ -569,7 +553,6 @@ def some_lit_pixels(frame: Frame, lit: NDArray[np.bool_] | None = None) -> Frame
     """Return some thousand pixels evenly over a frame, in one row: overscan gathers no light and is left out.
 
     Args:
-        frame: The frame.
         lit: Its pixels that gather light, shape (height, width); None for all.
     """
     step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
@@ -583,7 +566,6 @@ def picked(frame: Frame, where: NDArray[np.bool_]) -> Frame:
     """Return some pixels of a frame in one row.
 
     Args:
-        frame: The frame.
         where: True at the pixels, shape (height, width).
     """
     offset = frame.black_offset_dn
@@ -599,8 +581,6 @@ def corrected_settings(settings: FrameSettings, found: FoundEffects, black_dn: f
     """Return the settings that a frame was really taken with.
 
     Args:
-        settings: As stated.
-        found: What was found of the camera.
         black_dn: Black level in DN of a frame that does not state its own.
     """
     black = black_dn if settings.black_level_dn is None else settings.black_level_dn
@@ -629,8 +609,6 @@ def straightened(signal: ArrayLike, found: FoundEffects, electrons_per_unit: flo
 
     Args:
         signal: x above black at 0 dB, as it came through the bend.
-        found: What was found of the camera.
-        electrons_per_unit: Electrons per unit of x.
     """
     seen = np.asarray(signal, dtype=np.float64)
     straight = seen
@@ -649,7 +627,6 @@ def corrected_frames(
 
     Args:
         frames: As stated; a bracket stays one.
-        found: What was found of the camera.
         black_dn: Black level in DN of frames that do not state their own.
     """
     if found == FoundEffects():
@@ -668,9 +645,7 @@ def temperature_factor(found: FoundEffects, here_c: float | None, there_c: float
     """Return what a reading is multiplied by for the warmth of the sensor: responsivity at calibration over now.
 
     Args:
-        found: What was found of the camera.
         here_c: Temperature at the reading in °C; None where unknown.
-        there_c: At calibration.
     """
     if here_c is None or there_c is None:
         return 1.0
@@ -725,8 +700,6 @@ def crop_frames(
 
     Args:
         frames: Frames in any order; each is released after its patch is cut out.
-        patch: Where to read.
-        model: Signal model of the camera.
         lit: Pixels that gather light, shape (height, width); None for all.
         defects: Defective pixels of the camera (x, y).
 
