@@ -364,8 +364,9 @@ def _from_matching(
     level = _from_frames(settings, matching, model, darkest, zero)
     warmer = float(np.mean([_warmer(settings, frame, model) for frame in matching]))
     u_rel = _u_warmth_rel(settings, matching, model)
-    part = min(max(level.signal - zero, 0.0), max(_most_dark(settings, model), model.modelled_dark(settings)))
-    u = math.hypot(u_rel * part, (abs(warmer - 1.0) + u_rel) * u_zero)
+    most = max(_most_dark(settings, model), model.modelled_dark(settings))
+    part = min(math.hypot(max(level.signal - zero, 0.0), u_zero), most)
+    u = math.hypot(u_rel * part, (warmer - 1.0) * u_zero)
     source = _OTHER_WARMTH if u_rel == _U_UNKNOWN_WARMTH_REL else level.source
     return replace(level, u_common=math.hypot(level.u_common, u), black=zero, source=source)
 
