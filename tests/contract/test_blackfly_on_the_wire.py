@@ -15,7 +15,7 @@ from drivers.cameras.aravis_camera import AravisCamera, open_camera
 from drivers.cameras.camera_checks import check_features
 from radiometer.data import LensDescription
 from radiometer.data.mosaic import COLOURS, plane_of
-from radiometer.devices import CameraIdentity, CameraPreset, CameraSettings, Health, Roi
+from radiometer.devices import CameraIdentity, CameraPreset, CameraSettings, Health
 from radiometer.errors import DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
 from simulators.cameras.blackfly_gige import BlackflyGige
 from simulators.cameras.blackfly_pictures import ForwardModelSource
@@ -36,13 +36,6 @@ PHOTON_J = 6.62607015e-34 * 299_792_458 / WAVELENGTH_M
 
 def opened():
     return open_camera(LOOPBACK, lens=LensDescription(focal_length_mm=16, f_number=4.0))
-
-
-def position_code(request):
-    """Return a picture in which every pixel says where it is."""
-    columns = np.arange(request.x, request.x + request.width)
-    rows = np.arange(request.y, request.y + request.height)
-    return (columns[None, :] + 20 * rows[:, None]).astype(np.uint16)
 
 
 def assert_brightness(frame, in_force):
@@ -69,47 +62,6 @@ def test_what_falsifies_as_shipped_is_switched_off(blackfly):
         switched = {f.feature.name for f in camera.session.hygiene if f.state == "switched_off"}
         assert {"ExposureAuto", "GainAuto", "GammaEnable", "SharpeningEnable"} <= switched
         assert not [f for f in camera.session.hygiene if f.state == "still_on"]
-
-
-def test_gamma_left_on_bends_the_signal(blackfly):
-    """With GammaEnable on, twice the exposure is not twice the signal: the feature is no dummy."""
-    with opened() as camera:
-        camera.configure(replace(SETTINGS, black_level_dn=0))
-        camera.session.features.write("GammaEnable", True)
-        camera.session.features.write("Gamma", 0.5)
-        single = np.mean(camera.capture(1)[0].dn)
-        camera.configure(replace(SETTINGS, black_level_dn=0, exposure_s=0.008))
-        assert np.mean(camera.capture(1)[0].dn) / single == pytest.approx(2**0.5, rel=0.01)
-
-
-def test_a_region_is_cut_from_the_same_place(aravis_installed, gige_port):
-    """A region shows the pixels that the whole frame has there."""
-    limits = replace(default_limits(), width=160, height=120, has_shutter=False)
-    with BlackflyGige(position_code, limits, serial="22500077"), opened() as camera:
-        camera.configure(SETTINGS)
-        whole = camera.capture(1)[0].dn
-        camera.configure(replace(SETTINGS, roi=Roi(40, 20, 32, 16)))
-        part = camera.capture(1)[0].dn
-    np.testing.assert_array_equal(part, whole[20:36, 40:72])
-
-
-@pytest.mark.parametrize("triggered", [False, True], ids=["free running", "software trigger"])
-def test_a_change_of_settings_is_never_mixed_into_a_frame(blackfly, triggered):
-    """Over random changes of exposure, gain and black level, every frame has the brightness of its own settings."""
-    rng = np.random.default_rng(11)
-    with opened() as camera:
-        for _ in range(12):
-            expected = replace(
-                SETTINGS,
-                exposure_s=float(np.exp(rng.uniform(np.log(1e-4), np.log(8e-3)))),
-                gain_db=float(rng.uniform(0, 6)),
-                black_level_dn=float(rng.integers(20, 200)),
-                software_trigger=triggered,
-            )
-            in_force = camera.configure(expected)
-            for frame in camera.capture(2):
-                assert_brightness(frame, in_force)
-                assert frame.settings.temperature_c == pytest.approx(40.0)
 
 
 def test_lost_packets_are_retried_and_no_damaged_frame_is_passed_on(blackfly):
@@ -210,16 +162,6 @@ def test_other_genicam_programs_see_it(blackfly):
     )
     assert "ExposureTime = 2500 us" in done.stdout
     assert "DeviceSerialNumber = 22500077" in done.stdout
-
-
-def test_automatic_exposure_steers_while_it_is_left_on(blackfly):
-    """With ExposureAuto on, the exposure time moves towards half of full scale by itself: the feature is no dummy."""
-    with opened() as camera:
-        camera.configure(SETTINGS)
-        camera.session.features.write("ExposureAuto", "Continuous")
-        first, *_, last = (camera.capture(1)[0] for _ in range(8))
-        assert last.dn.mean() > 2 * first.dn.mean()
-        assert camera.session.access.read().exposure_s > 2 * SETTINGS.exposure_s
 
 
 def test_requests_are_answered_while_a_picture_is_made(aravis_installed, gige_port):
