@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from drivers.cameras.aravis_camera import AravisCamera, open_camera
-from drivers.cameras.camera_checks import check_features
 from radiometer.data import LensDescription
 from radiometer.data.mosaic import COLOURS, plane_of
-from radiometer.devices import CameraIdentity, CameraPreset, CameraSettings, Health
+from radiometer.devices import CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
 from simulators.cameras.blackfly_gige import BlackflyGige
 from simulators.cameras.blackfly_pictures import ForwardModelSource
@@ -315,37 +314,6 @@ def test_the_shortest_exposure_is_not_taken_for_another_one(awkward):
         assert camera.capture(1)[0].settings.exposure_s == pytest.approx(11e-6)
         camera.configure(replace(PACKED, exposure_s=12e-6))
         assert camera.capture(1)[0].settings.exposure_s == pytest.approx(12e-6)
-
-
-def test_running_numbers_rise_over_their_sixteen_bits(serve_awkward):
-    """Frames 65533 to 65535 are followed by 65536 and so on, in order and none counted as missed."""
-    serve_awkward(first_frame_id=65530)
-    with opened() as camera:
-        camera.configure(PACKED)
-        stream = camera.stream()
-        ids = [frame.frame_id for frame in itertools.islice(stream, 12)]
-        stream.close()
-        assert all(b > a for a, b in itertools.pairwise(ids))
-        assert ids[0] < 65536 < ids[-1]
-        assert ids[-1] - ids[0] - 11 == camera.counts.extra["missed_frames"] + camera.counts.incomplete
-
-
-def test_a_locked_frame_rate_is_a_note_of_the_doctor(awkward):
-    """The camera refuses to have it off: it opens all the same, and `doctor` says so."""
-    with opened() as camera:
-        found = check_features(camera)
-    (note,) = [f for f in found if "AcquisitionFrameRateEnable" in f.message]
-    assert note.health is Health.NOTE
-    assert "stays at True" in note.message
-
-
-def test_its_test_pattern_is_switched_off(awkward):
-    """It arrives with a pattern behind the second selector entry, which hides the light altogether."""
-    with opened() as camera:
-        states = [f.state for f in camera.session.hygiene if f.feature.name == "TestPattern"]
-        assert states == ["off", "switched_off"]
-        camera.configure(replace(PACKED, black_level_dn=0))
-        assert camera.capture(1)[0].dn.std() < 0.1 * SIGNAL_DN
 
 
 def test_nothing_is_dropped_on_a_link_that_carries_little_less_than_it_should(awkward):
