@@ -23,8 +23,7 @@ from scipy.ndimage import uniform_filter1d
 
 from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, columns_of, fit_drive_law
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
-from radiometer.importing.drive_table import ChannelDrive, DriveTable, read_drive_table
-from radiometer.importing.meter_table import MeterRow, read_meter_table
+from radiometer.importing.light_tables import ChannelDrive, DriveTable, MeterRow, read_drive_table, read_meter_table
 from radiometer.numbers import with_u
 from radiometer.reconciliation.result import ByHand, FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import NAMED_NATS, is_open
