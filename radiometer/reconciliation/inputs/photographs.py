@@ -163,7 +163,6 @@ class _Judged:
 
     @property
     def u_rel(self) -> list[float]:
-        """Return the relative standard uncertainty of every exposure that was not taken from its label; 0 else."""
         u = np.zeros(self.log_time.size)
         if self.exposures.offset is not None:
             u = self.exposures.offset.u_seconds / self.samples.exposures_s
@@ -179,7 +178,6 @@ class _Judged:
 
     @property
     def follow_no_curve(self) -> bool:
-        """Return whether unseen parts are predicted so badly that no labels can be called consistent."""
         return follow_no_curve(self.errors[2], self.fitted.samples, self.fitted.log_exposure)
 
 

@@ -156,10 +156,7 @@ def _rest_in_words(rest: float, widest: float) -> str:
 
 
 def _by_stop(rows: Sequence[MeterRow]) -> tuple[dict[float, float], float, int]:
-    """Return ln K at each exact stop beyond that at the middle one, the standard deviation left, and its freedom.
-
-    Each source and each stop has a level; readings that do not connect all stops leave no freedom.
-    """
+    """Return ln K at each exact stop beyond that at the middle one, the standard deviation left, and its freedom."""
     k = np.log([row.k_exact for row in rows])
     sources, source = np.unique([row.source for row in rows], return_inverse=True)
     stops, stop = np.unique([exact_f_number(row.f_number) for row in rows], return_inverse=True)
@@ -225,7 +222,6 @@ class _Data:
 
     @property
     def channels(self) -> int:
-        """Return the number of channels."""
         return int(self.channel.max()) + 1
 
     def per_channel(self, columns: Array) -> Array:
@@ -346,13 +342,11 @@ def _rss(data: _Data, design: Array) -> tuple[Array, Array]:
 
 
 def _gain(data: _Data, before: Array, after: Array) -> float:
-    """Return the gain in log likelihood by further columns, each channel's noise unknown."""
     (old, counts), (new, _) = _rss(data, before), _rss(data, after)
     return float(np.sum(0.5 * counts * np.log(old / new)))
 
 
 def _range_steps(data: _Data) -> tuple[float, ...]:
-    """Return the readings at which the meter's range steps, none where no step is beyond chance."""
     thresholds, found = np.unique(data.reading), list[float]()
     design = _smooth(data)
     for _ in range(_MOST_STEPS):
@@ -416,10 +410,7 @@ def _named(
 
 
 def _drooping(laws: Mapping[str, DriveLaw | None]) -> dict[str, FittedParameter]:
-    """Return deviation at half drive of the channel that droops most, and how many do; nothing where none does.
-
-    It is that of the law above its onset.
-    """
+    """Return deviation at half drive of the channel that droops most, and how many do; nothing where none does."""
     above = (replace(law, onset=0.0).parameters["deviation_at_half_drive"] for law in laws.values() if law is not None)
     seen = [one for one in above if math.log1p(one.value) > max(_SIGMAS * one.u, _LEAST_DEVIATION)]
     if not seen:
@@ -463,7 +454,6 @@ def _held_out(data: _Data, design: Array, sigma: Array) -> float:
 
 
 def _verdict(effects: Sequence[FoundEffect], gap: float, readings: int) -> Verdict:
-    """Return the verdict; names are incomplete while the gap that they leave is more than chance."""
     names = {one.name for one in effects}
     if not names:
         return Verdict.AGREES
