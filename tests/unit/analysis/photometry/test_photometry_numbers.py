@@ -665,12 +665,15 @@ def test_the_efficacies_of_common_lights_are_those_of_a_peer(name, efficacies):
 
 
 def test_a_line_excites_by_its_action_spectrum():
-    """A line excites by its action spectrum."""
+    """A line excites by its action spectrum; its u is the slope at the line by the wavelength's u."""
     wavelength, columns = table("alpha_opic.csv")
     at_490 = columns["melanopic"][wavelength == 490.0][0]
     found = rm.alpha_opic(3.0, "W/m2", spectrum="line:490")["melanopic"]
     assert found.quantity.value == pytest.approx(3.0 * at_490)
     assert at_490 == pytest.approx(1.0, abs=1e-3)  # its peak is at 490 nm
+    sloping = rm.alpha_opic(3.0, "W/m2", spectrum="line:520", wavelength_u_nm=2.0)["melanopic"].quantity
+    ends = np.interp([518.0, 522.0], wavelength, columns["melanopic"])
+    assert sloping.u == pytest.approx(3.0 * (ends[0] - ends[1]) / 2.0)
     for receptor, column in columns.items():
         last = np.flatnonzero(column)[-1]
         found = rm.alpha_opic(1.0, "W/m2", spectrum=f"line:{wavelength[last]:g}")[receptor]
