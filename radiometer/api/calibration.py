@@ -151,7 +151,6 @@ class Calibrated(Result):
         return report
 
     def __str__(self) -> str:
-        """Return scale, expanded uncertainty and method in one line."""
         scale = self.scale
         how = scale.method.replace("_", " ")
         return f"{with_u(scale.value, 2 * scale.u_rel * scale.value, 'J·m⁻² per unit of signal', k=2)}, {how}"

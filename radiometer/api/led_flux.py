@@ -86,7 +86,6 @@ class Flux(Result):
         }
 
     def __str__(self) -> str:
-        """Return the flux in mW with its expanded uncertainty in one line."""
         where = "emitted" if self.report.emitted else "through the sensor"
         return f"{with_u(1e3 * self.result.value, 2e3 * self.result.u, 'mW', k=2)} {where}"
 

@@ -55,7 +55,6 @@ class QualityPlan(Result):
         return {one.name: asdict(one) for one in self.procedures}
 
     def __str__(self) -> str:
-        """Return the names."""
         return ", ".join(one.name for one in self.procedures)
 
 
@@ -83,7 +82,6 @@ class QualityReport(Result):
         return [(of.symbol, of.title, *shown(figure)) for of, figure in measured if figure is not None]
 
     def __str__(self) -> str:
-        """Return symbols and values of what was measured."""
         return ", ".join(f"{symbol} = {value} ± {u}" for symbol, _, value, u in self.rows) or "nothing measured"
 
 

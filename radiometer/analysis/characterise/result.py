@@ -72,7 +72,6 @@ def upper_limit(name: str, figure: Quantity) -> float | None:
 
     Args:
         name: Key of the figure in `SYMBOLS`.
-        figure: Its value and standard uncertainty.
     """
     if name in _SIGNED or not math.isfinite(figure.u) or abs(figure.value) > 2 * figure.u:
         return None

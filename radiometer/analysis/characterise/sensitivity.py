@@ -117,8 +117,6 @@ def responsivity(steps: Sequence[SignalStep], saturation: Saturation, photons_u_
 
     Args:
         steps: Steps of one region whose light is photons per pixel.
-        saturation: Its saturation point.
-        photons_u_rel: Relative standard uncertainty of the photon numbers.
 
     Source: EMVA Standard 1288, release 4.0, section 6.6, equation (13).
     """

@@ -155,7 +155,6 @@ def finish_sums(
 
     Args:
         sums: Of a run of pixels; they make room for the result.
-        terms: Of all frames, in the order of their bits.
         kept: As of `MergeTables.kept`.
         tables: Of these frames.
         factor: Radiance per rate, of every pixel or of all (size 1), float32.
@@ -185,8 +184,6 @@ def repair_defects(
 
     Args:
         radiance: Radiance, shape (height, width), still owned by the merge.
-        u_radiance: Its standard uncertainty.
-        mask: PixelMask bits.
         defects: Positions (x, y); those outside the picture are left out.
     """
     height, width = radiance.shape

@@ -393,10 +393,6 @@ class MergeTables:
 def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables:
     """Return the tables for a set of light frames.
 
-    Args:
-        terms: The frames in the order of their bits; exposures are counted in units of the first.
-        model: Signal model of the camera.
-
     Raises:
         MeasurementError: If the dark signal of every frame fills it.
     """

@@ -107,8 +107,6 @@ def evaluate(session: Path, how: Evaluation, progress: Callable[[str], None] | N
 
     Args:
         session: Folder with a folder per procedure and in it one per step, each a capture set.
-        how: Calibration and patch to read with.
-        progress: Called with the name of each procedure.
 
     Raises:
         InputError: If the folder is missing or holds no capture of any procedure, and no spectral response is known.

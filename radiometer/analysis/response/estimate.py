@@ -135,7 +135,6 @@ def compare_thirds(curves: list[ResponseCurve], whole: ResponseCurve) -> Stabili
 
     Args:
         curves: Curves from disjoint pixels, at least two.
-        whole: The curve of all pixels.
     """
     ranges = [curve.valid_dn for curve in (*curves, whole) if curve.valid_dn]
     if len(ranges) < 3:
@@ -159,7 +158,6 @@ def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
     """Refuse a curve without information: no range, or not known to a factor of e. A narrow range becomes a note.
 
     Args:
-        estimate: As recovered.
         where: Where the frames came from; "" where it is unknown.
 
     Raises:

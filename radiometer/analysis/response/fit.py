@@ -111,7 +111,6 @@ def solve_penalised(
     """Return the penalised solution; λ by restricted maximum likelihood where none is given.
 
     Args:
-        normal: The normal equations.
         penalty: P, positive semi-definite, shape (k, k).
         gauge: b; the solution obeys b·c = 0, which the equations themselves leave open.
         smoothing: λ at or above 0; None to choose it.
@@ -200,9 +199,6 @@ class ResponseFit:
 
         Every frame's score counts as one draw, because its residuals share flare, tone or shutter. The part that the
         fit absorbed is restored: with leverage H, a frame's residual is (I − H)^½ of its error.
-
-        Args:
-            frame: Frame of every row.
 
         Source: R. M. Bell, D. F. McCaffrey 2002, Survey Methodology 28, 169–181 (the estimator named CR2).
         """

@@ -99,7 +99,7 @@ def _show_of_photographs(reading: Reading, *, budget: bool) -> None:
 
 _BUDGET: Final = {"budget": (False, Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")])}
 _OF_CAMERA: Final = command_of(
-    "readings", _show, files=("report",), serves=_served, shown=_BUDGET, like="measure", camera=CameraOption,
+    "readings", _show, files=("report",), serves=_served, shown=_BUDGET, camera=CameraOption,
     patch=typer.Option(),
 )  # fmt: skip
 _OF_PHOTOGRAPHS: Final = command_of(

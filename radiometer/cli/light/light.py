@@ -78,7 +78,7 @@ def _show_law(found: rm.EngineLaws) -> None:
         note(f"taken: {taken}")
 
 
-_LIT: Any = {"reports": "lit", "like": "light_set"}
+_LIT: Any = {"reports": "lit"}
 for name, made in {
     "set": command_of("light_set", _show_lit, **_LIT, hold_s=time_option("--for")),
     "pulse": command_of("light_pulse", _show_lit, **_LIT, duration_s=time_option("--duration")),
