@@ -415,7 +415,8 @@ def _u_warmth_rel(settings: FrameSettings, frames: Sequence[Frame], model: Signa
     if settings.temperature_c is None or len(known) < len(frames):
         return _U_UNKNOWN_WARMTH_REL
     doublings = abs(settings.temperature_c - float(np.mean(known))) / model.noise.dark_doubling_k
-    return math.log(2.0) * math.hypot(_U_THERMOMETER_K, doublings * _U_DOUBLING_K) / model.noise.dark_doubling_k
+    u_k = math.hypot(_U_THERMOMETER_K, doublings * _U_DOUBLING_K)
+    return float(math.log(2.0) * u_k / model.noise.dark_doubling_k)
 
 
 def _from_frames(
