@@ -23,7 +23,7 @@ from radiometer.data.setup import Setup
 from radiometer.devices import CameraPreset
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.importing import imported_of, open_capture
-from radiometer.importing.drive_table import read_drive_table
+from radiometer.importing.light_tables import read_drive_table
 from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
 from radiometer.photographs.stated import stated_camera

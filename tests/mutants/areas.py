@@ -25,7 +25,6 @@ AREAS: dict[str, tuple[str, ...]] = {
     ),
     "journal": (
         "radiometer/daemon/journal*.py",
-        "radiometer/daemon/clock_watch.py",
         "radiometer/daemon/timestamps.py",
     ),
     "scpi": ("radiometer/daemon/scpi/*.py",),

@@ -13,8 +13,7 @@ from enum import StrEnum
 from typing import Final, Protocol
 
 from radiometer.data import Calibration, CameraDescription, Frame, LensDescription, ResponseCurve
-from radiometer.data.capture_header import AUTOMATIC
-from radiometer.data.serials import same_serial
+from radiometer.data.capture_header import AUTOMATIC, same_serial
 from radiometer.errors import CalibrationError, RadiometerError, UsageError
 
 # A zoom's rings, the tags of EXIF, drivers and data sheets round lengths and gains to this.

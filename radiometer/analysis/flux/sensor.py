@@ -179,7 +179,7 @@ def _merged(frames: list[Frame], dark: list[Frame], scale: FluxScale) -> _Map:
     shortest = np.zeros(frames[0].shape)
     alike = Counter((one.settings.exposure_s, one.settings.gain_db) for one in frames)
     for frame, level in zip(frames, levels, strict=True):
-        own, own_variance = dark_map(frame.settings, dark, model, level.signal)
+        own, own_variance = dark_map(frame.settings, dark, model, level)
         x = model.table(frame.settings)[frame.dn] - (own.reshape(frame.shape) if own.size > 1 else own)
         good = frame.dn < model.saturation_dn(frame.settings)
         signal += np.where(good, x, 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.errors import CaptureError
 
 # Less than this part of full scale is drift, fog or noise, not a wrong label.

@@ -14,7 +14,7 @@ from radiometer.analysis.response import linear_spline as response_linear_spline
 from radiometer.analysis.response import mitsunaga1999 as response_mitsunaga1999
 from radiometer.analysis.response import robertson1999 as response_robertson1999
 from radiometer.analysis.response.estimate import ResponseEstimate, inner_range
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.errors import UsageError
 
 ResponseMethod = Callable[[Sequence[Bracket]], ResponseEstimate]

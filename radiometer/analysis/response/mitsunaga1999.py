@@ -16,7 +16,7 @@ from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds
 from radiometer.analysis.response.noise import ASSUMPTION, mean_exposure_dn, noise_of, row_variance, value_at
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples, u_by_groups
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.one_thread import on_one_blas_thread

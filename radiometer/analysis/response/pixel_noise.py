@@ -14,7 +14,7 @@ from radiometer.analysis.response.basis import hat_weight
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.noise import LogNoise, group_deviation, slope_at, value_at
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.errors import MeasurementError

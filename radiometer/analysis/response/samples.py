@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.response.labels import exposure_labels
 from radiometer.analysis.response.limits import ValueLimits, find_limits
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.errors import InputError, MeasurementError
 from radiometer.statistics.scale import jackknife_u
 from radiometer.typing import Array

@@ -17,7 +17,7 @@ from radiometer.data.provenance import utc_now
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
-from radiometer.importing.drive_table import is_drive_table
+from radiometer.importing.light_tables import is_drive_table
 from radiometer.reconciliation.engine import Say, examine, whole_catalogue
 from radiometer.reconciliation.fit.descent import effect_covariance, fitted_parameters
 from radiometer.reconciliation.fit.state import FitState
@@ -176,7 +176,6 @@ def reconciled_model(
 
 
 def _other_well_e(state: FitState, found: FoundEffect | None) -> float | None:
-    """Return the full well that the brightest pixels show in place of the declared one; None where it is fitted."""
     well = limit_at(Stage.WELL)
     fitted = any(effect.name == well.name for effect in state.effects)
     return None if found is None or fitted else found.parameters[well.fitted[0]].value

@@ -354,16 +354,6 @@ def test_more_light_never_gives_less(a2: float, a3: float) -> None:
     assert effect.mean(np.zeros(1), context).item() == 0.0
 
 
-@pytest.mark.parametrize(("a2", "a3"), [(0.02, 0.01), (0.3, 0.1), (-0.1, 0.05)])
-def test_the_slope_is_that_of_the_curve(a2: float, a3: float) -> None:
-    """Differences of the curve over a thousandth of a full well, next to its ends too, to 2e-3."""
-    context, effect = effect_context(), ResponseNonlinearity(a2=a2, a3=a3)
-    step = 1e-3 * well_e(context)
-    signal = np.linspace(0.01, 6.0, 600) * well_e(context)
-    rise = (effect.mean(signal + step, context) - effect.mean(signal - step, context)) / (2 * step)
-    np.testing.assert_allclose(effect.slope(signal, context), rise, atol=2e-3)
-
-
 @pytest.mark.parametrize("kind", EFFECTS.values(), ids=lambda kind: kind.name)
 def test_no_range_is_a_number_of_codes_of_one_bit_depth(kind: type) -> None:
     """Every parameter in digital numbers has a range that is a share of the camera's full scale."""
@@ -1121,18 +1111,6 @@ def test_the_power_is_fitted_where_it_is_not_one() -> None:
     assert any(form.power != 1.0 for form in ImageLag(share=0.02).loosened(context))
     assert [form.free() for form in ImageLag(share=0.02, power=0.6).loosened(context)] == [("share", "power", "noise")]
     assert ImageLag(share=0.02, power=0.6, noise=0.5).loosened(context) == ()
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.25, 1.0])
-def test_what_stays_behind_scatters_by_its_share_of_the_noise_of_light(noise: float) -> None:
-    """Of 4000 e- 2 % stay: 80 e- with a variance of 0, 20 or 80 e-², drawn in 200,000 pixels and predicted."""
-    held = np.full((400, 500), 4000.0)
-    context = after_charge(held)
-    lag, nothing = ImageLag(share=0.02, noise=noise), np.zeros(held.shape)
-    drawn = lag.sample(nothing, context, np.random.default_rng(8))
-    assert drawn.mean() == pytest.approx(80.0, abs=5.0 * np.sqrt(80.0 / held.size))
-    assert drawn.var() == pytest.approx(80.0 * noise, rel=5.0 * np.sqrt(2.0 / held.size))
-    assert np.allclose(lag.variance(nothing, context), 80.0 * noise)
 
 
 def test_nothing_is_left_by_a_dark_frame() -> None:
