@@ -860,6 +860,11 @@ def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: Si
             f"the patch {patch} is not inside the frame of {frame.shape[1]} × {frame.shape[0]} pixels; "
             "give X,Y,W,H within it"
         )
+    refuse_other_format(frame, shape, model)
+
+
+def refuse_other_format(frame: Frame, shape: tuple[int, int], model: SignalModel) -> None:
+    """Raise MeasurementError if a frame has not the shape of the others, or not the camera's depth."""
     if frame.shape != shape:
         raise MeasurementError(
             f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and {shape[1]} × {shape[0]} pixels)"
