@@ -17,7 +17,7 @@ from radiometer.data.provenance import utc_now
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
-from radiometer.importing.drive_table import is_drive_table
+from radiometer.importing.light_tables import is_drive_table
 from radiometer.reconciliation.descent import effect_covariance, fitted_parameters
 from radiometer.reconciliation.engine import Say, examine, limit_at, whole_catalogue
 from radiometer.reconciliation.photographs import PhotographsReconciled, reconcile_photographs

@@ -23,8 +23,7 @@ from scipy.ndimage import uniform_filter1d
 
 from radiometer.analysis.flux.drive_law import LEAST_DRIVE, DriveLaw, columns_of, fit_drive_law
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
-from radiometer.importing.drive_table import ChannelDrive, DriveTable, read_drive_table
-from radiometer.importing.meter_table import MeterRow, read_meter_table
+from radiometer.importing.light_tables import ChannelDrive, DriveTable, MeterRow, read_drive_table, read_meter_table
 from radiometer.numbers import with_u
 from radiometer.reconciliation.result import ByHand, FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import NAMED_NATS, is_open
@@ -101,7 +100,9 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
         before, after = rounded
         nats = 10.0 * math.log(max(before, 1e-12) / max(after, 1e-6))
         share = {"share": FittedParameter(1.0, None, "1")}
-        effects.append(FoundEffect("nominal_settings", share, "exposure_s", *rounded, gain_nats=nats, block=_BLOCK))
+        effects.append(
+            FoundEffect("nominal_settings", share, "exposure_s", before, after, gain_nats=nats, block=_BLOCK)
+        )
         verdict = Verdict.EFFECTS_FOUND if abs(rest) <= _STEP_OF_A_METER / 2 * 1.01 else Verdict.INCOMPLETE
         where = f" (f/{widest:.2g} left out)" if inner[1] < _COINCIDENCE <= exact else ""
         remarks.append(

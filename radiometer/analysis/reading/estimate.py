@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -60,7 +61,6 @@ def estimate_patch(
 
     Args:
         frames: Usable frames, at least one.
-        dark: Dark level of each.
         exposures: Exposure time of each in s, times the lens factor in sr where requested.
         good: Pixels to use, shape of the patch.
 
@@ -88,13 +88,21 @@ def estimate_patch(
         fluctuation_rel=tau,
         evidence=evidence,
         pixel_rates=pixels,
-        u_pixel=float(np.sqrt(coefficients**2 @ single)),
+        u_pixel=math.sqrt(float(coefficients**2 @ single) + _variance_of_darks(frames, coefficients)),
         doubts=doubted_gains(
             means / exposures,
             (single / count + curve + dark_variance) / exposures**2,
             [f.settings.gain_db for f in frames],
         ),
     )
+
+
+def _variance_of_darks(frames: Sequence[PatchFrame], coefficients: NDArray[np.float64]) -> float:
+    """Return the variance of one pixel's rate by the noise of dark frames, which lights of one exposure share."""
+    shared = defaultdict[tuple[float, float, float], float](float)
+    for frame, factor in zip(frames, coefficients, strict=True):
+        shared[frame.settings.exposure_s, frame.settings.gain_db, frame.dark_variance] += float(factor)
+    return sum(factor**2 * variance for (_, _, variance), factor in shared.items())
 
 
 def _variances(
@@ -135,7 +143,6 @@ def doubted_gains(
     Args:
         rates: Signal of each frame over its exposure and its stated gain, shape (frames,).
         variance: Of each from its known causes.
-        gains_db: Stated gain of each frame in dB.
     """
     gains = np.round(gains_db, 6)
     found = {gain: _mean_rate(rates[gains == gain], variance[gains == gain]) for gain in np.unique(gains).tolist()}

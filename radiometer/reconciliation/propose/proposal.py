@@ -19,7 +19,7 @@ from radiometer.reconciliation.propose.grammar import COVARIATES, FORMS
 from radiometer.reconciliation.propose.law import Law, acted, context_at, round_to
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.state import FitState
-from simulators.chain.law_stages import LINKS
+from simulators.chain.stages import LINKS
 
 _WIDTH: Final = 116
 

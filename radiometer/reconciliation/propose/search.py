@@ -43,7 +43,7 @@ from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIV
 from radiometer.reconciliation.tile_model import from_grid, rise_of
 from radiometer.reconciliation.verdict import doubts_of, leaves_structure, posterior
 from radiometer.typing import Array
-from simulators.chain.law_stages import LINKS
+from simulators.chain.stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 from simulators.effects.surroundings import column_light, picture_mean

@@ -16,7 +16,7 @@ from radiometer.cli.main import run
 from radiometer.data import Frame, FrameSettings
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing import open_capture
-from radiometer.importing.meter_table import read_meter_table
+from radiometer.importing.light_tables import read_meter_table
 from radiometer.reconciliation import photographs
 from radiometer.reconciliation.photographs import outcome, reconcile_photographs
 from radiometer.reconciliation.result import Verdict

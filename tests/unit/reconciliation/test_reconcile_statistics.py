@@ -234,13 +234,6 @@ def test_repeatability_is_found(declared):
     assert declared.tau == pytest.approx(1e-3, rel=0.3)
 
 
-@pytest.mark.long
-def test_null_tests_are_calibrated(make_capture):
-    """Under the null the share of p < 0.05 over four seeds is 0.05 (about 50 independent tests in each)."""
-    p = [test.p_value for seed in range(4) for test in localise(start_of(make_capture(seed=seed)))]
-    assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 200))
-
-
 def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture):
     """Codes in steps of 4 over dark noise of 0.9 DN: a pixel at the neighbouring code is no outlier."""
     captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed"}, {"t": 1.0, "shutter": "closed"}, {"t": 3e-3}])
