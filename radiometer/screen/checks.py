@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.numbers import rounded
-from radiometer.screen.meter import Meter, ScreenReading
+from radiometer.screen.run import Meter, ScreenReading
 
 STEADY_REL: Final = 0.002  # change over the window that counts as warmed up: the size of white's repeatability
 _PAUSE_S: Final = 60.0  # between two readings: a backlight settles in some ten minutes

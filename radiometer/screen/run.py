@@ -1,4 +1,4 @@
-"""Measuring a screen: patches in their order, shown and read, drift taken out, black as a limit where nothing is seen."""
+"""Measuring a screen: patches in order, shown and read, drift taken out, black as a limit where nothing is seen."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,25 @@ from numpy.typing import ArrayLike, NDArray
 from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve
-from radiometer.screen.meter import Meter, ScreenReading
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenReading:
+    """One reading of a patch on the screen."""
+
+    radiance: float  # radiance in W·sr⁻¹·m⁻²
+    u_independent: float  # standard uncertainty in W·sr⁻¹·m⁻² of what differs from reading to reading (noise, dark)
+    u_common_rel: float  # relative standard uncertainty of what all readings share (scale, lens)
+    time_s: float  # when it was taken, in s on the meter's steady clock
+    flags: tuple[str, ...] = ()  # what must be known of it, as in a Reading
+
+
+class Meter(Protocol):
+    """Reads the patch that it looks at."""
+
+    def read(self) -> ScreenReading:
+        """Return one reading. Raises DeviceError, MeasurementError."""
+
 
 TOP: Final = 255  # highest level: the drivers and pages here set 8 bits
 CHANNELS: Final = ("grey", "red", "green", "blue")

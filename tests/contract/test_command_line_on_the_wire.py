@@ -12,7 +12,7 @@ import time
 import pytest
 
 from drivers.cameras.aravis_camera import open_camera
-from drivers.cameras.gige_ping import answers
+from drivers.cameras.camera_opening import answers
 from radiometer.cli.main import run
 from radiometer.devices import CameraSettings
 from testing.patience import ENDS_WITH_US, within

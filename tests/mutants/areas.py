@@ -66,7 +66,6 @@ AREAS: dict[str, tuple[str, ...]] = {
     "photographs_and_screen": (
         "radiometer/photographs/*.py",
         "radiometer/screen/*.py",
-        "radiometer/screen/exports/*.py",
         "radiometer/screen/report.py",
     ),
     "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
@@ -78,11 +77,11 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/adapters/*.py",
         *(
             f"radiometer/daemon/{name}*.py"
-            for name in ("alarm", "descr", "epics", "hub", "lateness", "light", "log", "mqtt")
+            for name in ("alarm", "descr", "epics", "hub", "light", "log", "mqtt")
         ),
         *(
             f"radiometer/daemon/{name}*.py"
-            for name in ("bench", "instr", "mem", "metrics", "patch_book", "places", "s")
+            for name in ("bench", "instr", "mem", "metrics", "patch_book", "s")
         ),
     ),
     "faces": ("radiometer/*.py", "radiometer/api/*.py", "radiometer/cli/*.py", "radiometer/cli/*/*.py"),

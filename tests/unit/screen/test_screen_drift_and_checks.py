@@ -34,9 +34,18 @@ from radiometer.screen.calibration import LUMINANCE, MODELS, RADIANCE, SCOTOPIC,
 from radiometer.screen.calibration_run import Options, VerifiedLevel, calibrate_screen
 from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait_until_steady
 from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
-from radiometer.screen.meter import ScreenReading
 from radiometer.screen.report import mura_of
-from radiometer.screen.run import Drift, Light, Measured, ScreenStep, curves_of, make_plan, measure_steps, parse_levels
+from radiometer.screen.run import (
+    Drift,
+    Light,
+    Measured,
+    ScreenReading,
+    ScreenStep,
+    curves_of,
+    make_plan,
+    measure_steps,
+    parse_levels,
+)
 from simulators.clock import SimulatedClock
 from simulators.displays import DISPLAYS, SimulatedDisplay
 
