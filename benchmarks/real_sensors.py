@@ -190,7 +190,7 @@ def of_lenses(folder: Path) -> Iterator[Row]:
 def of_covariances(folder: Path) -> Iterator[Row]:
     """Yield what is reported of flats that are drawn with the covariances of two CCDs, and what it predicts beyond."""
     from radiometer.reconciliation import reconcile_capture
-    from simulators.effects.charge_transfer import BrighterFatter
+    from simulators.effects.brighter_fatter import BrighterFatter
 
     for sensor in SENSORS:
         slope, scatter = covariances(folder, sensor)

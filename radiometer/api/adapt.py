@@ -120,7 +120,6 @@ class AdaptationRun(Result):
         return [f"{one.verdict}: {one.explanation}", counts, *rates, *unchecked]
 
     def __str__(self) -> str:
-        """Return verdict and number of thresholds."""
         return f"{self.outcome.verdict}: {len(self.outcome.times_min)} thresholds in {self.journal}"
 
 
@@ -336,7 +335,6 @@ class AdaptationCurve(Result):
         write_text_atomic(Path(path), curve_csv(self.fit))
 
     def __str__(self) -> str:
-        """Return the verdict."""
         return f"{self.name}: {self.fit.verdict}"
 
 
@@ -414,7 +412,6 @@ class Retest(Result):
             yield f"{LABELS[one.name]} ({unit_text(one.unit)}), pairs: {len(one.visits)}", text
 
     def __str__(self) -> str:
-        """Return the names of the quantities."""
         return ", ".join(f"{LABELS[one.name]}, pairs: {len(one.visits)}" for one in self.comparisons)
 
 
@@ -479,7 +476,6 @@ class Protocols(Result):
         return {one.name: one.model_dump() for one in self.protocols}
 
     def __str__(self) -> str:
-        """Return their names."""
         return ", ".join(one.name for one in self.protocols)
 
 
@@ -509,7 +505,6 @@ class Instructions(Result):
         return list(self.sentences)
 
     def __str__(self) -> str:
-        """Return whose they are and how they begin."""
         return f"{self.protocol}: {self.sentences[0]}"
 
 
@@ -563,7 +558,6 @@ class Visits(Result):
         write_text_atomic(Path(path), visits_html([(one.fit, one.name) for one in self.curves]))
 
     def __str__(self) -> str:
-        """Return the visits' names."""
         return ", ".join(label_of_visit(one.series, one.name) for one in self.curves)
 
 
@@ -626,7 +620,6 @@ class Bleach(Result):
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __str__(self) -> str:
-        """Return retinal exposure and both shares."""
         return (
             f"{self.retinal_td_s:.4g} td·s: rods {100 * self.rods_bleached:.1f} %, "
             f"cones {100 * self.cones_bleached:.1f} % bleached"

@@ -63,7 +63,6 @@ class Devices(Result):
         ]
 
     def __str__(self) -> str:
-        """Return how many there are."""
         return f"{len(self.cameras)} cameras, {len(self.light_boxes)} light boxes"
 
 
@@ -113,7 +112,6 @@ class Diagnosis(Result):
         return {"sound": self.sound, "findings": [one.to_mapping() for one in self.findings]}
 
     def __str__(self) -> str:
-        """Return whether all is sound, and what is not."""
         wrong = ", ".join(one.check for one in self.findings if one.health is Health.FAULT)
         return f"not sound: {wrong}" if wrong else f"sound: {len(self.findings)} checks"
 

@@ -112,7 +112,6 @@ def readings(
         [1, 2]
 
     Args:
-        camera: As all further ones for `measure`.
         repeat: Number of readings.
         watch: Read without end; a camera that is lost is waited for.
         every_s: Time from one reading's start to the next's in s.
@@ -121,7 +120,7 @@ def readings(
 
     Raises:
         UsageError: If a calibration is named and none is to be used.
-        RadiometerError: As `measure`.
+        RadiometerError: As `measure`, which has the other arguments.
     """
     if calibration is not None and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")

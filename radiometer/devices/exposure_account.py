@@ -42,7 +42,7 @@ ANY_EYE: Final = "any eye"  # the account of light that no eye was named for; no
 # Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
 CLOCK_STEP_S: Final = 60.0
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
-_TIME_NAMESPACE: Final = Path("/proc/self/ns/time")  # time_namespaces(7)
+_SHIFT: Final = Path("/proc/self/timens_offsets")  # time_namespaces(7); numbers of namespaces are used again
 _UPTIME: Final = Path("/proc/uptime")  # proc(5); in steps of 10 ms
 _UPTIME_SLACK_S: Final = 1.0  # between two looks at the same clock; libraries that fake clocks shift it by more
 _MACHINE_ID: Final = Path("/etc/machine-id")
@@ -67,7 +67,7 @@ def machine_moment() -> Moment:
         boot = _UNKNOWN_BOOT
     # Any user may start programs whose uptime is shifted: to the account that is another start of the machine.
     with contextlib.suppress(OSError):  # systems before Linux 5.6 shift no uptime
-        boot = f"{boot} {_TIME_NAMESPACE.readlink()}"
+        boot = " ".join([boot, *_SHIFT.read_text(encoding="ascii").split()])
     try:
         machine = _MACHINE_ID.read_text(encoding="ascii", errors="replace").strip()
     except OSError:

@@ -90,7 +90,6 @@ def jumps(design: Design, tiles_of: Callable[[tuple[int, ...]], Array]) -> tuple
 
 
 def _series(design: Design) -> Iterator[tuple[int, ...]]:
-    """Yield the frames of captures of one setting that follow each other, where there are several."""
     numbers = range(len(design.captures))
     for _, same in itertools.groupby(numbers, key=lambda number: design.setting_id[number]):
         captures = [design.captures[number].frames for number in same]
@@ -140,7 +139,6 @@ def evidence_for(
 
 
 def _by_scene(header: CaptureHeader, light: FrameLight) -> CaptureHeader | None:
-    """Return the header with a pattern for each scene; None where every pattern shows one."""
     names: dict[int, str] = {}
     for pattern in dict.fromkeys(header.frames[index].pattern for index in light.structures):
         own = {index: seen for index, seen in light.structures.items() if header.frames[index].pattern == pattern}
@@ -373,10 +371,7 @@ def _result(
 
 
 def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> FoundEffect:
-    """Return a found effect with its probability, and its parameters averaged over the models that hold it.
-
-    A test alone may show what has no name: without a model of it there is no probability.
-    """
+    """Return a found effect with its probability, and its parameters averaged over the models that hold it."""
     provisional = verdict is Verdict.INCOMPLETE and effect.name != UNNAMED
     if not any(effect.name in model.names for model in weighed.models):
         return replace(effect, provisional=provisional)
@@ -400,11 +395,7 @@ def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | 
 
 
 def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
-    """Return the result of an optional step; None where it fails, since advice must not cost the answer.
-
-    Args:
-        failed: Receives the reason why it is missing.
-    """
+    """Return the result of an optional step; None where it fails, since advice must not cost the answer."""
     try:
         return work()
     except Exception as error:  # noqa: BLE001 (whatever it is: minutes of fitting are not thrown away for a hint)

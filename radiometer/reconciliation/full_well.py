@@ -151,10 +151,7 @@ def _range_dn(state: FitState, gain_db: float, well_e: float) -> tuple[float, fl
 
 
 def _relative_u_of_gain(state: FitState) -> float:
-    """Return the relative standard uncertainty of the conversion gain where it was fitted; the declared one has none.
-
-    The declared gain is an assumption of every finding, as in the report.
-    """
+    """Return the relative standard uncertainty of the conversion gain where it was fitted; declared, it has none."""
     effect = next((effect for effect in state.effects if effect.responsivity_taken() != 1.0), None)
     if effect is None:
         return 0.0

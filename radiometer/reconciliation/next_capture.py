@@ -105,7 +105,6 @@ class CapturePool:
 
     @cached_property
     def _edge_u(self) -> float:
-        """Return how well the blend at the patches' borders was measured in one capture; infinite if it was not."""
         seen = self.state.seen.edge_u
         return float(np.median(seen[np.isfinite(seen)])) if np.isfinite(seen).any() else np.inf
 
@@ -115,7 +114,6 @@ def _settings_of(settings: FrameSettings) -> FrameSettings:
 
 
 def _settings(design: Design, patterns: tuple[str, ...]) -> list[FrameSettings]:
-    """Return settings to choose from: those in use, crossed with what was not tried."""
     lit = np.where(design.closed, -1.0, design.source_level)
     base = replace(design.captures[int(np.argmax(lit))].settings, gain_db=0.0, timestamp_s=None, temperature_c=None)
     with_light = design.exposure_s[lit > 0] if (lit > 0).any() else design.exposure_s
@@ -143,7 +141,6 @@ def _extended(patch: Any, first: str, patterns: tuple[str, ...]) -> Any:
 
 
 def _with_surrounds(design: Design, images: PatternImages, names: tuple[str, ...]) -> PatternImages:
-    """Return the pictures with those of the first pattern's patches in other surrounds, by the surrounds' names."""
     pictures = [images.picture(p) for p in range(images.total.shape[0])]
     patches = _is_patch(design, pictures[0], images.cell_px)
     level = {BRIGHT_SURROUND: pictures[0].max(), DARK_SURROUND: 0.0}
@@ -274,7 +271,6 @@ def propose_for_blind(
 
 
 def _would_show(limit: Limit, typical: CatalogueEffect) -> bool:
-    """Return whether the limit is well below an effect's typical size."""
     value = typical.values().get(limit.parameter)
     if limit.amplitude is None or limit.parameter not in typical.free() or value is None:
         return limit.amplitude is not None

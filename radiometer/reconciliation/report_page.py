@@ -75,7 +75,6 @@ def outcome(result: ReconcileResult) -> str:
 
 
 def _size(effect: FoundEffect) -> str:
-    """Return the first parameter of an effect with its U (k = 2), in brackets; nothing where it has none."""
     for name, entry in effect.parameters.items():
         if entry.u is not None:
             unit = unit_text(entry.unit)
@@ -84,7 +83,6 @@ def _size(effect: FoundEffect) -> str:
 
 
 def _plain(name: str, unit: str) -> str:
-    """Return a parameter's name without its unit, which is shown with the value."""
     stem, _, last = name.rpartition("_")
     return (stem if stem and last.casefold() == unit.casefold().rstrip("-") else name).replace("_", " ")
 
@@ -182,7 +180,6 @@ def _parameters(effect: FoundEffect) -> str:
 
 
 def _law(effect: FoundEffect) -> str:
-    """Return the curve of another law than the catalogue's; of a table a row for each knot of the first covariate."""
     if effect.curve is None:
         return ""
     (first, knots), *second = effect.curve.along.items()
@@ -214,13 +211,11 @@ def _rivals(effect: FoundEffect) -> str:
 
 
 def _in_words(name: str) -> str:
-    """Return what the effect of a name is, as a further sentence; nothing where it is in no catalogue."""
     kind = all_effects().get(name)
     return f" {_physics(kind)}" if kind is not None and issubclass(kind, CatalogueEffect) else ""
 
 
 def _advice(effect: FoundEffect, entry: CatalogueEffect | None) -> str:
-    """Return what to do at the bench: the capture that settles the choice, else what would show the effect best."""
     following = str(effect.next_capture.get("description", "")) if effect.next_capture else ""
     if following:
         return paragraph(f"To settle it, take: {following}", "do")
@@ -289,7 +284,6 @@ def story(reconciled: Reconciled) -> str:
 
 
 def _deviations(axes: Axes, reconciled: Reconciled) -> None:
-    """Draw what each patch deviates by: relative over its light, or in DN over the settings where none has light."""
     from matplotlib.ticker import MaxNLocator
 
     outcome = reconciled.outcome
@@ -319,13 +313,11 @@ def _deviations(axes: Axes, reconciled: Reconciled) -> None:
 
 
 def _colour_of_start(reconciled: Reconciled) -> str:
-    """Return the colour of the starting model: that of the final one where it is the final one and agrees."""
     agrees = not reconciled.outcome.steps and reconciled.result.verdict is Verdict.AGREES
     return AFTER if agrees else BEFORE
 
 
 def _relative(state: FitState) -> tuple[Array, Array]:
-    """Return what light adds to the means in DN, and their deviation in % of it, where both say something."""
     light = state.sensitivity  # d(mean)/d(ln light)
     usable = state.comparison.usable["mean"] & (light > _DIMMEST_DN)
     return light[usable], 100.0 * (state.seen.mean - state.prediction.mean)[usable] / light[usable]
@@ -414,7 +406,6 @@ def _left(state: FitState, value: Array, block: str, prediction: Prediction) -> 
 
 
 def _fitting(value: Array, dimensions: int) -> Array:
-    """Return a covariate in the shape of a statistic: of captures alone where it has no tiles."""
     return np.asarray(
         value.mean(axis=1) if dimensions == 1 else value if value.ndim == dimensions else value[..., None]
     )
@@ -497,7 +488,6 @@ def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
 
 
 def _binned(name: str, value: Array, standardised: Array) -> tuple[Array, Array, Array]:
-    """Return centres in a reader's units, means, and standard uncertainties of bins along a covariate."""
     levels = np.unique(np.round(value, 6))
     if levels.size <= _BINS:  # every setting has a separate point
         place = np.argmin(np.abs(value[:, None] - levels), axis=1)

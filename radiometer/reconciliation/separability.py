@@ -135,7 +135,6 @@ class _Search:
     above: Grown | None = None  # the last one that did
 
     def narrowed(self) -> _Search:
-        """Return the search with the last look as one of its ends."""
         shows = self.near.information > self.near.asked.chi2
         return replace(self, above=self.near) if shows else replace(self, below=self.near)
 
@@ -145,7 +144,6 @@ class _Search:
         return least is not None and self.below is not None and abs(self.below.size) >= abs(least.size)
 
     def next_look(self) -> CatalogueEffect | None:
-        """Return the effect where to look next; None where it would be absurd."""
         size, asked = _next_size(self.below, self.above), self.near.asked
         if not self.near.size or abs(size) > asked.largest_factor * self.first:  # it shows without any size, or never
             return None
@@ -153,7 +151,6 @@ class _Search:
 
 
 def _next_size(below: Grown | None, above: Grown | None) -> float:
-    """Return where to look next: between the two sizes in logarithms, or further on from one."""
     if below is None or above is None:
         known = below or above
         assert known is not None
@@ -186,7 +183,6 @@ def main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -
 
 
 def _amplitude(effect: CatalogueEffect, name: str) -> float:
-    """Return the distance of a parameter from the value without effect; of a table, its largest entry."""
     if name not in effect.values():
         return 1.0
     values = np.atleast_1d(np.asarray(effect.values()[name], dtype=np.float64)) - effect.neutral(name)
@@ -312,11 +308,7 @@ class Directions:
 
 
 def _followed(gram: Array, right: Array, whole: float) -> tuple[float, Array]:
-    """Return what columns leave of a χ² at best, and how much of each they take.
-
-    Args:
-        right: Their products with what is to be followed.
-    """
+    """Return what columns leave of a χ² at best, and how much of each they take."""
     lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
     kept = values > _DIRECTION
@@ -341,7 +333,6 @@ def _times(effect: CatalogueEffect, amount: float) -> CatalogueEffect:
 
 
 def _columns(state: FitState, starts: Sequence[CatalogueEffect]) -> Iterator[Array]:
-    """Yield what each start changes and what its parameters do there, but for an amount."""
     place = len(state.effects)
     for first in range(0, len(starts), AT_ONCE):
         batch = starts[first : first + AT_ONCE]
@@ -374,7 +365,6 @@ def inseparable(
 
 
 def _exchanged(state: FitState, chosen: CatalogueEffect, other: CatalogueEffect, left: float) -> ModelFit:
-    """Return the model with another effect in the place of one, which leaves so much χ² more on average."""
     effects = tuple(other if effect is chosen else effect for effect in state.effects)
     density = state.log_density - left / 2.0 / state.log_density.size
     return ModelFit(effects, state.curves, density, state.parameters_of(effects).size + state.curves)

@@ -138,7 +138,6 @@ def shared_errors(
 
 
 def _row_noise(design: Design, base: Prediction, usable: Mapping[str, Mask], variance: Array) -> list[SharedError]:
-    """Return row noise: in means, slopes and first frames, and what its own chance variance does to variances."""
     n = design.frame_count
     first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
     count = {name: mask.astype(np.float64) for name, mask in usable.items()}
@@ -661,7 +660,6 @@ def errors_of_few_pixels(
 
 
 def _whatever(part: Mapping[str, Part]) -> Callable[[Prediction], Mapping[str, Part]]:
-    """Return the parts of a source of error that are the same whatever is predicted."""
     return lambda prediction: part
 
 
@@ -697,14 +695,7 @@ def _of_captures(columns: Array) -> Part:
 def _offset_terms(
     name: str, unit: Unit, white: Array, lines: tuple[float, float], pixels: Array, design: Design
 ) -> list[FixedError]:
-    """Return what a pattern does to means, slopes and edges.
-
-    Args:
-        unit: Gives (captures, tiles) DN per unit of the pattern for a prediction.
-        white: (tiles,) variance from pixel to pixel in squared units.
-        lines: Variance of rows and of columns in squared units.
-        pixels: (tiles,) pixels that count.
-    """
+    """Return what a pattern does to means, slopes and edges."""
     (rows_e2, columns_e2), white = lines, np.maximum(white, 1e-14)
     rows, columns = shared_lines(design)
     height, width, lengths = design.tile_height, design.tile_width, slope_lengths(design)
@@ -723,10 +714,7 @@ def _offset_terms(
 
 
 def _root(covariance: Array) -> Array:
-    """Return a matrix whose product with its transpose is the covariance.
-
-    Tiles of a grid share all their lines: where there is hardly a pattern except that of lines, they move as one.
-    """
+    """Return a matrix whose product with its transpose is the covariance."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -772,7 +760,6 @@ def _moving(name: str, unit: Unit, root: Array) -> Callable[[Prediction], Mappin
 
 
 def _blurring(unit: Unit) -> Callable[[Prediction], Mapping[str, Part]]:
-    """Return what a fixed pattern in the lines along edges feigns of blur."""
 
     def parts(prediction: Prediction) -> Mapping[str, Part]:
         light = np.max(_unit_of_light(prediction), axis=1)
@@ -804,10 +791,7 @@ def _lines(name: str, prediction: Prediction) -> Array:
 
 
 def _spread_of_lines_in_tiles(name: str, seen: CaptureStatistics, design: Design) -> FixedError:
-    """Return the chance spread of the few lines of a pattern that cross each tile, alike in every capture.
-
-    Tiles side by side share it, and the spread of all lines is the mean of the tiles'.
-    """
+    """Return the chance spread of the few lines of a pattern that cross each tile, alike in every capture."""
     rows, columns = shared_lines(design)
     free = np.maximum((design.tile_height if name == "rows" else design.tile_width) - SURFACE_LINES, 1.0)
     values, vectors = np.linalg.eigh(2.0 * (rows if name == "rows" else columns) / _outer(free))
@@ -825,7 +809,6 @@ def _spread_of_lines_in_tiles(name: str, seen: CaptureStatistics, design: Design
 
 
 def _spread_of_lines(name: str, seen: CaptureStatistics) -> FixedError:
-    """Return the chance spread of a white pattern's own row or column means, alike in every capture."""
 
     def parts(prediction: Prediction) -> Mapping[str, Part]:
         share = (prediction.fixed / np.maximum(prediction.spatial, 1e-30)).mean(axis=1)

@@ -19,8 +19,8 @@ from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatis
 from radiometer.reconciliation.measure.lines import RowBins
 from radiometer.statistics.chances import log_variance
 from radiometer.typing import Array, Mask
-from simulators.effects.codes import excess_kurtosis, rounding_amplitude
 from simulators.effects.context import Signal
+from simulators.effects.rounding import excess_kurtosis, rounding_amplitude
 from simulators.effects.tile_moments import Moments
 
 
@@ -521,10 +521,7 @@ def seen_step(seen: CaptureStatistics) -> int:
 
 
 def _cut_off(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
-    """Return where light should bring noise and not even read noise is seen: nearly all samples show the highest code.
-
-    What is left there are a few samples, whose variance and correlations are far from normal.
-    """
+    """Return where light should bring noise and not even read noise is seen: most samples show the highest code."""
     read_e = design.header.camera.read_noise_e
     dark = design.closed | ~(design.source_level > 0)
     seen_e2 = np.nan_to_num(seen.variance[dark] / base.gain[dark, None] ** 2, nan=np.inf)
@@ -557,10 +554,7 @@ def honest_comb(design: Design, seen: CaptureStatistics, base: Prediction) -> Ar
 
 
 def _noise_without_light(design: Design, base: Prediction) -> Array:
-    """Return the variance of a pixel without light in DN², (captures,): from the darkest capture at each gain.
-
-    A tile of a scene may hold dark pixels and bright ones: the noise of its photons is taken off.
-    """
+    """Return the variance of a pixel without light in DN², (captures,): from the darkest capture at each gain."""
     light = base.signal.mean(axis=1)
     dark = np.min(base.variance - base.gain[:, None] ** 2 * np.maximum(base.signal, 0.0), axis=1)
     gains, own = np.unique(design.gain_db, return_inverse=True)

@@ -190,10 +190,7 @@ class PictureSurroundings:
         return self._relative(signal, ("reflected", radius), turned)
 
     def _relative(self, signal: Signal, key: tuple[object, ...], change: Callable[[Array], Array]) -> Signal:
-        """Return the signal times what a change makes of each picture, over the tiles' mean.
-
-        Values at the tiles' points have the mean and the least-squares slopes of each tile's pixels.
-        """
+        """Return the signal times what a change makes of each picture, over the tiles' mean."""
         if key not in self._known:
             places = _dense_points(self._design)
             values = (_looked_up(self._images, change(picture), *places) for picture in self._pictures)
@@ -303,7 +300,6 @@ def rise_of(points: Signal) -> tuple[Array, Array]:
 
 
 def _dense_points(design: Design) -> tuple[Array, Array]:
-    """Return image coordinates of a grid of points in each tile, each (tiles, points)."""
     x = np.array([t.x + (t.width - 1) / 2 + 0.5 * t.width * _U for t in design.tiles])
     y = np.array([t.y + (t.height - 1) / 2 + 0.5 * t.height * _V for t in design.tiles])
     return x, y
@@ -504,7 +500,6 @@ class TileModel:
         return tuple(_as_known(link, known.get(type(link))) for link in links)
 
     def _chain(self, links: tuple[Effect, ...]) -> tuple[Effect, ...]:
-        """Return all steps in the order of the light: what acts in front of each link, by its stage, and the link."""
         steps = (*links, *self.given, *self.effects)
         return tuple(steps[number] for number in _ordered(tuple(map(type, steps)), len(links)))
 
@@ -676,7 +671,6 @@ def looks_back(step: Effect) -> bool:
 
 @lru_cache(maxsize=4096)
 def _ordered(kinds: tuple[type[Effect], ...], links: int) -> tuple[int, ...]:
-    """Return the numbers of steps in the order of the light."""
     steps_at: dict[int, list[int]] = defaultdict(list)
     for number in sorted(range(links, len(kinds)), key=lambda number: in_order(kinds[number])):
         steps_at[place_for(kinds[number], kinds[:links])].append(number)
@@ -685,7 +679,6 @@ def _ordered(kinds: tuple[type[Effect], ...], links: int) -> tuple[int, ...]:
 
 
 def _as_known(link: Effect, known: Effect | None) -> Effect:
-    """Return the known link of its kind where it is as that one, else the link."""
     if known is None:
         return link
     pairs = ((getattr(link, name), getattr(known, name)) for name in link.values())
@@ -732,11 +725,7 @@ class _Apart:
 
 
 class _Together:
-    """Models that go through the rest of a known chain as one.
-
-    Attributes:
-        members: The models, in the order in which they joined.
-    """
+    """Models that go through the rest of a known chain as one."""
 
     def __init__(self, model: TileModel, like: Trace) -> None:
         self._model, self._like = model, like
@@ -744,11 +733,7 @@ class _Together:
         self.members = list[_Apart]()
 
     def walk_with(self, waiting: Sequence[_Apart]) -> list[_Apart]:
-        """Walk to the end of the chain with all that may join; return those that may not.
-
-        Args:
-            waiting: The models in the order in which they join.
-        """
+        """Walk to the end of the chain with all that may join; return those that may not."""
         left, chain = list[_Apart](), self._like.chain
         for number in range(waiting[0].joins, 1 + len(chain)):
             joining = [one for one in waiting if one.joins == number]
@@ -759,7 +744,6 @@ class _Together:
         return left
 
     def prediction(self) -> Prediction:
-        """Return what the members expect."""
         known = self._like.prediction
         signal = self._of_members(1 + first_of(self._like.links, ELECTRONS), TileModel.signal, known.signal.shape)
         gain = self._of_members(first_of(self._like.links, DIGITAL_NUMBER), TileModel.gain, known.gain.shape)
@@ -767,7 +751,6 @@ class _Together:
         return self._model.summary(self._passed[-1], signal, taken * gain)
 
     def _join(self, joining: list[_Apart], number: int) -> list[_Apart]:
-        """Put models into the stack in front of a step; return those that have other figures of a whole frame."""
         parts, counts = [one.walk.passed[-1] for one in joining], [1] * len(joining)
         if self.members:
             parts, counts = [self._passed[number], *parts], [len(self.members), *counts]

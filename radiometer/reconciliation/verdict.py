@@ -173,10 +173,7 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
 
 
 def _named_alone(outcome: Search, weak: Collection[str]) -> FitState:
-    """Return the model that the rest is a rest of: as it came out, or anew without the names that count to the rest.
-
-    These and the unnamed terms hold each other up: neither alone has the size of what both take up.
-    """
+    """Return the model that the rest is a rest of: as it came out, or anew without the names that count to the rest."""
     if not weak:
         return outcome.state
     kept = tuple(effect for effect in outcome.state.effects if effect.name not in weak)
@@ -212,10 +209,7 @@ def _unwhitened(comparison: Comparison, block: str, values: Array) -> Array:
 
 
 def _taken_up(state: FitState, block: str) -> Array:
-    """Return what of a statistic's whitened residual only unnamed terms take up, or else its excess, as it is shaped.
-
-    What the nuisances and effects would take up of it without them is none of theirs.
-    """
+    """Return what only unnamed terms take up of a statistic's whitened residual, else its excess, as it is shaped."""
     comparison = state.comparison
     cut, shape = comparison.cuts[block], comparison.usable[block].shape
     taken, at = np.zeros(comparison.size), 0
@@ -391,6 +385,5 @@ def pseudo_bma(log_density: Array, log_prior: Array) -> Array:
 
 
 def _log_prior(fit: ModelFit, names: Collection[str], entries: int) -> float:
-    """Return the log prior odds of a model: of its effects as usual as they are, its parameters paid for."""
     odds = sum(effect.log_prior_odds for effect in fit.effects) - len(names) * np.log(max(entries, 1))
     return float(odds - (NAMED_NATS if UNNAMED in names else 0.0) - PARAMETER_NATS * fit.parameters)

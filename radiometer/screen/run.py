@@ -1,4 +1,4 @@
-"""Measuring a screen: patches in order, shown and read, drift taken out, black as a limit where nothing is seen."""
+"""Measuring a screen: patches shown and read in their order, drift taken out, black a limit where unseen."""
 
 from __future__ import annotations
 

@@ -7,17 +7,20 @@ from typing import Any, Final
 
 from radiometer.data import CameraDescription, LensDescription
 from radiometer.errors import ConfigurationError
+from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.base import Effect
 from simulators.effects.black_level import BlackLevel
-from simulators.effects.codes import Quantisation
-from simulators.effects.dark_charge import DarkCurrent
-from simulators.effects.exposure_time import Shutter
-from simulators.effects.gain import ConversionGain
+from simulators.effects.conversion_gain import ConversionGain
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.lens import Lens
-from simulators.effects.noise import ReadNoise, ShotNoise
-from simulators.effects.photons import PhotonConversion, QuantumEfficiency
-from simulators.effects.saturation import AdcSaturation, FullWellSaturation
-from simulators.effects.source import SourceLevel
+from simulators.effects.photon_conversion import PhotonConversion
+from simulators.effects.quantisation import Quantisation
+from simulators.effects.quantum_efficiency import QuantumEfficiency
+from simulators.effects.read_noise import ReadNoise
+from simulators.effects.shot_noise import ShotNoise
+from simulators.effects.shutter import Shutter
+from simulators.effects.source_level import SourceLevel
 
 # (effect of the ideal chain, its parameter) → key of the camera's description
 _KEYS: Final = {

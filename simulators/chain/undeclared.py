@@ -14,10 +14,10 @@ from simulators.chain.stages import place_for
 from simulators.effects.base import DIGITAL_NUMBER, PHOTONS, Effect, Stage, parameter
 from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.dark_charge import DarkCurrent
-from simulators.effects.gain import ConversionGain
-from simulators.effects.noise import ReadNoise
-from simulators.effects.saturation import FullWellSaturation
+from simulators.effects.conversion_gain import ConversionGain
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.read_noise import ReadNoise
 
 # Stand in where a description says nothing; they are fitted then, and reported as assumptions.
 _TYPICAL: Final = {

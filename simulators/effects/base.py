@@ -1,6 +1,6 @@
 """What an effect of the forward model is: a pure function with a name, a stage, units and bounded parameters.
 
-A new effect is a frozen dataclass derived from `Effect` in the file of its subject:
+A new effect is one file in this folder with a frozen dataclass derived from `Effect`:
 
     @dataclass(frozen=True)
     class ExposureTimeOffset(Effect):

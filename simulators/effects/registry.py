@@ -1,4 +1,4 @@
-"""The table of effects: a new effect is one class in a file of this folder, or comes from outside.
+"""The table of effects: a new effect is one file in this folder, or comes from outside.
 
 What a laboratory keeps for itself is found by the entry points of installed packages (group `radiometer.effects`, the
 effect's name and its class), or is read from a file.
@@ -87,10 +87,10 @@ def _kinds_in(module: ModuleType) -> list[type[Effect]]:
 
 
 def _of_this_package() -> dict[str, type[Effect]]:
-    """Return the effects of this folder in alphabetical order of their names."""
-    files = (entry.name for entry in pkgutil.iter_modules(simulators.effects.__path__) if entry.name != "registry")
-    modules = (importlib.import_module(f"simulators.effects.{name}") for name in files)
-    return dict(sorted((kind.name, kind) for module in modules for kind in _kinds_in(module)))
+    """Return the effects of this folder by name, in alphabetical order of their files."""
+    found = sorted(entry.name for entry in pkgutil.iter_modules(simulators.effects.__path__))
+    modules = (importlib.import_module(f"simulators.effects.{name}") for name in found if name != "registry")
+    return {kind.name: kind for module in modules for kind in _kinds_in(module)}
 
 
 EFFECTS: Final[dict[str, type[Effect]]] = _of_this_package()

@@ -10,8 +10,8 @@ from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design, rough_share, tile_groups
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.flicker import RollingShutterBanding
-from simulators.effects.noise import RowTemporalNoise
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
+from simulators.effects.row_temporal_noise import RowTemporalNoise
 from testing.generator.rig import Rig
 from testing.generator.session import Session, make_session
 

@@ -131,31 +131,6 @@ async def test_every_prompt_has_tones_of_its_own(served, browser):
 
 
 @pytest.mark.slow
-async def test_buttons_reach_the_run_and_a_browser_may_go(served, browser):
-    """Pause, resume and, on the second press, stop; the page may be left meanwhile."""
-    page, controls = served
-    await browser.command("Page.navigate", url=page.url)
-    await browser.wait_for("!document.getElementById('pause').disabled")
-    await browser.evaluate("document.getElementById('pause').click()")
-    await _wait_for_text(browser, "pause", "Resume")
-    assert controls.paused_by == "page"
-    await browser.evaluate("document.getElementById('pause').click()")
-    await _wait_for_text(browser, "pause", "Pause")
-    assert controls.paused_by is None
-    await browser.command("Page.navigate", url="about:blank")
-    _tell_trials(page, 0, 3)
-    await browser.command("Page.navigate", url=page.url)
-    await _wait_for_text(browser, "found", "3")
-    sentence = "document.getElementById('stop').click(); document.getElementById('say').textContent"
-    assert "once more" in await browser.evaluate(sentence)
-    assert controls.stopped_by is None
-    # The first of these stops, or arms anew where the machine was too slow, and then the second stops.
-    await browser.evaluate("document.getElementById('stop').click(); document.getElementById('stop').click()")
-    await _wait_for_text(browser, "say", "stopping …")
-    assert controls.stopped_by == "page"
-
-
-@pytest.mark.slow
 async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path, browser):
     """A run pauses where the page asked for it before it began, goes on, and ends: each by the page, in this order."""
     classic = read_protocol("classic")

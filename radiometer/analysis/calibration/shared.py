@@ -405,7 +405,6 @@ def require_photograph(calibration: Calibration, frame: Frame) -> str | None:
 
     Args:
         calibration: The calibration; of a relative one the colour alone counts.
-        frame: One of the photographs, with what is stated of it.
 
     Raises:
         CalibrationError: If the calibration does not state its ISO speed, and the photograph does.

@@ -134,12 +134,9 @@ def photon_flux(
     """Return the photon flux on the pixels of a patch of known radiance: μ̇_p = L·(E/L)·A·λ/(h·c).
 
     Args:
-        patch: The patch with its radiance.
-        pattern: Displayed pattern.
         camera: Gives the pixel pitch.
         lens: Gives transmittance, magnification and fall-off.
         source: Gives the wavelength.
-        f_number: Of the frames.
         shape: (height, width) of the frames.
 
     Returns:
@@ -414,7 +411,6 @@ def with_known_radiance(
         header: Camera, lens, light and f-number of the capture set.
         shape: (height, width) of its frames.
         radiance: Radiance of the regions in W·sr⁻¹·m⁻².
-        u_rel: Its relative standard uncertainty.
 
     Raises:
         UsageError: If pixel pitch, f-number or wavelength are not known.

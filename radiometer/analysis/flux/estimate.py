@@ -112,7 +112,6 @@ def led_flux(
             length and magnification count.
         emitter: The diode; without it only the flux on the sensor can be given.
         region: Where the diode and its glow are; None for the whole frame.
-        f_number_u_rel: Relative standard uncertainty of the effective f-number.
 
     Raises:
         MeasurementError: If no frame shows the diode, or it clips everywhere.

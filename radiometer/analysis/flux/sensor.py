@@ -13,22 +13,9 @@ from numpy.typing import NDArray
 from radiometer.analysis.merge.frames import dark_map
 from radiometer.analysis.reading.budget import frame_u_rel, spectral_u_rel
 from radiometer.analysis.signal.lens import known_f_number
-from radiometer.analysis.signal.model import (
-    SignalModel,
-    dark_levels,
-    signal_model,
-    temperature_factor,
-)
+from radiometer.analysis.signal.model import SignalModel, dark_levels, signal_model, temperature_factor
 from radiometer.analysis.signal.situation import situation_of
-from radiometer.data import (
-    BlackLevel,
-    Frame,
-    FrameSettings,
-    LensDescription,
-    Patch,
-    Quantity,
-    SensorNoise,
-)
+from radiometer.data import BlackLevel, Frame, FrameSettings, LensDescription, Patch, Quantity, SensorNoise
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 from radiometer.units import photon_energy_j
@@ -73,7 +60,6 @@ def flux_scale(
     Without a calibration H = x·c·h·c₀/(λ·η·A): conversion gain c, quantum efficiency η, pixel area A, wavelength λ.
 
     Args:
-        setup: Camera, lens, calibration and light.
         settings: Of the light frames, which a calibration is compared with as for a radiance.
         responsivity_u_rel: Relative standard uncertainty of η/c where it was measured; None takes 3 %.
 
@@ -134,7 +120,6 @@ def sensor_flux(frames: Sequence[Frame], scale: FluxScale, region: Patch | None 
 
     Args:
         frames: Light frames of the lit source, frames with source level 0, and dark frames, in any order.
-        scale: From digital numbers to exposure.
         region: Where the source and all its glow are; None for the whole frame.
 
     Raises:
@@ -194,7 +179,7 @@ def _merged(frames: list[Frame], dark: list[Frame], scale: FluxScale) -> _Map:
     shortest = np.zeros(frames[0].shape)
     alike = Counter((one.settings.exposure_s, one.settings.gain_db) for one in frames)
     for frame, level in zip(frames, levels, strict=True):
-        own, own_variance = dark_map(frame.settings, dark, model, level.signal)
+        own, own_variance = dark_map(frame.settings, dark, model, level)
         x = model.table(frame.settings)[frame.dn] - (own.reshape(frame.shape) if own.size > 1 else own)
         good = frame.dn < model.saturation_dn(frame.settings)
         signal += np.where(good, x, 0.0)

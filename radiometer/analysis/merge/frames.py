@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.signal.lens import lens_factor_sr
-from radiometer.analysis.signal.model import SignalModel, dark_levels, matching_darks, signal_of
+from radiometer.analysis.signal.model import DarkLevel, SignalModel, dark_levels, matching_darks, warmed
 from radiometer.analysis.signal.situation import Situation
 from radiometer.data import Frame, FrameSettings
 from radiometer.typing import Array
@@ -58,7 +58,6 @@ def frame_terms(
     """Return the constants of a light frame.
 
     Args:
-        situation: What the merge rests on.
         dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
         through_lens: Whether the exposure carries the lens factor of the frame's f-number.
         masked_dn: What masked pixels of the frame read in DN; None where it is not stated.
@@ -67,7 +66,7 @@ def frame_terms(
     model = situation.model
     gain = gain_factor(settings.gain_db)
     level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
-    dark, extra = dark_map(settings, dark_frames, model, level.signal)
+    dark, extra = dark_map(settings, dark_frames, model, level)
     of_frames = math.sqrt(max(level.u_independent**2 - (extra / dark.size if dark.size > 1 else 0.0), 0.0))
     low, high = _lowest_dn(model, settings), math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
@@ -183,21 +182,19 @@ def _lowest_dn(model: SignalModel, settings: FrameSettings) -> int:
 
 
 def dark_map(
-    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: float
+    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: DarkLevel
 ) -> tuple[NDArray[np.float32], float]:
     """Return the dark signal x of every pixel, flat, with the variance of that mean, or one level for all with none.
 
     Args:
-        settings: Of the light frame.
         dark_frames: Frames with the shutter closed; those of the same exposure count.
-        model: Signal model of the camera.
-        level: Dark signal where there are none.
+        level: Dark level of the light frame, for all where there are none.
     """
     matching = matching_darks(settings, dark_frames)
     if not matching:
-        return np.full(1, level, np.float32), 0.0
-    total = signal_of(matching[0], model, settings).ravel().astype(np.float32)
+        return np.full(1, level.signal, np.float32), 0.0
+    total = warmed(matching[0], settings, model, level.black).ravel().astype(np.float32)
     for frame in matching[1:]:
-        total += signal_of(frame, model, settings).ravel().astype(np.float32)
+        total += warmed(frame, settings, model, level.black).ravel().astype(np.float32)
     total /= np.float32(len(matching))
     return total, float(model.variance(0.0, settings)) / len(matching)

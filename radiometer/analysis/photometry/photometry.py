@@ -167,7 +167,6 @@ def mean_weight(light: Spectrum, above: Weighting, below: Weighting | None = Non
     These are bounds, taken as rectangles.
 
     Args:
-        light: The light.
         above: Wavelengths and values of a.
         below: Those of b; None is 1 over the band of the light.
     """
@@ -410,7 +409,6 @@ def luminous_efficacy_lm_per_w(spectrum: Spectrum, observer: Observer = "photopi
     """Return the luminous efficacy of radiation in lm/W: K·∫S·V dλ / ∫S dλ over the spectrum's band.
 
     Args:
-        spectrum: Relative spectrum of the source.
         observer: Whose efficiency; K is 683 lm/W photopic, 1700.05 lm/W scotopic.
 
     Raises:
@@ -461,9 +459,6 @@ def radiance_thesis_w_sr_m2_um(luminance_cd_m2: float) -> float:
     """Return the thesis's conversion of luminance, which is a *spectral* radiance in W·sr⁻¹·m⁻²·µm⁻¹.
 
     It divides by ∫V dλ in µm, so its result is the radiance per µm of an equal-energy spectrum, not a radiance.
-
-    Args:
-        luminance_cd_m2: Luminance in cd·m⁻².
 
     Source: thesis equation (2.10), L_e = L_v/(683·0.1068).
     """

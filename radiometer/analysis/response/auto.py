@@ -75,7 +75,6 @@ def judge_by_prediction(
     """Return the fit whose λ predicts left-out quadrants and frames best, and what predicts them as well.
 
     Args:
-        samples: The rows, with their quadrants.
         start: A first estimate of g at every digital number.
         found: The fit with the λ of the restricted likelihood.
         labels: Wrong labels that it has freed; frames that may be wrong in their place make rivals too.

@@ -111,7 +111,6 @@ def solve_penalised(
     """Return the penalised solution; λ by restricted maximum likelihood where none is given.
 
     Args:
-        normal: The normal equations.
         penalty: P, positive semi-definite, shape (k, k).
         gauge: b; the solution obeys b·c = 0, which the equations themselves leave open.
         smoothing: λ at or above 0; None to choose it.
@@ -130,10 +129,7 @@ def solve_penalised(
     grid = np.logspace(-12, 7, 39)
     scores = [_restricted_deviance(normal, penalty, fixed, value * scale, order) for value in grid]
     if not np.isfinite(np.min(scores)):
-        raise MeasurementError(
-            "the frames do not determine a response: too few values overlap between exposures; "
-            "take exposures about one stop apart of a scene with many brightnesses"
-        )
+        raise MeasurementError(_UNDETERMINED)
     best = float(grid[int(np.argmin(scores))])
     return _finish(normal, penalty, fixed, best * scale, best)
 
@@ -200,9 +196,6 @@ class ResponseFit:
 
         Every frame's score counts as one draw, because its residuals share flare, tone or shutter. The part that the
         fit absorbed is restored: with leverage H, a frame's residual is (I − H)^½ of its error.
-
-        Args:
-            frame: Frame of every row.
 
         Source: R. M. Bell, D. F. McCaffrey 2002, Survey Methodology 28, 169–181 (the estimator named CR2).
         """

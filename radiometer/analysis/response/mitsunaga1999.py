@@ -195,7 +195,6 @@ def fit_polynomial(pairs: Pairs, argument: Array, order: int, gauge: Gauge, star
     brought to 1 by the sum of all ln ratios, which is held.
 
     Args:
-        pairs: The pairs.
         argument: x at every digital number, rising from 0 to 1.
         order: Order of the polynomial.
         gauge: What fixes the exponent.

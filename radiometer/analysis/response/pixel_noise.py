@@ -112,7 +112,6 @@ def fit_terms(pixels: SinglePixels, terms: Array) -> TermsFit:
     """Return the amplitudes of terms of the variance of ln H of single pixels.
 
     Args:
-        pixels: The pixels.
         terms: What a unit amplitude of each makes of the variance of every row; the third is noise in DN².
     """
     samples = pixels.samples
@@ -224,9 +223,7 @@ def sensor_noise(noise: LogNoise, curve: ResponseCurve, black_dn: float = 0.0) -
     x = exp g has the variance a·x + b + d·(dx/dM)², so that 1/a is the number of electrons at x = 1.
 
     Args:
-        noise: Of one pixel.
         curve: The response that it holds for.
-        black_dn: Black level in DN.
     """
     _, high = curve.valid_dn or (1, curve.log_exposure.size - 2)
     top = float(np.exp(curve.log_exposure[high]))

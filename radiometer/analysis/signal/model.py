@@ -35,9 +35,14 @@ _SAME_EXPOSURE_REL = 0.01
 _TWO_SIDED = 0.97725  # of a normal distribution, two standard deviations to either side
 _OTHER_EXPOSURE_REL = 0.05  # dark frames that differ by less say nothing of the dark current
 _DARKER_SIGMAS = 5.0  # of one pixel: no middle of a picture is so far below its dark level
-_AS_WARM_K = 3.0  # a third more dark current, or a third less
+_DARK_SIGMAS = 2.0  # of that level, whose causes have limits: the most by k = 2
+_AS_WARM_K = 3.0  # beyond that a pixel's dark current no longer follows that of the others
 _U_DOUBLING_K = 1.0  # dark currents in silicon double within 6 to 8 K
+_U_THERMOMETER_K = 0.5 / math.sqrt(6.0)  # of the difference of two readings in steps of 0.5 K
+# Up to 3 K within a session, at 6 K per doubling, where a temperature is not stated: a rectangle.
+_U_UNKNOWN_WARMTH_REL = (2.0 ** (3.0 / 6.0) - 1.0) / math.sqrt(3.0)
 _OTHER = "dark frames of other exposures"
+_OTHER_WARMTH = "dark frames of unknown warmth"
 _DARKEST_PERCENTILE = 5.0  # of a frame: its dark signal is not above that of its darkest pixels, hot ones left out
 # Masked pixels against those next to them: half a digital number (a rectangle), and a tenth of the modelled dark
 # signal.
@@ -156,10 +161,7 @@ def signal_model(
     on as the straight line to zero at the black level. Without that a dark patch would be read too bright.
 
     Args:
-        camera: The camera.
         response: Its response curve; None takes the sensor as linear above black.
-        noise: Its noise model.
-        black_dn: Black level in DN.
         linearity_u_rel: Relative standard uncertainty of a signal where the sensor is taken as linear.
 
     Raises:
@@ -237,6 +239,7 @@ class DarkLevel:
     u_unstated: float = 0.0  # part of `u_common` that a dark current makes which nothing states
     # Whether one dark frame alone gives it: the lights of its exposure then show how far such frames scatter
     is_single: bool = False
+    black: float = 0.0  # the part of `signal` that no warmth changes
 
 
 def dark_levels(
@@ -249,15 +252,13 @@ def dark_levels(
 ) -> list[DarkLevel]:
     """Return the dark level of every light frame.
 
-    A dark frame of the same exposure and gain is used as it is; so are masked pixels of the frame itself. Dark
+    A dark frame of the same exposure and gain is used, with its dark signal as at the light frame's temperature. So are
+    masked pixels of the frame itself, as they are. Dark
     frames of other exposures correct the black level, with the modelled dark current taken off theirs. Without any,
     or where they show it less well than it is stated, black level and model stand alone. Of dark frames that are cut
     off at 0 the mean is the most that the dark signal can be.
 
     Args:
-        settings: Of the light frames.
-        dark_frames: Frames with the shutter closed.
-        black: Black level of the calibration, with its uncertainty.
         masked_dn: What masked pixels read in every light frame in DN, where known.
         darkest: Signal x of the darkest pixels of every light frame: no dark signal is above it.
     """
@@ -276,7 +277,7 @@ def _level(
     darkest: float,
 ) -> DarkLevel:
     if matching := matching_darks(settings, dark_frames):
-        return _from_frames(settings, matching, model, darkest)
+        return _from_matching(settings, matching, dark_frames, model, black, darkest)
     if masked_dn is not None:
         return _from_masked(settings, masked_dn, model)
     same_gain = [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]
@@ -311,15 +312,13 @@ def refuse_brighter_darks(
     """Refuse dark frames that are brighter than a light frame: their dark signal is not that of its exposure.
 
     Args:
-        settings: Of the light frame.
         middle: Its signal in the middle of its pixels.
         dark: Dark signal that the dark frames show for it.
-        u_dark: Standard uncertainty of that.
 
     Raises:
         MeasurementError: If they are.
     """
-    if middle < dark - _DARKER_SIGMAS * math.hypot(math.sqrt(float(model.variance(0.0, settings))), u_dark):
+    if middle < dark - _DARKER_SIGMAS * math.sqrt(float(model.variance(0.0, settings))) - _DARK_SIGMAS * u_dark:
         raise MeasurementError(
             f"the light frame of {settings.exposure_s:g} s is darker than the dark frames show for it; take dark "
             "frames of its exposure and temperature, or of two exposures"
@@ -327,7 +326,9 @@ def refuse_brighter_darks(
 
 
 def matching_darks(settings: FrameSettings, dark_frames: Sequence[Frame]) -> list[Frame]:
-    """Return the dark frames of the same exposure, gain and, where both are known, temperature, none cut off at 0."""
+    """Return the dark frames of the same exposure and gain, and within 3 K where temperatures are known; none is cut
+    off at 0.
+    """
     return [
         frame
         for frame in dark_frames
@@ -342,10 +343,87 @@ def _as_warm(one_c: float | None, other_c: float | None) -> bool:
     return one_c is None or other_c is None or abs(one_c - other_c) <= _AS_WARM_K
 
 
-def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel, darkest: float) -> DarkLevel:
+def _from_matching(
+    settings: FrameSettings,
+    matching: list[Frame],
+    dark_frames: Sequence[Frame],
+    model: SignalModel,
+    black: BlackLevel,
+    darkest: float,
+) -> DarkLevel:
+    """Return the dark level that dark frames of the same exposure show, as at the light frame's temperature."""
+    zero, u_zero = _without_dark_current(settings, matching, dark_frames, model, black)
+    level = _from_frames(settings, matching, model, darkest, zero)
+    warmer = float(np.mean([_warmer(settings, frame, model) for frame in matching]))
+    u_rel = _u_warmth_rel(settings, matching, model)
+    most = max(_most_dark(settings, model), model.modelled_dark(settings))
+    part = min(math.hypot(max(level.signal - zero, 0.0), u_zero), most)
+    u = math.hypot(u_rel * part, (warmer - 1.0) * u_zero)
+    source = _OTHER_WARMTH if u_rel == _U_UNKNOWN_WARMTH_REL else level.source
+    return replace(level, u_common=math.hypot(level.u_common, u), black=zero, source=source)
+
+
+def _without_dark_current(
+    settings: FrameSettings,
+    matching: list[Frame],
+    dark_frames: Sequence[Frame],
+    model: SignalModel,
+    black: BlackLevel,
+) -> tuple[float, float]:
+    """Return the signal x of a light frame without light and dark current, and its standard uncertainty.
+
+    It is 0 where the black level is known. Dark frames of several exposures show it; else the dark current is as
+    stated, or as great as it may be.
+    """
+    slope = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(settings.gain_db)
+    if settings.black_level_dn is not None or model.camera.black_level_dn is not None or black.dn > 0.0:
+        return 0.0, slope * black.u_dn
+    same_gain = [one for one in dark_frames if one.settings.gain_db == settings.gain_db and not is_cut_off(one)]
+    if (line := unexposed_dn(*mean_darks(same_gain))) is not None:
+        return float(model.at_dn(model.table(settings), line[0])), slope * line[1] * black.u_dn
+    level = float(np.mean([signal_of(one, model, settings).mean() for one in matching]))
+    if "dark_current_e_per_s" not in model.noise.assumed:
+        part = min(model.modelled_dark(settings), level)
+        return level - part, black.dark_u_rel * part
+    part = min(_most_dark(settings, model), level) / 2.0
+    return level - part, part
+
+
+def warmed(frame: Frame, settings: FrameSettings, model: SignalModel, black: float) -> NDArray[np.float64]:
+    """Return the signal x of every pixel of a dark frame as at the temperature of a light frame, shape of the frame.
+
+    Args:
+        frame: The dark frame.
+        settings: Of the light frame.
+        model: Signal model of the camera.
+        black: The part of x that no warmth changes.
+    """
+    signal, warmer = signal_of(frame, model, settings), _warmer(settings, frame, model)
+    return signal if warmer == 1.0 else black + warmer * (signal - black)
+
+
+def _warmer(settings: FrameSettings, frame: Frame, model: SignalModel) -> float:
+    """Return the dark current of a light frame over that of a dark frame; 1 where a temperature is not stated."""
+    if settings.temperature_c is None or frame.settings.temperature_c is None:
+        return 1.0
+    return float(2.0 ** ((settings.temperature_c - frame.settings.temperature_c) / model.noise.dark_doubling_k))
+
+
+def _u_warmth_rel(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel) -> float:
+    """Return the relative standard uncertainty of dark signal by the temperatures of a light frame and its darks."""
+    known = [one.settings.temperature_c for one in frames if one.settings.temperature_c is not None]
+    if settings.temperature_c is None or len(known) < len(frames):
+        return _U_UNKNOWN_WARMTH_REL
+    doublings = abs(settings.temperature_c - float(np.mean(known))) / model.noise.dark_doubling_k
+    return math.log(2.0) * math.hypot(_U_THERMOMETER_K, doublings * _U_DOUBLING_K) / model.noise.dark_doubling_k
+
+
+def _from_frames(
+    settings: FrameSettings, frames: list[Frame], model: SignalModel, darkest: float, black: float = 0.0
+) -> DarkLevel:
     means, count = [], 0
     for frame in frames:
-        means.append(float(signal_of(frame, model, settings).mean()))
+        means.append(float(warmed(frame, settings, model, black).mean()))
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
     if (freedom := len(means) - 1) > 0:  # black levels wander from frame to frame, beyond what noise leaves in a mean
@@ -360,9 +438,6 @@ def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: Sign
     """Return what rounding to whole codes leaves in light less dark, in x: an error that all pixels and frames share.
 
     Args:
-        settings: Of the light frame.
-        frames: Dark frames.
-        model: Signal model of the camera.
         least: Signal x of the least light of the frame, whose shot noise spreads the pixels over the codes; inf where
             it is not known.
     """
@@ -383,7 +458,6 @@ def with_found_code_step(model: SignalModel, light: Iterable[DigitalNumbers]) ->
     It is a power of two, as of padded low bits, and most numbers that occur are neighbours at that distance.
 
     Args:
-        model: Signal model of the camera.
         light: Digital numbers of pixels of light frames, any shape.
     """
     if model.camera.code_step_dn is not None:
@@ -416,7 +490,7 @@ def _from_other_exposures(
     measured = [_from_frames(frame.settings, [frame], model, darkest) for frame in frames]
     times = np.array([_seconds_at_reference(frame.settings, model) for frame in frames])
     signals = np.array([level.signal for level in measured])
-    here = _seconds_at_reference(settings, model)
+    here, u_warmth_rel = _seconds_at_reference(settings, model), _u_warmth_rel(settings, frames, model)
     noise = float(np.sqrt(np.sum([level.u_independent**2 for level in measured]))) / len(frames)
     rounding = max(level.u_common for level in measured)
     if np.ptp(times) > _OTHER_EXPOSURE_REL * times.max():
@@ -426,11 +500,12 @@ def _from_other_exposures(
         lacking = signals - signals.mean() - rate * (times - middle)
         scatter = max(noise * math.sqrt(len(frames)), float(np.sqrt(np.sum(lacking**2) / max(len(frames) - 2, 1))))
         u = scatter * math.sqrt(1.0 / len(frames) + (here - middle) ** 2 / spread)
-        return DarkLevel(level, 0.0, math.hypot(u, rate * _u_seconds(settings, frames, model), rounding), _OTHER)
+        return DarkLevel(level, 0.0, math.hypot(u, rate * u_warmth_rel * here, rounding), _OTHER)
     modelled = [model.modelled_dark(frame.settings) for frame in frames]
     offset = float(np.mean(signals - np.array(modelled)))
     dark = model.modelled_dark(settings)
-    u_rate, u_unstated = black.dark_u_rel * abs(dark - float(np.mean(modelled))), 0.0
+    there, u_unstated = float(np.mean(modelled)), 0.0
+    u_rate = math.hypot(black.dark_u_rel * (dark - there), u_warmth_rel * there)
     if "dark_current_e_per_s" in model.noise.assumed:
         apart_s = here - float(times.mean())
         # Shorter dark frames lack dark signal, up to all that the darkest pixels show; longer ones have too much, up to
@@ -443,16 +518,6 @@ def _from_other_exposures(
 def _seconds_at_reference(settings: FrameSettings, model: SignalModel) -> float:
     """Return the exposure in s that has the same dark signal at the temperature of the stated dark current."""
     return settings.exposure_s * model.noise.warmer_factor(settings.temperature_c)
-
-
-def _u_seconds(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel) -> float:
-    """Return the standard uncertainty of that exposure due to the doubling temperature, where temperatures differ."""
-    known = [frame.settings.temperature_c for frame in frames if frame.settings.temperature_c is not None]
-    if settings.temperature_c is None or not known:
-        return 0.0
-    doublings = abs(settings.temperature_c - float(np.mean(known))) / model.noise.dark_doubling_k
-    relative = math.log(2.0) * doublings * _U_DOUBLING_K / model.noise.dark_doubling_k
-    return relative * _seconds_at_reference(settings, model)
 
 
 def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel, darkest: float) -> DarkLevel:
@@ -511,7 +576,6 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
 
     Args:
         dark_frames: Frames with the shutter closed; those of the lowest gain are used.
-        calibration: Its noise model and the uncertainty of its black level.
     """
     own, noise, used = calibration.black_level, calibration.noise, whole_darks(dark_frames)
     if not used:
@@ -531,16 +595,18 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
     return own.model_copy(update={"dn": max(start, 0.0), "u_dn": math.hypot(own.u_dn, u_dark)})
 
 
+def _most_dark(settings: FrameSettings, model: SignalModel) -> float:
+    """Return the greatest signal x of a dark current that nothing states."""
+    return most_dark_e_per_s(model.camera, settings.temperature_c) * settings.exposure_s / model.electrons_per_unit
+
+
 def _unknown_dark_u(settings: FrameSettings, model: SignalModel, darkest: float) -> float:
     """Return the standard uncertainty of the signal x of a dark current that nothing states: k = 2 covers the most.
 
     Args:
-        settings: Of the light frame.
-        model: Signal model of the camera.
         darkest: Signal x of the frame's darkest pixels; inf where it is not known.
     """
-    most_e = most_dark_e_per_s(model.camera, settings.temperature_c) * settings.exposure_s
-    most = most_e / model.electrons_per_unit
+    most = _most_dark(settings, model)
     lowest = min(max(darkest, 0.0), most)
     noise = math.sqrt(float(model.variance(lowest, settings)))  # a low percentile is that far below its level
     return min(most, lowest + 2.0 * noise) / 2.0
@@ -551,7 +617,6 @@ def signal_of(frame: Frame, model: SignalModel, settings: FrameSettings | None =
 
     Args:
         frame: Where its pixels have black levels of their taps, these count with its own settings.
-        model: Signal model of the camera.
         settings: Those of a light frame that a dark frame is compared with; the frame's by default.
     """
     if frame.black_offset_dn is None:
@@ -569,7 +634,6 @@ def some_lit_pixels(frame: Frame, lit: NDArray[np.bool_] | None = None) -> Frame
     """Return some thousand pixels evenly over a frame, in one row: overscan gathers no light and is left out.
 
     Args:
-        frame: The frame.
         lit: Its pixels that gather light, shape (height, width); None for all.
     """
     step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
@@ -583,7 +647,6 @@ def picked(frame: Frame, where: NDArray[np.bool_]) -> Frame:
     """Return some pixels of a frame in one row.
 
     Args:
-        frame: The frame.
         where: True at the pixels, shape (height, width).
     """
     offset = frame.black_offset_dn
@@ -599,8 +662,6 @@ def corrected_settings(settings: FrameSettings, found: FoundEffects, black_dn: f
     """Return the settings that a frame was really taken with.
 
     Args:
-        settings: As stated.
-        found: What was found of the camera.
         black_dn: Black level in DN of a frame that does not state its own.
     """
     black = black_dn if settings.black_level_dn is None else settings.black_level_dn
@@ -629,8 +690,6 @@ def straightened(signal: ArrayLike, found: FoundEffects, electrons_per_unit: flo
 
     Args:
         signal: x above black at 0 dB, as it came through the bend.
-        found: What was found of the camera.
-        electrons_per_unit: Electrons per unit of x.
     """
     seen = np.asarray(signal, dtype=np.float64)
     straight = seen
@@ -649,7 +708,6 @@ def corrected_frames(
 
     Args:
         frames: As stated; a bracket stays one.
-        found: What was found of the camera.
         black_dn: Black level in DN of frames that do not state their own.
     """
     if found == FoundEffects():
@@ -668,9 +726,7 @@ def temperature_factor(found: FoundEffects, here_c: float | None, there_c: float
     """Return what a reading is multiplied by for the warmth of the sensor: responsivity at calibration over now.
 
     Args:
-        found: What was found of the camera.
         here_c: Temperature at the reading in °C; None where unknown.
-        there_c: At calibration.
     """
     if here_c is None or there_c is None:
         return 1.0
@@ -725,8 +781,6 @@ def crop_frames(
 
     Args:
         frames: Frames in any order; each is released after its patch is cut out.
-        patch: Where to read.
-        model: Signal model of the camera.
         lit: Pixels that gather light, shape (height, width); None for all.
         defects: Defective pixels of the camera (x, y).
 

@@ -166,7 +166,6 @@ def _overrated(state: FitState, effect: CatalogueEffect, promised: Mapping[str, 
 
 
 def _off_bounds(state: FitState, effect: CatalogueEffect, columns: Array) -> Array:
-    """Return the columns of parameters that are free to move; those on a bound are frozen."""
     own = state.parameters_of((effect,))
     span = 1e-6 * own.scale
     free = (own.values - own.low > span) & (own.high - own.values > span)
@@ -198,13 +197,7 @@ def _recorded_gain(
     state: FitState, effects: tuple[CatalogueEffect, ...], residual: Array, columns: Array,
     curves: int, parameters: int, overrated: float = 0.0,
 ) -> float:  # fmt: skip
-    """Return by how many nats further columns improve the prediction of held-out groups, and record the model.
-
-    Args:
-        residual: Whitened residual with the addition, prior rows included, followers followed.
-        curves: How many of them are of a curve without a name.
-        overrated: Nats that they promise too many; it is known of all settings together alone.
-    """
+    """Return by how many nats further columns improve the prediction of held-out groups, and record the model."""
     gains = leave_one_group_out(state.fit.extended(columns, residual), state.groups).log_density
     gains = gains - state.held_out.log_density
     gains[: state.settings] -= overrated / state.settings

@@ -183,7 +183,6 @@ class Comparison:
 
     @cached_property
     def _seen(self) -> dict[str, Array]:
-        """Return what was measured, 0 where it does not count."""
         return {name: np.where(mask, getattr(self.seen, name), 0.0) for name, mask in self.usable.items()}
 
     @cached_property
@@ -372,7 +371,6 @@ def _of_noise(response: Array) -> dict[str, Array]:
 
 
 def _common_bands(design: Design, seen: CaptureStatistics, prediction: Prediction) -> Array:
-    """Return the relative variance of a wave along the rows that a whole frame has in common, (captures,)."""
     bands2 = relative_bands(prediction)
     if not prediction.waves:
         return bands2
@@ -380,7 +378,6 @@ def _common_bands(design: Design, seen: CaptureStatistics, prediction: Predictio
 
 
 def _steady_wander2(plain: Comparison, base: Prediction) -> float:
-    """Return the relative variance by which the source wanders from frame to frame, whatever the exposure."""
     tried = np.array((0.0, *np.geomspace(1e-9, 1e-3, _WANDERS)))
     deviances = plain.deviances_of_flicker(plain.flicker_of(base) + tried[:, None], base.row_variance)
     lit = plain.usable["common"] & ~plain.design.closed & (plain.design.source_level > 0)

@@ -75,11 +75,7 @@ def _from_stated(state: FitState) -> FitState:
 
 
 def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
-    """Return whether tiles hold more than the declared full well and still show the noise of their light.
-
-    The declared well then is not where charge ends: a model that ends there would predict no noise where there is some.
-    A plateau above it, due to a wrong conversion gain, has lost its noise.
-    """
+    """Return whether tiles hold more than the declared full well and still show the noise of their light."""
     camera = design.header.camera
     if camera.full_well_e is None or camera.conversion_gain_e_per_dn is None:
         return False
@@ -180,7 +176,6 @@ def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]] = frozens
 
 
 def _trials(state: FitState) -> Iterator[FitState]:
-    """Yield the states after ever shorter steps; none where even the linearised model promises nothing."""
     if state.cost - state.promised < _CONVERGED * state.misfit:
         return
     for number in range(_SHORTENINGS):
@@ -190,18 +185,7 @@ def _trials(state: FitState) -> Iterator[FitState]:
 
 
 def _glided(state: FitState, moved: FitState, gained: float) -> tuple[FitState, float]:
-    """Return where further steps by the derivatives of one point lead, as long as these hold, and the last one's gain.
-
-    Where the next step promises next to nothing, it is what that promises.
-
-    Such a step costs one prediction, new derivatives one for each parameter. They hold where a step gains far less
-    than the one before it, as steps of Gauss and Newton do near the least χ².
-
-    Args:
-        state: The point of the derivatives.
-        moved: The point after the first step by them.
-        gained: By how much that step lowered χ².
-    """
+    """Return where further steps by the derivatives of one point lead while these hold, and the last one's gain."""
     names = state.parameters.names
     while not moved.frozen and moved.parameters.names[: len(names)] == names:
         if gained < _CONVERGED * moved.misfit:
@@ -229,10 +213,7 @@ def _is_within_range(trial: FitState) -> bool:
 
 
 def _moved(state: FitState, step: Array, origin: FitState | None = None) -> FitState:
-    """Return the state after a step of this fit, or of the fit of the point where the derivatives were taken.
-
-    Effects that the model there did not have stay as they are.
-    """
+    """Return the state after a step of this fit, or of the fit of the point where the derivatives were taken."""
     m, k = state.layout.size, state.weights.size
     origin = origin or state
     known, scaled = origin.parameters.size, np.zeros(state.parameters.size)
@@ -297,10 +278,7 @@ def _is_nothing(state: FitState, name: str) -> bool:
 
 
 def _profiled_anew(state: FitState) -> FitState:
-    """Return the state with a parameter in which the prediction jumps where it fits best next to the newest effect.
-
-    No step of a fit moves it: it would stay where it was next to the effects before.
-    """
+    """Return the state with a parameter in which the prediction jumps where it fits best next to the newest effect."""
     for effect in state.effects[:-1]:
         if effect.profiled:
             others = with_effects(state, [other for other in state.effects if other is not effect])
@@ -367,7 +345,6 @@ def _by_misfit(state: FitState) -> Array:
 
 
 def _groupings(state: FitState) -> Iterator[NDArray[np.intp]]:
-    """Yield the group of each capture: those held out with it, then its place along each covariate of settings."""
     design = state.design
     yield design.held_out_id
     for values in (design.exposure_s, design.temperature_c, design.timestamp_s, design.gain_db, design.source_level):

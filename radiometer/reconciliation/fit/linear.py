@@ -316,7 +316,6 @@ class _Group:
     log_determinant: float
 
     def solve(self, right: Array) -> Array:
-        """Return (I − H_g)⁻¹ · right, (rows, n), for the nuisances' hat matrix."""
         found = right.copy()
         part = right[self.touched]
         if self.is_dual:

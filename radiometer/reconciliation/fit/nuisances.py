@@ -216,11 +216,7 @@ class NuisanceLayout:
 
 
 class _TileColumns:
-    """Columns of the tiles (and patterns), zero but in some rows.
-
-    Attributes:
-        matrix: (rows, parameters).
-    """
+    """Columns of the tiles (and patterns), zero but in some rows."""
 
     def __init__(
         self, comparison: Comparison, rows: NDArray[np.intp], parameters: int, patterns: tuple[int, ...]
@@ -238,14 +234,7 @@ class _TileColumns:
         column_of: NDArray[np.intp] | None = None,
         only: int | None = None,
     ) -> None:
-        """Write the change of each tile into the column of that tile (and pattern).
-
-        Args:
-            first: The first of those columns.
-            blocks: Statistics of which it is written.
-            column_of: (tiles,) column of each tile, rising; several may share one. By default each has its own.
-            only: The only pattern whose captures count; by default each has separate columns.
-        """
+        """Write the change of each tile into the column of that tile (and pattern)."""
         comparison = self._comparison
         pattern_of, tiles = comparison.design.pattern_index, np.arange(len(comparison.design.tiles))
         place = tiles if column_of is None else column_of
@@ -284,10 +273,7 @@ _FOLLOWING: Final = tuple(name for name, row in STATISTICS.items() if row.follow
 
 
 def _light_factor(relative: Array) -> tuple[Array, Array]:
-    """Return the factor on a radiance that is off by so much, and its derivative.
-
-    It is 1 + x, however much brighter the patch is, and ends below as an exponential, so that it stays above zero.
-    """
+    """Return the factor on a radiance that is off by so much, and its derivative."""
     below = np.minimum(relative - _LINEAR_FROM, 0.0) / (1.0 + _LINEAR_FROM)
     slope = np.exp(np.maximum(below, -_DIMMEST))
     return np.asarray((1.0 + np.maximum(relative, _LINEAR_FROM)) * slope), np.asarray(slope)

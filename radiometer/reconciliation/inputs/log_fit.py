@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, Final
@@ -148,82 +148,49 @@ def jacobian(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *, meas
 
 def catalogue(log: LogTable) -> tuple[LogTerm, ...]:
     """Return the terms that these columns can show; one whose column is missing or does not vary is left out."""
-    value, units = amplitude(log), log.units or {}
-    light, exposure, unit = float(np.median(log.reference)), float(np.min(log.exposure_s)), units.get("reference", "1")
+    value, units, shown = amplitude(log), log.units or {}, {*MEASURED_TOO, *axes(log)}
+    unit, per_colour = units.get("reference", "1"), units.get("colour", "1")
+    dark = 0.01 * value / float(np.median(log.exposure_s)) / float(np.median(10.0 ** (log.gain_db / 20.0)))
+    mean_c, mean_colour = (0.0 if v is None else float(np.mean(v)) for v in (log.temperature_c, log.colour))
+    wide = float(np.std(log.colour)) if "colour" in shown and log.colour is not None else 1.0
+    most, *others = gain_levels(log)
+
+    def of_dark(log: LogTable, own: Array) -> Array:
+        doubling = min(max(float(own[1]), _LEAST_DOUBLING_K), _MOST_DOUBLING_K)
+        return np.asarray(own[0] * log.exposure_s * 2.0 ** ((np.asarray(log.temperature_c) - _DARK_AT_C) / doubling))
+
+    def of_table(log: LogTable, own: Array) -> Array:
+        return np.asarray((np.abs(log.gain_db[:, None] - np.array(others)) <= _NEAR_DB).astype(np.float64) @ own)
+
     found = [
         _term("black_level_offset", SIGNAL, "offset_dn", "DN", 0.01 * value, "offset_dn", lambda log, own: own[0]),
-        _term("ambient_light_leak", "reference", "constant", unit, 0.01 * light, "leak", lambda log, own: own[0]),
+        _term("ambient_light_leak", "reference", "constant", unit, 0.01 * float(np.median(log.reference)), "leak",
+              lambda log, own: own[0]),
         _term("response_nonlinearity", SIGNAL, "a2", "1", 0.01, "curvature", lambda log, own: own[0] / value),
-    ]
-    if _varies(np.log(log.exposure_s)):
-        scale = 0.01 * exposure
-        found.append(
-            _term("exposure_time_offset", "exposure", "offset_s", "s", scale, "exposure_s", lambda log, own: own[0])
-        )
-    if _varies(log.gain_db):
-        found += _gain_terms(log)
-    if (warm := log.temperature_c) is not None and _varies(warm):
-        found += _temperature_terms(log, warm)
-    if (colour := log.colour) is not None and _varies(colour):
-        per, mean = units.get("colour", "1"), float(np.mean(colour))
-        unit, scale = "1" if per == "1" else f"{per}-1", 0.01 / float(np.std(colour))
-
-        def of_colour(log: LogTable, own: Array) -> Array:
-            return np.asarray(own[0] * (np.asarray(log.colour) - mean))
-
-        found.append(_term("spectral_mismatch", "colour", "per_colour", unit, scale, "log_factor", of_colour))
-    return tuple(found)
+        _term("exposure_time_offset", "exposure", "offset_s", "s", 0.01 * float(np.min(log.exposure_s)), "exposure_s",
+              lambda log, own: own[0]),
+        _term("gain_step_error", "gain", "per_dB", "dB-1", 0.001, "log_factor",
+              lambda log, own: own[0] * (log.gain_db - most)),
+        LogTerm("gain_step_error", "gain", tuple(f"at_{level:.1f}dB" for level in others), ("1",) * len(others),
+                (0.01,) * len(others), "log_factor", of_table, flexible=True),
+        _term("quantum_efficiency_temperature", "temperature", "per_K", "K-1", 0.001, "log_factor",
+              lambda log, own: own[0] * (np.asarray(log.temperature_c) - mean_c)),
+        LogTerm("dark_current", "temperature", ("dark_at_25C_dn_per_s", "doubling_K"), ("DN s-1", "K"), (dark, 0.02),
+                "dark", of_dark, start=(dark, DOUBLING_K)),
+        _term("spectral_mismatch", "colour", "per_colour", "1" if per_colour == "1" else f"{per_colour}-1", 0.01 / wide,
+              "log_factor", lambda log, own: own[0] * (np.asarray(log.colour) - mean_colour)),
+    ]  # fmt: skip
+    return tuple(
+        term for term in found if term.where in shown and not (term.flexible and not 1 < term.size < _MOST_GAINS)
+    )
 
 
 def _term(name: str, where: str, parameter: str, unit: str, scale: float, part: str, adds: Adds) -> LogTerm:
     return LogTerm(name, where, (parameter,), (unit,), (scale,), part, adds)
 
 
-def _temperature_terms(log: LogTable, warm_c: Array) -> list[LogTerm]:
-    mean_c, gain = float(np.mean(warm_c)), float(np.median(10.0 ** (log.gain_db / 20.0)))
-    dark = 0.01 * amplitude(log) / float(np.median(log.exposure_s)) / gain
-
-    def of_dark(log: LogTable, own: Array) -> Array:
-        doubling = min(max(float(own[1]), _LEAST_DOUBLING_K), _MOST_DOUBLING_K)
-        warm = 2.0 ** ((np.asarray(log.temperature_c) - _DARK_AT_C) / doubling)
-        return np.asarray(own[0] * log.exposure_s * warm)
-
-    def of_efficiency(log: LogTable, own: Array) -> Array:
-        return np.asarray(own[0] * (np.asarray(log.temperature_c) - mean_c))
-
-    names, units, where = ("dark_at_25C_dn_per_s", "doubling_K"), ("DN s-1", "K"), "temperature"
-    return [
-        _term("quantum_efficiency_temperature", where, "per_K", "K-1", 0.001, "log_factor", of_efficiency),
-        LogTerm("dark_current", where, names, units, (dark, 0.02), "dark", of_dark, start=(dark, DOUBLING_K)),
-    ]
-
-
 def _varies(values: Array) -> bool:
     return float(np.ptp(values)) > 1e-6
-
-
-def _gain_terms(log: LogTable) -> list[LogTerm]:
-    most, *others = gain_levels(log)
-    terms = [
-        _term(
-            "gain_step_error",
-            "gain",
-            "per_dB",
-            "dB-1",
-            0.001,
-            "log_factor",
-            lambda log, own: own[0] * (log.gain_db - most),
-        )
-    ]
-    if 2 < 1 + len(others) <= _MOST_GAINS:
-        names, ones = tuple(f"at_{level:.1f}dB" for level in others), ("1",) * len(others)
-
-        def of_table(log: LogTable, own: Array) -> Array:
-            return np.asarray((np.abs(log.gain_db[:, None] - np.array(others)) <= _NEAR_DB).astype(np.float64) @ own)
-
-        scales = (0.01,) * len(others)
-        terms.append(LogTerm("gain_step_error", "gain", names, ones, scales, "log_factor", of_table, flexible=True))
-    return terms
 
 
 def gain_levels(log: LogTable) -> list[float]:
@@ -382,19 +349,16 @@ class LogState:
         """Return the state with its parameters at the least χ², by damped Gauss–Newton steps."""
         state = self
         for _ in range(_ITERATIONS):
-            moved = state._halved(state._bounded(state.fit.step[: state.parameters.size]))
+            moved = state._halved(state.fit.step[: state.parameters.size])
             gained = state.cost - moved.cost
             state = moved if gained > 0 else state
             if gained < 1e-3:
                 break
         return state
 
-    def _bounded(self, step: Array) -> Array:
-        scales = np.array([math.inf, *(scale for term in self.terms for scale in term.scales)])
-        return np.asarray(np.clip(step, -_FARTHEST * scales, _FARTHEST * scales))
-
     def _halved(self, step: Array) -> LogState:
-        moved = self
+        far = _FARTHEST * np.array([math.inf, *(scale for term in self.terms for scale in term.scales)])
+        moved, step = self, np.clip(step, -far, far)
         for halving in range(8):
             moved = replace(self, parameters=self.parameters + step / 2**halving)
             if moved.cost <= self.cost:
@@ -486,7 +450,10 @@ def _scatter(state: LogState) -> Scatter:
     parameters = np.concatenate([state.parameters, *(term.begins for term in terms)])
     columns = jacobian(log, terms, parameters)
     curves = [trend(log, name) for name in axes(log) if name not in left_out]
-    design = _independent(np.column_stack([columns, *curves]))
+    every = np.column_stack([columns, *curves])
+    every = every[:, every.any(axis=0)]
+    left, singular, _ = np.linalg.svd(every / np.linalg.norm(every, axis=0), full_matrices=False)
+    design = left[:, singular > 1e-6 * singular[0]]  # orthonormal; what a few readings alone determine stays in
     rest = np.log(log.value) - predicted_log(log, (), state.parameters)
     fits = [_restricted(log, design, rest, n, q) for n, q in product(_CLOUDS, _NIGHTS)]
     best = max(fits, key=lambda found: found[0])
@@ -494,14 +461,6 @@ def _scatter(state: LogState) -> Scatter:
     chances = np.exp([likelihood - best[0] for likelihood, _ in fits])
     nights = float(chances @ [found.night**2 for _, found in fits] / chances.sum())
     return replace(best[1], night=math.sqrt(max(nights, best[1].night ** 2)))
-
-
-def _independent(columns: Array) -> Array:
-    """Return an orthonormal basis of columns, what a few readings alone determine left in."""
-    lengths = np.linalg.norm(columns, axis=0)
-    unit = columns[:, lengths > 0] / lengths[lengths > 0]
-    left, singular, _ = np.linalg.svd(unit, full_matrices=False)
-    return np.asarray(left[:, singular > 1e-6 * singular[0]])
 
 
 def _restricted(
@@ -540,24 +499,25 @@ def _search(start: LogState) -> tuple[LogState, tuple[FoundEffect, ...]]:
 
 
 def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, FoundEffect] | None:
-    there = {term.name for term in state.terms}
-    tried = [(term, state.with_term(term)) for term in every if term.name not in there]
-    known = {name for name, _ in state.trends}
-    free = [name for name in axes(state.log) if name not in known and not is_lost_in_scatter(state.log, name)]
-    curves = [(name, replace(state, trends=(*state.trends, (name, trend(state.log, name)))).fitted()) for name in free]
-    limit = SIGNIFICANCE / max(len(tried) + len(curves), 1)
-    named = [(term, one, _score(state, one, term)) for term, one in tried if _is_shown(state, one, limit)]
-    smooth = [(name, one, _score(state, one)) for name, one in curves if _is_shown(state, one, limit)]
-    best = max(named, key=lambda entry: entry[2], default=None)
-    plain = max(smooth, key=lambda entry: entry[2], default=None)
-    if best is not None and (plain is None or best[2] >= SMOOTH_SHARE * plain[2]):
-        term, one, score = best
-        rivals = tuple(dict.fromkeys(t.name for t, _, s in named if t.name != term.name and s > score - RIVAL_NATS))
-        return one, _found(state, one, term.name, term.where, rivals)
-    if plain is None:
-        return None
-    name, one, _ = plain
-    return one, _found(state, one, "unnamed", name)
+    there = {term.name for term in state.terms} | {name for name, _ in state.trends}
+    tried: list[tuple[LogTerm | None, str, LogState]] = [
+        (term, term.where, state.with_term(term)) for term in every if term.name not in there
+    ]
+    for name in axes(state.log):
+        if name not in there and not is_lost_in_scatter(state.log, name):
+            curved = replace(state, trends=(*state.trends, (name, trend(state.log, name)))).fitted()
+            tried.append((None, name, curved))
+    limit = SIGNIFICANCE / max(len(tried), 1)
+    shown = [(_score(state, one, term), term, where, one) for term, where, one in tried if _is_shown(state, one, limit)]
+    best, plain = (
+        max((entry for entry in shown if (entry[1] is None) is is_plain), key=lambda entry: entry[0], default=None)
+        for is_plain in (False, True)
+    )
+    if best is not None and best[1] is not None and (plain is None or best[0] >= SMOOTH_SHARE * plain[0]):
+        score, own, where, one = best
+        near = (term.name for s, term, _, _ in shown if term is not None and s > score - RIVAL_NATS)
+        return one, _found(state, one, own.name, where, tuple(dict.fromkeys(n for n in near if n != own.name)))
+    return None if plain is None else (plain[3], _found(state, plain[3], "unnamed", plain[2]))
 
 
 def _found(old: LogState, new: LogState, name: str, where: str, rivals: tuple[str, ...] = ()) -> FoundEffect:
@@ -566,17 +526,13 @@ def _found(old: LogState, new: LogState, name: str, where: str, rivals: tuple[st
 
 
 def _ways(old: LogState, new: LogState) -> list[tuple[LogState, LogState]]:
-    """Return both models with the signal as predicted and as measured; once where nothing acts along it."""
     if new.other_way is new:
         return [(old, new)]
     return [(old, new), (old.other_way, new.other_way)]
 
 
 def _score(old: LogState, new: LogState, term: LogTerm | None = None) -> float:
-    """Return the held-out nats that a model gains, less what its parameters and its flexibility cost.
-
-    A term along the signal must gain them with the signal as predicted and as measured.
-    """
+    """Return the held-out nats that a model gains, less what its parameters and its flexibility cost."""
     flexible = RIVAL_NATS if term is not None and term.flexible else 0.0
     gained = min(after.evidence - before.evidence for before, after in _ways(old, new))
     return gained - PARAMETER_NATS * (new.free - old.free) - flexible
@@ -592,10 +548,7 @@ def _is_shown(old: LogState, new: LogState, limit: float) -> bool:
 
 
 def _is_determined(state: LogState) -> bool:
-    """Return whether the newest term's uncertainties are finite, and its first parameter (of a table: any) is not zero.
-
-    The difference between the signal as predicted and as measured is part of the uncertainty.
-    """
+    """Return whether the newest term has finite uncertainties and its first parameter (of a table: any) is not zero."""
     term = state.terms[-1]
     found = [(one.value, math.inf if one.u is None else one.u) for one in fitted_parameters(state, term.name).values()]
     essential = found if term.flexible else found[:1]
@@ -603,22 +556,17 @@ def _is_determined(state: LogState) -> bool:
 
 
 def _pruned(state: LogState, steps: list[FoundEffect]) -> tuple[LogState, list[FoundEffect]]:
+    at = 1
     for term in state.terms[:-1]:
-        rest = replace(
-            state, terms=tuple(t for t in state.terms if t is not term), parameters=_without(state, term)
-        ).fitted()
+        others = tuple(t for t in state.terms if t is not term)
+        rest = replace(state, terms=others, parameters=np.delete(state.parameters, np.s_[at : at + term.size])).fitted()
+        at += term.size
         if _score(rest, state, term) < 0.0:
             return rest, [step for step in steps if step.name != term.name]
     return state, steps
 
 
-def _without(state: LogState, term: LogTerm) -> Array:
-    at = 1 + sum(t.size for t in state.terms[: state.terms.index(term)])
-    return np.delete(state.parameters, np.arange(at, at + term.size))
-
-
 def _lacking_nothing(state: LogState) -> LogTable:
-    """Return the table with values that the responsivity alone predicts, scattered as the readings do."""
     log, rng = state.log, np.random.default_rng(1)
     values = predicted_log(log, (), state.parameters[:1])
     for rows, factor in state.scatter.factors(log):
@@ -653,23 +601,29 @@ def _verdict(steps: Sequence[FoundEffect]) -> Verdict:
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
 
 
+_REMEDIES: Final = {  # what to record so that the terms show that a log cannot show
+    SIGNAL: "record some readings at a half and a quarter of the exposure",
+    "reference": "record some readings under a half and a quarter of the light",
+}
+
+
 def _result(
     start: LogState, state: LogState, steps: Sequence[FoundEffect], before: float, after: float, control: str
 ) -> ReconcileResult:
-    log = state.log
-    verdict = _verdict(steps)
+    log, verdict, scatter = state.log, _verdict(steps), astuple(state.scatter)
     extra: dict[str, Any] = {
         "nights": log.nights,
         "night_error_rel": {"before": before, "after": after},
-        "scatter": {
-            "reading_rel": state.scatter.reading,
-            "clouds_share": state.scatter.clouds,
-            "neighbours": state.scatter.neighbours,
-            "night_rel": state.scatter.night,
-        },
+        "scatter": dict(zip(("reading_rel", "clouds_share", "neighbours", "night_rel"), scatter, strict=True)),
         "taken": list(log.taken),
         "negative_control": control or None,
     }
+    advice = [
+        f"none of {', '.join(term.name for term in catalogue(log) if term.where == name)}: the {name} varies by less "
+        f"than its scatter; {remedy}"
+        for name, remedy in _REMEDIES.items()
+        if is_lost_in_scatter(log, name)
+    ]
     if any(term.where == "gain" for term in state.terms):
         extra["gain_reference_dB"] = gain_levels(log)[0]
     return ReconcileResult(
@@ -682,25 +636,11 @@ def _result(
         gap_after=state.gap,
         limits=_limits(state),
         captures=log.size,
-        assumptions=(*log.assumptions, *_advice(log)),
+        assumptions=(*log.assumptions, *advice),
         gap_unit=GAP_UNIT,
         repeatability=state.scatter.reading,
         extra=extra,
     )
-
-
-def _advice(log: LogTable) -> list[str]:
-    """Return what to record so that the terms show that this log cannot show."""
-    remedies = {
-        SIGNAL: "record some readings at a half and a quarter of the exposure",
-        "reference": "record some readings under a half and a quarter of the light",
-    }
-    lines = []
-    for name, remedy in remedies.items():
-        terms = [term.name for term in catalogue(log) if term.where == name]
-        if terms and is_lost_in_scatter(log, name):
-            lines.append(f"none of {', '.join(terms)}: the {name} varies by less than its scatter; {remedy}")
-    return lines
 
 
 def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:

@@ -44,7 +44,7 @@ from radiometer.numbers import with_u
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.result import ByHand, FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reporting.origin import Origin
-from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
+from radiometer.reporting.page import folded, heading, listed, page, paragraph, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
 from radiometer.typing import Array
 from radiometer.units import exact_exposures_s
@@ -125,7 +125,9 @@ def reconcile_photographs(
             )
         start = curve_debevec1997(samples).log_exposure
         others = [plane for one in other_colours for plane in _plane(one)]
-        judged = _judge(Plane(samples, start), others, _exact_log_times(bracket))
+        stated = [frame.settings.exposure_s for frame in bracket.light]
+        exact = np.log(bracket.effective_exposures_s) + np.log(np.divide(exact_exposures_s(stated), stated))
+        judged = _judge(Plane(samples, start), others, exact)
     except (MeasurementError, InputError) as error:
         refuse_falling_brightness(bracket)
         raise CaptureError(
@@ -133,15 +135,13 @@ def reconcile_photographs(
         ) from error
     names = [frame_name(bracket, index) for index in range(len(bracket.light))]
     result = _result(judged, bracket, names)
-    seconds = [f.settings.exposure_s for f in bracket.light]
     shift = judged.log_time - samples.frame_log_time
-    u_rel = dict(zip(names, judged.u_rel, strict=True))
     findings, sentence = _findings(judged, bracket, names), _error_sentence(judged, bracket, names)
     remark = sentence if result.verdict is Verdict.UNNAMED else f"{outcome(result, findings)} {sentence}"
     return PhotographsReconciled(
         replace(result, seconds=time.monotonic() - begun, extra={"remarks": [remark]}),
-        {name: float(s * math.exp(d)) for name, s, d in zip(names, seconds, shift, strict=True)},
-        u_rel,
+        {name: float(s * math.exp(d)) for name, s, d in zip(names, stated, shift, strict=True)},
+        dict(zip(names, judged.u_rel, strict=True)),
         findings,
         sentence,
         bracket.origin,
@@ -163,7 +163,6 @@ class _Judged:
 
     @property
     def u_rel(self) -> list[float]:
-        """Return the relative standard uncertainty of every exposure that was not taken from its label; 0 else."""
         u = np.zeros(self.log_time.size)
         if self.exposures.offset is not None:
             u = self.exposures.offset.u_seconds / self.samples.exposures_s
@@ -179,13 +178,7 @@ class _Judged:
 
     @property
     def follow_no_curve(self) -> bool:
-        """Return whether unseen parts are predicted so badly that no labels can be called consistent."""
         return follow_no_curve(self.errors[2], self.fitted.samples, self.fitted.log_exposure)
-
-
-def _exact_log_times(bracket: Bracket) -> Array:
-    stated = [frame.settings.exposure_s for frame in bracket.light]
-    return np.asarray(np.log(bracket.effective_exposures_s) + np.log(np.divide(exact_exposures_s(stated), stated)))
 
 
 def _plane(frames: Sequence[Frame]) -> list[Plane]:
@@ -244,6 +237,7 @@ def _judge(plane: Plane, others: Sequence[Plane], exact: Array) -> _Judged:
 
 def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> ReconcileResult:
     before, stops, after = judged.errors
+    known = [limit for limit in _limits(judged) if math.isfinite(limit)]  # of frames that can show one
     effects, found = list[FoundEffect](), partial(FoundEffect, where="exposure_s", block="left-out DN")
     if judged.rounded:
         share = {"share": FittedParameter(1.0, None, "1")}
@@ -264,13 +258,16 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
                 alternatives=_rivals(printed, judged, names), next_capture=again,
             )
         )  # fmt: skip
+    whole, none = (
+        (Verdict.EFFECTS_FOUND, Verdict.AGREES) if not judged.follow_no_curve else (Verdict.INCOMPLETE, Verdict.UNNAMED)
+    )
     return ReconcileResult(
-        verdict=_verdict(judged, found=bool(effects)),
+        verdict=whole if effects else none,
         effects=tuple(effects),
         gap_before=before / after,
         gap_after=1.0,
         limits={
-            _LABEL: Limit(_limit(judged), "ratio", "1"),
+            _LABEL: Limit(math.expm1(max(known)) if known else None, "ratio", "1"),
             "gamma_enabled": Limit(None, "gamma", "1"),
             "response_nonlinearity": Limit(None, "a2", "1"),
         },
@@ -282,12 +279,6 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
         ),
         gap_unit=_GAP_UNIT,
     )
-
-
-def _verdict(judged: _Judged, *, found: bool) -> Verdict:
-    if judged.follow_no_curve:
-        return Verdict.INCOMPLETE if found else Verdict.UNNAMED
-    return Verdict.EFFECTS_FOUND if found else Verdict.AGREES
 
 
 def _of_printed(label: WrongLabel, judged: _Judged, bracket: Bracket) -> tuple[float, float]:
@@ -306,12 +297,6 @@ def _limits(judged: _Judged) -> list[float]:
         smallest_label_error(float(seconds), judged.exposures.allowed_s) + _SURE * u if judged.can_show else math.inf
         for seconds, (_, u) in zip(judged.samples.exposures_s, judged.by_others, strict=True)
     ]
-
-
-def _limit(judged: _Judged) -> float | None:
-    """Return the label error, as a ratio less 1, that is named in any frame that can show one; None where none can."""
-    known = [limit for limit in _limits(judged) if math.isfinite(limit)]
-    return math.expm1(max(known)) if known else None
 
 
 def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
@@ -342,58 +327,48 @@ def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
 
 def _worst(judged: _Judged, names: Sequence[str]) -> str:
     times = judged.log_time - judged.samples.frame_log_time
-    errors = np.abs(prediction_error_dn(judged.samples, judged.fitted.log_exposure, times))
-    shown = [errors[(judged.samples.frame == k) & np.isfinite(errors)] for k in range(times.size)]
-    size = [float(np.mean(own)) if own.size else 0.0 for own in shown]
+    errors = prediction_error_dn(judged.samples, judged.fitted.log_exposure, times)
+    size = np.nan_to_num([_mean_size(errors[judged.samples.frame == k]) for k in range(times.size)])
     worst = int(np.argmax(size))
     return f", {names[worst]} by far worst" if size[worst] > 2.0 * float(np.median(size)) else ""
 
 
 def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[FrameFinding, ...]:
     rows, g = judged.fitted.samples, judged.fitted.log_exposure
+    times = np.log(bracket.effective_exposures_s)
     final = prediction_error_dn(rows, g, judged.fitted.fit.log_time_errors)
-    printed = np.log(bracket.effective_exposures_s) - rows.frame_log_time
-    before = prediction_error_dn(rows, g, printed)
-    times = judged.log_time - np.log(bracket.effective_exposures_s)
-    limits = _limits(judged)
-    wrong = {one.frame: one for one in judged.exposures.wrong}
-    found = []
-    for k, (name, frame) in enumerate(zip(names, bracket.light, strict=True)):
-        stated, here = frame.settings.exposure_s, rows.frame == k
-        log_ratio, u = judged.by_others[k]
-        expected = float(judged.expected[k])
-        ratio, u_ratio = expected * math.exp(log_ratio), expected * math.exp(log_ratio) * u
-        if k in wrong:
-            ratio, u_ratio = _of_printed(wrong[k], judged, bracket)
-        taken = stated * math.exp(float(times[k]))
-        found.append(
-            FrameFinding(
-                name,
-                stated,
-                taken,
-                ratio,
-                u_ratio,
-                math.exp(limits[k]),
-                k in wrong,
-                rows.dn[here],
-                final[here],
-                before[here],
-                expected,
-            )
+    before = prediction_error_dn(rows, g, times - rows.frame_log_time)
+    stated = np.array([frame.settings.exposure_s for frame in bracket.light])
+    ratios = judged.expected * np.exp([log_ratio for log_ratio, _ in judged.by_others])
+    u_ratios = ratios * [u for _, u in judged.by_others]
+    wrong = [one.frame for one in judged.exposures.wrong]
+    for one in judged.exposures.wrong:
+        ratios[one.frame], u_ratios[one.frame] = _of_printed(one, judged, bracket)
+    taken = stated * np.exp(judged.log_time - times)
+    own = zip(names, stated, taken, ratios, u_ratios, np.exp(_limits(judged)), judged.expected, strict=True)
+    return tuple(
+        FrameFinding(
+            name, *map(float, found), k in wrong, _mean_size(final[rows.frame == k]),
+            _mean_size(before[rows.frame == k]), float(expected),
         )
-    return tuple(found)
+        for k, (name, *found, expected) in enumerate(own)
+    )  # fmt: skip
+
+
+def _mean_size(errors: Array) -> float:
+    known = errors[np.isfinite(errors)]
+    return float(np.mean(np.abs(known))) if known.size else math.nan
 
 
 # ---- report ---------------------------------------------------------------------------------------------------------
 OFFSET: Final = "exposure_time_offset"
-_BINS: Final = 24
 _LONGEST_NAME: Final = 18
 _COVERAGE: Final = 2.0
 # From this error in ln exposure on a ninth of a stop counts as wrong.
 _TOLERATED: Final = 0.08
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class FrameFinding:
     """One photograph compared with the others."""
 
@@ -408,11 +383,11 @@ class FrameFinding:
     # none
     named_from: float
     wrong: bool  # whether the label was found wrong
-    dn: Array  # digital numbers of the frame, shape (rows,)
-    error_dn: Array  # predicted from the others minus found, same shape; NaN where no other frame shows it
-    error_as_printed_dn: Array  # the same with all labels as printed
-    # What the label and the shutter's offset make together, over the label; 1 where no offset was taken
-    expected: float = 1.0
+    error_dn: float  # mean size of what is predicted from the others minus found; NaN where no other frame shows it
+    error_as_printed_dn: float  # the same with all labels as printed
+    expected: (
+        float  # what the label and the shutter's offset make together, over the label; 1 where no offset was taken
+    )
 
 
 def report_html(
@@ -434,21 +409,9 @@ def report_html(
                 (10.0, 4.2),
                 (4.0, 4.4),
             ),
-            *[_label_section(one) for one in wrong],
             _what_to_do(wrong, result),
-            section(
-                "Each photograph against its prediction",
-                picture(
-                    partial(_draw_errors, frames=frames),
-                    "Digital numbers of a left-out part of the picture, predicted by the other photographs, less "
-                    "those measured: with the printed exposures, and with those found.",
-                    (10.0, 4.6),
-                    (4.0, 6.4),
-                ),
-            ),
             heading("Figures"),
             _frame_table(frames),
-            folded("What these photographs would have detected", _limits_shown(result)),
             folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
         ],
         kind="reconcile",
@@ -486,34 +449,12 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
     return f"{sentence[0].upper() if not wrong else sentence[0]}{sentence[1:]}; {others}."
 
 
-def _label_section(one: FrameFinding) -> str:
-    stops = math.log2(one.ratio)
-    u_rel = one.u_ratio / one.ratio if one.ratio > 0 else math.inf
-    taken = with_u(one.taken_s, _COVERAGE * one.taken_s * u_rel, "s")
-    before, after = (_mean_size(errors) for errors in (one.error_as_printed_dn, one.error_dn))
-    return section(
-        f"Label of {one.name}",
-        paragraph(
-            f"Printed {_seconds(one.stated_s)}, exposed for {taken} "
-            f"(k = 2), {abs(stops):.2f} stops {'more' if stops > 0 else 'less'}. Left-out parts of this photograph are "
-            f"then predicted by the others to {after:.2g} DN on average, {before:.2g} DN as printed.",
-            "what",
-        ),
-    )
-
-
 def _what_to_do(wrong: Sequence[FrameFinding], result: ReconcileResult) -> str:
     if not wrong and all(effect.name != OFFSET for effect in result.effects):
         return ""
-    if not wrong:
-        return paragraph(
-            "-o exposures.txt writes the exposures that agree, which every command reads with the photographs.", "do"
-        )
-    names = ", ".join(one.name for one in wrong)
+    look = f"look at the EXIF record of {', '.join(one.name for one in wrong)}, or take them again; " if wrong else ""
     return paragraph(
-        f"Look at the EXIF record of {names}, or take {'it' if len(wrong) == 1 else 'them'} again; -o exposures.txt "
-        "writes the exposures that agree, which every command reads with the photographs.",
-        "do",
+        f"{look}-o exposures.txt writes the exposures that agree, which every command reads with the photographs.", "do"
     )
 
 
@@ -533,14 +474,6 @@ def _frame_table(frames: Sequence[FrameFinding]) -> str:
     by_others, named = "by the others ÷ printed (k = 2)", "a wrong label is named from"
     head = ("photograph", "printed", "taken as", by_others, named, "error as printed", "in the end")
     return table(head, rows)
-
-
-def _limits_shown(result: ReconcileResult) -> str:
-    rows = [
-        (name, "not at all" if limit.amplitude is None else f"from {limit.amplitude:.2g}")
-        for name, limit in result.limits.items()
-    ]
-    return table(("effect", "seen at 5 sigma"), rows)
 
 
 def _draw_ratios(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -> None:
@@ -584,45 +517,7 @@ def _draw_ratios(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -
         legend(axes)
 
 
-def _draw_errors(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -> None:
-    panels = figure.subplots(2, 1, sharex=True) if narrow else figure.subplots(1, 2, sharey=True)
-    for axes, title, which in (
-        (panels[0], "as printed", "error_as_printed_dn"),
-        (panels[1], "with the exposures found", "error_dn"),
-    ):
-        for one in frames:
-            dn, mean, scatter = _binned(one.dn, getattr(one, which))
-            colour = BEFORE if one.wrong else MODEL
-            form = {"color": colour, "lw": 1.6 if one.wrong else 0.9}
-            axes.plot(dn, mean, label=label(one.name) if one.wrong else None, **form)
-            axes.fill_between(dn, mean - scatter, mean + scatter, color=colour, alpha=0.12, lw=0)
-        axes.axhline(0.0, color=RULE, lw=0.8)
-        dress(axes, "digital number found (DN)", "predicted − found (DN)", title)
-    if any(one.wrong for one in frames):
-        legend(panels[0])
-
-
-def _binned(dn: Array, error: Array) -> tuple[Array, Array, Array]:
-    known = np.isfinite(error)
-    if not known.any():
-        return np.empty(0), np.empty(0), np.empty(0)
-    dn, error = dn[known], error[known]
-    edges = np.linspace(dn.min(), dn.max() + 1e-9, _BINS + 1)
-    place = np.clip(np.digitize(dn, edges) - 1, 0, _BINS - 1)
-    count = np.bincount(place, minlength=_BINS)
-    filled = count > 0
-    mean, middle = (np.bincount(place, v, _BINS)[filled] / count[filled] for v in (error, dn))
-    square = np.bincount(place, error**2, _BINS)[filled] / count[filled]
-    return middle, mean, np.sqrt(np.maximum(square - mean**2, 0.0))
-
-
-def _mean_size(errors: Array) -> float:
-    known = errors[np.isfinite(errors)]
-    return float(np.mean(np.abs(known))) if known.size else math.nan
-
-
-def _dn(errors: Array) -> str:
-    size = _mean_size(errors)
+def _dn(size: float) -> str:
     return f"{size:.2g} DN" if math.isfinite(size) else "–"
 
 

@@ -176,7 +176,6 @@ def reconciled_model(
 
 
 def _other_well_e(state: FitState, found: FoundEffect | None) -> float | None:
-    """Return the full well that the brightest pixels show in place of the declared one; None where it is fitted."""
     well = limit_at(Stage.WELL)
     fitted = any(effect.name == well.name for effect in state.effects)
     return None if found is None or fitted else found.parameters[well.fitted[0]].value

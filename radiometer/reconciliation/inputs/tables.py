@@ -86,80 +86,62 @@ def reconcile_meter_table(path: Path) -> MeterReconciled:
 
 
 def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
-    printed, exact = _spread(_by_source(rows, exact=False)), _spread(_by_source(rows, exact=True))
+    printed, exact = (_spread(_by_source(rows, exact=way)) for way in (False, True))
     widest = min(exact_f_number(row.f_number) for row in rows)
     closed = [row for row in rows if exact_f_number(row.f_number) > widest]
-    inner_printed = _spread(_by_source(closed, exact=False))
-    inner_exact = _spread(_by_source(closed, exact=True))
-    by_rounding = (inner_exact < _COINCIDENCE < inner_printed) or (exact < _COINCIDENCE < printed)
+    inner = tuple(_spread(_by_source(closed, exact=way)) for way in (False, True))
+    # By which rows the rounding shows: those of closed stops first.
+    rounded = next((pair for pair in (inner, (printed, exact)) if pair[1] < _COINCIDENCE < pair[0]), None)
     stops, left, freedom = _by_stop(rows)
     rest = stops[widest]
-    by_stops = freedom >= _FEWEST_FREE and left < _COINCIDENCE < exact
-    effects: tuple[FoundEffect, ...] = ()
-    verdict = Verdict.AGREES if printed < _COINCIDENCE else Verdict.UNNAMED
-    remarks: list[str] = []
-    if by_rounding:
-        before, after = (inner_printed, inner_exact) if inner_exact < _COINCIDENCE else (printed, exact)
-        effects = (_nominal(before, after),)
+    effects, verdict, remarks = list[FoundEffect](), Verdict.AGREES, list[str]()
+    extra: dict[str, Any] = {"constants": [_as_mapping(row) for row in rows], "remarks": remarks}
+    if rounded is not None:
+        before, after = rounded
+        nats = 10.0 * math.log(max(before, 1e-12) / max(after, 1e-6))
+        share = {"share": FittedParameter(1.0, None, "1")}
+        effects.append(FoundEffect("nominal_settings", share, "exposure_s", *rounded, gain_nats=nats, block=_BLOCK))
         verdict = Verdict.EFFECTS_FOUND if abs(rest) <= _STEP_OF_A_METER / 2 * 1.01 else Verdict.INCOMPLETE
-        remarks.append(_rounding_in_words(before, after, widest if inner_exact < _COINCIDENCE <= exact else None))
-    elif verdict is Verdict.UNNAMED and by_stops:
-        effects, verdict = (_of_stops(stops, exact, left, freedom),), Verdict.EFFECTS_FOUND
-    elif verdict is Verdict.UNNAMED:
-        effects = (FoundEffect("unnamed", {}, _likely_axis(rows), printed, printed, block="meter constant"),)
-    extra: dict[str, Any] = {"constants": _table(rows)}
-    if by_rounding and abs(rest) > _COINCIDENCE:
-        remarks.append(_rest_in_words(rest, widest))
-        extra["rest"] = {
-            "where": "f_number",
-            "f_number": widest,
-            "stops": rest / math.log(2.0),
-            "alternatives": ["fnumber_tstop_error", "meter_resolution"],
-            "next_capture": {"description": _NEXT},
-        }
-        if verdict is Verdict.INCOMPLETE:
-            effects = (*effects, FoundEffect("unnamed", {}, "f_number", exact, exact, ("fnumber_tstop_error",)))
-    extra["remarks"] = remarks
+        where = f" (f/{widest:.2g} left out)" if inner[1] < _COINCIDENCE <= exact else ""
+        remarks.append(
+            f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were treated as exact; "
+            f"with the exact stops behind them (1/60 s is 1/64 s, f/5.6 is f/5.657) by {100 * after:.2f} %."
+        )
+        if abs(rest) > _COINCIDENCE:
+            remarks.append(_rest_in_words(rest, widest))
+            extra["rest"] = {
+                "where": "f_number", "f_number": widest, "stops": rest / math.log(2.0),
+                "alternatives": ["fnumber_tstop_error", "meter_resolution"], "next_capture": {"description": _NEXT},
+            }  # fmt: skip
+            if verdict is Verdict.INCOMPLETE:
+                effects.append(FoundEffect("unnamed", {}, "f_number", exact, exact, ("fnumber_tstop_error",)))
+    elif printed >= _COINCIDENCE and freedom >= _FEWEST_FREE and left < _COINCIDENCE < exact:
+        effects, verdict = [_of_stops(stops, exact, left, freedom)], Verdict.EFFECTS_FOUND
+    elif printed >= _COINCIDENCE:
+        effects = [FoundEffect("unnamed", {}, _likely_axis(rows), printed, printed, block=_BLOCK)]
+        verdict = Verdict.UNNAMED
     of_stops = Limit(_COINCIDENCE if freedom >= _FEWEST_FREE else None, "errors_rel", "1")
+    dials = "times and f-numbers run in thirds or halves of a stop"
+    if all(row.exact_time_s == row.time_s for row in rows):
+        dials = "times are as written, for one is on no dial; f-numbers run in thirds or halves of a stop"
     return ReconcileResult(
         verdict=verdict,
-        effects=effects,
+        effects=tuple(effects),
         gap_before=effects[0].gap_before if effects else printed,
         gap_after=effects[0].gap_after if effects else printed,
         limits={"nominal_settings": Limit(_COINCIDENCE, "share", "1"), "fnumber_tstop_error": of_stops},
         captures=len(rows),
-        assumptions=(_times_in_words(rows),),
+        assumptions=(dials,),
         gap_unit=_GAP_UNIT,
         extra=extra,
     )
 
 
+_BLOCK: Final = "meter constant"
 _NEXT: Final = (
     "read the meter in tenths of a stop, or measure the light at the widest aperture and one stop below it with the "
     "same exposure on a camera"
 )
-
-
-def _nominal(before: float, after: float) -> FoundEffect:
-    rounding = {"share": FittedParameter(1.0, None, "1")}
-    gain = math.log(max(before, 1e-12) / max(after, 1e-6))
-    return FoundEffect(
-        "nominal_settings", rounding, "exposure_s", before, after, gain_nats=gain * 10.0, block="meter constant"
-    )
-
-
-def _rounding_in_words(before: float, after: float, left_out: float | None) -> str:
-    where = "" if left_out is None else f" (f/{left_out:.2g} left out)"
-    return (
-        f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were treated as exact; "
-        f"with the exact stops behind them (1/60 s is 1/64 s, f/5.6 is f/5.657) by {100 * after:.2f} %."
-    )
-
-
-def _times_in_words(rows: Sequence[MeterRow]) -> str:
-    if all(row.exact_time_s == row.time_s for row in rows):
-        return "times are as written, for one is on no dial; f-numbers run in thirds or halves of a stop"
-    return "times and f-numbers run in thirds or halves of a stop"
 
 
 def _rest_in_words(rest: float, widest: float) -> str:
@@ -174,10 +156,7 @@ def _rest_in_words(rest: float, widest: float) -> str:
 
 
 def _by_stop(rows: Sequence[MeterRow]) -> tuple[dict[float, float], float, int]:
-    """Return ln K at each exact stop beyond that at the middle one, the standard deviation left, and its freedom.
-
-    Each source and each stop has a level; readings that do not connect all stops leave no freedom.
-    """
+    """Return ln K at each exact stop beyond that at the middle one, the standard deviation left, and its freedom."""
     k = np.log([row.k_exact for row in rows])
     sources, source = np.unique([row.source for row in rows], return_inverse=True)
     stops, stop = np.unique([exact_f_number(row.f_number) for row in rows], return_inverse=True)
@@ -193,22 +172,13 @@ def _of_stops(stops: Mapping[float, float], before: float, left: float, freedom:
     errors = {n: math.expm1(-more) for n, more in stops.items() if abs(more) > _COINCIDENCE}
     found = {f"errors_rel at f/{n:.2g}": FittedParameter(error, _COINCIDENCE, "1") for n, error in errors.items()}
     nats, rivals = freedom * math.log(before / _COINCIDENCE), ("meter_resolution",)
-    return FoundEffect(
-        "fnumber_tstop_error", found, "f_number", before, left, rivals, gain_nats=nats, block="meter constant"
-    )
+    return FoundEffect("fnumber_tstop_error", found, "f_number", before, left, rivals, gain_nats=nats, block=_BLOCK)
 
 
 def _likely_axis(rows: Sequence[MeterRow]) -> str:
-    k = np.array([math.log(row.k_exact) for row in rows])
-    axes = {
-        "f_number": np.array([math.log(row.f_number) for row in rows]),
-        "exposure_s": np.array([math.log(row.time_s) for row in rows]),
-        "signal": np.array([math.log(row.luminance_cd_m2) for row in rows]),
-    }
-    varying = {name: values for name, values in axes.items() if np.ptp(values) > 0}
-    if not varying or np.ptp(k) == 0:
-        return "exposure_s"
-    return max(varying, key=lambda name: abs(float(np.corrcoef(varying[name], k)[0, 1])))
+    *axes, k = np.log([(row.f_number, row.time_s, row.luminance_cd_m2, row.k_exact) for row in rows]).T
+    alike = [abs(float(np.corrcoef(axis, k)[0, 1])) if np.ptp(axis) > 0 else 0.0 for axis in axes]
+    return ("f_number", "exposure_s", "signal")[int(np.argmax(alike))]
 
 
 def _by_source(rows: Sequence[MeterRow], *, exact: bool) -> dict[str, Array]:
@@ -224,17 +194,9 @@ def _spread(constants: Mapping[str, Array]) -> float:
     return float(np.sqrt(sum(float(np.sum(d**2)) for d in deviations) / freedom)) if freedom else 0.0
 
 
-def _table(rows: Sequence[MeterRow]) -> list[dict[str, Any]]:
-    return [
-        {
-            "source": row.source,
-            "f_number": row.f_number,
-            "time_s": row.time_s,
-            "K_printed": row.k_printed,
-            "K_exact": row.k_exact,
-        }
-        for row in rows
-    ]
+def _as_mapping(row: MeterRow) -> dict[str, Any]:
+    own = {name: getattr(row, name) for name in ("source", "f_number", "time_s")}
+    return own | {"K_printed": row.k_printed, "K_exact": row.k_exact}
 
 
 # ---- light over drive -----------------------------------------------------------------------------------------------
@@ -260,7 +222,6 @@ class _Data:
 
     @property
     def channels(self) -> int:
-        """Return the number of channels."""
         return int(self.channel.max()) + 1
 
     def per_channel(self, columns: Array) -> Array:
@@ -316,7 +277,12 @@ def reconcile_drive_table(path: Path) -> DriveFit:
     known = read_drive_table(path)
     data = _pooled(known.channels, {})
     steps = _range_steps(data)
-    laws = _laws(known.channels, steps)
+    laws = {
+        one.name: fit_drive_law(
+            one.drive, one.light, np.searchsorted(steps, one.reading).astype(np.float64) if steps else None
+        )
+        for one in known.channels
+    }
     onsets = {name: law.onset for name, law in laws.items() if law is not None and law.onset > 0.0}
     effects, gaps = _named(data, steps, laws)
     if onsets and _verdict(effects, gaps[-1], data.target.size) is not Verdict.EFFECTS_FOUND:
@@ -324,12 +290,17 @@ def reconcile_drive_table(path: Path) -> DriveFit:
         effects, gaps = _named(data, _range_steps(data), laws)
     else:
         onsets = {}
+    five_sigma = 10.0 * float(np.median(_sigma(data, _smooth(data)))) / math.sqrt(data.target.size)
+    limits = {
+        DROOP: Limit(five_sigma * math.sqrt(data.channels), "deviation_at_half_drive", "1"),
+        STEP: Limit(five_sigma, "ratio", "1"),
+    }
     result = ReconcileResult(
         verdict=_verdict(effects, gaps[-1], data.target.size),
         effects=effects,
         gap_before=gaps[0],
         gap_after=gaps[-1],
-        limits=_limits(data, effects),
+        limits={one: limit for one, limit in limits.items() if one not in {effect.name for effect in effects}},
         captures=int(data.target.size),
         assumptions=(
             *known.taken,
@@ -347,26 +318,13 @@ def reconcile_drive_table(path: Path) -> DriveFit:
     return DriveFit(result, known, laws, path.name)
 
 
-def _laws(channels: Sequence[ChannelDrive], steps: Sequence[float]) -> dict[str, DriveLaw | None]:
-    """Return the law of each channel by its name, each range of the meter with its factor."""
-    return {
-        one.name: fit_drive_law(
-            one.drive, one.light, np.searchsorted(steps, one.reading).astype(np.float64) if steps else None
-        )
-        for one in channels
-    }
-
-
 def _pooled(channels: Sequence[ChannelDrive], onsets: Mapping[str, float]) -> _Data:
-    parts = [(one.drive >= LEAST_DRIVE) & (one.light > 0.0) for one in channels]
-    return _Data(
-        np.concatenate(
-            [np.log(c.light[k] / (c.drive[k] - onsets.get(c.name, 0.0))) for c, k in zip(channels, parts, strict=True)]
-        ),
-        np.concatenate([c.drive[k] for c, k in zip(channels, parts, strict=True)]),
-        np.concatenate([c.reading[k] for c, k in zip(channels, parts, strict=True)]),
-        np.concatenate([np.full(int(k.sum()), n) for n, k in enumerate(parts)]),
-    )
+    parts = []
+    for number, one in enumerate(channels):
+        k = (one.drive >= LEAST_DRIVE) & (one.light > 0.0)
+        target = np.log(one.light[k] / (one.drive[k] - onsets.get(one.name, 0.0)))
+        parts.append((target, one.drive[k], one.reading[k], np.full(target.size, number)))
+    return _Data(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _smooth(data: _Data) -> Array:
@@ -384,13 +342,11 @@ def _rss(data: _Data, design: Array) -> tuple[Array, Array]:
 
 
 def _gain(data: _Data, before: Array, after: Array) -> float:
-    """Return the gain in log likelihood by further columns, each channel's noise unknown."""
     (old, counts), (new, _) = _rss(data, before), _rss(data, after)
     return float(np.sum(0.5 * counts * np.log(old / new)))
 
 
 def _range_steps(data: _Data) -> tuple[float, ...]:
-    """Return the readings at which the meter's range steps, none where no step is beyond chance."""
     thresholds, found = np.unique(data.reading), list[float]()
     design = _smooth(data)
     for _ in range(_MOST_STEPS):
@@ -453,16 +409,8 @@ def _named(
     return tuple(effects), tuple(gaps)
 
 
-def _weighted(data: _Data, design: Array, sigma: Array) -> tuple[Array, Array]:
-    rows = design / sigma[data.channel][:, None]
-    return np.linalg.lstsq(rows, data.target / sigma[data.channel], rcond=None)[0], np.linalg.pinv(rows.T @ rows)
-
-
 def _drooping(laws: Mapping[str, DriveLaw | None]) -> dict[str, FittedParameter]:
-    """Return deviation at half drive of the channel that droops most, and how many do; nothing where none does.
-
-    It is that of the law above its onset.
-    """
+    """Return deviation at half drive of the channel that droops most, and how many do; nothing where none does."""
     above = (replace(law, onset=0.0).parameters["deviation_at_half_drive"] for law in laws.values() if law is not None)
     seen = [one for one in above if math.log1p(one.value) > max(_SIGMAS * one.u, _LEAST_DEVIATION)]
     if not seen:
@@ -475,15 +423,14 @@ def _drooping(laws: Mapping[str, DriveLaw | None]) -> dict[str, FittedParameter]
 def _step_effect(
     data: _Data, steps: tuple[float, ...], design: Array, sigma: Array, gaps: tuple[float, float]
 ) -> FoundEffect:
-    found, spread = (one[-len(steps) :] for one in _weighted(data, design, sigma))
-    spread = spread[:, -len(steps) :]
+    rows = design / sigma[data.channel][:, None]
+    every = np.linalg.lstsq(rows, data.target / sigma[data.channel], rcond=None)[0]
+    found, u = every[-len(steps) :], np.sqrt(np.diag(np.linalg.pinv(rows.T @ rows)))[-len(steps) :]
     parameters: dict[str, FittedParameter] = {}
     for n, (edge, size) in enumerate(zip(steps, found.tolist(), strict=True), 1):
         tail = "" if len(steps) == 1 else f"_{n}"
         below, above = data.reading[data.reading <= edge].max(), data.reading[data.reading > edge].min()
-        parameters[f"ratio{tail}"] = FittedParameter(
-            math.exp(size), math.exp(size) * math.sqrt(spread[n - 1, n - 1]), "1"
-        )
+        parameters[f"ratio{tail}"] = FittedParameter(math.exp(size), math.exp(size) * float(u[n - 1]), "1")
         # The threshold is anywhere between two readings: a rectangle.
         parameters[f"reading{tail}"] = FittedParameter(edge, float(above - below) / math.sqrt(12.0), "reading")
     gain = _gain(data, _smooth(data), design)
@@ -506,20 +453,7 @@ def _held_out(data: _Data, design: Array, sigma: Array) -> float:
     return total / data.target.size
 
 
-def _limits(data: _Data, effects: Sequence[FoundEffect]) -> dict[str, Limit]:
-    named = {one.name for one in effects}
-    sigma = float(np.median(_sigma(data, _smooth(data))))
-    per_channel = data.target.size / data.channels
-    known: dict[str, Any] = {}
-    if DROOP not in named:
-        known[DROOP] = Limit(5.0 * sigma * 2.0 / math.sqrt(per_channel), "deviation_at_half_drive", "1")
-    if STEP not in named:
-        known[STEP] = Limit(5.0 * sigma * 2.0 / math.sqrt(data.target.size), "ratio", "1")
-    return known
-
-
 def _verdict(effects: Sequence[FoundEffect], gap: float, readings: int) -> Verdict:
-    """Return the verdict; names are incomplete while the gap that they leave is more than chance."""
     names = {one.name for one in effects}
     if not names:
         return Verdict.AGREES

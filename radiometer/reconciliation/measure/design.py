@@ -213,7 +213,6 @@ class Design:
 
     @cached_property
     def _since_light(self) -> Array:
-        """Return the time in s from the last frame with light to each frame; infinite where there is none."""
         stamps, last = self._of_frames("timestamp_s"), -np.inf
         found = np.full(stamps.size, np.inf)
         for index in np.argsort(stamps, kind="stable").tolist() if np.isfinite(stamps).all() else ():
@@ -255,10 +254,7 @@ class Design:
         return self._of_frames("timestamp_s") - float(np.min(self._column("timestamp_s")))
 
     def _one_by_one(self, of_frames: Array) -> tuple[Array, Array, Array]:
-        """Return a figure of each capture's frames, of its first one and of the others.
-
-        Each of shape (captures, most frames of one), NaN beyond; a lone frame represents others too.
-        """
+        """Return a figure of each capture's frames, of its first one and of the others."""
         all_ = np.full((len(self.captures), int(self.frame_count.max())), np.nan)
         for row, capture in zip(all_, self.captures, strict=True):
             row[: len(capture.frames)] = of_frames[list(capture.frames)]
@@ -475,10 +471,7 @@ def _patch_tiles(header: CaptureHeader, shape: tuple[int, int]) -> tuple[Tile, .
 
 
 def _parts(tile: Tile, taps: Sequence[TapDescription]) -> list[Tile]:
-    """Return the parts of a tile that different amplifiers read, without those that are too narrow.
-
-    Each amplifier has its own gain, black level and noise. What two of them read together follows the law of neither.
-    """
+    """Return the parts of a tile that different amplifiers read, without those that are too narrow."""
     found = []
     for tap in taps:
         x, y = max(tile.x, tap.x), max(tile.y, tap.y)
@@ -492,7 +485,6 @@ def _parts(tile: Tile, taps: Sequence[TapDescription]) -> list[Tile]:
 
 
 def _grid_tiles(header: CaptureHeader, shape: tuple[int, int]) -> tuple[Tile, ...]:
-    """Return the cells of an unknown scene: those of each amplifier where the camera has several."""
     patterns = len(_patterns(header))
     areas = [(f"tap {tap.name} ", tap.patch) for tap in header.camera.taps or ()]
     for name, area in areas:
@@ -625,7 +617,6 @@ class PatchSides:
 
 
 def _unevenness(pixels: Array) -> Array:
-    """Return the variance of pixels along the last axis; 0 where they are too few."""
     if pixels.shape[-1] < SHORTEST_PART_PX:
         return np.zeros(pixels.shape[:-1])
     return np.asarray(pixels.var(axis=-1, ddof=1))

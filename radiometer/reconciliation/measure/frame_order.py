@@ -236,7 +236,6 @@ def scenes_of(structures: Mapping[int, FineStructure]) -> dict[int, int]:
 
 
 def _smooth_terms(known: NDArray[np.bool_]) -> Array:
-    """Return what lens, rows and columns may do, (blocks that are known, terms): a quadratic surface and all lines."""
     row, column = np.nonzero(known)
     y, x = (2.0 * at / max(size - 1, 1) - 1.0 for at, size in zip((row, column), known.shape, strict=True))
     surface = np.column_stack([x * y, x * x * y, x * y * y, x * x * y * y])

@@ -287,7 +287,6 @@ def edge_shares(
 
 
 def _chosen(clear: NDArray[np.bool_], straight: NDArray[np.bool_], sides: PatchSides) -> NDArray[np.bool_]:
-    """Return which parts of sides count: the whole side where it is straight, else those of its parts that are."""
     good = (clear & straight).reshape(-1, sides.tile.size)
     good[1:] &= ~good[0]
     return np.asarray(good.ravel())
@@ -310,11 +309,7 @@ class _Straightness:
     pixels: NDArray[np.intp]  # (sides,) pixels in a line
 
     def of(self, shown: NDArray[np.bool_], line: NDArray[np.intp], sides: int) -> NDArray[np.bool_]:
-        """Return it for the borders behind a line each, from all captures that are shown.
-
-        Outlines are alike: where most borders of the same part of a side are cut, those that pixel noise hides and
-        those that happen to seem straight are, too.
-        """
+        """Return it for the borders behind a line each, from all captures that are shown."""
         index = np.arange(line.size)
         before, after = (self.step[shown][:, index, at] for at in (line, line + 1))
         allowed = 1.0 + _UNEVEN_SIGMAS * np.sqrt(2.0 / np.maximum(self.pixels - 1, 1))
@@ -332,10 +327,7 @@ class _Straightness:
 
 
 def _of_both(before: Array, whole: Array, noise: Array, down: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the share of all sides, and its standard uncertainty; where rows and columns differ, the mean of both.
-
-    Pixels may exchange charge along rows more than along columns: sides of one direction then disagree with the others.
-    """
+    """Return the share of all sides, and its standard uncertainty; where rows and columns differ, the mean of both."""
     if down.all() or not down.any():
         return _agreed(before, whole, noise)
     (a, u_a), (b, u_b) = (_agreed(before[own], whole[own], noise[own]) for own in (down, ~down))
@@ -345,7 +337,6 @@ def _of_both(before: Array, whole: Array, noise: Array, down: NDArray[np.bool_])
 
 
 def _agreed(before: Array, whole: Array, noise: Array) -> tuple[float, float]:
-    """Return the mean share of the sides that agree with the median, and its standard uncertainty."""
     single, sigma = before / whole, np.sqrt(noise) / np.abs(whole)
     order = np.argsort(single)
     weight = np.cumsum(1.0 / sigma[order])
@@ -386,19 +377,13 @@ def _positions(
 
 
 def _steps_of(step: Array, clipped: NDArray[np.bool_], noise: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the line before the step of every side in the mean of some captures, and whether it is a clear one."""
     weight = np.where(clipped | ~(noise > 0), 0.0, 1.0 / np.maximum(noise, 1e-12))
     average = np.sum(np.nan_to_num(step) * np.sqrt(weight)[:, :, None], axis=0)
     return _first_step(average, np.sqrt(np.sum(weight > 0, axis=0)))
 
 
 def _first_step(average: Array, sigma: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the line before the step of each side, and whether that step is a clear one.
-
-    Args:
-        average: (sides, lines) deviation of each line from the patch.
-        sigma: (sides,) its noise.
-    """
+    """Return the line before the step of each side, and whether that step is a clear one."""
     sides, lines = average.shape
     index = np.arange(sides)
     size = np.abs(average)

@@ -129,7 +129,6 @@ def add_tiles(
 
 @compiled
 def _within(counts: NDArray[np.int64], middle: float, distance: float) -> int:
-    """Return how many samples are within a distance of the middle."""
     first = max(int(np.ceil(middle - distance)), 0)
     last = min(int(np.floor(middle + distance)), counts.size - 1)
     return int(counts[first : last + 1].sum())
@@ -434,10 +433,7 @@ class CaptureSums:
     def _without_flicker(
         self, means: Array, counting: Sequence[Mask], out: dict[str, Array], black_dn: float
     ) -> list[list[Array]]:
-        """Free the temporal statistics of what light that all of a frame shares does to a tile's structure.
-
-        A bright spot in a tile gains more by it than the tile's mean, which has been taken out. Returns the row sums.
-        """
+        """Free the temporal statistics of what light that all of a frame shares does to a tile's structure."""
         n = means.shape[0]
         amplitude, information = _common_amplitude(means, out, black_dn)
         if information <= 0:
@@ -460,12 +456,7 @@ class CaptureSums:
         n: int,
         shaken: Array | None = None,
     ) -> None:
-        """Work out the tiles' noise.
-
-        Args:
-            out: Statistics by name; those of noise are filled in.
-            shaken: (tiles,) sum of squares of what the light of the frames differs by, relatively; 0 where missing.
-        """
+        """Work out the tiles' noise."""
         total, index = self.total[number], group.index
         steady = 1.0 if shaken is None else 1.0 + shaken / n
         scatter = (self.square[number] - total**2 / n * np.reshape(steady, (-1, 1, 1))) * good
@@ -505,7 +496,6 @@ _PER_TILE: Final = (
 
 
 def _code_spacing(occurring: Mask) -> float:
-    """Return the distance of the codes that occur, in DN; 1 where there is but one."""
     codes = np.flatnonzero(occurring)
     return float(np.gcd.reduce(np.diff(codes))) if codes.size > 1 else 1.0
 
@@ -538,7 +528,6 @@ def _far(residual: Array, step: int, spacing_dn: float) -> Mask:
 
 
 def _stride(pixels: int, width: int) -> int:
-    """Return the step by which the samples of a median are taken, through all columns alike."""
     step = max(1, pixels // _MOST_FOR_MEDIAN)
     while math.gcd(step, width) > 1:
         step += 1
@@ -558,7 +547,6 @@ def light_of_frames(means: Array, out: Mapping[str, Array], black_dn: float) -> 
 
 
 def _common_fluctuation(means: Array, out: Mapping[str, Array], black_dn: float) -> dict[str, float]:
-    """Return the variance of the relative fluctuation that all tiles share, over what pixel noise alone gives."""
     # The first frame may differ for a separate reason (lag, dead time) and has a separate statistic.
     means = means[1:] if means.shape[0] > 2 else means
     amplitude, information = _common_amplitude(means, out, black_dn)
@@ -704,10 +692,7 @@ def with_even_tiles(design: Design, read: FrameReader) -> Design:
 
 
 def _even_part(tile: Tile, pictures: Array, cell_px: int) -> Tile:
-    """Return the part of a tile whose mean light is known best from (patterns, rows, columns) in cells.
-
-    Of the places that are best but for chance the middle one is taken: the luckiest would feign less noise.
-    """
+    """Return the part of a tile whose mean light is known best from (patterns, rows, columns) in cells."""
     top, left = -(-tile.y // cell_px), -(-tile.x // cell_px)
     own = pictures[:, top : (tile.y + tile.height) // cell_px, left : (tile.x + tile.width) // cell_px]
     least, found = float(_u2_of_mean(own[:, None])[0]), tile
@@ -729,10 +714,7 @@ def _even_part(tile: Tile, pictures: Array, cell_px: int) -> Tile:
 
 
 def _u2_of_mean(parts: Array) -> Array:
-    """Return the relative variance of the mean of parts of pictures, (patterns, parts, rows, columns), about a surface.
-
-    Infinite where a part shows no light, or is too small.
-    """
+    """Return the relative variance of the mean of parts, (patterns, parts, rows, columns), off a surface."""
     patterns, count, height, width = parts.shape
     pixels = height * width
     if pixels <= SURFACE_TERMS:
@@ -834,7 +816,6 @@ def _darks_first(design: Design) -> list[int]:
 
 
 def _read_ahead(design: Design, indices: Sequence[int], read: FrameReader) -> Iterator[Frame]:
-    """Yield frames in the order given; a second thread reads the next ones meanwhile."""
     with ThreadPoolExecutor(max_workers=1) as reader:
         waiting = deque(reader.submit(read, index) for index in indices[:_AHEAD])
         for position, index in enumerate(indices):

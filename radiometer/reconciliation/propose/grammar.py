@@ -21,7 +21,7 @@ import numpy as np
 from radiometer.typing import Array
 from simulators.effects.catalogue import elapsed_s
 from simulators.effects.context import ExposureContext
-from simulators.effects.stray_light import column_light, picture_mean
+from simulators.effects.surroundings import column_light, picture_mean
 
 Formula = Callable[[Mapping[str, Any]], Any]
 
@@ -127,7 +127,6 @@ def _rested(signal: Any, context: ExposureContext) -> Any:
 
 
 def _placed(name: str) -> Callable[[Any, ExposureContext], Any]:
-    """Return what gives a place in shares of the picture's longer side."""
     return lambda signal, context: (
         getattr(context.geometry, name) / max(context.geometry.sensor_width, context.geometry.sensor_height)
     )

@@ -38,7 +38,7 @@ from radiometer.typing import Array
 from simulators.chain.stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
-from simulators.effects.stray_light import column_light, picture_mean
+from simulators.effects.surroundings import column_light, picture_mean
 
 _AT_ONCE: Final = 64  # laws that are projected together
 _FAINT: Final = 1e-9
@@ -79,11 +79,7 @@ class _Values:
 
     @classmethod
     def of(cls, values: Array, frames: Array) -> _Values:
-        """Return those of a law's values.
-
-        Args:
-            frames: (captures, 1, 1) number of frames.
-        """
+        """Return those of a law's values."""
         first, others = np.nan_to_num(values[[0, -1]])
         alike = values.shape[0] == 1
         average = first if alike else (first + (frames - 1.0) * others) / frames
@@ -127,7 +123,6 @@ class _Look:
         return found
 
     def _changes(self, block: str, columns: Sequence[tuple[_Values, Mapping[str, Array]]]) -> Array:
-        """Return what columns change of a statistic, (columns, captures, tiles)."""
         found = np.zeros((len(columns), *columns[0][1]["mean"].shape))
         for own, (values, response) in zip(found, columns, strict=True):
             if block == "first":
@@ -207,7 +202,6 @@ class _Terms:
         self._shown: dict[tuple[object, ...], _Values] = {}
 
     def of_law(self, law: Law) -> list[_Values]:
-        """Return the values of a law of amplitude 1, and of a wave those of a quarter period later too."""
         found = [self._product(law.terms)]
         if any("phase" in term.values for term in law.terms):
             found.append(self._product([_ahead(term) for term in law.terms]))
@@ -333,7 +327,6 @@ def _singles(state: FitState) -> Iterator[Law]:
 
 
 def _noises(state: FitState, along: Collection[str]) -> list[Screened]:
-    """Return the laws of noise with the χ² that each would explain, the likeliest start of each alone."""
     known, found = known_values(state), list[Screened]()
     for link in (link for link in LINKS.values() if link.is_noise):
         terms = [term for name in link.covariates if name in known for term in terms_of(name, known)]
@@ -357,7 +350,6 @@ def _finer(state: FitState, singles: Sequence[Screened], forms: Collection[str])
 
 
 def _is_sharp(law: Law) -> bool:
-    """Return whether it has a single term whose only place the fit leaves where it is."""
     return [term.form for term in law.terms] in (["step"], ["border"])
 
 
@@ -411,7 +403,6 @@ _JudgedLaw = tuple[Law, Contender]
 
 
 def _judged(state: FitState, chosen: list[Screened]) -> list[_JudgedLaw]:
-    """Return the best laws fitted to all statistics, then in full."""
     laws, rated = dict[int, Law](), list[tuple[float, FittedCandidate]]()
     for entry in chosen:
         effect = _started(entry)
@@ -444,7 +435,6 @@ def _holds(law: Law, other: Law) -> bool:
 
 
 def _score(entry: _JudgedLaw) -> float:
-    """Return the nats of a law less what its parameters cost, and what a second factor does."""
     law, fitted = entry
     return fitted.nats - PARAMETER_NATS * law.size - NAMED_NATS * (len(law.terms) - 1)
 

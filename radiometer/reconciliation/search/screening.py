@@ -101,11 +101,7 @@ def _variant(start: CatalogueEffect) -> tuple[object, ...]:
 
 
 def _of_all_captures(state: FitState, unit: Array) -> tuple[Array, Array]:
-    """Return the Gram matrix and the slope of χ² for changes of each capture's means, nuisances following.
-
-    Args:
-        unit: What a change of 1 moves of means in DN, (captures, tiles).
-    """
+    """Return the Gram matrix and the slope of χ² for changes of each capture's means, nuisances following."""
     captures, tiles = unit.shape
     raw = np.zeros((captures, tiles, captures))
     index = np.arange(captures)
@@ -117,7 +113,6 @@ def _of_all_captures(state: FitState, unit: Array) -> tuple[Array, Array]:
 
 
 def _goes_by_captures(state: FitState, start: CatalogueEffect) -> bool:
-    """Return whether a start changes whole captures alike: in proportion, or by so many DN."""
     if isinstance(start, Scaling):
         return True
     if not isinstance(start, Offset) or start.unit_out != DIGITAL_NUMBER:
@@ -126,7 +121,6 @@ def _goes_by_captures(state: FitState, start: CatalogueEffect) -> bool:
 
 
 def _of_each_capture(state: FitState, start: CatalogueEffect) -> Array:
-    """Return by what share of its light, or by how many DN, a start changes each capture, (captures,)."""
     if isinstance(start, Scaling):
         change: Any = np.asarray(start.factor(state.model.context)) - 1.0
     elif isinstance(start, Offset):
@@ -164,7 +158,6 @@ class _Rated:
 
     @property
     def wave(self) -> CatalogueEffect:
-        """Return the wave of that size."""
         return self.start.resized(self.size)
 
 
@@ -188,7 +181,6 @@ class _WaveRater:
         self.nothing = float(self._deviances(self._steady))
 
     def sized(self, start: CatalogueEffect) -> _Rated:
-        """Return a wave of the size that has the least deviance."""
         after = start.tile(self._one, self._one, self._context)
         per_row = after.band_frequency
         if per_row not in self._waves:
@@ -208,7 +200,6 @@ class _WaveRater:
         return rated
 
     def _deviances(self, expected: Array) -> Array:
-        """Return −2·ln of the likelihood under expected ratios, (…, entries), but for a constant."""
         return np.asarray(np.sum(self._dof * (self._seen / expected + np.log(expected)), axis=-1))
 
 

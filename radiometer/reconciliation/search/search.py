@@ -258,7 +258,6 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
 
 
 def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate:
-    """Return a candidate fitted; it begins from its fit with the model before, too."""
     key = (candidate.effect.name, candidate.flexible)
     found = fit_candidate(state, replace(candidate, others=(*candidate.others, *run.forms.get(key, ()))))
     run.forms[key] = found.forms
@@ -373,7 +372,6 @@ def _lost(state: FitState, smaller: FitState) -> float:
 
 
 def _without_one(state: FitState) -> Iterator[tuple[str, FitState]]:
-    """Yield the models with one earlier addition less; the newest effect is not questioned."""
     smooth = tuple(term for term in state.terms if term.is_smooth)
     for effect in state.effects if smooth else state.effects[:-1]:
         yield effect.name, with_effects(state, [other for other in state.effects if other is not effect])
@@ -458,7 +456,6 @@ def _forms_of_promise(state: FitState, only: Sequence[str] | None) -> Iterator[t
 
 
 def _with_form(state: FitState, index: int, form: CatalogueEffect) -> FitState | None:
-    """Return the model with a form in an effect's place, fitted; None where it predicts what no camera does."""
     others = [effect for place, effect in enumerate(state.effects) if place != index]
     try:
         fitted = converged_fit(coarse_fit(with_effects(state, [*others, form])))
@@ -499,7 +496,6 @@ def _freed(effect: CatalogueEffect, at: Mapping[str, tuple[float, ...]]) -> Free
 
 
 def _knots(state: FitState, effect: CatalogueEffect, axis: str, count: int) -> tuple[float, ...]:
-    """Return the places of so many knots along a covariate; each of few levels is one, none where it does not vary."""
     before = state.trace.in_front(place_for(effect, state.trace.links))
     values = axis_values(effect, axis, before.mean, state.model.context)
     if values is None:

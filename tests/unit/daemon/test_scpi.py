@@ -95,20 +95,6 @@ async def test_init_overlaps_and_opc_reports_when_it_is_over(client, instrument)
     assert len((await client.ask("FETC?")).split(",")) == 2
 
 
-async def test_opc_sets_its_bit_and_esr_clears_itself(client):
-    """*OPC sets bit 0 when nothing is pending; reading the register clears it."""
-    await client.send("*ESR?;*OPC")
-    await client.reader.readline()
-    assert await client.ask("*ESR?") == "1"
-    assert await client.ask("*ESR?") == "0"
-
-
-async def test_status_byte_sums_up_errors_and_events(client):
-    """An error sets bit 2, through *ESE bit 5, through *SRE bit 6."""
-    await client.send("*ESE 32;*SRE 32;NO:SUCH")
-    assert int(await client.ask("*STB?")) == 4 + 32 + 64
-
-
 async def test_a_lost_camera_reaches_the_error_queue_and_the_status(connect, instrument, eventually, station):
     """Every client finds -240 and the questionable bit."""
     clients = [await connect() for _ in range(3)]

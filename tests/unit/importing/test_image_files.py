@@ -6,11 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-import yaml
 
-import radiometer as rm
 from radiometer.analysis.signal.lens import lens_in_use, relative_sensitivity
-from radiometer.cli.main import run
 from radiometer.data import Calibration, CameraDescription, LensDescription, Patch, SensorNoise
 from radiometer.data.statements import StatementMap
 from radiometer.errors import CaptureError, UnsettledError
@@ -147,21 +144,6 @@ def test_stack_and_sequence_of_pymmcore_plus_are_read():
     sequence = open_capture(RECORDED / "sequence")
     assert [entry.exposure_s for entry in sequence.header.frames] == [0.005, 0.01]
     assert "exposure_s from _frame_metadata.json (2 frames)" in imported_of(sequence).taken
-
-
-def test_radiance_of_a_stack_follows_its_exposures(tmp_path, capsys):
-    """Imported and merged, the stack's light per exposure is one: 20 DN per ms above black."""
-    assert run(["import", str(RECORDED / "stack.ome.tiff"), "-o", str(tmp_path / "set")]) == 0
-    assert "exposure_s from OME-XML" in capsys.readouterr().err
-    stack = rm.read(tmp_path / "set")
-    assert [frame.settings.exposure_s for frame in stack.bracket.light] == [0.005, 0.01, 0.02]
-    header = tmp_path / "set" / "capture.yaml"
-    text = yaml.safe_load(header.read_text())
-    text["camera"]["black_level_dn"] = 100
-    header.write_text(yaml.safe_dump(text))
-    bright, whole = (rm.merge(rm.read(folder)).value for folder in (tmp_path / "set", RECORDED / "stack.ome.tiff"))
-    assert float(np.median(bright)) == pytest.approx((500.0 - 100.0) / 0.02, rel=0.02)
-    assert whole.shape == bright.shape
 
 
 def test_tags_of_micro_manager_are_read(tmp_path):

@@ -11,8 +11,8 @@ from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.shared_errors import errors_of_darkness
-from simulators.effects.dark_charge import DarkCurrentNonuniformity
-from simulators.effects.patterns import Prnu
+from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
+from simulators.effects.prnu import Prnu
 
 SIZE = (48, 72)
 NOISE_DN, BLACK_DN, E_PER_DN = 4.0, 200.0, 2.0

@@ -11,14 +11,16 @@ from radiometer.reconciliation.search.localise import departing, localise, signi
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.search.search import Search, Step, free_forms, loosened, swapped, worth
 from radiometer.reconciliation.verdict import Verdict, rest_of, sizes_by_own_law, verdict_of, with_other_functional_form
-from simulators.effects.black_level import BlackLevelOffset
-from simulators.effects.dark_charge import DarkCurrent, DarkCurrentNonuniformity
-from simulators.effects.exposure_time import ExposureTimeOffset
-from simulators.effects.gain import GainStepError
-from simulators.effects.lens import AngleDependence, FnumberTstopError
-from simulators.effects.response import GammaEnabled
-from simulators.effects.source import LedThermalDroop
-from simulators.effects.stray_light import VeilingGlare
+from simulators.effects.angle_dependence import AngleDependence
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.fnumber_tstop_error import FnumberTstopError
+from simulators.effects.gain_step_error import GainStepError
+from simulators.effects.gamma_enabled import GammaEnabled
+from simulators.effects.led_thermal_droop import LedThermalDroop
+from simulators.effects.veiling_glare import VeilingGlare
 from testing.reduced import start_of
 
 TIMES = np.geomspace(1e-4, 6e-3, 9)

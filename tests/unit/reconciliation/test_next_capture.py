@@ -33,17 +33,6 @@ def veiled(make_capture):
     return _veiled(make_capture)
 
 
-def test_veil_in_a_bracket_has_rivals_and_asks_for_another_surround_or_level(veiled):
-    """One chart at one level cannot tell a veil from other stray light; what is asked for could."""
-    (effect,) = veiled.result.effects
-    assert {effect.name, *effect.alternatives} >= STRAY, "whichever of them fits, the plan cannot tell them apart"
-    (frame,) = effect.next_capture["frames"]
-    assert frame["shutter"] == "open", "behind a cap there is no stray light"
-    assert frame["pattern"].endswith("_surround") or frame["source_level"] != 0.9
-    assert effect.next_capture["expected_chi2"] > 25
-    assert 0 < veiled.result.limits["ambient_light_leak"].amplitude < np.pi * veiled.outcome.state.model.radiance.max()
-
-
 def test_plan_holds_the_captures_of_the_set_and_the_next(veiled, tmp_path):
     """`bracket` reads it; its frames are a set of their own."""
     design = veiled.outcome.state.design

@@ -15,14 +15,16 @@ from radiometer.reconciliation.result import FittedParameter, FoundEffect
 from radiometer.reconciliation.search.localise import Disagreement, departing
 from radiometer.reconciliation.thresholds import TABLE
 from radiometer.reconciliation.verdict import UNNAMED, posterior, pseudo_bma, uncertain, without_essential
-from simulators.effects.black_level import BlackLevelOffset, DarkFrameSubtracted
-from simulators.effects.blur import PsfBlur
-from simulators.effects.charge_transfer import Crosstalk
-from simulators.effects.exposure_time import ExposureTimeOffset
-from simulators.effects.flicker import RollingShutterBanding
-from simulators.effects.gain import ConversionGainError
-from simulators.effects.lens import AngleDependence, NaturalVignetting
-from simulators.effects.stray_light import StrayLightKernel
+from simulators.effects.angle_dependence import AngleDependence
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.conversion_gain_error import ConversionGainError
+from simulators.effects.crosstalk import Crosstalk
+from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
+from simulators.effects.stray_light_kernel import StrayLightKernel
 
 CATALOGUE = ("black_level_offset", "crosstalk")
 SETTINGS = 200

@@ -13,10 +13,10 @@ from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.repeatability import steady_wander2
 from radiometer.reconciliation.separability import limits
-from simulators.effects.black_level import BlackLevelDrift
-from simulators.effects.dark_charge import DarkCurrent
-from simulators.effects.exposure_time import ExposureTimeOffset
-from simulators.effects.gain import GainStepError
+from simulators.effects.black_level_drift import BlackLevelDrift
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.gain_step_error import GainStepError
 from testing.reduced import start_of
 
 TRIED = np.concatenate([[0.0], np.geomspace(1e-9, 1e-3, 61)])

@@ -11,8 +11,8 @@ from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.report_page import along, axis_label, outcome, plot_along, report_html, seen_in
 from radiometer.reconciliation.result import FoundEffect, Verdict
 from radiometer.reporting.origin import Origin
-from simulators.effects.black_level import BlackLevelOffset
-from simulators.effects.charge_transfer import Crosstalk
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.crosstalk import Crosstalk
 from testing.generator.session import make_session
 from testing.report_checks import HOSTILE, assert_reports_hold
 

@@ -21,12 +21,14 @@ from radiometer.reconciliation.separability import (
     noiseless,
     separability,
 )
-from simulators.effects.blur import PsfBlur
-from simulators.effects.exposure_time import ExposureTimeOffset
-from simulators.effects.flicker import MainsRipple
-from simulators.effects.memory import SeriesSettling
-from simulators.effects.saturation import AdcSaturation, FullWellSaturation
-from simulators.effects.stray_light import AmbientLightLeak, VeilingGlare
+from simulators.effects.adc_saturation import AdcSaturation
+from simulators.effects.ambient_light_leak import AmbientLightLeak
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.mains_ripple import MainsRipple
+from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.series_settling import SeriesSettling
+from simulators.effects.veiling_glare import VeilingGlare
 from testing.reduced import start_of
 
 BRACKET = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 8) for _ in range(2)]

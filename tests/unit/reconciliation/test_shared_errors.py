@@ -28,10 +28,10 @@ from radiometer.reconciliation.shared_errors import (
 )
 from radiometer.reconciliation.statistics import STATISTICS, Given, Prediction, Scale, family_of, named
 from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.brighter_fatter import push_of
 from simulators.effects.catalogue import Scaling
-from simulators.effects.charge_transfer import push_of
-from simulators.effects.codes import MissingCodes
-from simulators.effects.flicker import PwmFlicker
+from simulators.effects.missing_codes import MissingCodes
+from simulators.effects.pwm_flicker import PwmFlicker
 from testing.reduced import start_of
 
 

@@ -23,17 +23,20 @@ from radiometer.reconciliation.fit.state import reweighted, with_effects
 from radiometer.reconciliation.measure.design import Design, slope_lengths, tile_groups
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.tile_model import predict_several
-from simulators.effects.black_level import BlackLevelOffset, DarkFrameSubtracted
-from simulators.effects.charge_transfer import BrighterFatter
-from simulators.effects.codes import MissingCodes
-from simulators.effects.dark_charge import DarkCurrent
-from simulators.effects.exposure_time import ExposureQuantisation, ExposureTimeOffset
-from simulators.effects.memory import ImageLag
-from simulators.effects.patterns import Prnu
-from simulators.effects.response import ReciprocityFailure, ResponseNonlinearity
-from simulators.effects.saturation import FullWellSaturation
-from simulators.effects.stray_light import VeilingGlare
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.brighter_fatter import BrighterFatter
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
+from simulators.effects.exposure_quantisation import ExposureQuantisation
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.image_lag import ImageLag
+from simulators.effects.missing_codes import MissingCodes
+from simulators.effects.prnu import Prnu
+from simulators.effects.reciprocity_failure import ReciprocityFailure
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.tile_moments import TileMoments
+from simulators.effects.veiling_glare import VeilingGlare
 from testing.reduced import start_of
 
 LADDER = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(1e-4, 5e-3, 6)]

@@ -2,7 +2,6 @@
 
 import json
 import math
-import warnings
 from dataclasses import replace
 from functools import cache
 
@@ -298,30 +297,6 @@ def test_invisible_light_has_no_luminance():
     """An infrared line is refused rather than divided by zero."""
     with pytest.raises(InputError, match="no visible light"):
         photometry.radiance_w_sr_m2(1.0, spectrum("line:940"))
-
-
-@pytest.fixture
-def colour_science():
-    """Return the package that the tables come from; it warns of optional parts when imported."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import colour
-    return colour
-
-
-def test_tables_equal_the_library_they_come_from(colour_science):
-    """V(λ) as packed equals that of colour-science."""
-    theirs = colour_science.SDS_LEFS["CIE 1924 Photopic Standard Observer"].values
-    _, columns = table("luminous_efficiency.csv")
-    np.testing.assert_allclose(columns["photopic_cie1924"], theirs, rtol=1e-6)
-
-
-@pytest.mark.parametrize(("ours", "illuminant"), [("cie_d65", "D65"), ("planck:2856", "A"), ("white_led", "LED-B3")])
-def test_efficacies_are_those_of_the_library(colour_science, ours, illuminant):
-    """CIE illuminants over 380–780 nm, to the difference between two rules of integration."""
-    lamp = colour_science.SDS_ILLUMINANTS[illuminant].copy().align(colour_science.SpectralShape(380, 780, 1))
-    theirs = colour_science.luminous_efficacy(lamp)
-    assert photometry.luminous_efficacy_lm_per_w(spectrum(ours)) == pytest.approx(theirs, rel=3e-3)
 
 
 def _table(*points):

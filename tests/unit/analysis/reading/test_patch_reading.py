@@ -254,27 +254,11 @@ def lensed(rig, **lens):
     return replace(rig.calibration(), lens=made)
 
 
-def test_an_unknown_f_number_is_refused_and_asked_for(rig, seen):
-    """Frames that do not state it are not read or merged as if they had the calibration's."""
-    frames, setup = without_f_number(seen[0]), Setup(rig.description, LensDescription(), rig.calibration())
-    for use in (lambda: read_patch(frames, PATCH, setup), lambda: merge(frames, setup)):
-        with pytest.raises(CalibrationError, match="--f-number"):
-            use()
-
-
 def test_a_lens_that_states_its_f_number_speaks_for_frames_that_do_not(rig, seen):
     """At f/8 behind a calibration at f/4 the same frames mean four times the radiance."""
     frames, truth = without_f_number(seen[0]), seen[1]
     found = read_patch(frames, PATCH, Setup(rig.description, LensDescription(f_number=8.0), rig.calibration()))
     assert found.radiance.value == pytest.approx(4.0 * truth, rel=5e-3)
-
-
-def test_a_scale_without_an_f_number_is_refused(rig, seen):
-    """A calibration that does not say at which aperture it holds serves at none."""
-    base = rig.calibration()
-    unknown = replace(base, scale=base.scale.model_copy(update={"f_number": None}))
-    with pytest.raises(CalibrationError, match=r"scale\.f_number"):
-        read_patch(seen[0], PATCH, Setup(rig.description, rig.lens, unknown))
 
 
 def test_relative_values_need_no_f_number(rig, seen):
@@ -416,16 +400,17 @@ def test_the_black_level_s_uncertainty_does_not_average_out(rig, number, u_dn, c
     doubted = exact(rig, black_level=BlackLevel(dn=64.0, u_dn=u_dn, dark_u_rel=0.0))
     found = read_exactly(rig, [flat(number)] * count, doubted)
     assert u_rel_of(found, "dark and black level") == pytest.approx(u_dn / (number - BLACK), rel=1e-9)
-    closed = flat(70, shutter="closed")
+    closed = flat(65, shutter="closed")
     noisy = closed.dn + np.array([[-1, 1]] * 7, np.int64).ravel()  # the noise that rounding needs
     dark = [replace(closed, dn=noisy.astype(np.uint16))] * 3
     found = read_exactly(rig, [*dark, *[flat(number)] * count], doubted)
     noise = math.sqrt((READ_E / GAIN_E) ** 2 + 1 / 12) / math.sqrt(3 * 14 * 14)  # which all lights share
+    noise = math.hypot(noise, 0.02 * math.hypot(1.0, u_dn))  # dark current, by thermometers in steps of 0.5 K
     own = [u_rel_of(found, "dark and black level"), u_rel_of(found, "repeatability")]
-    assert own[0] == pytest.approx(noise / (number - 70), rel=0.6)
+    assert own[0] == pytest.approx(noise / (number - 65), rel=0.6)
     assert own[0] < u_dn / (number - BLACK)
     assert found.radiance.value / read_exactly(rig, [flat(number)]).radiance.value == pytest.approx(
-        (number - 70) / (number - BLACK), rel=1e-9
+        (number - 65) / (number - BLACK), rel=1e-9
     )
 
 

@@ -111,10 +111,11 @@ def test_where_a_frame_clips(gain_db):
 
 def dark_frame(number, exposure_s, gain_db=0.0, size=10):
     dn = number + np.tile([-1, 1], size * size // 2).reshape(size, size)  # the noise that rounding needs
-    return Frame(dn.astype(np.uint16), 12, FrameSettings(exposure_s, gain_db, shutter="closed"))
+    return Frame(dn.astype(np.uint16), 12, FrameSettings(exposure_s, gain_db, temperature_c=25.0, shutter="closed"))
 
 
-LIGHT, DARK = FrameSettings(0.1, 0.0, temperature_c=25.0), FrameSettings(0.1, shutter="closed")
+LIGHT, DARK = (FrameSettings(0.1, temperature_c=25.0, shutter=one) for one in ("open", "closed"))
+WARMTH = math.log(2.0) / 7.0 * 0.5 / math.sqrt(6.0)  # of dark signal, by two thermometers in steps of 0.5 K
 DOUBT = BlackLevel(dn=BLACK, u_dn=0.5, dark_u_rel=0.4)
 
 
@@ -130,12 +131,12 @@ def test_without_dark_frames_the_model_stands_alone():
     assert most.u_unstated == pytest.approx(e_per_s * 0.1 / 2.0 / 2.0, rel=1e-3)
 
 
-def test_dark_frames_of_the_exposure_are_taken_as_they_are():
-    """Mean of the frames; noise of one sample over the root of all, scatter by Student's t of one; nothing shared."""
+def test_dark_frames_of_the_exposure_show_the_dark_signal():
+    """Mean of the frames; noise of one sample over the root of all, scatter by Student's t of one; shared is warmth."""
     frames = [dark_frame(111, 0.1), dark_frame(111, 0.1005)]
     (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
     assert (level.signal, level.source) == (pytest.approx(11.0), "dark frames")
-    assert level.u_common == 0.0
+    assert level.u_common == pytest.approx(WARMTH * math.hypot(11.0, 0.5))
     assert level.u_independent == pytest.approx(math.sqrt(float(LINEAR.variance(0.0, LIGHT)) / 200))
     (scattered,) = dark_levels([LIGHT], [dark_frame(110, 0.1), dark_frame(112, 0.1005)], LINEAR, DOUBT)
     assert scattered.u_independent == pytest.approx(13.97 / 2.0, rel=0.05)
@@ -144,11 +145,39 @@ def test_dark_frames_of_the_exposure_are_taken_as_they_are():
     assert dark_levels([LIGHT], [dark_frame(110, 0.1, 6.0)], LINEAR, DOUBT)[0].source == "black level"
 
 
+@pytest.mark.parametrize("warmer_k", [-3.0, -1.0, 2.0, None])
+def test_dark_frames_of_another_warmth_are_scaled_to_the_light_frame(warmer_k):
+    """11 DN double with 7 ± 1 K; where no temperature is stated, 3 K at 6 K per doubling are within k = 2."""
+    frame = dark_frame(111, 0.1)
+    here = replace(LIGHT, temperature_c=None if warmer_k is None else 25.0 + warmer_k)
+    (level,) = dark_levels([here], [frame], LINEAR, DOUBT)
+    assert level.signal == pytest.approx(11.0 * 2.0 ** ((warmer_k or 0.0) / 7.0))
+    if warmer_k is None:
+        assert 2.0 * level.u_common > 11.0 * (2.0 ** (3.0 / 6.0) - 1.0)
+        assert level.source == "dark frames of unknown warmth"
+    else:
+        others = [11.0 * 2.0 ** (warmer_k / doubling) for doubling in (6.0, 8.0)]
+        u = math.hypot(np.ptp(others) / 2.0, WARMTH * level.signal)
+        assert level.u_common == pytest.approx(u, rel=0.15)
+
+
+@pytest.mark.parametrize(("stated", "most_dn"), [(50.0, 2.5), (None, 50.0)])
+def test_what_dark_frames_show_beyond_any_dark_current_has_no_warmth(stated, most_dn):
+    """Of 50 DN whose black level nothing states, 2.5 are dark current as stated, or all where nothing states it."""
+    camera = LINEAR.camera.model_copy(update={"dark_current_e_per_s": stated})
+    model = signal_model(camera, None, replace(NOISE, assumed=() if stated else ("dark_current_e_per_s",)), 0.0)
+    (level,) = dark_levels([replace(LIGHT, temperature_c=None)], [dark_frame(50, 0.1)], model, BlackLevel())
+    assert 0.0 < 2.0 * level.u_common < 0.8 * most_dn
+    twice = [dark_frame(50, 0.1), dark_frame(50, 0.4)]  # no dark current: nothing that warmth changes
+    (level,) = dark_levels([replace(LIGHT, temperature_c=None)], twice, model, BlackLevel())
+    assert level.u_common < 0.3
+
+
 @pytest.mark.parametrize("step", [1, 16])
 def test_what_rounding_hides_in_dark_frames_is_shared(step):
     """All pixels at one code: light and dark are each anywhere within a step, 1/√12 of it; bright light is not."""
     model = replace(LINEAR, camera=LINEAR.camera.model_copy(update={"code_step_dn": step}))
-    still = Frame(np.full((10, 10), 112, np.uint16), 12, DARK)
+    still = Frame(np.full((10, 10), BLACK, np.uint16), 12, DARK)
     (level,) = dark_levels([LIGHT], [still], model, DOUBT)
     assert level.u_common == pytest.approx(step * math.sqrt(2.0 / 12.0), rel=0.01)
     (level,) = dark_levels([LIGHT], [still], model, DOUBT, darkest=(1000.0,))
@@ -158,9 +187,9 @@ def test_what_rounding_hides_in_dark_frames_is_shared(step):
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.45, 0.5])
 def test_what_two_codes_leave_open_is_how_far_their_mean_is_from_midway(share):
     """At most share − ½, by noise less: over √3; light whose noise spreads over the codes adds nothing."""
-    two = Frame(np.where(np.arange(100) < 100 * share, 113, 112).reshape(10, 10).astype(np.uint16), 12, DARK)
+    two = Frame(np.where(np.arange(100) < 100 * share, 99, 98).reshape(10, 10).astype(np.uint16), 12, DARK)
     (level,) = dark_levels([LIGHT], [two], LINEAR, DOUBT, darkest=(1000.0,))
-    assert level.u_common == pytest.approx((0.5 - share) / math.sqrt(3.0), abs=0.01)
+    assert level.u_common == pytest.approx((0.5 - share) / math.sqrt(3.0), abs=0.02)
 
 
 def test_a_dark_frame_of_another_exposure_corrects_the_black_level():
@@ -169,7 +198,8 @@ def test_a_dark_frame_of_another_exposure_corrects_the_black_level():
     (level,) = dark_levels([LIGHT], [other], LINEAR, DOUBT)
     assert level.signal == pytest.approx(2.5 + 5.0)
     noise = math.sqrt(float(LINEAR.variance(0.0, other.settings)) / 100)
-    assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(noise, 0.4 * 2.5)))
+    u = math.hypot(noise, 0.4 * 2.5, WARMTH * 5.0)
+    assert (level.u_independent, level.u_common) == (0.0, pytest.approx(u))
 
 
 def test_a_long_dark_frame_does_not_widen_a_black_level_that_is_stated():
@@ -187,7 +217,7 @@ def test_dark_frames_of_two_other_exposures_show_black_level_and_dark_current():
     (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
     noise = math.sqrt(sum(float(LINEAR.variance(0.0, one.settings)) / 100 for one in frames) / 2.0)
     assert level.signal == pytest.approx(8.0)
-    assert level.u_common == pytest.approx(noise * math.sqrt(2.5))
+    assert level.u_common == pytest.approx(math.hypot(noise * math.sqrt(2.5), WARMTH * 2.0))
 
 
 def test_warmer_dark_frames_are_scaled_to_the_light_frame():

@@ -8,13 +8,13 @@ import pytest
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.units import gain_factor
+from simulators.chain.bent_normal import bent_normal
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.undeclared import Undeclared, completed, undeclared_chain
 from simulators.effects.base import ELECTRONS, Effect, Stage, parameter
 from simulators.effects.catalogue import declared_dark_e
 from simulators.effects.context import FrameGeometry
 from simulators.effects.registry import EFFECTS, make_effect
-from simulators.effects.response import bent_normal
 
 GEOMETRY = FrameGeometry.of_image(300, 200)
 

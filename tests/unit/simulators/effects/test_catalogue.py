@@ -13,26 +13,32 @@ from scipy.signal import fftconvolve
 from radiometer.data import CameraDescription, FrameSettings
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.base import Moments, Stage
-from simulators.effects.black_level import BlackLevelGainSlope, BlackLevelOffset, DarkFrameSubtracted
-from simulators.effects.blur import (
+from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.brighter_fatter import BrighterFatter, push_of
+from simulators.effects.catalogue import well_e
+from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
+from simulators.effects.excess_read_noise import ExcessReadNoise
+from simulators.effects.exposure_label_error import ExposureLabelError
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.free_law import axis_values, freed
+from simulators.effects.gamma_enabled import GammaEnabled
+from simulators.effects.image_lag import ImageLag
+from simulators.effects.mechanical_vignetting import MechanicalVignetting, common_area
+from simulators.effects.missing_codes import MissingCodes
+from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.pixel_mixing import (
     disc_edge_share,
     exchange_between_neighbours,
     exchange_moments,
     spread_over_disc,
 )
-from simulators.effects.catalogue import well_e
-from simulators.effects.charge_transfer import BrighterFatter, push_of
-from simulators.effects.codes import MissingCodes, Quantisation
-from simulators.effects.context import ExposureContext, FrameGeometry
-from simulators.effects.exposure_time import ExposureLabelError, ExposureTimeOffset
-from simulators.effects.free_law import axis_values, freed
-from simulators.effects.lens import MechanicalVignetting, NaturalVignetting, common_area
-from simulators.effects.memory import ImageLag
-from simulators.effects.noise import ExcessReadNoise
+from simulators.effects.quantisation import Quantisation
 from simulators.effects.registry import EFFECTS, EffectEntry, make_effect
-from simulators.effects.response import GammaEnabled, ResponseNonlinearity
-from simulators.effects.saturation import FullWellSaturation, SoftSaturation
-from simulators.effects.stray_light import StrayLightKernel
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from simulators.effects.soft_saturation import SoftSaturation
+from simulators.effects.stray_light_kernel import StrayLightKernel
 from simulators.effects.tile_moments import TileMoments
 from testing.effect_context import CATALOGUE, HEIGHT, WIDTH, effect_context, starts_of
 
@@ -131,23 +137,6 @@ def test_barrel_spares_a_circle_that_grows_with_the_f_number():
     assert np.all(factor[~whole] < 1.0)
     open_wide = replace(context, settings=replace(context.settings, f_number=4.0))
     assert np.all(np.asarray(effect.factor(open_wide))[~whole] < factor[~whole])
-
-
-@pytest.mark.parametrize("mean_e", [9300.0, 9450.0, 9700.0])
-def test_uneven_wells_leave_the_moments_of_pixels_that_differ(mean_e):
-    """Pixels with wells of their own, drawn one by one: mean, noise and fixed pattern are those that are predicted."""
-    rng, pixels, frames = np.random.default_rng(3), 20_000, 12
-    wells = 9450.0 * (1.0 + 0.01 * rng.standard_normal(pixels))
-    seen = np.minimum(mean_e + np.sqrt(mean_e) * rng.standard_normal((frames, pixels)), wells)
-    nothing = np.zeros(1)
-    before = Moments(np.array([mean_e]), np.array([mean_e]), nothing, nothing)
-    expected = FullWellSaturation(9450.0, 0.01).moments(before, effect_context())
-    of_pixels, noise = seen.mean(axis=0), seen.var(axis=0, ddof=1)
-    assert float(of_pixels.mean()) == pytest.approx(float(expected.mean[0]), abs=5 * of_pixels.std() / pixels**0.5)
-    assert float(noise.mean()) == pytest.approx(float(expected.variance[0]), abs=5 * noise.std() / pixels**0.5)
-    scatter = np.square(of_pixels - of_pixels.mean()) - noise / frames
-    fixed = float(np.asarray(expected.spatial_variance)[0])
-    assert float(scatter.mean()) == pytest.approx(fixed, abs=5 * scatter.std() / pixels**0.5)
 
 
 @pytest.mark.parametrize(("step", "kept", "added"), [(4, 1, 0), (4, 1, 2), (5, 1, 2), (4, 3, 0), (16, 15, 0)])

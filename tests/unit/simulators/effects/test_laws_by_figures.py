@@ -16,44 +16,61 @@ from radiometer.reconciliation.tile_model import CapturesPast, FrameTimes, TileC
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.unsteady_pixels import unsteady_from
 from simulators.chain.virtual_sensor import FadingPast
+from simulators.effects.adc_saturation import AdcSaturation
+from simulators.effects.ambient_light_leak import AmbientLightLeak
+from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.base import Moments
-from simulators.effects.black_level import BlackLevelDrift, BlackLevelGainSlope, BlackLevelOffset, LineStartOffset
+from simulators.effects.black_level_drift import BlackLevelDrift
+from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
+from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.catalogue import well_e
-from simulators.effects.codes import MissingCodes, excess_kurtosis, rounded, rounded_normal, rounding_amplitude
 from simulators.effects.context import ExposureContext, FrameGeometry
-from simulators.effects.dark_charge import (
-    DarkCurrent,
-    DarkCurrentClamped,
-    DarkCurrentNonuniformity,
-    HotPixels,
-    ReadoutDarkCharge,
-)
-from simulators.effects.display import DisplayBlackLeak, DisplayGammaError
-from simulators.effects.exposure_time import (
-    ExposureQuantisation,
-    ExposureTimeOffset,
-    NominalSettings,
-    ParasiticLightSensitivity,
-    RowDependentExposure,
-)
-from simulators.effects.flicker import MainsRipple, PwmFlicker, RollingShutterBanding
-from simulators.effects.gain import ConversionGain, ConversionGainError, GainStepError
-from simulators.effects.lens import AngleDependence, FnumberTstopError, Lens, NaturalVignetting, Polarisation
-from simulators.effects.memory import EventOffset, FirstFrameOffset, ImageLag, ResidualCharge, SeriesSettling
-from simulators.effects.noise import CorrelatedReadNoise, RandomTelegraphNoise
-from simulators.effects.photons import QuantumEfficiencyTemperature
+from simulators.effects.conversion_gain import ConversionGain
+from simulators.effects.conversion_gain_error import ConversionGainError
+from simulators.effects.correlated_read_noise import CorrelatedReadNoise
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.dark_current_clamped import DarkCurrentClamped
+from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
+from simulators.effects.display_black_leak import DisplayBlackLeak
+from simulators.effects.display_gamma_error import DisplayGammaError
+from simulators.effects.event_offset import EventOffset
+from simulators.effects.exposure_quantisation import ExposureQuantisation
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.first_frame_offset import FirstFrameOffset
+from simulators.effects.fnumber_tstop_error import FnumberTstopError
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.gain_step_error import GainStepError
+from simulators.effects.gamma_enabled import GammaEnabled
+from simulators.effects.hot_pixels import HotPixels
+from simulators.effects.image_lag import ImageLag
+from simulators.effects.lamp_step import LampStep
+from simulators.effects.led_thermal_droop import LedThermalDroop
+from simulators.effects.lens import Lens
+from simulators.effects.line_start_offset import LineStartOffset
+from simulators.effects.mains_ripple import MainsRipple
+from simulators.effects.missing_codes import MissingCodes
+from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.nominal_settings import NominalSettings
+from simulators.effects.parasitic_light_sensitivity import ParasiticLightSensitivity
+from simulators.effects.polarisation import Polarisation
+from simulators.effects.pwm_flicker import PwmFlicker
+from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
+from simulators.effects.random_telegraph_noise import RandomTelegraphNoise
+from simulators.effects.readout_dark_charge import ReadoutDarkCharge
+from simulators.effects.reciprocity_failure import ReciprocityFailure
 from simulators.effects.registry import EFFECTS
-from simulators.effects.response import GammaEnabled, ReciprocityFailure, ResponseNonlinearity
-from simulators.effects.saturation import AdcSaturation, FullWellSaturation
-from simulators.effects.source import (
-    LampStep,
-    LedThermalDroop,
-    SourceNotProportionalToExposure,
-    SourceWarmupDrift,
-    SpectralMismatch,
-)
-from simulators.effects.stray_light import AmbientLightLeak, StrayLightKernel
-from simulators.effects.taps import TapGain, TapNoise
+from simulators.effects.residual_charge import ResidualCharge
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
+from simulators.effects.rounding import excess_kurtosis, rounded, rounded_normal, rounding_amplitude
+from simulators.effects.row_dependent_exposure import RowDependentExposure
+from simulators.effects.series_settling import SeriesSettling
+from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
+from simulators.effects.source_warmup_drift import SourceWarmupDrift
+from simulators.effects.spectral_mismatch import SpectralMismatch
+from simulators.effects.stray_light_kernel import StrayLightKernel
+from simulators.effects.tap_gain import TapGain
+from simulators.effects.tap_noise import TapNoise
 from simulators.effects.tile_moments import TileMoments
 from testing.effect_context import effect_context
 from testing.relatively import relatively
@@ -335,16 +352,6 @@ def test_more_light_never_gives_less(a2: float, a3: float) -> None:
     assert np.all(np.diff(bent) >= -1e-9 * well_e(context))
     np.testing.assert_allclose(bent[signal < 0], signal[signal < 0], rtol=1e-9)
     assert effect.mean(np.zeros(1), context).item() == 0.0
-
-
-@pytest.mark.parametrize(("a2", "a3"), [(0.02, 0.01), (0.3, 0.1), (-0.1, 0.05)])
-def test_the_slope_is_that_of_the_curve(a2: float, a3: float) -> None:
-    """Differences of the curve over a thousandth of a full well, next to its ends too, to 2e-3."""
-    context, effect = effect_context(), ResponseNonlinearity(a2=a2, a3=a3)
-    step = 1e-3 * well_e(context)
-    signal = np.linspace(0.01, 6.0, 600) * well_e(context)
-    rise = (effect.mean(signal + step, context) - effect.mean(signal - step, context)) / (2 * step)
-    np.testing.assert_allclose(effect.slope(signal, context), rise, atol=2e-3)
 
 
 @pytest.mark.parametrize("kind", EFFECTS.values(), ids=lambda kind: kind.name)
@@ -1104,18 +1111,6 @@ def test_the_power_is_fitted_where_it_is_not_one() -> None:
     assert any(form.power != 1.0 for form in ImageLag(share=0.02).loosened(context))
     assert [form.free() for form in ImageLag(share=0.02, power=0.6).loosened(context)] == [("share", "power", "noise")]
     assert ImageLag(share=0.02, power=0.6, noise=0.5).loosened(context) == ()
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.25, 1.0])
-def test_what_stays_behind_scatters_by_its_share_of_the_noise_of_light(noise: float) -> None:
-    """Of 4000 e- 2 % stay: 80 e- with a variance of 0, 20 or 80 e-², drawn in 200,000 pixels and predicted."""
-    held = np.full((400, 500), 4000.0)
-    context = after_charge(held)
-    lag, nothing = ImageLag(share=0.02, noise=noise), np.zeros(held.shape)
-    drawn = lag.sample(nothing, context, np.random.default_rng(8))
-    assert drawn.mean() == pytest.approx(80.0, abs=5.0 * np.sqrt(80.0 / held.size))
-    assert drawn.var() == pytest.approx(80.0 * noise, rel=5.0 * np.sqrt(2.0 / held.size))
-    assert np.allclose(lag.variance(nothing, context), 80.0 * noise)
 
 
 def test_nothing_is_left_by_a_dark_frame() -> None:
