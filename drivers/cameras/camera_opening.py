@@ -19,8 +19,15 @@ import structlog
 
 from drivers.cameras.call_thread import CallThread, give_up_in_background
 from drivers.cameras.camera_quirks import CameraQuirks, quirks_for
-from drivers.cameras.feature_access import FeatureAccess, Refusal, translated
-from drivers.cameras.feature_hygiene import HygieneFinding, LinkThroughput, choose_throughput, switch_off_falsifiers
+from drivers.cameras.feature_access import (
+    FeatureAccess,
+    HygieneFinding,
+    LinkThroughput,
+    Refusal,
+    choose_throughput,
+    switch_off_falsifiers,
+    translated,
+)
 from drivers.cameras.frame_stream import switch_on_chunks
 from drivers.cameras.host_checks import usb_link
 from drivers.cameras.pixel_unpacking import MONO_FORMATS, RAW_FORMATS

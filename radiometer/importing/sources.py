@@ -45,7 +45,7 @@ from radiometer.errors import (
     UsageError,
 )
 from radiometer.importing.emva_listing import EmvaListing, find_descriptor
-from radiometer.importing.file_bytes import kind_of
+from radiometer.importing.file_names import kind_of
 from radiometer.importing.fits_files import read_fits_headers, read_fits_pixels
 from radiometer.importing.found import (
     FoundFrame,

@@ -20,7 +20,7 @@ from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, section, table
 from radiometer.reporting.pictures import dress, legend, picture
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
-from radiometer.screen.checks import checks_in_words
+from radiometer.screen.run import checks_in_words
 from radiometer.typing import Array
 
 if TYPE_CHECKING:

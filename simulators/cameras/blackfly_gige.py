@@ -30,7 +30,7 @@ from radiometer.errors import RadiometerError
 from simulators.cameras import blackfly_features as registers
 from simulators.cameras.aravis_fake_device import FakeGigeDevice
 from simulators.cameras.blackfly_features import WIRE_FORMATS, Feature, genicam_xml, pack_pixels
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import VirtualSensor
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,8 +75,8 @@ AREAS: dict[str, tuple[str, ...]] = {
     ),
     "alarms_and_networks": (
         "radiometer/adapters/*.py",
-        *(f"radiometer/daemon/{name}*.py" for name in ("alarm", "descr", "epics", "hub", "light", "log", "mqtt")),
-        *(f"radiometer/daemon/{name}*.py" for name in ("bench", "instr", "mem", "metrics", "patch_book", "s")),
+        *(f"radiometer/daemon/{name}*.py" for name in ("alarm", "epics", "hub", "light", "log", "mqtt")),
+        *(f"radiometer/daemon/{name}*.py" for name in ("bench", "instr", "metrics", "resources", "patch_book", "s")),
     ),
     "faces": ("radiometer/*.py", "radiometer/api/*.py", "radiometer/cli/*.py", "radiometer/cli/*/*.py"),
     "cameras_and_worlds": (

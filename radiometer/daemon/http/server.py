@@ -14,7 +14,6 @@ from aiohttp import web
 from aiohttp.typedefs import Middleware
 
 import radiometer
-from radiometer.daemon.descriptors import listen
 from radiometer.daemon.http import picture
 from radiometer.daemon.http.requests import (
     ASKER,
@@ -33,6 +32,7 @@ from radiometer.daemon.http.resources import CONTROL_ROUTES, PATCH_ROUTES, READI
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.light import Asker
 from radiometer.daemon.limits import Limits, Places, ReplyBudget, TokenBucket, check_token, is_loopback
+from radiometer.daemon.resources import listen
 from radiometer.daemon.station import Station
 from radiometer.data import Flag
 from radiometer.errors import (

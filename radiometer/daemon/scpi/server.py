@@ -20,8 +20,8 @@ from typing import Any, Final
 
 import structlog
 
-from radiometer.daemon.descriptors import listen
 from radiometer.daemon.limits import Limits, Network, Places, ReplyBudget, TokenBucket, is_allowed, is_loopback
+from radiometer.daemon.resources import listen
 from radiometer.daemon.scpi.commands import command_table
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.language import block_end

@@ -22,8 +22,7 @@ from simulators.cameras.blackfly_gige import (
     steered,
 )
 from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
-from simulators.chain.camera_model import CameraModel
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import CameraModel, VirtualSensor
 from simulators.scenes import StepChartScene, Steps, UniformScene
 from simulators.scenes.kinds import scene_from_mapping
 from testing.patience import within
