@@ -1,7 +1,8 @@
 """Limits of memory, time and size for every reader of a file, whatever library it uses, and one line where it fails.
 
 Readers of libraries that may hang, crash or take all memory work apart, in a process. It is started at the first such
-file (some 0.4 s of processor time) and serves further ones. It limits the damage that a damaged file does. It is no protection against a file that is made to take over the process.
+file (some 0.4 s of processor time) and serves further ones. It limits the damage that a damaged file does. It is no
+protection against a file that is made to take over the process.
 """
 
 from __future__ import annotations

@@ -37,7 +37,6 @@ class Defocus(UnitSlope, CatalogueEffect):
     further = ({"evenness": 0.5},)
     settles = "an edge at several f-numbers"
     sigma_f1_px: float = parameter(0.0, "px", 0.0, 200.0, source="standard deviation that f/1 would have")
-
     evenness: float = parameter(0.0, "1", 0.0, 1.0, source="0 a Gaussian, 1 the disc of geometrical optics")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:

@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.base import EXPOSURE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -36,8 +36,9 @@ class ExposureTimeOffset(Scaling):
         {"offset_s": 0.0001},
     )
     fitted = ("offset_s",)
+    bends = ("further_s",)
     settles = "exposures down to ten times the offset at one source level"
-    offset_s: float = parameter(0.0, "s", -0.1, 0.1, source="engineering prior; refined on a real rig")
+    offset_s: float = parameter(0.0, "s", -0.1, 0.1, source=PRIOR)
     further_s: float = parameter(0.0, "s", -0.1, 0.1, source="change of the offset above a gain")
     above_db: float = parameter(0.0, "dB", -20.0, 100.0, source="that gain; between two of those in use")
 
@@ -55,6 +56,3 @@ class ExposureTimeOffset(Scaling):
             return ()
         between = (gains[1:] + gains[:-1]) / 2.0
         return tuple(self.with_parameters(further_s=self.offset_s / 10.0, above_db=g) for g in between.tolist())
-
-    def free(self) -> tuple[str, ...]:
-        return ("offset_s", "further_s") if self.further_s else ("offset_s",)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, UnitSlope, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.pixel_mixing import blur_edge_share, blur_image
@@ -31,7 +31,7 @@ class PsfBlur(UnitSlope, CatalogueEffect):
     )  # fmt: skip
     fitted = ("sigma_px",)
     settles = "an edge at several f-numbers"
-    sigma_px: float = parameter(0.0, "px", 0.0, 50.0, source="engineering prior; refined on a real rig")
+    sigma_px: float = parameter(0.0, "px", 0.0, 50.0, source=PRIOR)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the blurred picture; tiles keep their distance from edges and stay as they are."""

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.special import gamma, gammainc
 
-from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.base import EXPOSURE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -46,7 +46,7 @@ class SourceNotProportionalToExposure(Scaling):
     fitted = ("droop_rel", "tau_s")
     further = ({"stretch": _STRAIGHT}, {"stretch": _SLOW})
     settles = "one exposure at several source levels, or a photodiode on the source"
-    droop_rel: float = parameter(0.0, "1", -5.0, 0.95, source="engineering prior; refined on a real rig")
+    droop_rel: float = parameter(0.0, "1", -5.0, 0.95, source=PRIOR)
     tau_s: float = parameter(0.01, "s", 1e-06, 100.0, source="time constant of the droop")
     stretch: float = parameter(1.0, "1", 0.2, 5.0, source="1 is an exponential; heat that spreads gives a half")
 

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from simulators.effects.base import RADIANCE, Stage, parameter
+from simulators.effects.base import PRIOR, RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling, elapsed_s
 from simulators.effects.context import ExposureContext
 
@@ -34,7 +34,7 @@ class SourceWarmupDrift(Scaling):
     )
     fitted = ("amplitude_rel", "tau_s")
     settles = "one setting repeated over an hour in between the others"
-    amplitude_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
+    amplitude_rel: float = parameter(0.0, "1", -0.9, 5.0, source=PRIOR)
     tau_s: float = parameter(300.0, "s", 1.0, 100000.0, source="2 to 20 min")
     second_rel: float = parameter(0.0, "1", -0.9, 5.0, source="amplitude of a second, slower term")
     second_tau_s: float = parameter(1500.0, "s", 1.0, 1000000.0, source="its time constant")

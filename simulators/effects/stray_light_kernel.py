@@ -7,7 +7,7 @@ from typing import Final, Self, cast
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.surroundings import surroundings_of
@@ -45,7 +45,7 @@ class StrayLightKernel(CatalogueEffect):
     fitted = ("share", "radius", "edge_share")
     settles = "one bright patch with several sizes of surround"
     essential = ("radius",)  # a kernel of any width is any glare
-    share: float = parameter(0.0, "1", -0.05, _MOST, source="engineering prior; refined on a real rig")
+    share: float = parameter(0.0, "1", -0.05, _MOST, source=PRIOR)
     radius: float = parameter(0.1, "1", 0.02, 1.0, source="sigma as a fraction of the longer side")
     edge_share: float = parameter(
         0.05, "1", 0.0, 0.4, source="part of the kernel in the last line before an edge, over the patch's own mean"
