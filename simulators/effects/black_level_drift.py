@@ -22,12 +22,7 @@ class BlackLevelDrift(Offset):
     unit_in = unit_out = DIGITAL_NUMBER
     where = "temperature_C"
     block = "mean"
-    trials = (
-        {"drift_dn_per_K": 0.1, "reference_C": 25.0},
-        {"drift_dn_per_K": -0.1, "reference_C": 25.0},
-        {"drift_dn_per_K": 0.1, "reference_C": 35.0},
-        {"drift_dn_per_K": -0.1, "reference_C": 35.0},
-    )
+    trials = tuple({"drift_dn_per_K": rate, "reference_C": at} for at in (25.0, 35.0) for rate in (0.1, -0.1))
     fitted = ("drift_dn_per_K", "reference_C")
     varies = "temperature_C"
     further = ({"bend_dn_per_K2": 0.001},)

@@ -28,13 +28,7 @@ class ExposureTimeOffset(Scaling):
     unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
-    trials = (
-        {"offset_s": 2e-06},
-        {"offset_s": 1e-05},
-        {"offset_s": -2e-06},
-        {"offset_s": -1e-05},
-        {"offset_s": 0.0001},
-    )
+    trials = tuple({"offset_s": offset} for offset in (2e-06, 1e-05, -2e-06, -1e-05, 0.0001))
     fitted = ("offset_s",)
     bends = ("further_s",)
     settles = "exposures down to ten times the offset at one source level"

@@ -25,10 +25,7 @@ class PsfBlur(UnitSlope, CatalogueEffect):
     unit_in = unit_out = IRRADIANCE
     where = "image_x"
     block = "edge"
-    trials = (
-        {"sigma_px": 0.25}, {"sigma_px": 0.3}, {"sigma_px": 0.35}, {"sigma_px": 0.42}, {"sigma_px": 0.5},
-        {"sigma_px": 0.7}, {"sigma_px": 1.0},
-    )  # fmt: skip
+    trials = tuple({"sigma_px": sigma} for sigma in (0.25, 0.3, 0.35, 0.42, 0.5, 0.7, 1.0))
     fitted = ("sigma_px",)
     settles = "an edge at several f-numbers"
     sigma_px: float = parameter(0.0, "px", 0.0, 50.0, source=PRIOR)

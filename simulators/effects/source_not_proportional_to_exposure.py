@@ -33,15 +33,11 @@ class SourceNotProportionalToExposure(Scaling):
     block = "mean"
     log_prior_odds = -3.0
     prior_reason = "only sources that are lit for the exposure do this"
-    trials = (
-        {"droop_rel": 0.02, "tau_s": 0.0003},
-        {"droop_rel": -0.02, "tau_s": 0.0003},
-        {"droop_rel": 0.02, "tau_s": 0.001},
-        {"droop_rel": 0.02, "tau_s": 0.01},
-        {"droop_rel": 0.02, "tau_s": 0.1},
-        {"droop_rel": -0.02, "tau_s": 0.001},
-        {"droop_rel": -0.02, "tau_s": 0.01},
-        {"droop_rel": -0.02, "tau_s": 0.1},
+    trials = tuple(
+        {"droop_rel": droop, "tau_s": tau}
+        for taus in ((0.0003,), (0.001, 0.01, 0.1))
+        for droop in (0.02, -0.02)
+        for tau in taus
     )
     fitted = ("droop_rel", "tau_s")
     further = ({"stretch": _STRAIGHT}, {"stretch": _SLOW})

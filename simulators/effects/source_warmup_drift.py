@@ -24,14 +24,7 @@ class SourceWarmupDrift(Scaling):
     unit_in = unit_out = RADIANCE
     where = "timestamp_s"
     block = "mean"
-    trials = (
-        {"amplitude_rel": 0.01, "tau_s": 100.0},
-        {"amplitude_rel": 0.01, "tau_s": 300.0},
-        {"amplitude_rel": 0.01, "tau_s": 900.0},
-        {"amplitude_rel": -0.01, "tau_s": 100.0},
-        {"amplitude_rel": -0.01, "tau_s": 300.0},
-        {"amplitude_rel": -0.01, "tau_s": 900.0},
-    )
+    trials = tuple({"amplitude_rel": a, "tau_s": tau} for a in (0.01, -0.01) for tau in (100.0, 300.0, 900.0))
     fitted = ("amplitude_rel", "tau_s")
     settles = "one setting repeated over an hour in between the others"
     amplitude_rel: float = parameter(0.0, "1", -0.9, 5.0, source=PRIOR)

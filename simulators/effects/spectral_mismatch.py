@@ -28,11 +28,9 @@ class SpectralMismatch(Scaling):
     unit_in = unit_out = RADIANCE
     where = "pattern"
     block = "mean"
-    trials = (
-        {"red_rel": 0.02, "green_rel": 0.0, "blue_rel": -0.02},
-        {"red_rel": 0.02, "green_rel": 0.0, "blue_rel": 0.02},
-        {"red_rel": -0.02, "green_rel": 0.0, "blue_rel": 0.02},
-        {"red_rel": -0.02, "green_rel": 0.0, "blue_rel": -0.02},
+    trials = tuple(
+        {"red_rel": red, "green_rel": 0.0, "blue_rel": blue}
+        for red, blue in ((0.02, -0.02), (0.02, 0.02), (-0.02, 0.02), (-0.02, -0.02))
     )
     fitted = ("red_rel", "green_rel", "blue_rel")
     settles = "each channel of the source alone"

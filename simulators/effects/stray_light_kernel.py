@@ -35,13 +35,7 @@ class StrayLightKernel(CatalogueEffect):
     unit_in = unit_out = IRRADIANCE
     where = "image_x"
     block = "mean"
-    trials = (
-        {"share": 0.01, "radius": 0.05},
-        {"share": 0.01, "radius": 0.08},
-        {"share": 0.01, "radius": 0.12},
-        {"share": 0.01, "radius": 0.2},
-        {"share": 0.01, "radius": 0.3},
-    )
+    trials = tuple({"share": 0.01, "radius": radius} for radius in (0.05, 0.08, 0.12, 0.2, 0.3))
     fitted = ("share", "radius", "edge_share")
     settles = "one bright patch with several sizes of surround"
     essential = ("radius",)  # a kernel of any width is any glare
