@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drivers.cameras.aravis_camera import AravisCamera
 from drivers.cameras.camera_opening import CameraSession
-from drivers.cameras.feature_hygiene import SPEED
+from drivers.cameras.feature_access import SPEED
 from drivers.cameras.host_checks import USB3_MBIT_S
 from radiometer.devices import Finding, Health
 

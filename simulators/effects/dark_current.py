@@ -27,11 +27,7 @@ class DarkCurrent(Offset):
     where = "exposure_s"
     law_along = ("temperature_C",)  # what does not grow in proportion to the exposure is no current
     block = "mean"
-    trials = (
-        {"rate_e_per_s": 1.0, "doubling_K": 7.0},
-        {"rate_e_per_s": 10.0, "doubling_K": 7.0},
-        {"rate_e_per_s": 100.0, "doubling_K": 7.0},
-    )
+    trials = tuple({"rate_e_per_s": rate, "doubling_K": 7.0} for rate in (1.0, 10.0, 100.0))
     fitted = ("rate_e_per_s", "doubling_K")
     heated = "rate_e_per_s"
     settles = "dark frames from the shortest to the longest exposure at three temperatures"

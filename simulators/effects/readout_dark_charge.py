@@ -28,12 +28,7 @@ class ReadoutDarkCharge(Offset):
     where = "image_y"
     block = "mean"
     also = ("slope",)
-    trials = (
-        {"charge_e": 3.0},
-        {"charge_e": 30.0},
-        {"charge_e": 3.0, "from_below": 1.0},
-        {"charge_e": 30.0, "from_below": 1.0},
-    )
+    trials = tuple({"charge_e": charge, "from_below": below} for below in (0.0, 1.0) for charge in (3.0, 30.0))
     fitted = ("charge_e", "doubling_K")
     further = ({"wait_share": 0.5},)
     heated = "charge_e"
