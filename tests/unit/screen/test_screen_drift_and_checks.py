@@ -8,7 +8,6 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from hypothesis import strategies as st
 import radiometer as rm
 from radiometer.bench.screen import SIMULATED_DISPLAYS, lights, open_screen_bench, primaries_of
 from radiometer.cli.main import run
-from radiometer.data import Quantity, RadianceMap
+from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.statements import StatementMap
 from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import (
@@ -38,7 +37,7 @@ from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait
 from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep, make_plan, parse_levels
-from radiometer.screen.report import mura_of, warm_up_section
+from radiometer.screen.report import Examined, mura_of, warm_up_section
 from radiometer.screen.run import Drift, Light, Measured, curves_of, measure_steps
 from radiometer.screen.transfer_models import MODELS, fit_transfer
 from radiometer.screen.verification import VerifiedLevel
@@ -94,7 +93,8 @@ def test_warm_up_waits_until_steady_and_gives_up_in_time() -> None:
     seen = wait_until_steady(lamp, lamp.sleep, limit_s=120)
     assert not seen.steady
     assert seen.waited_s == pytest.approx(120)
-    examined: Any = SimpleNamespace(luminance=lambda radiance: radiance)
+    bench: Any = None
+    examined = Examined(bench, Patch(0, 0, 8, 8), {"grey": Light(320, 700, "x")}, print, 9, (2, 2), (), ())
     few = dataclasses.replace(seen, readings=(_reading(1.0504, u=3e-3), _reading(1.0, u=4e-3)))
     excess = warm_up_section(few, examined).figure("excess_at_start").quantity
     assert (excess.value, excess.u) == pytest.approx((5.04, 100.0 * np.hypot(3e-3 / 1.0504, 4e-3)))
