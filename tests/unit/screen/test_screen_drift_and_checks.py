@@ -95,9 +95,9 @@ def test_warm_up_waits_until_steady_and_gives_up_in_time() -> None:
     assert seen.waited_s == pytest.approx(120)
     bench: Any = None
     examined = Examined(bench, Patch(0, 0, 8, 8), {"grey": Light(320, 700, "x")}, print, 9, (2, 2), (), ())
-    few = dataclasses.replace(seen, readings=(_reading(1.0504, u=3e-3), _reading(1.0, u=4e-3)))
+    few = dataclasses.replace(seen, readings=(_reading(2.1008, u=6e-3), _reading(2.0, u=8e-3)))
     excess = warm_up_section(few, examined).figure("excess_at_start").quantity
-    assert (excess.value, excess.u) == pytest.approx((5.04, 100.0 * np.hypot(3e-3 / 1.0504, 4e-3)))
+    assert (excess.value, excess.u) == pytest.approx((5.04, 100.0 * np.hypot(6e-3 / 2.1008, 4e-3)))
 
 
 def test_flicker_is_scatter_beyond_noise() -> None:
