@@ -513,8 +513,8 @@ def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, Foun
         max((entry for entry in shown if (entry[1] is None) is is_plain), key=lambda entry: entry[0], default=None)
         for is_plain in (False, True)
     )
-    if best is not None and best[1] is not None and (plain is None or best[0] >= SMOOTH_SHARE * plain[0]):
-        score, own, where, one = best
+    if best is not None and (own := best[1]) is not None and (plain is None or best[0] >= SMOOTH_SHARE * plain[0]):
+        score, _, where, one = best
         near = (term.name for s, term, _, _ in shown if term is not None and s > score - RIVAL_NATS)
         return one, _found(state, one, own.name, where, tuple(dict.fromkeys(n for n in near if n != own.name)))
     return None if plain is None else (plain[3], _found(state, plain[3], "unnamed", plain[2]))

@@ -50,7 +50,7 @@ def test_the_observers_are_the_published_tables(nm):
     wavelength, photopic = photometry.luminous_efficiency("photopic")
     _, scotopic = photometry.luminous_efficiency("scotopic")
     assert np.interp(nm, wavelength, photopic) == pytest.approx(v, rel=1e-6)
-    assert np.interp(nm, wavelength, scotopic) == pytest.approx(v_dark, rel=1e-6)
+    assert np.interp(nm, wavelength, scotopic) == pytest.approx(v_dark, rel=1e-6, abs=0.0)
     assert photometry.luminous_efficacy_lm_per_w(line) == pytest.approx(cie.KM_LM_PER_W * v, rel=1e-6)
     found = photometry.luminous_efficacy_lm_per_w(line, "scotopic")
     assert found == pytest.approx(cie.KM_SCOTOPIC_LM_PER_W * v_dark, rel=1e-6)
@@ -139,7 +139,7 @@ def test_a_scale_by_a_meter(meter_k, u_of_k, u_signal, signal):
     assert found.value == relatively(luminance / 683.0 * 0.02 / 60 / signal, rel=1e-6)
     parts = (math.log(2) / 6 / math.sqrt(3), u_of_k, u_signal)
     assert found.u_rel == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
-    assert sorted(found.budget.values()) == pytest.approx(sorted(parts))
+    assert sorted(found.budget.values()) == pytest.approx(sorted(parts), rel=1e-6, abs=0.0)
     assert (found.quantity, found.f_number, found.method) == ("luminance", 5.6, "light_meter_k")
     unknown = scale_from_meter(meter_k, setting, signal, green, 0.02)
     assert unknown.budget["constant K"] == pytest.approx(0.06736, rel=1e-3)
@@ -150,7 +150,7 @@ def test_a_scale_by_a_known_source(radiance, u_source, rate, u_rate):
     """Radiance over reading; u of both in squares, each named."""
     found = scale_from_radiance(radiance, u_source, rate, u_rate, 4.0)
     assert found.value == pytest.approx(radiance / rate)
-    assert found.u_rel == pytest.approx(math.hypot(u_source, u_rate))
+    assert found.u_rel == pytest.approx(math.hypot(u_source, u_rate), rel=1e-6, abs=0.0)
     assert found.budget == {"reference source": u_source, "reading": u_rate}
     lines = {"noise": 0.3, "dark": 0.4}
     assert scale_from_radiance(radiance, 0.1, rate, 0.5, None, reading_budget=lines).budget == {
@@ -647,16 +647,19 @@ def test_the_efficacies_of_common_lights_are_those_of_a_peer(name, efficacies):
 
 
 def test_a_line_excites_by_its_action_spectrum():
-    """A line excites by its action spectrum."""
+    """A line excites by its action spectrum; its u is the slope at the line by the wavelength's u."""
     wavelength, columns = table("alpha_opic.csv")
     at_490 = columns["melanopic"][wavelength == 490.0][0]
     found = rm.alpha_opic(3.0, "W/m2", spectrum="line:490")["melanopic"]
     assert found.quantity.value == pytest.approx(3.0 * at_490)
     assert at_490 == pytest.approx(1.0, abs=1e-3)  # its peak is at 490 nm
+    sloping = rm.alpha_opic(3.0, "W/m2", spectrum="line:520", wavelength_u_nm=2.0)["melanopic"].quantity
+    ends = np.interp([518.0, 522.0], wavelength, columns["melanopic"])
+    assert sloping.u == pytest.approx(3.0 * (ends[0] - ends[1]) / 2.0)
     for receptor, column in columns.items():
         last = np.flatnonzero(column)[-1]
         found = rm.alpha_opic(1.0, "W/m2", spectrum=f"line:{wavelength[last]:g}")[receptor]
-        assert found.quantity.value == pytest.approx(column[last]), receptor
+        assert found.quantity.value == pytest.approx(column[last], rel=1e-6, abs=0.0), receptor
 
 
 def test_radiance_and_luminance_of_one_light_give_the_same():
