@@ -27,7 +27,7 @@ _MOST_DARK_REFERENCE_C = 25.0
 _DARK_DOUBLING_K, _U_DOUBLING_K = 7.0, 1.0  # silicon: 6 to 8 K near room temperature
 _U_THERMOMETER_K = 0.5 / math.sqrt(6.0)  # of the difference of two readings in steps of 0.5 K
 # Up to 3 K within a session, at 6 K per doubling, where a temperature is not stated: a rectangle.
-U_UNKNOWN_WARMTH_REL: Final[float] = (2.0 ** (3.0 / 6.0) - 1.0) / math.sqrt(3.0)
+U_UNKNOWN_WARMTH_REL = (2.0 ** (3.0 / 6.0) - 1.0) / math.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True)
