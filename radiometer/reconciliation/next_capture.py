@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from radiometer.data import FrameEntry, FrameSettings
 from radiometer.data.storage import write_yaml_atomic
-from radiometer.reconciliation.fit.descent import refit, refit_with
-from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
-from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Design
-from radiometer.reconciliation.measure.reduce import PatternImages
+from radiometer.reconciliation.descent import refit, refit_with
+from radiometer.reconciliation.design import BRIGHT_SURROUND, DARK_SURROUND, Design
+from radiometer.reconciliation.reduce import PatternImages
 from radiometer.reconciliation.result import Limit, ReconcileResult
-from radiometer.reconciliation.search.screening import best_start
+from radiometer.reconciliation.screening import best_start
+from radiometer.reconciliation.state import FitState, with_effects, with_terms
 from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.tile_model import TileModel
 from radiometer.typing import Array

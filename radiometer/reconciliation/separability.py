@@ -23,13 +23,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
-from radiometer.reconciliation.fit.comparison import Comparison
-from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects
+from radiometer.reconciliation.comparison import Comparison
+from radiometer.reconciliation.descent import Candidate, fit_candidate, refit
 from radiometer.reconciliation.next_capture import propose
 from radiometer.reconciliation.result import Limit
-from radiometer.reconciliation.search.screening import AT_ONCE, changes_with, directions_of_each
+from radiometer.reconciliation.screening import AT_ONCE, changes_with, directions_of_each
+from radiometer.reconciliation.state import FitState, ModelFit, with_effects
 from radiometer.reconciliation.statistics import Prediction, partly_at_the_top
 from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
 from radiometer.typing import Array
@@ -76,7 +75,7 @@ def grown(state: FitState, effects: Sequence[CatalogueEffect], asked: Asked) -> 
     for first in range(0, len(effects), AT_ONCE):
         batch = effects[first : first + AT_ONCE]
         for effect, information in zip(batch, _information(state, batch), strict=True):
-            found.append(Grown(effect, *main_parameter(type(effect), effect), information, asked))
+            found.append(Grown(effect, *_main_parameter(type(effect), effect), information, asked))
     return found
 
 
@@ -170,12 +169,8 @@ def _information(state: FitState, effects: Sequence[CatalogueEffect]) -> list[fl
     return [float(value) for value in np.where(left > np.maximum(_BLIND * whole, 0.0), left, 0.0)]
 
 
-def main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -> tuple[str, str]:
-    """Return the parameter that is an entry's size, and its unit.
-
-    Args:
-        start: One form of it; None for the usual one.
-    """
+def _main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -> tuple[str, str]:
+    """Return the parameter that is an entry's size, and its unit."""
     names = start.free() if start is not None else kind.fitted
     known = {entry.name: entry.unit for entry in kind.parameters()}
     name = names[0].split("[")[0] if names else kind.profiled or next(iter(known), "share")
@@ -196,7 +191,7 @@ _ABSOLUTE_LIGHT: Final = "W m-2"  # has no scale where no radiance is known: the
 
 def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, Limit]:
     """Return the amplitude of every entry that these data would have shown at five sigma, by name."""
-    found = {name: Limit(None, *main_parameter(kind, None)) for name, kind in sorted(catalogue.items())}
+    found = {name: Limit(None, *_main_parameter(kind, None)) for name, kind in sorted(catalogue.items())}
     asked = {name: kind for name, kind in catalogue.items() if _can_show(state, kind, found[name].unit)}
     present = {effect.name for effect in state.effects if effect.name in asked}
     starts = [_spread(kind.starts(state.model.context)) for name, kind in asked.items() if name not in present]
@@ -216,12 +211,13 @@ def _can_show(state: FitState, kind: type[CatalogueEffect], unit: str) -> bool:
 
 
 def _mildest(state: FitState, starts: Sequence[CatalogueEffect]) -> dict[str, Limit]:
-    return {name: _limit(near) for name, near in mildest(state, starts, _ASKED_OF_LIMITS).items()}
-
-
-def _limit(near: Grown) -> Limit:
-    stated = near.effect.values()["reference_C"] if near.effect.heated else None
-    return Limit(abs(near.size) if near.grows else near.size, near.parameter, near.unit, stated)
+    return {
+        name: Limit(
+            abs(near.size) if near.grows else near.size, near.parameter, near.unit,
+            near.effect.values()["reference_C"] if near.effect.heated else None,
+        )
+        for name, near in mildest(state, starts, _ASKED_OF_LIMITS).items()
+    }  # fmt: skip
 
 
 _STARTS: Final = 6  # of an entry, spread over all that it has

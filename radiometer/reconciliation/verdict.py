@@ -20,13 +20,13 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.fit.comparison import FAMILY, Comparison
-from radiometer.reconciliation.fit.descent import fitted_parameters, is_misfit, refit
-from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects, with_terms
-from radiometer.reconciliation.measure.frame_order import Periodic
+from radiometer.reconciliation.comparison import FAMILY, Comparison
+from radiometer.reconciliation.descent import fitted_parameters, is_misfit, refit
+from radiometer.reconciliation.frame_order import Periodic
+from radiometer.reconciliation.localise import Disagreement, axis_of, departing, own_place
 from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
-from radiometer.reconciliation.search.localise import Disagreement, axis_of, departing, own_place
-from radiometer.reconciliation.search.search import Search, Step
+from radiometer.reconciliation.search import Search, Step
+from radiometer.reconciliation.state import FitState, ModelFit, with_effects, with_terms
 from radiometer.reconciliation.thresholds import ESSENTIAL_SIGMAS, NAMED_NATS, PARAMETER_NATS, SMOOTH_SHARE
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect

@@ -33,6 +33,7 @@ from radiometer.analysis.signal.model import (
     corrected_settings,
     darkest_signal,
     refuse_brighter_darks,
+    refuse_other_format,
     some_lit_pixels,
     temperature_factor,
     with_found_code_step,
@@ -549,16 +550,7 @@ class StreamingMerge:
         if self._shape is None:
             self._situation = situation_of(self._situation.setup, frame)
             self._shape, self._taps = frame.shape, ReadOut.of(self._situation.setup, frame.shape)
-        if frame.shape != self._shape:
-            raise MeasurementError(
-                f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and "
-                f"{self._shape[1]} × {self._shape[0]} pixels)"
-            )
-        if frame.full_scale_dn != self._situation.model.full_scale_dn:
-            raise MeasurementError(
-                f"a frame has {frame.bit_depth} bits per pixel, the camera's description says full scale "
-                f"{self._situation.model.full_scale_dn}; use the description of this pixel format"
-            )
+        refuse_other_format(frame, self._shape, self._situation.model)
 
     def _known_shape(self) -> tuple[int, int]:
         if self._shape is None or not self._terms:

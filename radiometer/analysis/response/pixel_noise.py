@@ -86,23 +86,6 @@ class TermsFit:
         return np.asarray(inverse @ (sums.T @ sums) @ inverse)
 
 
-def pixel_noise(bracket: Bracket, curve: ResponseCurve) -> LogNoise:
-    """Return the noise of one pixel: shot, read, and what arises behind the curve, as the frames themselves show it.
-
-    Some thousand pixels, evenly over the picture, represent all. The exposure of each is the mean over its frames,
-    weighted by the noise so far. The amplitudes follow from the residuals.
-
-    Args:
-        bracket: Frames of one unmoving scene.
-        curve: Their response.
-
-    Raises:
-        MeasurementError: If hardly a pixel is unclipped in two frames.
-    """
-    pixels = SinglePixels.of(bracket, curve)
-    return log_noise(fit_terms(pixels, pixels.noise_terms()).amplitudes)
-
-
 def log_noise(amplitudes: Array) -> LogNoise:
     """Return the noise of amplitudes in the order of `SinglePixels.noise_terms`; further ones are left out."""
     return LogNoise(float(amplitudes[0]), float(amplitudes[1]), float(amplitudes[2]), 0.0)

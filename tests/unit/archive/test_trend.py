@@ -74,6 +74,7 @@ def test_scatter_beyond_the_stated_uncertainty_is_stated():
         (lambda t, v, u: (t[:5], v[:5], u[:5]), "too few for a trend"),
         (lambda t, v, u: (t * 0, v, u), "all readings are of one time"),
         (lambda t, v, u: (t, v * 0, u), "must be above 0"),
+        (lambda t, v, u: (t, v, u * 0), "must be above 0"),
     ],
 )
 def test_what_has_no_trend_is_refused(change, message):

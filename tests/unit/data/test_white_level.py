@@ -6,11 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from radiometer.data import (
-    CameraDescription,
-    Frame,
-    FrameSettings,
-)
+from radiometer.data import CameraDescription, Frame, FrameSettings
 from radiometer.data.pile_up import with_white_levels
 from radiometer.data.white_level import WhiteLevel, white_level_notes
 

@@ -377,9 +377,12 @@ def test_negative_numbers_need_a_pedestal(write_fits):
 
 
 def test_fewer_bits_are_told_by_where_pixels_pile_up(write_fits):
-    """Pixels that pile up at 4095 tell a 12-bit converter in a 16-bit file."""
+    """Pixels that pile up at 4095 tell a 12-bit converter in a 16-bit file; else the highest stated top does."""
     capture = open_capture(write_fits("t.fits", np.minimum(FITS_PICTURE + 2000, 4095).astype(np.uint16), EXPTIME=1.0))
     assert capture.header.camera.bit_depth == 12
+    write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, DATAMAX=4095)
+    stated = open_capture(write_fits("s/b.fits", FITS_PICTURE, EXPTIME=2.0, DATAMAX=16383).parent)
+    assert stated.header.camera.bit_depth == 14
 
 
 @pytest.mark.parametrize(

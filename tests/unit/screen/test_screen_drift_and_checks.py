@@ -8,6 +8,8 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +35,7 @@ from radiometer.screen import ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration import LUMINANCE, MODELS, RADIANCE, SCOTOPIC, LevelTable, fit_transfer, rising
 from radiometer.screen.calibration_run import Options, VerifiedLevel, calibrate_screen
 from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
-from radiometer.screen.report import mura_of
+from radiometer.screen.report import mura_of, warm_up_section
 from radiometer.screen.run import (
     Drift,
     Light,
@@ -101,6 +103,10 @@ def test_warm_up_waits_until_steady_and_gives_up_in_time() -> None:
     seen = wait_until_steady(lamp, lamp.sleep, limit_s=120)
     assert not seen.steady
     assert seen.waited_s == pytest.approx(120)
+    examined: Any = SimpleNamespace(luminance=lambda radiance: radiance)
+    few = dataclasses.replace(seen, readings=(_reading(1.0504, u=3e-3), _reading(1.0, u=4e-3)))
+    excess = warm_up_section(few, examined).figure("excess_at_start").quantity
+    assert (excess.value, excess.u) == pytest.approx((5.04, 100.0 * np.hypot(3e-3 / 1.0504, 4e-3)))
 
 
 def test_flicker_is_scatter_beyond_noise() -> None:

@@ -17,6 +17,7 @@ from radiometer.statistics.scale import (
     jackknife_u,
     neighbour_sigma,
     robust_sigma,
+    spread_beyond_noise,
 )
 
 
@@ -34,6 +35,13 @@ def test_outliers_do_not_move_the_robust_scale():
     assert neighbour_sigma(np.diff(values + np.linspace(0.0, 500.0, values.size))) == pytest.approx(2.0, rel=0.05)
     values[:1000] = 1e6
     assert robust_sigma(values) == pytest.approx(2.0, rel=0.2)
+
+
+def test_the_spread_beyond_noise_reaches_its_least_variance_at_two_u():
+    """Of s² = 5, σ² = 1, n = 10: S = 2 with u(S²) = √(4·4/10 + 2/10); 2 u reach down to √(S² − 2 u(S²))."""
+    value, u = spread_beyond_noise(5.0, 1.0, 10)
+    assert value == 2.0
+    assert value - 2.0 * u == pytest.approx(math.sqrt(4.0 - 2.0 * math.sqrt(1.8)))
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():

@@ -14,11 +14,7 @@ from radiometer.analysis.merge import bracket
 from radiometer.analysis.merge.alignment import Alignment, Climb, Movement, aligned, find_alignment
 from radiometer.analysis.merge.bracket import repair_defects
 from radiometer.analysis.merge.displaced import relative_shift
-from radiometer.analysis.merge.finish import (
-    MergeTables,
-    merge_tables,
-    with_censored,
-)
+from radiometer.analysis.merge.finish import MergeTables, merge_tables, with_censored
 from radiometer.analysis.merge.frames import frame_terms
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (

@@ -359,12 +359,6 @@ def test_what_acts_by_its_square_scatters_by_the_root():
     assert np.max(free.moments(Moments.exactly(signal), _context()).variance) == pytest.approx(36.0)
 
 
-def test_a_signal_counts_from_black():
-    """Digital numbers along which a law is free begin at the black level, a thousandth of the range added."""
-    values = axis_values(GammaEnabled(1.2), "signal", np.array([100.0, 1100.0]), _context())
-    assert values == pytest.approx([4.095, 1004.095])
-
-
 def test_model_files_hold_the_law():
     """What is written is read again: the same kind, law and knots."""
     free = _free(ExposureTimeOffset(1e-4), (0.5, 2.0), exposure_s=(1e-3, 1e-2))

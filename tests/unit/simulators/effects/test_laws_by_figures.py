@@ -80,11 +80,11 @@ SIX_DB = 20.0 * math.log10(2.0)
 
 
 def at(
-    exposure_s: float = 1e-3, *, code: float | None = None, frame_index: int = 0, **settings: Any
+    exposure_s: float = 1e-3, *, code: float | None = None, frame_index: int = 0, binning: int = 1, **settings: Any
 ) -> ExposureContext:
     return ExposureContext(
         FrameSettings(exposure_s, **settings),
-        FrameGeometry.of_image(4, 3),
+        FrameGeometry.of_image(4, 3, binning=binning),
         CAMERA,
         LensDescription(),
         code=None if code is None else np.full((3, 4), code),
@@ -162,6 +162,7 @@ def test_an_offset_at_one_setting(effect: Any, context: ExposureContext, expecte
         (ConversionGain(2.0), 100.0, at(gain_db=SIX_DB), 100.0),
         (FullWellSaturation(8000.0), 9000.0, at(), 8000.0),
         (FullWellSaturation(8000.0), 7000.0, at(), 7000.0),
+        (FullWellSaturation(8000.0), 99_000.0, at(binning=3), 72_000.0),
         (FirstFrameOffset(0.5), 100.0, at(frame_index=0), 100.5),
         (FirstFrameOffset(0.5), 100.0, at(frame_index=3), 100.0),
         (Lens(transmittance=0.9), 1.0, at(f_number=4.0), math.pi * 0.9 / 64.0),
@@ -172,6 +173,19 @@ def test_a_signal_behind_an_effect(effect: Any, signal: float, context: Exposure
     """An even signal comes out even."""
     found = np.asarray(effect.mean(np.full((3, 4), signal), context))
     assert np.mean(found) == pytest.approx(expected, rel=1e-6)
+
+
+def test_wells_of_binned_pixels_differ_by_the_root_of_their_number() -> None:
+    """Four wells of 8000 ± 80 hold 32000 ± 160, drawn and predicted."""
+    effect, context = (
+        FullWellSaturation(8000.0, 0.01),
+        replace(at(), geometry=FrameGeometry.of_image(300, 200, binning=2)),
+    )
+    drawn = effect.sample(np.full((200, 300), 5e4), context, np.random.default_rng(1))
+    assert (drawn.mean(), drawn.std()) == pytest.approx((32_000.0, 160.0), rel=0.02)
+    nothing = np.zeros(1)
+    spread = np.sqrt(effect.moments(Moments(np.array([5e4]), nothing, nothing, nothing), context).spatial_variance)
+    assert spread[0] == pytest.approx(160.0, rel=0.02)
 
 
 def test_a_field_falls_off_by_the_fourth_power_of_the_cosine() -> None:

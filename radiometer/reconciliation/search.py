@@ -19,27 +19,24 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.fit.candidate_fit import (
+from radiometer.reconciliation.descent import (
     Candidate,
     FittedCandidate,
-    curve_gain,
-    fit_candidate,
-    judged_gain,
-)
-from radiometer.reconciliation.fit.descent import (
     UnfitError,
     coarse_fit,
     converged_fit,
+    curve_gain,
+    fit_candidate,
     included,
     is_misfit,
+    judged_gain,
     refit,
     scatter_of,
 )
-from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
+from radiometer.reconciliation.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconciliation.result import ReconcileResult
-from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
-from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
-from radiometer.reconciliation.statistics import STATISTICS, Scale
+from radiometer.reconciliation.screening import StartPool, directions_of, screen
+from radiometer.reconciliation.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
     NAMED_NATS,
@@ -141,10 +138,7 @@ def contenders_of(state: FitState, candidates: Sequence[FittedCandidate]) -> lis
     for fitted in candidates:
         with contextlib.suppress(UnfitError):
             with_it = included(state, fitted.effect)
-            fairly = with_it.models[-1].log_density.copy()
-            fairly[: state.settings] -= fitted.overrated / state.settings
-            with_it.models[-1] = replace(with_it.models[-1], log_density=fairly)
-            found.append(Contender(fitted, with_it, with_it.evidence - state.evidence - fitted.overrated))
+            found.append(Contender(fitted, with_it, with_it.evidence - state.evidence))
     return found
 
 
@@ -153,12 +147,11 @@ def worth(state: FitState) -> float:
     return state.evidence - PARAMETER_NATS * (state.parameters.size + state.curves)
 
 
-def rated(state: FitState) -> float:
-    """Return the score of a model with the prior odds of its names."""
+def _rated(state: FitState) -> float:
     return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
 
 
-def penalised_chi2(fitted: FittedCandidate) -> float:
+def _penalised_chi2(fitted: FittedCandidate) -> float:
     """Return the χ² that a candidate explains, less what it pays for its parameters and for being unlikely."""
     return fitted.gain - 2.0 * _penalty(fitted)
 
@@ -167,13 +160,8 @@ def _penalty(fitted: FittedCandidate) -> float:
     return PARAMETER_NATS * fitted.start.parameters - fitted.effect.log_prior_odds
 
 
-def rivals_of(chosen: Contender, contenders: Sequence[Contender]) -> tuple[CatalogueEffect, ...]:
-    """Return the effects, at their best parameters, that the data cannot separate from the chosen one.
-
-    Each further parameter must be paid for. One with more parameters, one of them on its bound, imitates the chosen one
-    in a limit: a kernel as wide as the picture is a veil. What the plan cannot separate, because a setting does not
-    vary, is asked of the reported model (`inseparable`).
-    """
+def _rivals_of(chosen: Contender, contenders: Sequence[Contender]) -> tuple[CatalogueEffect, ...]:
+    """Return the effects, at their best parameters, that the data cannot separate from the chosen one."""
     found = {}
     for other in contenders:
         fitted, further = other.fitted, max(other.fitted.start.parameters - chosen.fitted.start.parameters, 0)
@@ -210,7 +198,7 @@ def search(
             at = next(i for i, step in enumerate(run.steps) if step.name == old)
             step = replace(run.steps[at], name=effect.name, where=effect.where)
             run.steps[at] = replace(step, gap_after=likeliest.gap, rivals=())
-        state, dropped = pruned(likeliest, say)  # what stood next to another name may be superfluous next to this one
+        state, dropped = _pruned(likeliest, say)  # what stood next to another name may be superfluous next to this one
         for name in dropped:
             _forget(run, name)
         tests = localise(state)
@@ -222,7 +210,7 @@ def _stepped(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> tup
         following = _one_step(state, tests, run)
         if following is None:
             break
-        state, dropped = pruned(following, run.say)
+        state, dropped = _pruned(following, run.say)
         for name in dropped:
             _forget(run, name)
         if dropped:  # rivals were judged next to what is gone; what the plan cannot separate is determined again
@@ -242,7 +230,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     if not standing and not promising and not departed:
         return None
     all_fitted = (_fitted(state, candidate, run) for candidate in promising[:_FITTED])
-    fitted = sorted((f for f in all_fitted if not f.effect.is_nothing()), key=lambda f: -penalised_chi2(f))
+    fitted = sorted((f for f in all_fitted if not f.effect.is_nothing()), key=lambda f: -_penalised_chi2(f))
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     contenders = contenders_of(state, [f for f, nats in judged if nats >= NAMED_NATS - RIVAL_NATS])
     shown = sorted((entry for entry in contenders if entry.is_shown), key=lambda entry: -entry.score)
@@ -268,8 +256,7 @@ def _taken(state: FitState, looser: FitState, run: _Run) -> FitState:
     newest, nats, gap = looser.effects[-1], looser.evidence - state.evidence, looser.gap
     at = next(i for i, step in enumerate(run.steps) if step.name == newest.name)
     old = run.steps[at]
-    rivals = _by_laws_of_theirs(looser, run.fitted_with.get(newest.name, ())) if isinstance(newest, FreeLaw) else ()
-    run.steps[at] = replace(old, gain_nats=old.gain_nats + nats, gap_after=gap, rivals=(*old.rivals, *rivals))
+    run.steps[at] = replace(old, gain_nats=old.gain_nats + nats, gap_after=gap)
     run.say(f"{newest.name} in a more flexible form: {nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
     return looser
 
@@ -292,7 +279,7 @@ def _named(state: FitState, chosen: Contender, contenders: Sequence[Contender], 
     effect, gap = chosen.fitted.effect, chosen.state.gap
     again = next((i for i, step in enumerate(run.steps) if step.name == effect.name), None)
     if again is None:
-        rivals = rivals_of(chosen, contenders)
+        rivals = _rivals_of(chosen, contenders)
         run.steps.append(Step(effect.name, effect.where, chosen.nats, state.gap, gap, rivals))
     else:
         old = run.steps[again]
@@ -305,7 +292,7 @@ def _unnamed(
     state: FitState, standing: tuple[Disagreement, ...], judged: list[tuple[FittedCandidate, float]], run: _Run
 ) -> FitState | None:
     tried = {old.name for old in state.terms} | run.refused
-    fresh = [t for t in standing if smooth_term(state, t).name not in tried and not _too_few(state, t.block)]
+    fresh = [t for t in standing if smooth_term(state, t).name not in tried]
     rated = ((test, _smooth_gain(state, test)) for test in fresh[:_SMOOTHS_TRIED])
     worthy = ((test, nats) for test, nats in rated if nats > PARAMETER_NATS * scatter_of(state))
     old = tuple(term for term in state.terms if term.is_smooth)
@@ -323,12 +310,6 @@ def _unnamed(
     return following
 
 
-def _too_few(state: FitState, block: str) -> bool:
-    """Return whether fewer pixels count than names predict: that refutes a name, for what stays unnamed only adds."""
-    left = state.residual[state.comparison.cuts[block]]
-    return STATISTICS[block].scale is Scale.ROOT and float(left.sum()) < 0
-
-
 def _forget(run: _Run, name: str) -> None:
     where = name.split(" | ")
     run.refused.add(name)
@@ -344,12 +325,8 @@ _FAR_OFF: Final = 400.0  # χ² that a smaller model leaves by its own derivativ
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 
 
-def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
-    """Drop earlier effects and unnamed terms that the newest made superfluous.
-
-    Returns:
-        The model that is left, and the names of what was dropped.
-    """
+def _pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
+    """Drop earlier effects and unnamed terms that the newest made superfluous."""
     changed, dropped = True, list[str]()
     while changed:
         changed = False
@@ -399,8 +376,8 @@ def swapped(
         starts = [other for other in others.get(effect.name, ()) if other.name not in present][:_SWAPPED]
         rest = with_effects(state, [other for other in state.effects if other.name != effect.name])
         fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts]
-        for entry in contenders_of(rest, sorted(fitted, key=penalised_chi2)[-1:]):
-            if rated(entry.state) > rated(state) and not is_misfit(entry.state):  # else it takes up others' residual
+        for entry in contenders_of(rest, sorted(fitted, key=_penalised_chi2)[-1:]):
+            if _rated(entry.state) > _rated(state) and not is_misfit(entry.state):  # else it takes up others' residual
                 state, taken[effect.name] = entry.state, entry.fitted.effect
     return state, taken
 
@@ -419,19 +396,6 @@ def loosened(state: FitState, only: Sequence[str] | None = None) -> FitState | N
     fitted = (_with_form(state, index, form) for nats, index, form in forms if nats >= needed)
     best = max((one for one in fitted if one is not None), key=worth, default=state)
     return best if best is not state and worth(best) - worth(state) >= needed else None
-
-
-def _by_laws_of_theirs(looser: FitState, others: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
-    """Return other entries, each by a free law, that leave nothing in the place of the newest effect either."""
-    rest, found = with_effects(looser, looser.effects[:-1]), list[CatalogueEffect]()
-    present, place = {effect.name for effect in looser.effects}, len(rest.effects)
-    for other in [other for other in others if other.name not in present][:_SWAPPED]:
-        forms = free_forms(rest, other)
-        best = max(forms, key=lambda form: _promise(rest, (*rest.effects, form), place) - _cost(form), default=None)
-        fitted = None if best is None else _with_form(rest, place, best)
-        if fitted is not None and not is_misfit(fitted):
-            found.append(fitted.effects[-1])
-    return tuple(found)
 
 
 def _cost(effect: CatalogueEffect) -> float:

@@ -17,10 +17,10 @@ from radiometer.data import Frame, FrameSettings
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing import open_capture
 from radiometer.importing.light_tables import read_meter_table
-from radiometer.reconciliation.inputs import photographs
-from radiometer.reconciliation.inputs.photographs import outcome, reconcile_photographs
-from radiometer.reconciliation.inputs.tables import reconcile_meter_table
+from radiometer.reconciliation import photographs
+from radiometer.reconciliation.photographs import outcome, reconcile_photographs
 from radiometer.reconciliation.result import Verdict
+from radiometer.reconciliation.tables import reconcile_meter_table
 from testing.brackets_of_a_shutter import LABELS_S, photographed
 
 THESIS = """\

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Design, PatchSides, TileGroup
+from radiometer.reconciliation.design import Design, PatchSides, TileGroup
 from radiometer.typing import Array, Mask
 
 _MOST_BINS: Final = 240  # rows of a large frame are gathered to so many

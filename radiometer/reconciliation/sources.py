@@ -11,28 +11,27 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.data import CameraDescription, CaptureSet, Frame
+from radiometer.data import CaptureSet, Frame
 from radiometer.data.capture_set import CaptureHeader
 from radiometer.data.provenance import utc_now
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.importing.light_tables import is_drive_table
-from radiometer.reconciliation.engine import Say, examine, whole_catalogue
-from radiometer.reconciliation.fit.descent import effect_covariance, fitted_parameters
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.full_well import limit_at
-from radiometer.reconciliation.inputs.photographs import PhotographsReconciled, reconcile_photographs
-from radiometer.reconciliation.inputs.tables import (
+from radiometer.reconciliation.descent import effect_covariance, fitted_parameters
+from radiometer.reconciliation.engine import Say, examine, limit_at, whole_catalogue
+from radiometer.reconciliation.photographs import PhotographsReconciled, reconcile_photographs
+from radiometer.reconciliation.propose import Proposal
+from radiometer.reconciliation.reduce import Progress
+from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
+from radiometer.reconciliation.search import Reconciled
+from radiometer.reconciliation.state import FitState
+from radiometer.reconciliation.tables import (
     DriveFit,
     MeterReconciled,
     reconcile_drive_table,
     reconcile_meter_table,
 )
-from radiometer.reconciliation.measure.reduce import Progress
-from radiometer.reconciliation.propose import Proposal
-from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
-from radiometer.reconciliation.search.search import Reconciled
 from radiometer.reporting.origin import Origin
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.undeclared import completed
@@ -160,50 +159,42 @@ def reconciled_model(
 
     Effects of an incomplete result are written switched off, for their names may still change.
     """
-    state = reconciled.outcome.state
+    state, well = reconciled.outcome.state, limit_at(Stage.WELL)
     found = {effect.name: effect for effect in reconciled.result.effects}
-    model = _base(state, _other_well_e(state, found.get(limit_at(Stage.WELL).name)))
-    enabled = provisional or reconciled.result.verdict is not Verdict.INCOMPLETE
+    model = _base(state)
+    # Where no fit holds it, the full well is the one that the brightest pixels show.
+    if well.name in found and all(effect.name != well.name for effect in state.effects):
+        shown_e = found[well.name].parameters[well.fitted[0]].value
+        camera = model.camera.model_copy(update={"full_well_e": shown_e})
+        model = CameraModel.ideal(camera, model.lens, model.wavelength_nm)
     for effect in state.model.given:
         model = model.with_effect(effect)
+    enabled = provisional or reconciled.result.verdict is not Verdict.INCOMPLETE
     for effect in state.effects:
-        notes = _notes(state, effect, found.get(effect.name), capture_hash)
-        model = model.with_effect(effect, notes)
+        model = model.with_effect(effect, _notes(state, effect, found.get(effect.name), capture_hash))
         if not enabled:
             entries = [EffectEntry(e.effect, False, e.notes) if e.effect is effect else e for e in model.entries]
             model = CameraModel(model.camera, tuple(entries), model.lens, model.wavelength_nm)
     return model
 
 
-def _other_well_e(state: FitState, found: FoundEffect | None) -> float | None:
-    well = limit_at(Stage.WELL)
-    fitted = any(effect.name == well.name for effect in state.effects)
-    return None if found is None or fitted else found.parameters[well.fitted[0]].value
-
-
-def _base(state: FitState, other_well_e: float | None = None) -> CameraModel:
-    header = state.design.header
-    camera = _completed(state)
-    if other_well_e is not None:
-        camera = camera.model_copy(update={"full_well_e": other_well_e})
-    responsivity = float(np.exp(state.nuisance.off.log_responsivity))
-    for effect in state.effects:
-        responsivity /= effect.responsivity_taken()
-    efficiency = camera.quantum_efficiency or _LARGEST
+def _base(state: FitState) -> CameraModel:
+    header, off = state.design.header, state.nuisance.off
+    declared = header.camera
+    known: dict[str, Any] = {
+        "dark_current_e_per_s": max((declared.dark_current_e_per_s or 0.0) + off.dark_e_per_s, 0.0)
+    }
+    if declared.black_level_dn is None:
+        known["black_level_dn"] = max(off.black_dn, 0.0)
+    camera = completed(declared, off)
+    known["quantum_efficiency"] = efficiency = camera.quantum_efficiency or _LARGEST
     if any(value is not None for tile in state.design.tiles for value in tile.radiance):
+        taken = np.prod([effect.responsivity_taken() for effect in state.effects])
+        fitted = efficiency * float(np.exp(off.log_responsivity) / taken)
         # Beyond the bounds the pixels must be larger or smaller, or the light other, than declared.
-        fitted, efficiency = efficiency * responsivity, min(max(efficiency * responsivity, _SMALLEST), _LARGEST)
-        pitch = (camera.pixel_pitch_um or 1.0) * float(np.sqrt(fitted / efficiency))
-        camera = camera.model_copy(update={"pixel_pitch_um": pitch})
-    camera = camera.model_copy(update={"quantum_efficiency": efficiency})
-    return CameraModel.ideal(camera, header.lens, header.source.wavelength_nm or 550.0)
-
-
-def _completed(state: FitState) -> CameraDescription:
-    camera, off = state.design.header.camera, state.nuisance.off
-    dark = {"dark_current_e_per_s": max((camera.dark_current_e_per_s or 0.0) + off.dark_e_per_s, 0.0)}
-    black = {"black_level_dn": max(off.black_dn, 0.0)} if camera.black_level_dn is None else {}
-    return completed(camera, off).model_copy(update=dark | black)
+        known["quantum_efficiency"] = min(max(fitted, _SMALLEST), _LARGEST)
+        known["pixel_pitch_um"] = (camera.pixel_pitch_um or 1.0) * float(np.sqrt(fitted / known["quantum_efficiency"]))
+    return CameraModel.ideal(camera.model_copy(update=known), header.lens, header.source.wavelength_nm or 550.0)
 
 
 def _notes(

@@ -100,7 +100,9 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
         before, after = rounded
         nats = 10.0 * math.log(max(before, 1e-12) / max(after, 1e-6))
         share = {"share": FittedParameter(1.0, None, "1")}
-        effects.append(FoundEffect("nominal_settings", share, "exposure_s", *rounded, gain_nats=nats, block=_BLOCK))
+        effects.append(
+            FoundEffect("nominal_settings", share, "exposure_s", before, after, gain_nats=nats, block=_BLOCK)
+        )
         verdict = Verdict.EFFECTS_FOUND if abs(rest) <= _STEP_OF_A_METER / 2 * 1.01 else Verdict.INCOMPLETE
         where = f" (f/{widest:.2g} left out)" if inner[1] < _COINCIDENCE <= exact else ""
         remarks.append(

@@ -345,14 +345,22 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
     for one in judged.exposures.wrong:
         ratios[one.frame], u_ratios[one.frame] = _of_printed(one, judged, bracket)
     taken = stated * np.exp(judged.log_time - times)
-    own = zip(names, stated, taken, ratios, u_ratios, np.exp(_limits(judged)), judged.expected, strict=True)
+    named_from = np.exp(_limits(judged))
     return tuple(
         FrameFinding(
-            name, *map(float, found), k in wrong, _mean_size(final[rows.frame == k]),
-            _mean_size(before[rows.frame == k]), float(expected),
+            name=name,
+            stated_s=float(stated[k]),
+            taken_s=float(taken[k]),
+            ratio=float(ratios[k]),
+            u_ratio=float(u_ratios[k]),
+            named_from=float(named_from[k]),
+            wrong=k in wrong,
+            error_dn=_mean_size(final[rows.frame == k]),
+            error_as_printed_dn=_mean_size(before[rows.frame == k]),
+            expected=float(judged.expected[k]),
         )
-        for k, (name, *found, expected) in enumerate(own)
-    )  # fmt: skip
+        for k, name in enumerate(names)
+    )
 
 
 def _mean_size(errors: Array) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from radiometer.compiled import compiled
 from radiometer.data import Frame
 from radiometer.errors import CaptureError
-from radiometer.reconciliation.measure.design import (
+from radiometer.reconciliation.design import (
     COMB_PERIODS,
     SMALLEST_TILE_PX,
     SURFACE_LINES,
@@ -31,7 +31,7 @@ from radiometer.reconciliation.measure.design import (
     surface,
     tile_groups,
 )
-from radiometer.reconciliation.measure.lines import RowBins, edge_shares, row_light
+from radiometer.reconciliation.lines import RowBins, edge_shares, row_light
 from radiometer.statistics.scale import MAD_TO_SIGMA, TWENTIETH_TO_SIGMA
 from radiometer.typing import Array, Mask
 from radiometer.units import gain_factor
@@ -147,18 +147,10 @@ def coarse_cells(dn: NDArray[Any], cell: int, rows: int, columns: int) -> tuple[
     return mean / (cell * cell), largest
 
 
-def row_temporal_profile(
+def _row_temporal_profile(
     groups: Sequence[TileGroup], row_sums: Sequence[Sequence[Array]], variance: Array, counting: Sequence[Mask]
 ) -> dict[str, float]:
-    """Return how much row means scatter from frame to frame, over what the pixels' own noise gives.
-
-    Each tile's frame mean is taken out beforehand, so that flicker does not enter; that takes one degree of freedom
-    per tile and frame.
-
-    Args:
-        row_sums: Per group and frame, the sums of deviations along each tile row, shape (tiles, height).
-        counting: Per group, the pixels that the sums hold, shape (tiles, height, width).
-    """
+    """Return how much row means scatter from frame to frame, over what the pixels' own noise gives."""
     frames = len(row_sums[0])
     if frames < 2:
         return {"row_temporal": np.nan, "row_temporal_weight": 0.0, "row_temporal_dof": 0.0}
@@ -171,16 +163,10 @@ def row_temporal_profile(
     return _named("row_temporal", (ratio * frames / (frames - 1), weight, dof), frames - 1)
 
 
-def fixed_profile(
+def _fixed_profile(
     groups: Sequence[TileGroup], residuals: Sequence[Array], spatial: Array, counting: Sequence[Mask]
 ) -> dict[str, float]:
-    """Return how much the time mean's columns and rows scatter, over what a white pixel pattern gives.
-
-    Args:
-        residuals: Per group, the time mean minus its quadratic surface, shape (tiles, height, width).
-        spatial: (tiles,) variance of the time mean from pixel to pixel in DN².
-        counting: Per group, the pixels that count, same shape; residuals are 0 elsewhere.
-    """
+    """Return how much the time mean's columns and rows scatter, over what a white pixel pattern gives."""
     columns: list[_Piece] = []
     rows: list[_Piece] = []
     for group, residual, good in zip(groups, residuals, counting, strict=True):
@@ -343,8 +329,8 @@ class CaptureSums:
         free = _free(out)  # a clipped tile has hardly any noise and would outweigh all
         variance, spatial = (np.where(free, out[name], np.nan) for name in ("variance", "spatial"))
         known = [group.cut(~self.defects).astype(np.bool_) for group in self.groups]
-        result |= row_temporal_profile(self.groups, row_sums, variance, known)
-        result |= fixed_profile(self.groups, residuals, spatial, counting)
+        result |= _row_temporal_profile(self.groups, row_sums, variance, known)
+        result |= _fixed_profile(self.groups, residuals, spatial, counting)
         result |= row_light(bins, self.groups, self.row_sums, known, means, variance, black_dn, structured=structured)
         result |= light_of_frames(means, out, black_dn)
         result |= _additive_fluctuation(means, out, self._half_waves())

@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.fit.comparison import Comparison, compare
-from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
-from radiometer.reconciliation.fit.nuisances import Change, NuisanceLayout
-from radiometer.reconciliation.measure.design import CaptureStatistics, Design
+from radiometer.reconciliation.comparison import Comparison, compare
+from radiometer.reconciliation.design import CaptureStatistics, Design
+from radiometer.reconciliation.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
+from radiometer.reconciliation.nuisances import Change, NuisanceLayout
 from radiometer.reconciliation.repeatability import capture_scale, estimate_tau
 from radiometer.reconciliation.shared_errors import (
     FixedError,
@@ -467,7 +467,9 @@ def reweighted(state: FitState) -> FitState:
     """Return the state with repeatability, weights and realisations brought up to date; parameters as they are."""
     tau = _estimate_tau(state)
     smooth = tuple(term for term in state.terms if term.is_smooth)
-    kept = _kept_weights(state, smooth)
+    starts = np.cumsum([0, *(term.size for term in state.terms)])
+    own = (state.weights[at : at + term.size] for at, term in zip(starts, state.terms, strict=False) if term.is_smooth)
+    kept = np.concatenate([np.zeros(0), *own])
     model, known = state.model, (state.design, state.seen, state.prediction)
     errors = (
         *fixed_errors((*model.given, *model.effects), state.prediction, state.seen, state.design, model.context),
@@ -549,12 +551,3 @@ def _estimate_tau(state: FitState) -> float:
         comparison.usable["mean"],
     )
     return estimate_tau(state.design, scale, variance)
-
-
-def _kept_weights(state: FitState, smooth: tuple[LinearTerm, ...]) -> Array:
-    kept, at = [], 0
-    for term in state.terms:
-        if term in smooth:
-            kept.append(state.weights[at : at + term.size])
-        at += term.size
-    return np.concatenate(kept) if kept else np.zeros(0)

@@ -129,7 +129,7 @@ class LinearFit:
     @cached_property
     def factor(self) -> Array:
         """Return the lower Cholesky factor of JᵀJ, a little ridge keeping it regular: that of NᵀN, and a border."""
-        known, border = self.nuisances.columns, triangular(self.nuisances.factor, self._pulled[:, 1:])
+        known, border = self.nuisances.columns, _triangular(self.nuisances.factor, self._pulled[:, 1:])
         found = np.zeros((known + border.shape[1],) * 2)
         found[:known, :known], found[known:, :known] = self.nuisances.factor, border.T
         found[known:, known:] = cholesky(self.effects.T @ self.effects, border.T @ border)
@@ -182,8 +182,8 @@ class LinearFit:
         pulled = self.nuisances.pull(vectors)
         if not self.followers.rows.size:
             return vectors.copy(), pulled
-        half = triangular(self.nuisances.factor, pulled)
-        led = triangular(self.nuisances.factor, half, transposed=True)[: self.followers.columns]
+        half = _triangular(self.nuisances.factor, pulled)
+        led = _triangular(self.nuisances.factor, half, transposed=True)[: self.followers.columns]
         moved = vectors.copy()
         moved[self.followers.rows] -= self.followers.values @ led
         return moved, pulled - self._crossed @ led
@@ -197,11 +197,11 @@ class LinearFit:
 
     def solve(self, right: Array) -> Array:
         """Return (JᵀJ)⁻¹ · right."""
-        return triangular(self.factor, self.half(right), transposed=True)
+        return _triangular(self.factor, self.half(right), transposed=True)
 
     def half(self, right: Array) -> Array:
         """Return L⁻¹ · right for JᵀJ = L·Lᵀ."""
-        return triangular(self.factor, right)
+        return _triangular(self.factor, right)
 
     @property
     def covariance(self) -> Array:
@@ -274,12 +274,8 @@ def cholesky(normal: Array, less: Array | float = 0.0) -> Array:
     return np.asarray(np.linalg.cholesky(normal + np.diag(ridge) - less))
 
 
-def triangular(factor: Array, right: Array, *, transposed: bool = False) -> Array:
-    """Return L⁻¹·right or L⁻ᵀ·right for a lower Cholesky factor; LAPACK's own, for most systems are small.
-
-    Raises:
-        numpy.linalg.LinAlgError: If the factor is singular.
-    """
+def _triangular(factor: Array, right: Array, *, transposed: bool = False) -> Array:
+    """Return L⁻¹·right or L⁻ᵀ·right for a lower Cholesky factor; LAPACK's own, for most systems are small."""
     if not right.size:
         return np.zeros(right.shape)
     # LAPACK reads columns first: our rows are the transpose to it, the upper factor Lᵀ.
@@ -340,7 +336,7 @@ class Groups:
 
     @cached_property
     def _whitened(self) -> Array:
-        return triangular(self.nuisances.factor, self.nuisances.values.T)
+        return _triangular(self.nuisances.factor, self.nuisances.values.T)
 
     @cached_property
     def number(self) -> Array:
@@ -410,8 +406,8 @@ def _freed(fit: LinearFit) -> Array:
     if not freed.shape[1]:
         return np.asarray(freed)
     known = fit.nuisances
-    half = triangular(known.factor, known.pull(freed))
-    pulled = triangular(known.factor, half, transposed=True)
+    half = _triangular(known.factor, known.pull(freed))
+    pulled = _triangular(known.factor, half, transposed=True)
     freed[known.rows] -= known.values @ pulled
     values, vectors = np.linalg.eigh(freed.T @ freed)
     kept = values > _LEAST_OWN

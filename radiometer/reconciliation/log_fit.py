@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from radiometer.errors import MeasurementError
 from radiometer.importing.log_table import LogTable
-from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
+from radiometer.reconciliation.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
@@ -100,16 +100,8 @@ def amplitude(log: LogTable) -> float:
     return float(np.median(log.value))
 
 
-def predicted_log(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *, measured: bool = False) -> Array:
-    """Return ln of the predicted values.
-
-    Args:
-        parameters: ln R, then theirs in order.
-        measured: Take the signal that bends, offsets and leaks act on from the values as measured.
-
-    Returns:
-        (readings,) ln of the values; NaN where the parameters leave no light or no value to take a logarithm of.
-    """
+def _predicted_log(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *, measured: bool = False) -> Array:
+    """Return ln of the predicted values."""
     parts: dict[str, Any] = dict.fromkeys(_PARTS, 0.0) | {"exposure_s": log.exposure_s}
     at = 1
     for term in terms:
@@ -134,14 +126,15 @@ def _positive(values: Array) -> Array:
     return np.where(values > 0.0, values, np.nan)
 
 
-def jacobian(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *, measured: bool = False) -> Array:
-    """Return ∂ ln(value)/∂(parameter) by central differences, (readings, 1 + parameters)."""
+def _jacobian(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *, measured: bool = False) -> Array:
     scales = np.concatenate([[1.0], *([term.scales] for term in terms)], axis=None)
     columns = []
     for index, scale in enumerate(scales):
         step = np.zeros(scales.size)
         step[index] = _STEP * scale
-        ahead, behind = (predicted_log(log, terms, parameters + sign * step, measured=measured) for sign in (1.0, -1.0))
+        ahead, behind = (
+            _predicted_log(log, terms, parameters + sign * step, measured=measured) for sign in (1.0, -1.0)
+        )
         columns.append((ahead - behind) / (2.0 * _STEP * scale))
     return np.column_stack(columns)
 
@@ -153,7 +146,7 @@ def catalogue(log: LogTable) -> tuple[LogTerm, ...]:
     dark = 0.01 * value / float(np.median(log.exposure_s)) / float(np.median(10.0 ** (log.gain_db / 20.0)))
     mean_c, mean_colour = (0.0 if v is None else float(np.mean(v)) for v in (log.temperature_c, log.colour))
     wide = float(np.std(log.colour)) if "colour" in shown and log.colour is not None else 1.0
-    most, *others = gain_levels(log)
+    most, *others = _gain_levels(log)
 
     def of_dark(log: LogTable, own: Array) -> Array:
         doubling = min(max(float(own[1]), _LEAST_DOUBLING_K), _MOST_DOUBLING_K)
@@ -193,8 +186,7 @@ def _varies(values: Array) -> bool:
     return float(np.ptp(values)) > 1e-6
 
 
-def gain_levels(log: LogTable) -> list[float]:
-    """Return the gains in dB, the one of most readings first: the others are relative to it."""
+def _gain_levels(log: LogTable) -> list[float]:
     rounded = np.round(log.gain_db / _NEAR_DB) * _NEAR_DB
     levels, counts = np.unique(rounded, return_counts=True)
     most = float(levels[np.argmax(counts)])
@@ -226,7 +218,7 @@ def axes(log: LogTable, *, measured: bool = False) -> Mapping[str, Array]:
     return found
 
 
-def is_lost_in_scatter(log: LogTable, name: str) -> bool:
+def _is_lost_in_scatter(log: LogTable, name: str) -> bool:
     """Return whether a column varies by less than its readings scatter: nothing can be shown along it."""
     if name not in MEASURED_TOO:
         return False
@@ -236,8 +228,7 @@ def is_lost_in_scatter(log: LogTable, name: str) -> bool:
     return float(np.corrcoef(predicted, measured)[0, 1]) < _LEAST_CORRELATION
 
 
-def trend(log: LogTable, name: str, *, measured: bool = False) -> Array:
-    """Return the columns of a free curve along a column, (readings, degree)."""
+def _trend(log: LogTable, name: str, *, measured: bool = False) -> Array:
     return np.asarray(legvander(axes(log, measured=measured)[name], _DEGREE)[:, 1:])
 
 
@@ -304,9 +295,9 @@ class LogState:
     @cached_property
     def fit(self) -> LinearFit:
         """Return the linear fit about the parameters; the responsivity is the nuisance."""
-        columns = jacobian(self.log, self.terms, self.parameters, measured=self.measured)
+        columns = _jacobian(self.log, self.terms, self.parameters, measured=self.measured)
         every = self.whitened(np.column_stack([columns, *(c for _, c in self.trends)]))
-        shown = predicted_log(self.log, self.terms, self.parameters, measured=self.measured)
+        shown = _predicted_log(self.log, self.terms, self.parameters, measured=self.measured)
         rest = self.whitened(np.log(self.log.value) - shown)
         nuisance, none = RowBlock.of(every[:, :1]), RowBlock(np.zeros(0, np.intp), np.zeros((0, 1)))
         return LinearFit.of(rest, nuisance, every[:, 1:], none)
@@ -340,7 +331,7 @@ class LogState:
     @cached_property
     def cost(self) -> float:
         """Return the χ² at these parameters, responsivity and trends at their best; infinite beyond any camera."""
-        if not np.all(np.isfinite(predicted_log(self.log, self.terms, self.parameters, measured=self.measured))):
+        if not np.all(np.isfinite(_predicted_log(self.log, self.terms, self.parameters, measured=self.measured))):
             return math.inf
         bare = replace(self.fit, effects=self.fit.effects[:, self.parameters.size - 1 :])
         return float(bare.projected @ bare.projected)
@@ -376,7 +367,7 @@ class LogState:
         if not {*(term.where for term in self.terms), *(name for name, _ in self.trends)} & set(MEASURED_TOO):
             return self
         trends = tuple(
-            (name, trend(self.log, name, measured=not self.measured) if name in MEASURED_TOO else columns)
+            (name, _trend(self.log, name, measured=not self.measured) if name in MEASURED_TOO else columns)
             for name, columns in self.trends
         )
         # It begins where nothing is missing: the parameters that one way finds may be impossible in the other.
@@ -424,13 +415,13 @@ def fit_log(log: LogTable, *, control: bool = True) -> LogFit:
     if control:
         reported = _search(_start(_lacking_nothing(state)))[1]
         silent = str(_verdict(reported))
-    before, after = (night_error(one) for one in (start, state))
+    before, after = (_night_error(one) for one in (start, state))
     result = _result(start, state, steps, before, after, silent)
     return LogFit(replace(result, seconds=time.monotonic() - begun), state, start, before, after, silent)
 
 
 def _start(log: LogTable) -> LogState:
-    level = float(np.mean(np.log(log.value) - predicted_log(log, (), np.zeros(1))))
+    level = float(np.mean(np.log(log.value) - _predicted_log(log, (), np.zeros(1))))
     unit = Scatter(1.0, 0.0, 0.0, 0.0)
     state = LogState(log, unit, (), np.array([level]), unit.whiteners(log))
     if not math.isfinite(level):
@@ -445,16 +436,16 @@ def _scatter(state: LogState) -> Scatter:
     terms = catalogue(log)
     # Signal, reference and exposure depend on one another. If one of the first two is scatter alone, curves along both
     # would explain that scatter; the exposure then varies as the other one does.
-    left_out = MEASURED_TOO if any(is_lost_in_scatter(log, name) for name in MEASURED_TOO) else ()
+    left_out = MEASURED_TOO if any(_is_lost_in_scatter(log, name) for name in MEASURED_TOO) else ()
     terms = tuple(term for term in terms if term.where not in left_out)
     parameters = np.concatenate([state.parameters, *(term.begins for term in terms)])
-    columns = jacobian(log, terms, parameters)
-    curves = [trend(log, name) for name in axes(log) if name not in left_out]
+    columns = _jacobian(log, terms, parameters)
+    curves = [_trend(log, name) for name in axes(log) if name not in left_out]
     every = np.column_stack([columns, *curves])
     every = every[:, every.any(axis=0)]
     left, singular, _ = np.linalg.svd(every / np.linalg.norm(every, axis=0), full_matrices=False)
     design = left[:, singular > 1e-6 * singular[0]]  # orthonormal; what a few readings alone determine stays in
-    rest = np.log(log.value) - predicted_log(log, (), state.parameters)
+    rest = np.log(log.value) - _predicted_log(log, (), state.parameters)
     fits = [_restricted(log, design, rest, n, q) for n, q in product(_CLOUDS, _NIGHTS)]
     best = max(fits, key=lambda found: found[0])
     # A few nights do not tell their scatter well: every value counts by its likelihood, not the likeliest alone.
@@ -487,7 +478,7 @@ def _restricted(
 # ---- the search -----------------------------------------------------------------------------------------------------
 def _search(start: LogState) -> tuple[LogState, tuple[FoundEffect, ...]]:
     state, steps = start, list[FoundEffect]()
-    every = [term for term in catalogue(start.log) if not is_lost_in_scatter(start.log, term.where)]
+    every = [term for term in catalogue(start.log) if not _is_lost_in_scatter(start.log, term.where)]
     for _ in (*every, *axes(start.log)):
         following = _one_step(state, every)
         if following is None:
@@ -504,8 +495,8 @@ def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, Foun
         (term, term.where, state.with_term(term)) for term in every if term.name not in there
     ]
     for name in axes(state.log):
-        if name not in there and not is_lost_in_scatter(state.log, name):
-            curved = replace(state, trends=(*state.trends, (name, trend(state.log, name)))).fitted()
+        if name not in there and not _is_lost_in_scatter(state.log, name):
+            curved = replace(state, trends=(*state.trends, (name, _trend(state.log, name)))).fitted()
             tried.append((None, name, curved))
     limit = SIGNIFICANCE / max(len(tried), 1)
     shown = [(_score(state, one, term), term, where, one) for term, where, one in tried if _is_shown(state, one, limit)]
@@ -513,8 +504,8 @@ def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, Foun
         max((entry for entry in shown if (entry[1] is None) is is_plain), key=lambda entry: entry[0], default=None)
         for is_plain in (False, True)
     )
-    if best is not None and best[1] is not None and (plain is None or best[0] >= SMOOTH_SHARE * plain[0]):
-        score, own, where, one = best
+    if best is not None and (own := best[1]) is not None and (plain is None or best[0] >= SMOOTH_SHARE * plain[0]):
+        score, _, where, one = best
         near = (term.name for s, term, _, _ in shown if term is not None and s > score - RIVAL_NATS)
         return one, _found(state, one, own.name, where, tuple(dict.fromkeys(n for n in near if n != own.name)))
     return None if plain is None else (plain[3], _found(state, plain[3], "unnamed", plain[2]))
@@ -544,7 +535,7 @@ def _is_shown(old: LogState, new: LogState, limit: float) -> bool:
     if chance >= limit or _score(old, new) + PARAMETER_NATS < NAMED_NATS:
         return False
     known = len(new.terms) == len(old.terms) or _is_determined(new)
-    return known and night_error(new) <= night_error(old)
+    return known and _night_error(new) <= _night_error(old)
 
 
 def _is_determined(state: LogState) -> bool:
@@ -568,14 +559,13 @@ def _pruned(state: LogState, steps: list[FoundEffect]) -> tuple[LogState, list[F
 
 def _lacking_nothing(state: LogState) -> LogTable:
     log, rng = state.log, np.random.default_rng(1)
-    values = predicted_log(log, (), state.parameters[:1])
+    values = _predicted_log(log, (), state.parameters[:1])
     for rows, factor in state.scatter.factors(log):
         values[rows] += factor @ rng.standard_normal(rows.size)
     return replace(log, value=np.exp(values))
 
 
-def night_error(state: LogState) -> float:
-    """Return the root mean square relative error of nights that are predicted by the others."""
+def _night_error(state: LogState) -> float:
     squares = 0.0
     log = state.log
     for night in range(log.nights):
@@ -586,7 +576,7 @@ def night_error(state: LogState) -> float:
         fitted = state.on(part, trends)
         weights = fitted.fit.step[fitted.parameters.size :]
         ahead = log.take(own)
-        shown = predicted_log(ahead, state.terms, fitted.parameters, measured=state.measured)
+        shown = _predicted_log(ahead, state.terms, fitted.parameters, measured=state.measured)
         if state.trends:
             shown = shown + np.column_stack([columns[own] for _, columns in state.trends]) @ weights
         squares += float(np.sum(np.square(np.expm1(np.log(ahead.value) - shown))))
@@ -622,10 +612,10 @@ def _result(
         f"none of {', '.join(term.name for term in catalogue(log) if term.where == name)}: the {name} varies by less "
         f"than its scatter; {remedy}"
         for name, remedy in _REMEDIES.items()
-        if is_lost_in_scatter(log, name)
+        if _is_lost_in_scatter(log, name)
     ]
     if any(term.where == "gain" for term in state.terms):
-        extra["gain_reference_dB"] = gain_levels(log)[0]
+        extra["gain_reference_dB"] = _gain_levels(log)[0]
     return ReconcileResult(
         verdict=verdict,
         effects=tuple(
@@ -668,7 +658,7 @@ def _limits(state: LogState) -> dict[str, Limit]:
     for term in catalogue(state.log):
         if term.flexible or term.name in there:
             continue
-        if is_lost_in_scatter(state.log, term.where):
+        if _is_lost_in_scatter(state.log, term.where):
             found[term.name] = Limit(None, term.parameters[0], term.units[0])
             continue
         more = state.with_term(term)

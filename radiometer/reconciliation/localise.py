@@ -16,10 +16,10 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.special import chdtrc, gammaln
 
-from radiometer.reconciliation.fit.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
-from radiometer.reconciliation.fit.linear import LinearFit
-from radiometer.reconciliation.fit.state import FitState, LinearTerm
-from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
+from radiometer.reconciliation.design import Design
+from radiometer.reconciliation.linear import LinearFit
+from radiometer.reconciliation.state import FitState, LinearTerm
 from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS, Prediction
 from radiometer.reconciliation.thresholds import SIGNIFICANCE
 from radiometer.reconciliation.tile_model import TileModel
@@ -190,18 +190,19 @@ class Basis:
 
 def localise(state: FitState) -> tuple[Disagreement, ...]:
     """Return all tests, the most significant first; of forms that are one and the same here, as rows list them."""
-    tests = (score(state, basis, state.fit) for basis in trend_bases(state))
+    tests = (score(state, basis, state.fit) for basis in _trend_bases(state))
     return tuple(sorted((test for test in tests if test is not None), key=lambda test: test.order))
 
 
-def trend_bases(state: FitState) -> Iterator[Basis]:
-    """Yield the trend of every test that the data allow."""
+def _trend_bases(state: FitState) -> Iterator[Basis]:
     axes = covariates(state.model, state.prediction)
     for block, row in STATISTICS.items():
         if not state.comparison.usable[block].any():
             continue
         for name, form in itertools.product((n for n in row.along if n == "constant" or n in axes), row.forms):
-            columns = whitened_basis(state.comparison, state.prediction, state.sensitivity, block, form, axes.get(name))
+            columns = _whitened_basis(
+                state.comparison, state.prediction, state.sensitivity, block, form, axes.get(name)
+            )
             if columns.shape[1]:
                 yield Basis(block, name, form, columns)
 
@@ -236,7 +237,7 @@ def global_p_value(state: FitState, tests: Sequence[Disagreement]) -> float:
     bound = min(len(tests) * float(np.exp(tests[0].log_p)), 1.0)
     if bound < _FEWEST_BEYOND / _DRAWS:  # no draw would reach it
         return bound
-    least = _least_of_draws(state, list(trend_bases(state)))
+    least = _least_of_draws(state, list(_trend_bases(state)))
     beyond = int(np.sum(least <= tests[0].log_p))
     return max(beyond, _FEWEST_BEYOND) / least.size
 
@@ -269,10 +270,9 @@ def _least_of_draws(state: FitState, bases: Sequence[Basis]) -> Array:
     return least
 
 
-def whitened_basis(
+def _whitened_basis(
     comparison: Comparison, prediction: Prediction, sensitivity: Array, block: str, form: str, axis: Covariate | None
 ) -> Array:
-    """Return the whitened columns of a smooth trend in one block, (entries of the block, terms)."""
     captures, tiles = prediction.mean.shape
     smooth = np.ones((captures, tiles, 1)) if axis is None else axis.basis()
     if block == "comb":
@@ -313,10 +313,10 @@ def _flat(values: Array) -> Array:
 def smooth_term(state: FitState, test: Disagreement) -> LinearTerm:
     """Return the empirical term that takes up a disagreement without naming it."""
     axis = covariates(state.model, state.prediction).get(test.where)
-    size = whitened_basis(state.comparison, state.prediction, state.sensitivity, test.block, test.form, axis).shape[1]
+    size = _whitened_basis(state.comparison, state.prediction, state.sensitivity, test.block, test.form, axis).shape[1]
 
     def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
-        part = whitened_basis(comparison, prediction, sensitivity, test.block, test.form, axis)
+        part = _whitened_basis(comparison, prediction, sensitivity, test.block, test.form, axis)
         columns = np.zeros((comparison.size, part.shape[1]))
         columns[comparison.cuts[test.block]] = part
         return columns
@@ -332,7 +332,7 @@ def axis_of(where: str, block: str) -> str:
 
 def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
     """Return up to so many tests, each the most significant along a covariate that is not listed yet."""
-    bases = tuple(trend_bases(state))
+    bases = tuple(_trend_bases(state))
     fit, found = state.fit, list[Disagreement]()
     for _ in range(most):
         taken = {axis_of(test.where, test.block) for test in found}

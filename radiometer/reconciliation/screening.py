@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
-from typing import Any, Final
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.fit.candidate_fit import Candidate
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics
-from radiometer.reconciliation.measure.lines import RowBins, wave_power
+from radiometer.reconciliation.descent import Candidate
+from radiometer.reconciliation.design import COMB_PERIODS, CaptureStatistics
+from radiometer.reconciliation.lines import RowBins, wave_power
 from radiometer.reconciliation.shared_errors import mixing_of_bands, relative_bands
+from radiometer.reconciliation.state import FitState
 from radiometer.reconciliation.statistics import seen_step
 from radiometer.typing import Array
 from simulators.effects.base import DIGITAL_NUMBER
@@ -23,6 +23,7 @@ from simulators.effects.catalogue import CatalogueEffect, Offset, Scaling
 from simulators.effects.tile_moments import TileMoments
 
 Starts = tuple[CatalogueEffect, ...]
+Made = TypeVar("Made")
 _MANY: Final = 20  # starts, beyond which the likeliest are picked first
 _KEPT: Final = 8
 _SIZES: Final = np.geomspace(0.01, 30.0, 25)  # times the size that starts have
@@ -36,15 +37,16 @@ class StartPool:
     """The starts of all entries for one capture set; they are made once."""
 
     def __init__(self) -> None:
-        self._starts: dict[str, Starts] = {}
-        self._between: dict[str, Starts] = {}
-        self._moves: dict[str, Array] = {}
+        self._known: dict[tuple[str, str], Any] = {}
+
+    def _once(self, what: str, name: str, work: Callable[[], Made]) -> Made:
+        if (what, name) not in self._known:
+            self._known[what, name] = work()
+        return cast(Made, self._known[what, name])
 
     def likeliest(self, state: FitState, kind: type[CatalogueEffect]) -> Starts:
         """Return the starts of an entry; of many only those that explain most at first sight."""
-        if kind.name not in self._starts:
-            self._starts[kind.name] = kind.starts(state.model.context)
-        starts = self._starts[kind.name]
+        starts = self._once("starts", kind.name, lambda: kind.starts(state.model.context))
         if len(starts) <= _MANY:
             return starts
         if issubclass(kind, Scaling | Offset) and _goes_by_captures(state, starts[0]):
@@ -54,33 +56,25 @@ class StartPool:
 
     def count(self, kind: type[CatalogueEffect]) -> int:
         """Return how many starts an entry has; 1 before they were asked for."""
-        return len(self._starts.get(kind.name, (None,)))
+        return len(self._known.get(("starts", kind.name), (None,)))
 
     def _of_captures(self, state: FitState, starts: Starts) -> Starts:
         """Return the likeliest of those that scale whole captures, or add something to them."""
-        moves = self._known(starts[0].name, lambda: np.stack([_of_each_capture(state, start) for start in starts]))
+        each = partial(map, partial(_of_each_capture, state), starts)
+        moves = self._once("moves", starts[0].name, lambda: np.stack(list(each())))
         unit = state.sensitivity if isinstance(starts[0], Scaling) else np.ones_like(state.sensitivity)
         gram, slope = _of_all_captures(state, unit)
         rise = moves @ slope
         curvature = np.einsum("sc,cd,sd->s", moves, gram, moves, optimize=True)
-        free = bool(starts[0].free())  # what has no amplitude acts as it is or not at all
-        amplitude = np.clip(rise / np.maximum(curvature, 1e-12), 0.0, _LARGEST_AMPLITUDE) if free else 1.0
-        gain = amplitude * (2.0 * rise - amplitude * curvature)
+        _, gain = _at_best(rise, curvature, np.full(len(starts), bool(starts[0].free())))
         return tuple(starts[int(i)] for i in np.argsort(-gain)[:_KEPT])
-
-    def _known(self, name: str, work: Callable[[], Array]) -> Array:
-        if name not in self._moves:
-            self._moves[name] = work()
-        return self._moves[name]
 
     def _of_frames(self, state: FitState, starts: Starts) -> Starts:
         """Return the likeliest of what shakes whole frames, of each variant one at least, in their likeliest sizes."""
-        name, context = starts[0].name, state.model.context
-        if name not in self._between:
-            self._between[name] = tuple(between for start in starts for between in start.between())
-        dense, captures = self._between[name], len(state.design.captures)
-        added = partial(_stacked, (start.common_variance(np.ones(()), context) for start in dense), captures)
-        moves = self._known(name, added)
+        name, context, captures = starts[0].name, state.model.context, (len(state.design.captures),)
+        dense = self._once("between", name, lambda: tuple(between for start in starts for between in start.between()))
+        added = (np.ravel(start.common_variance(np.ones(()), context)) for start in dense)
+        moves = self._once("moves", name, lambda: np.stack([np.broadcast_to(one, captures) for one in added]))
         here, rows = state.comparison.flicker_of(state.prediction), state.prediction.row_variance
         sizes = np.square(_SIZES)
         rated = [state.comparison.deviances_of_flicker(here + size * moves, rows).sum(axis=1) for size in sizes]
@@ -91,8 +85,10 @@ class StartPool:
         return tuple(dense[i].resized(float(np.sqrt(sizes[best[i]]))) for i in chosen)
 
 
-def _stacked(values: Any, captures: int) -> Array:
-    return np.stack([np.broadcast_to(np.ravel(v), (captures,)) for v in values])
+def _at_best(rise: Array, curvature: Array, free: Array, least: Array | float = 1e-12) -> tuple[Array, Array]:
+    """Return the amplitudes of changes and the χ² that they explain; what is not free acts as it is or not at all."""
+    amplitude = np.where(free, np.clip(rise / np.maximum(curvature, least), 0.0, _LARGEST_AMPLITUDE), 1.0)
+    return amplitude, amplitude * (2.0 * rise - amplitude * curvature)
 
 
 def _variant(start: CatalogueEffect) -> tuple[object, ...]:
@@ -318,11 +314,8 @@ def _rigid_batch(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Can
     curvature = whole - np.einsum("ij,ij->j", part, part)
     slope = changes.T @ fit.projected[:rows]
     floor = _SMALLEST_CURVATURE * np.maximum(whole, 1e-12)
-    safe = np.maximum(curvature, floor)
-    amplitude = np.clip(slope / safe, 0.0, _LARGEST_AMPLITUDE)
-    free = np.array([bool(effect.free()) for effect in starts])
-    amplitude = np.where(free, amplitude, 1.0)  # what has no amplitude acts as it is or not at all
-    gain = np.where(curvature > floor, 2.0 * amplitude * slope - amplitude**2 * curvature, 0.0)
+    amplitude, gain = _at_best(slope, curvature, np.array([bool(effect.free()) for effect in starts]), floor)
+    gain = np.where(curvature > floor, gain, 0.0)
     scaled = (_scaled(effect, float(a)) for effect, a in zip(starts, amplitude, strict=True))
     return [
         Candidate(effect, float(g), max(len(effect.free()), 1), others=others)
@@ -342,24 +335,18 @@ def _scaled(effect: CatalogueEffect, amplitude: float) -> tuple[CatalogueEffect,
 def _flexible(state: FitState, covers: Sequence[CatalogueEffect]) -> list[Candidate]:
     found: list[Candidate] = []
     waiting: list[CatalogueEffect] = []
+    rows = slice(0, state.comparison.size)
     for number, cover in enumerate(covers, start=1):
         waiting.append(cover)
         if sum(1 + len(one.free()) for one in waiting) >= AT_ONCE or number == len(covers):
-            own = directions_of_each(state, [((*state.effects, one), len(state.effects), 0) for one in waiting])
-            found += _flexible_batch(state, [*zip(waiting, own, strict=True)])
+            own = [*directions_of_each(state, [((*state.effects, one), len(state.effects), 0) for one in waiting])]
+            followed, part = state.fit.followed_with_half(np.hstack(own))
+            at = 0
+            for one, columns in zip(waiting, own, strict=True):
+                mine = slice(at, at := at + columns.shape[1])
+                gain, _ = state.fit.score(rows, followed[:, mine], part[:, mine])
+                found.append(Candidate(one, gain, columns.shape[1] - 1, flexible=True))
             waiting = []
-    return found
-
-
-def _flexible_batch(state: FitState, covers: Sequence[tuple[CatalogueEffect, Array]]) -> list[Candidate]:
-    rows = slice(0, state.comparison.size)
-    followed, part = state.fit.followed_with_half(np.hstack([columns for _, columns in covers]))
-    found, at = [], 0
-    for cover, columns in covers:
-        own = slice(at, at + columns.shape[1])
-        gain, _ = state.fit.score(rows, followed[:, own], part[:, own])
-        found.append(Candidate(cover, gain, columns.shape[1] - 1, flexible=True))
-        at = own.stop
     return found
 
 

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.fit.comparison import Comparison
-from radiometer.reconciliation.fit.linear import RowBlock
-from radiometer.reconciliation.measure.design import Design, Tile
+from radiometer.reconciliation.comparison import Comparison
+from radiometer.reconciliation.design import Design, Tile
+from radiometer.reconciliation.linear import RowBlock
 from radiometer.reconciliation.statistics import STATISTICS, Prediction
 from radiometer.reconciliation.tile_model import Nuisance
 from radiometer.typing import Array

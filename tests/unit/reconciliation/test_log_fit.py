@@ -13,7 +13,7 @@ from radiometer.cli.main import run
 from radiometer.data.statements import StatementMap
 from radiometer.errors import InputError, UnsettledError
 from radiometer.importing.log_table import read_log
-from radiometer.reconciliation.inputs.log_fit import fit_log
+from radiometer.reconciliation.log_fit import fit_log
 from testing.sky_log import Camera, sky_log, write
 
 GAIN_AT_18 = math.log(10.0) / 20.0
