@@ -244,15 +244,8 @@ SWITCHED_OFF: Final = "light off"  # who ended a test whose lights another progr
 HOPELESS: Final = 15  # trials without one threshold, but with false presses, after which the test is over
 # Of a stage's facts, those that may not change within a run; warnings and firmware may.
 _SAME_STAGE: Final = (
-    "box",
-    "screen",
-    "calibrated",
-    "distance_mm",
-    "pixel_mm",
-    "filter_density",
-    "fixation_w_sr_m2",
-    "eye",
-)
+    "box", "screen", "calibrated", "distance_mm", "pixel_mm", "filter_density", "fixation_w_sr_m2", "eye",
+)  # fmt: skip
 SAME_TIME_S: Final = 1e-4  # to which the journal gives times
 ABOVE_LOG10: Final = 1.0  # how far above the last threshold a spot is that only lapses miss; half of it at least
 LOST_OF: Final = (2, 3)  # of so many checks of fixation in a row so many seen: the subject is asked to look at the mark

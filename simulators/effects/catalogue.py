@@ -112,6 +112,11 @@ class CatalogueEffect(Effect):
             **{self.heated: float(np.clip(size, bounds.low, bounds.high)), "reference_C": there_c}
         )
 
+    def warmed(self, context: ExposureContext) -> Any:
+        """Return by what factor a leak that is `heated` is larger than at the temperature that it is stated at."""
+        known: Any = self
+        return 2.0 ** (warmer_k(context, known.reference_C) / known.doubling_K)
+
     def resized(self, factor: float, about: float = 0.0) -> Self:
         """Return the effect with its first fitted parameter's distance from a value times a factor, within bounds."""
         name = self.free()[0]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
-from simulators.effects.catalogue import Offset, warmer_k
+from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext
 
 
@@ -45,5 +45,4 @@ class DarkCurrent(Offset):
 
     def electrons(self, context: ExposureContext) -> Any:
         """Return the expected thermal electrons per (binned) pixel."""
-        rate = self.rate_e_per_s * 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
-        return rate * context.settings.exposure_s * context.geometry.binning**2
+        return self.rate_e_per_s * self.warmed(context) * context.settings.exposure_s * context.geometry.binning**2

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from simulators.effects.base import ELECTRONS, PRIOR, Stage, UnitSlope, parameter
-from simulators.effects.catalogue import CatalogueEffect, warmer_k
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
 
@@ -53,5 +53,4 @@ class DarkCurrentClamped(UnitSlope, CatalogueEffect):
 
     def electrons(self, context: ExposureContext) -> Any:
         """Return the thermal electrons that the sensor subtracts again."""
-        warmer = 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
-        return self.rate_e_per_s * warmer * context.settings.exposure_s
+        return self.rate_e_per_s * self.warmed(context) * context.settings.exposure_s

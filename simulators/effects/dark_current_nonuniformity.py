@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from simulators.chain.unsteady_pixels import share_unsteady
 from simulators.effects.base import ELECTRONS, PRIOR, Stage, UnitSlope, parameter
-from simulators.effects.catalogue import CatalogueEffect, dark_exposures_vary, dark_temperatures_c, warmer_k
+from simulators.effects.catalogue import CatalogueEffect, dark_exposures_vary, dark_temperatures_c
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
@@ -191,5 +191,4 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
 
     def electrons(self, context: ExposureContext) -> Any:
         """Return the pattern's standard deviation in electrons."""
-        warmer = 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
-        return self.sigma_e_per_s * warmer * context.settings.exposure_s
+        return self.sigma_e_per_s * self.warmed(context) * context.settings.exposure_s

@@ -9,7 +9,7 @@ import numpy as np
 
 from simulators.chain.unsteady_pixels import EXPONENTIAL, EXPONENTIAL_SHARES, share_unsteady
 from simulators.effects.base import ELECTRONS, PRIOR, KeepsMean, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, gain_of, warmer_k, well_e
+from simulators.effects.catalogue import CatalogueEffect, gain_of, well_e
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
@@ -48,8 +48,7 @@ class HotPixels(KeepsMean, CatalogueEffect):
 
     def electrons(self, context: ExposureContext) -> Any:
         """Return the mean thermal electrons of a hot pixel."""
-        warmer = 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
-        return self.rate_e_per_s * warmer * context.settings.exposure_s
+        return self.rate_e_per_s * self.warmed(context) * context.settings.exposure_s
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the numbers of pixels that stand out (by 6 sigmas of a time mean), or are unsteady.

@@ -548,9 +548,8 @@ CONTROL_ROUTES: Final = (
     Route("POST", "/light", set_light, "Set the level of a light channel.", body=LightBody, schema="Light"),
     Route("POST", LIGHTS_OFF, switch_off, "Switch every light channel off.", schema="Light"),
     Route("GET", "/status", show_status, "State of devices, settings, calibration and alarms.", schema="Status"),
-    Route("GET", "/response", show_response, "Response curve in use, at most 512 points; `linear` is true where "
-    "none is.",
-          schema="Response"),
+    Route("GET", "/response", show_response,
+          "Response curve in use, at most 512 points; `linear` is true where none is.", schema="Response"),
     Route("GET", "/healthz", show_health, "200 while nothing is wrong, 503 while an alarm is up.", schema="Health",
           public=True),
     Route("GET", "/metrics", show_metrics, "Figures in Prometheus's text form.", reply="text/plain"),

@@ -56,10 +56,6 @@ def _clear(call: Call) -> None:
     call.session.abort()
 
 
-def _reset(call: Call) -> None:
-    call.session.reset()
-
-
 def _complete(call: Call) -> None:
     session = call.session
     if session.pending is None:
@@ -109,7 +105,7 @@ _COMMON_COMMANDS: Final = (
     Command("*IDN", "Names vendor, model, serial number of the camera, and the software.", ask=_identity,
             reply="vendor,model,serial,software", example="*IDN?", group=COMMON),
     Command("*RST", "Puts the session and the instrument's settings back to those at start. Readings, journal and"
-            " continuous measurement stay.", do=_reset, example="*RST", group=COMMON),
+            " continuous measurement stay.", do=lambda call: call.session.reset(), example="*RST", group=COMMON),
     Command("*CLS", "Clears events and error queue and gives up what is pending.", do=_clear, example="*CLS",
             group=COMMON),
     Command("*OPC", "Sets bit 0 of the event status once nothing is pending; the query waits for that and replies 1.",
@@ -289,12 +285,10 @@ _MEASURING_COMMANDS: Final = (
             ask=_fetch(None, ("UNCertainty",)), reply="u", example="READ?;:FETC:UNC?", group=MEASURING),
     Command("FETCh:FLAGs", "Replies the flags of the same reading, separated by blanks.",
             ask=_fetch(None, ("FLAGs",)), reply='"flags"', example="READ?;:FETC:FLAG?", group=MEASURING),
-    Command("FETCh:TIME", "Replies the time of the same reading in UTC.",
-            ask=_fetch(None, ("TIME",)), reply='"ISO 8601"',
-            example="READ?;:FETC:TIME?", group=MEASURING),
+    Command("FETCh:TIME", "Replies the time of the same reading in UTC.", ask=_fetch(None, ("TIME",)),
+            reply='"ISO 8601"', example="READ?;:FETC:TIME?", group=MEASURING),
     Command("FETCh:SEQuence", "Replies the running number of the same reading in the journal.",
-            ask=_fetch(None, ("SEQuence",)),
-            reply="integer", example="READ?;:FETC:SEQ?", group=MEASURING),
+            ask=_fetch(None, ("SEQuence",)), reply="integer", example="READ?;:FETC:SEQ?", group=MEASURING),
     Command("FETCh:JSON", "Replies the whole reading as one line of JSON in a block.",
             ask=_fetched(lambda session, reading: formats.block(reading.to_json().encode())), reply="block",
             example="READ?;:FETC:JSON?", group=MEASURING),
@@ -311,11 +305,10 @@ _MEASURING_COMMANDS: Final = (
     Command("ABORt", "Aborts a measurement that this session began.", do=_abort, example="ABOR", group=MEASURING),
     Command("FORMat:ELEMents",
             "Chooses what MEASure?, READ? and FETCh? reply, in the order given. READing is the value, UNCertainty its"
-            " standard uncertainty (k=1), EXPanded its expanded uncertainty (95.45 %). COVerage is the factor k between"
-            " the two uncertainties. TIME, SEQuence and FLAGs describe the reading.",
-            do=_set_elements, ask=lambda call: ",".join(call.session.elements),
-            parameters=(Choice("element", ELEMENTS),) * len(ELEMENTS), required=1,
-            reply="elements", example="FORM:ELEM READ,UNC,EXP,COV,TIME,SEQ,FLAG;ELEM?", group=MEASURING),
+            " standard uncertainty (k=1), EXPanded its expanded uncertainty (95.45 %). COVerage is the factor k"
+            " between the two uncertainties. TIME, SEQuence and FLAGs describe the reading.", do=_set_elements,
+            ask=lambda call: ",".join(call.session.elements), parameters=(Choice("element", ELEMENTS),) * len(ELEMENTS),
+            required=1, reply="elements", example="FORM:ELEM READ,UNC,EXP,COV,TIME,SEQ,FLAG;ELEM?", group=MEASURING),
 )  # fmt: skip
 
 
@@ -468,10 +461,6 @@ def _fetch_patch(call: Call) -> str:
     return formats.reading_elements(reading, call.session.function, call.session.elements)
 
 
-def _patch_names(call: Call) -> str:
-    return ",".join(formats.string(name) for name in call.session.station.patches.watches)
-
-
 def _catalogue(call: Call) -> str:
     channels = call.session.station.light.box.channels if call.session.station.light.box else ()
     return ",".join(map(formats.string, channels)) or formats.string("")
@@ -491,9 +480,8 @@ _SETTINGS_COMMANDS: Final = (
             parameters=(Number("gain", "DB", _gain),), ask_parameters=(_ANY_LIMIT,), reply="dB",
             example="SENS:GAIN MIN;GAIN?", group=SENSE),
     Command("SENSe:PATCh", "Sets the patch that is measured continuously and by default.", do=_set_patch,
-            ask=_ask_patch,
-            parameters=PATCH_PARAMETERS, required=1, reply="x,y,width,height or CENT", example="SENS:PATC CENT;PATC?",
-            group=SENSE),
+            ask=_ask_patch, parameters=PATCH_PARAMETERS, required=1, reply="x,y,width,height or CENT",
+            example="SENS:PATC CENT;PATC?", group=SENSE),
     Command("SENSe:PATCh:DEFine", "Defines a patch with a name, or moves it. During continuous measurement it is"
             " measured in every period, in addition to the shared patch. There are at most 12; a restart keeps them.",
             do=_define_patch, parameters=(Text("name"), *PATCH_PARAMETERS), example='SENS:PATC:DEF "lamp",1,2,3,4;CAT?',
@@ -501,7 +489,8 @@ _SETTINGS_COMMANDS: Final = (
     Command("SENSe:PATCh:DELete", "Stops measuring a patch with a name; its readings stay.",
             do=lambda call: call.session.station.patches.delete(call.values[0]), parameters=(Text("name"),),
             example='SENS:PATC:DEF "gone",1,2,3,4;DEL "gone"', group=SENSE),
-    Command("SENSe:PATCh:CATalog", 'Names the patches; "main" is the shared one.', ask=_patch_names, reply='"name",…',
+    Command("SENSe:PATCh:CATalog", 'Names the patches; "main" is the shared one.',
+            ask=lambda call: ",".join(map(formats.string, call.session.station.patches.watches)), reply='"name",…',
             example="SENS:PATC:CAT?", group=SENSE),
     Command("SENSe:PATCh:LIMits", "Sets the lowest and highest allowed radiance of a patch; NONE is no bound. Two"
             " readings in a row beyond a limit raise the alarm `limit NAME`. Two in a row inside by the hysteresis end"
@@ -513,10 +502,9 @@ _SETTINGS_COMMANDS: Final = (
     Command("FETCh:PATCh", "Replies the newest reading of a patch with a name; −230 where there is none yet.",
             ask=_fetch_patch, ask_parameters=(Text("name"),), ask_required=1, reply="value,u",
             example='READ?;:FETC:PATC? "main"', group=MEASURING),
-    Command("SENSe:CORRection:WAVelength", "Treats the source as a line of this wavelength, in nm unless a suffix "
-    "states UM"
-            " or M. NONE returns to the configured spectrum.", do=_set_wavelength,
-            ask=_asked(_WAVELENGTH, _ask_wavelength),
+    Command("SENSe:CORRection:WAVelength",
+            "Treats the source as a line of this wavelength, in nm unless a suffix states UM or M. NONE returns to the"
+            " configured spectrum.", do=_set_wavelength, ask=_asked(_WAVELENGTH, _ask_wavelength),
             parameters=(Number("wavelength", "NM", _WAVELENGTH, also=("NONE",)),), ask_parameters=(_ANY_LIMIT,),
             reply="nm or NONE", example="SENS:CORR:WAV 550;WAV?;WAV NONE", group=SENSE),
     Command("CALibration:SOURce", "Names the calibration in use; empty where there is none.", ask=_summary("source"),
@@ -536,9 +524,8 @@ _SETTINGS_COMMANDS: Final = (
             " button), the level is 0 and an alarm is raised.",
             do=_set_level, ask=_ask_level, parameters=(Number("level", "PCT", _LEVEL, also=("MAXimum",)),),
             ask_parameters=(_ANY_LIMIT,), reply="level", example="SOUR:LED1:LEV 0.25;LEV?", group=SOURCE),
-    Command("SOURce:LED:CATalog", "Names the channels of the light box in the order of <n>, from 1 on.",
-            ask=_catalogue, reply='"name",…',
-            example="SOUR:LED:CAT?", group=SOURCE),
+    Command("SOURce:LED:CATalog", "Names the channels of the light box in the order of <n>, from 1 on.", ask=_catalogue,
+            reply='"name",…', example="SOUR:LED:CAT?", group=SOURCE),
     Command("OUTPut:ALL", "OFF switches every channel off before all that other clients wait for. What its own"
             " connection sent before it comes first. ON is refused (−221). The query replies 1 while the box reports"
             " any channel lit.",
@@ -585,10 +572,6 @@ def _devices(call: Call) -> str:
 
 def _state(call: Call) -> str:
     return formats.block(json_text(call.session.station.status()).encode())
-
-
-def _headers(call: Call) -> str:
-    return call.session.table.headers
 
 
 def _frame(call: Call) -> Frame:
@@ -648,28 +631,24 @@ def _registers(name: str) -> tuple[Command, ...]:
                 example=f"STAT:{short}:COND?", group=STATUS),
         Command(f"STATus:{name}:ENABle",
                 f"Sets the mask of event bits (sum of their weights) that set bit {summary} of the status byte.",
-                do=_set_enable(name),
-                ask=lambda call: str(_register(call, name).enable),
-                parameters=(Number("mask", "", _WORD16, "rounded"),),
-                reply="0 to 65535", example=f"STAT:{short}:ENAB 65535;ENAB?", group=STATUS),
+                do=_set_enable(name), ask=lambda call: str(_register(call, name).enable),
+                parameters=(Number("mask", "", _WORD16, "rounded"),), reply="0 to 65535",
+                example=f"STAT:{short}:ENAB 65535;ENAB?", group=STATUS),
     )  # fmt: skip
 
 
 _SYSTEM_COMMANDS: Final = (
     *_registers("OPERation"),
     *_registers("QUEStionable"),
-    Command("STATus:PRESet",
-            "Clears the masks (enable registers) of operation and questionable status.",
-            do=lambda call: call.session.status.preset(),
-            example="STAT:PRES", group=STATUS),
+    Command("STATus:PRESet", "Clears the masks (enable registers) of operation and questionable status.",
+            do=lambda call: call.session.status.preset(), example="STAT:PRES", group=STATUS),
     Command("SYSTem:ERRor[:NEXT]", "Removes the oldest entry from the session's error queue (32 entries) and "
     "replies it."
             " A lost camera, a lost light box and a journal that cannot be written are entered when they happen.",
             ask=lambda call: call.session.status.next_error(), reply='number,"text"', example="SYST:ERR?",
             group=SYSTEM),
-    Command("SYSTem:ERRor:ALL", "Removes all entries and replies "
-    "them.", ask=_all_errors, reply='number,"text",…', example="SYST:ERR:ALL?",
-            group=SYSTEM),
+    Command("SYSTem:ERRor:ALL", "Removes all entries and replies them.", ask=_all_errors, reply='number,"text",…',
+            example="SYST:ERR:ALL?", group=SYSTEM),
     Command("SYSTem:ERRor:COUNt", "Counts the entries.", ask=lambda call: str(call.session.status.error_count),
             reply="integer", example="SYST:ERR:COUN?", group=SYSTEM),
     Command("SYSTem:VERSion", "Replies the version of SCPI.", ask=lambda call: "1999.0", reply="1999.0",
@@ -681,8 +660,8 @@ _SYSTEM_COMMANDS: Final = (
             ask=_devices, reply='"device: state",…', example="SYST:DEV?", group=SYSTEM),
     Command("SYSTem:STATe", "Replies the state of everything as JSON in a block, as GET /status does.", ask=_state,
             reply="block", example="SYST:STAT?", group=SYSTEM),
-    Command("SYSTem:HELP:HEADers", "Lists every header in a block, one per line.", ask=_headers, reply="block",
-            example="SYST:HELP:HEAD?", group=SYSTEM),
+    Command("SYSTem:HELP:HEADers", "Lists every header in a block, one per line.",
+            ask=lambda call: call.session.table.headers, reply="block", example="SYST:HELP:HEAD?", group=SYSTEM),
     Command("TRACe[:DATA]", "Replies a block of binary numbers. IMAGe is the latest frame: 16-bit digital numbers, row"
             " by row. RESPonse is the response curve: pairs ln H, u of 64-bit floats, one per digital number."
             " HISTory[,count] holds the newest readings of the shared patch, oldest first: triples sequence, radiance,"
