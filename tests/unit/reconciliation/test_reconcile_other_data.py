@@ -76,11 +76,13 @@ def test_times_on_no_dial_are_as_written(tmp_path):
     assert "times are as written" in done.result.assumptions[0]
 
 
-def test_constant_meter_agrees(tmp_path):
-    """Exact stops of one constant: nothing is missing."""
-    rows = "".join(f"A,100,{n},{t},100\n" for n, t in ((4, 0.0625), (8, 0.25), (16, 1)))
+@pytest.mark.parametrize(("rise", "verdict", "names"), [(1.0, Verdict.AGREES, []), (1.2, Verdict.UNNAMED, ["unnamed"])])
+def test_constant_meter_agrees_and_drift_that_is_no_rounding_gets_no_name(tmp_path, rise, verdict, names):
+    """Exact stops of one constant: nothing is missing. K that changes by a fifth from row to row is `unnamed`."""
+    rows = "".join(f"A,{100 * rise**i},{n},{t},100\n" for i, (n, t) in enumerate(((4, 0.0625), (8, 0.25), (16, 1))))
     done = reconcile_meter_table(_table(tmp_path, "source,luminance,f_number,time,iso\n" + rows))
-    assert done.result.verdict is Verdict.AGREES
+    assert done.result.verdict is verdict
+    assert [effect.name for effect in done.result.effects] == names
 
 
 @pytest.mark.parametrize("stop", [2.8, 8])
@@ -97,14 +99,6 @@ def test_stop_that_differs_from_its_dial_is_named_with_its_size(tmp_path, stop):
     assert {name: error.value for name, error in effect.parameters.items()} == {
         f"errors_rel at f/{stop}": pytest.approx(-0.125, abs=1e-6)
     }
-
-
-def test_meter_drift_that_is_no_rounding_gets_no_name(tmp_path):
-    """K that changes by a fifth from row to row is `unnamed`."""
-    rows = "".join(f"A,{100 * 1.2**i},{n},{t},100\n" for i, (n, t) in enumerate(((4, 0.0625), (8, 0.25), (16, 1))))
-    done = reconcile_meter_table(_table(tmp_path, "source,luminance,f_number,time,iso\n" + rows))
-    assert done.result.verdict is Verdict.UNNAMED
-    assert [effect.name for effect in done.result.effects] == ["unnamed"]
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "luminance,f_number,time,iso\n1,2,x,4\n5,6,7,8\n"])

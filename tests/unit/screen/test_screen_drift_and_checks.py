@@ -8,7 +8,6 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from hypothesis import strategies as st
 import radiometer as rm
 from radiometer.bench.screen import SIMULATED_DISPLAYS, lights, open_screen_bench, primaries_of
 from radiometer.cli.main import run
-from radiometer.data import Quantity, RadianceMap
+from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.statements import StatementMap
 from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import (
@@ -34,11 +33,23 @@ from radiometer.errors import (
 from radiometer.screen import ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration import LUMINANCE, MODELS, RADIANCE, SCOTOPIC, LevelTable, fit_transfer, rising
 from radiometer.screen.calibration_run import Options, VerifiedLevel, calibrate_screen
-from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait_until_steady
 from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
-from radiometer.screen.meter import ScreenReading
-from radiometer.screen.report import mura_of, warm_up_section
-from radiometer.screen.run import Drift, Light, Measured, ScreenStep, curves_of, make_plan, measure_steps, parse_levels
+from radiometer.screen.report import Examined, mura_of, warm_up_section
+from radiometer.screen.run import (
+    Drift,
+    Light,
+    Measured,
+    ScreenReading,
+    ScreenStep,
+    Uniformity,
+    additivity,
+    curves_of,
+    judge_flicker,
+    make_plan,
+    measure_steps,
+    parse_levels,
+    wait_until_steady,
+)
 from simulators.clock import SimulatedClock
 from simulators.displays import DISPLAYS, SimulatedDisplay
 
@@ -91,10 +102,11 @@ def test_warm_up_waits_until_steady_and_gives_up_in_time() -> None:
     seen = wait_until_steady(lamp, lamp.sleep, limit_s=120)
     assert not seen.steady
     assert seen.waited_s == pytest.approx(120)
-    examined: Any = SimpleNamespace(luminance=lambda radiance: radiance)
-    few = dataclasses.replace(seen, readings=(_reading(1.0504, u=3e-3), _reading(1.0, u=4e-3)))
+    bench: Any = None
+    examined = Examined(bench, Patch(0, 0, 8, 8), {"grey": Light(320, 700, "x")}, print, 9, (2, 2), (), ())
+    few = dataclasses.replace(seen, readings=(_reading(2.1008, u=6e-3), _reading(2.0, u=8e-3)))
     excess = warm_up_section(few, examined).figure("excess_at_start").quantity
-    assert (excess.value, excess.u) == pytest.approx((5.04, 100.0 * np.hypot(3e-3 / 1.0504, 4e-3)))
+    assert (excess.value, excess.u) == pytest.approx((5.04, 100.0 * np.hypot(6e-3 / 2.1008, 4e-3)))
 
 
 def test_flicker_is_scatter_beyond_noise() -> None:
