@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import structlog
 
-from drivers.cameras.background_release import give_up_in_background
+from drivers.cameras.call_thread import give_up_in_background
 from drivers.cameras.camera_opening import CameraSession, find_camera, listed_cameras, open_session
 from drivers.cameras.camera_quirks import load_preset
 from drivers.cameras.frame_stream import Tally

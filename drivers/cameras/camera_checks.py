@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from drivers.cameras.aravis_camera import AravisCamera
 from drivers.cameras.camera_opening import CameraSession
+from drivers.cameras.feature_hygiene import SPEED
 from drivers.cameras.host_checks import USB3_MBIT_S
-from drivers.cameras.link_throughput import SPEED
 from radiometer.devices import Finding, Health
 
 USB3_BYTES_S = USB3_MBIT_S * 1_000_000 // 10  # ten symbols to a byte

@@ -12,19 +12,17 @@ from typing import Any, Final
 
 import structlog
 
-from drivers.cameras.background_release import give_up_in_background
-from drivers.cameras.call_thread import CallThread
+from drivers.cameras.call_thread import CallThread, give_up_in_background
 from drivers.cameras.camera_quirks import CameraQuirks, quirks_for
-from drivers.cameras.chunk_data import switch_on_chunks
 from drivers.cameras.feature_access import FeatureAccess, Refusal, translated
-from drivers.cameras.feature_hygiene import HygieneFinding, switch_off_falsifiers
+from drivers.cameras.feature_hygiene import HygieneFinding, LinkThroughput, choose_throughput, switch_off_falsifiers
+from drivers.cameras.frame_stream import switch_on_chunks
 from drivers.cameras.gige_ping import answers, is_controlled, name_at
 from drivers.cameras.host_checks import usb_link
-from drivers.cameras.link_throughput import LinkThroughput, choose_throughput
 from drivers.cameras.pixel_unpacking import MONO_FORMATS, RAW_FORMATS
 from drivers.cameras.settings_access import SettingsAccess, bit_depth_of
 from radiometer.data import CameraDescription
-from radiometer.data.serials import same_serial, serial_shown
+from radiometer.data.capture_header import same_serial, serial_shown
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound
 

@@ -8,15 +8,18 @@ from typing import Final
 
 from drivers.cameras.camera_opening import CameraSession
 from drivers.cameras.camera_quirks import CameraQuirks
-from drivers.cameras.chunk_data import (
+from drivers.cameras.frame_stream import (
     CHUNKS,
+    FrameStream,
+    LossyLink,
+    RawFrame,
+    Tally,
     changed_chunks,
     determines_black,
     exposure_of,
     holds_other_settings,
     stated_by_chunks,
 )
-from drivers.cameras.frame_stream import FrameStream, LossyLink, RawFrame, Tally
 from drivers.cameras.pixel_unpacking import pixel_format_of_code, unpack_pixels
 from drivers.cameras.settings_access import bit_depth_of
 from radiometer.data import Frame, FrameSettings, LensDescription

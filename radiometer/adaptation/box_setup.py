@@ -20,7 +20,7 @@ from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
 from radiometer.bench.boxes import OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
 from radiometer.bench.served_box import places_of, seat_subject
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 from radiometer.devices.light_box import ButtonEvent, FlashBox, LightBox, Radiance
 from radiometer.devices.retinal_safety import HazardFractions
 from radiometer.errors import (

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping
 from importlib.resources import files
 from typing import Final
 
-from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.request import Controls
 from radiometer.data.event_journal import Event
 from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError

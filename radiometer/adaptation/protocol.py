@@ -9,10 +9,9 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from radiometer.adaptation.bleach import bleached_fraction, retinal_illuminance_td
-from radiometer.data.config_files import shipped_config
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
-from radiometer.data.storage import read_yaml
+from radiometer.data.storage import read_yaml, shipped_config
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, InputError, UsageError
 

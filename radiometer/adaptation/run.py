@@ -16,12 +16,20 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.adaptation.checks import Check
-from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import FORMAT, REFUSED, RunJournal
 from radiometer.adaptation.methods import Method, begin
-from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of, too_many_false
+from radiometer.adaptation.outcome import (
+    FORMAT,
+    REFUSED,
+    Outcome,
+    RunJournal,
+    Verdict,
+    counting_trials,
+    outcome_of,
+    too_many_false,
+)
 from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
 from radiometer.adaptation.reliability import BLANK, BLIND_SPOT, BRIGHT, kind_of_catch
+from radiometer.adaptation.request import Controls
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.data.event_journal import START, Event
 from radiometer.errors import UsageError

@@ -9,12 +9,10 @@ from pathlib import Path
 
 from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.checks import Check
-from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import DEVICE_FACTS, RunJournal
+from radiometer.adaptation.live import LiveText, event_line
 from radiometer.adaptation.live_page import LivePage, replayed
-from radiometer.adaptation.live_text import LiveText, event_line
-from radiometer.adaptation.outcome import Outcome
-from radiometer.adaptation.request import SIMULATED_BOX, RunRequest
+from radiometer.adaptation.outcome import DEVICE_FACTS, Outcome, RunJournal
+from radiometer.adaptation.request import SIMULATED_BOX, Controls, RunRequest
 from radiometer.adaptation.run import Stage, run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.screen_setup import ScreenStage, open_screen_stage
@@ -23,7 +21,7 @@ from radiometer.bench.box_holder import darken_held
 from radiometer.data.event_journal import Event
 from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
-from simulators.observers.behaviours import BEHAVIOURS
+from simulators.observers.observer import BEHAVIOURS
 
 Watcher = Callable[[Event], None]
 

@@ -11,9 +11,8 @@ import numpy as np
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach
 from radiometer.adaptation.run import Stage
 from simulators.clock import SimulatedClock
-from simulators.observers.behaviours import behaviour_of
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, scotopic_per_photopic
-from simulators.observers.observer import Observer
+from simulators.observers.observer import Observer, behaviour_of
 
 _WHITE_SCOTOPIC_RATIO: Final = 2.0  # of a white LED's light, as the subject before the simulated box has it
 _ANSWERS: Final = 1  # keeps the answers' chance apart from that of the run, whose seed is [seed, trial]
@@ -90,7 +89,7 @@ def simulated_stage(protocol: AdaptationProtocol, behaviour: str, *, seed: int =
     """Return a stage with a simulated subject, whose eye and habits are those before the simulated box.
 
     Args:
-        behaviour: Name of a behaviour of `simulators.observers.behaviours`.
+        behaviour: Name of a behaviour of `simulators.observers.observer`.
         seed: Makes the answers, and the eye where it is a drawn one.
 
     Raises:

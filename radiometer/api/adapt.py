@@ -14,13 +14,11 @@ import numpy as np
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
-from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
 from radiometer.adaptation.report import CHOSEN_TO, LABELS, curve_csv, label_of, short, to_mapping, write_page
-from radiometer.adaptation.request import RunRequest
-from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
+from radiometer.adaptation.request import Controls, RunRequest
 from radiometer.adaptation.run_facts import intercept_of
 from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
@@ -28,8 +26,11 @@ from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_files import number_of
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import (
+    FEWEST_PAIRS,
     HALF_INTERVAL,
     OVERLAID,
+    Compared,
+    compare_visits,
     label_of_visit,
     moment_of_visit,
     visit_at,

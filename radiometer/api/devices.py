@@ -17,7 +17,7 @@ from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.doctor import check_daemon, examine
 from radiometer.bench.served_box import served_box, tend
 from radiometer.bench.served_camera import Faults, serve, served_camera
-from radiometer.data.serials import other_notation, serial_shown
+from radiometer.data.capture_header import other_notation, serial_shown
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.data.validation import validate
 from radiometer.devices import CameraIdentity, Finding, Health, LightBoxIdentity

@@ -38,7 +38,7 @@ from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLev
 from radiometer.devices.exposure_account import name_of_eye
 from radiometer.devices.light_box import Level
 from radiometer.errors import DeviceError, DeviceNotFound, UsageError
-from radiometer.importing.drive_table import DriveTable, read_drive_table
+from radiometer.importing.light_tables import DriveTable, read_drive_table
 from radiometer.plausible import (
     BlinkCount,
     BoxLevel,

@@ -11,7 +11,7 @@ from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data.statements import StatementMap
 from radiometer.importing.log_table import read_log
-from radiometer.reconciliation.inputs.log_fit import LogFit, fit_log
+from radiometer.reconciliation.log_fit import LogFit, fit_log
 from radiometer.reconciliation.result import ReconcileResult
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.api.files import PathLike, Stack, stack_of
+from radiometer.api.meter import PatchLike
 from radiometer.api.reading import reading_record
 from radiometer.api.result import Progress
 from radiometer.bench.sources import open_source
@@ -27,7 +28,7 @@ from radiometer.reporting.reading_page import check_report_name, write_reading_p
 
 def measure_photographs(
     photographs: Stack | PathLike,
-    patch: Patch | tuple[int, int, int, int] | None = None,
+    patch: PatchLike | None = None,
     *,
     calibration: Calibration | PathLike | None = None,
     uncalibrated: bool = False,

@@ -20,7 +20,7 @@ from radiometer.bench.capturing import shutter_by_hand
 from radiometer.bench.instrument import Instrument
 from radiometer.bench.reopening import reopen
 from radiometer.data import Bracket, CameraDescription, LensDescription, Reading
-from radiometer.data.serials import serial_shown
+from radiometer.data.capture_header import serial_shown
 from radiometer.errors import DeviceLost, DeviceTimeout, UsageError
 from radiometer.plausible import FNumber, Limit, Period, RelativeUncertainty
 from radiometer.progress import counted

@@ -17,9 +17,9 @@ from radiometer.errors import UsageError
 from radiometer.numbers import with_u
 from radiometer.photographs.response import ENOUGH_PIXELS
 from radiometer.reconciliation.engine import plan_of, whole_catalogue
-from radiometer.reconciliation.inputs.sources import Done, DoneCapture, reconcile_source
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, ReconcileResult
 from radiometer.reconciliation.separability import Separability as SeparabilityPlan
+from radiometer.reconciliation.sources import Done, DoneCapture, reconcile_source
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.registry import register_file
 

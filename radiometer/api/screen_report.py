@@ -22,8 +22,8 @@ from radiometer.plausible import Duration, Port, Seed
 from radiometer.progress import counted
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
-from radiometer.screen.plan import parse_levels
 from radiometer.screen.report import FIELD_SHARE, GEOMETRIES, POINTS, Examined, Geometry, Section, examine, methods_of
+from radiometer.screen.run import parse_levels
 from radiometer.typing import Array
 
 if TYPE_CHECKING:

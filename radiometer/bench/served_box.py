@@ -17,11 +17,8 @@ from radiometer.bench.boxes import SIMULATED_PORTS, LightBoxConfig, exposure_sto
 from radiometer.errors import OutputError, OutputRefused, UsageError
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.pty_line import PtyServer, WiredLightBox, was_left_behind
-from simulators.light_box.virtual_line import LineFaults
-from simulators.observers.behaviours import behaviour_of
-from simulators.observers.observer import Observer
-from simulators.observers.observer_at_box import ObserverAtBox
+from simulators.light_box.lines import LineFaults, PtyServer, WiredLightBox, was_left_behind
+from simulators.observers.observer import Observer, ObserverAtBox, behaviour_of
 
 _LOOK_S: Final = 0.05  # a tenth of the shortest period that anybody presses or resets a box with
 _PRESS_S: Final = 0.2  # of a short press by a finger
@@ -37,7 +34,7 @@ def seat_subject(twin: SimulatedLightBox, behaviour: str, seed: int, filter_dens
     """Seat a simulated subject before a simulated box and return it.
 
     Args:
-        behaviour: Name of a behaviour of `simulators.observers.behaviours`.
+        behaviour: Name of a behaviour of `simulators.observers.observer`.
         filter_density: Optical density of the filter before the spot.
 
     Raises:

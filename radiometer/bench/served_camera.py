@@ -15,10 +15,9 @@ from radiometer.data.storage import read_yaml
 from radiometer.errors import ConfigurationError, InputError
 from simulators.cameras.blackfly_awkward import SERIAL as AWKWARD_SERIAL
 from simulators.cameras.blackfly_awkward import AwkwardBlackfly
-from simulators.cameras.blackfly_gige import BlackflyGige
-from simulators.cameras.blackfly_pictures import ForwardModelSource, PictureSource, PooledSource
+from simulators.cameras.blackfly_gige import BlackflyGige, ForwardModelSource, PictureSource, PooledSource
 from simulators.cameras.simulated_camera import SimulatedCamera
-from simulators.scenes.factory import SCENES
+from simulators.scenes.kinds import SCENES
 
 _LOOK_S = 0.02  # how late Ctrl-C may take effect
 _PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr", ".exr", ".npy")

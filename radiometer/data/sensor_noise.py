@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,10 @@ _MOST_DARK_A_PER_M2 = 1e-5
 _HALF_GAP_K = 1.12 * ELEMENTARY_CHARGE_C / (2.0 * BOLTZMANN_J_K)
 _LARGEST_PITCH_UM = 24.0  # of the pixels of scientific CCDs; counts where the pitch is not stated either
 _MOST_DARK_REFERENCE_C = 25.0
-_DARK_DOUBLING_K = 7.0  # silicon: 6 to 8 K near room temperature
+_DARK_DOUBLING_K, _U_DOUBLING_K = 7.0, 1.0  # silicon: 6 to 8 K near room temperature
+_U_THERMOMETER_K = 0.5 / math.sqrt(6.0)  # of the difference of two readings in steps of 0.5 K
+# Up to 3 K within a session, at 6 K per doubling, where a temperature is not stated: a rectangle.
+U_UNKNOWN_WARMTH_REL: float = (2.0 ** (3.0 / 6.0) - 1.0) / math.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +108,32 @@ class SensorNoise:
         gain = self.gain_dn_per_e(gain_db)
         light = np.maximum(np.asarray(signal_dn, dtype=np.float64), 0.0)
         return gain * light + gain**2 * (self.read_noise_e**2 + dark_e) + self.code_variance_dn2
+
+
+def warmer(here_c: float | None, there_c: float | None, doubling_k: float = _DARK_DOUBLING_K) -> float:
+    """Return the dark current at one temperature over that at another; 1 where either is unknown.
+
+    Args:
+        here_c: The one in °C.
+        there_c: The other in °C.
+        doubling_k: Temperature step in K that doubles the dark current.
+    """
+    return 1.0 if here_c is None or there_c is None else float(2.0 ** ((here_c - there_c) / doubling_k))
+
+
+def u_warmth_rel(here_c: float | None, there_c: Sequence[float | None], doubling_k: float = _DARK_DOUBLING_K) -> float:
+    """Return the relative standard uncertainty that temperatures give the dark signal of a frame by dark frames.
+
+    Args:
+        here_c: Temperature of the frame in °C; None where unknown.
+        there_c: Those of the dark frames in °C.
+        doubling_k: Temperature step in K that doubles the dark current.
+    """
+    known = [one for one in there_c if one is not None]
+    if here_c is None or len(known) < len(there_c):
+        return U_UNKNOWN_WARMTH_REL
+    doublings = abs(here_c - float(np.mean(known))) / doubling_k
+    return math.log(2.0) * math.hypot(_U_THERMOMETER_K, doublings * _U_DOUBLING_K) / doubling_k
 
 
 def most_dark_e_per_s(camera: CameraDescription, temperature_c: float | None) -> float:

@@ -18,8 +18,15 @@ from radiometer.data.guards import safe_file_name
 from radiometer.data.mosaic import shifted
 from radiometer.data.validation import validate
 from radiometer.errors import CaptureError, DamagedFileError
-from radiometer.importing.found import FoundFrame, ImportOptions
-from radiometer.importing.record import ImportRecord, by_wording, doubts_about, not_used_of, taken_from
+from radiometer.importing.found import (
+    FoundFrame,
+    ImportOptions,
+    ImportRecord,
+    by_wording,
+    doubts_about,
+    not_used_of,
+    taken_from,
+)
 
 _LOOKED_AT: Final = 4  # frames whose codes are looked at for padding and clipping
 _FEWEST_CODES: Final = 10  # different ones: all even by chance once in a thousand

@@ -32,10 +32,9 @@ from radiometer.importing.assembly import Assembled, assemble, by_camera
 from radiometer.importing.emva_listing import EmvaListing, find_descriptor
 from radiometer.importing.file_bytes import kind_of
 from radiometer.importing.fits_files import read_fits_headers, read_fits_pixels
-from radiometer.importing.found import FoundFrame, ImportOptions
+from radiometer.importing.found import FoundFrame, ImportOptions, ImportRecord, named, record_in
 from radiometer.importing.micro_manager import FACT as ACQUISITION
 from radiometer.importing.photograph_times import PhotographSettings, find_list, read_list
-from radiometer.importing.record import ImportRecord, named, record_in
 from radiometer.importing.statistics_table import is_statistics_table, read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
 

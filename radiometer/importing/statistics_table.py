@@ -16,7 +16,7 @@ from radiometer.data.text_table import decode_export, read_table
 from radiometer.data.validation import validate
 from radiometer.errors import CaptureError, InputError, UnsettledError
 from radiometer.importing.file_bytes import read_bytes
-from radiometer.importing.record import ImportRecord
+from radiometer.importing.found import ImportRecord
 from radiometer.moments import UNIX_S
 from radiometer.units import heading_parts
 

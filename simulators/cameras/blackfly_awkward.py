@@ -26,9 +26,15 @@ from radiometer.errors import RadiometerError
 from simulators.cameras import blackfly_features as registers
 from simulators.cameras.aravis_fake_device import FakeGigeDevice
 from simulators.cameras.blackfly_features import blackfly_features
-from simulators.cameras.blackfly_gige import BlackflyGige, SentPicture
-from simulators.cameras.blackfly_pictures import PictureRequest, PictureSource
-from simulators.cameras.blackfly_registers import is_acquiring, processed, read_request
+from simulators.cameras.blackfly_gige import (
+    BlackflyGige,
+    PictureRequest,
+    PictureSource,
+    SentPicture,
+    is_acquiring,
+    processed,
+    read_request,
+)
 from simulators.cameras.genicam_document import Feature
 from simulators.cameras.pixel_packing import WIRE_FORMATS, pack_pixels
 

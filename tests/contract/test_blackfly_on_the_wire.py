@@ -16,10 +16,8 @@ from radiometer.data import LensDescription
 from radiometer.data.mosaic import COLOURS, plane_of
 from radiometer.devices import CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
-from simulators.cameras.blackfly_gige import BlackflyGige
-from simulators.cameras.blackfly_pictures import ForwardModelSource
-from simulators.cameras.colour_filters import ColourFilters
-from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
+from simulators.cameras.blackfly_gige import BlackflyGige, ForwardModelSource
+from simulators.cameras.simulated_camera import ColourFilters, SimulatedCamera, default_limits
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
 from testing.patience import ENDS_WITH_US, within

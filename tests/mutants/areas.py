@@ -19,7 +19,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "flux": _of("radiometer/analysis/flux"),
     "emva": _of("radiometer/analysis/characterise"),
     "planning": (*_of("radiometer/acquire"), *_of("radiometer", "units")),
-    "journal": _of("radiometer/daemon", "journal* clock_watch timestamps"),
+    "journal": _of("radiometer/daemon", "journal* timestamps"),
     "scpi": _of("radiometer/daemon/scpi"),
     "http": _of("radiometer/daemon", "http/* limits"),
     "daemon": (
@@ -35,12 +35,15 @@ AREAS: dict[str, tuple[str, ...]] = {
         "drivers/firmware/light_box/config.h",
     ),
     "adaptation": _of("radiometer/adaptation"),
-    "reconcile": _of("radiometer/reconciliation", "fit/* repeatability shared_errors verdict statistics search/*"),
+    "reconcile": (
+        *_of("radiometer/reconciliation", "comparison descent linear nuisances state localise screening search"),
+        *_of("radiometer/reconciliation", "repeatability shared_errors statistics verdict"),
+    ),
     "sensor_effects": _of("simulators/effects"),
     "files": _of("radiometer", "data/* importing/*"),
     "photographs_and_screen": _of("radiometer", "photographs/* screen/* screen/exports/*"),
     "archive_and_bench": _of("radiometer", "archive/* bench/* devices/*"),
-    "reconcile_rooms": _of("radiometer/reconciliation", "* inputs/* measure/* propose/*"),
+    "reconcile_rooms": _of("radiometer/reconciliation", "* propose/*"),
     "alarms_and_networks": (
         *_of("radiometer/adapters"),
         *_of("radiometer/daemon", "alarm* descr* epics* hub* lateness* light* log* mqtt*"),

@@ -8,17 +8,18 @@ import pytest
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.box_setup import open_box_stage
-from radiometer.adaptation.journal import RunJournal
+from radiometer.adaptation.outcome import RunJournal
 from radiometer.adaptation.protocol import FlashBleach, SteadyBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
+from radiometer.errors import RadiometerError
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, recovery_min, scotopic_lm_per_w
-from simulators.observers.observer_at_box import WHITE_LM_PER_W
+from simulators.observers.observer import BOX_WHITE_LM_PER_W
 
 # Radiance for 750 cd/m² by the protocol's white LED (316.9 lm/W), as the simulated eye sees it.
-BLEACH_CD_M2 = 750.0 / 316.9 * WHITE_LM_PER_W
+BLEACH_CD_M2 = 750.0 / 316.9 * BOX_WHITE_LM_PER_W
 
 
 @pytest.fixture(autouse=True)
@@ -86,6 +87,26 @@ def test_red_spot_shows_no_break(tmp_path):
     assert not fitted(outcome).has_break
 
 
+@pytest.mark.slow
+def test_short_bleach_leaves_the_rod_branch_alone(tmp_path):
+    """After 2 s the rods are the more sensitive from the first threshold on: one branch, far below the cones'."""
+    outcome, _ = run(tmp_path / "j", protocol(10.0, bleach_s=2.0))
+    found = fitted(outcome)
+    assert not found.has_break, found.verdict
+    assert found.estimates["final_threshold"].value < Eye().cone_log10(30.0, 453.0) - 2.0
+
+
+def test_run_that_died_is_lived_through_again_and_goes_on(tmp_path):
+    """Cut anywhere, even in a line, the journal of the same command equals the undisturbed one byte for byte."""
+    chosen = protocol(1.5, bleach_s=10.0)
+    run(tmp_path / "whole", chosen)
+    whole = (tmp_path / "whole").read_bytes()
+    for share in (0.02, 0.4, 0.9):
+        (tmp_path / "cut").write_bytes(whole[: int(share * len(whole))])
+        run(tmp_path / "cut", chosen)
+        assert (tmp_path / "cut").read_bytes() == whole
+
+
 @pytest.mark.parametrize(("subject", "planted"), [("steady", 0.03), ("wanders", 0.4)])
 def test_fixation_losses_are_found_as_they_were_planted(tmp_path, subject, planted):
     """The red LED in the blind spot, in the protocol's bytes: the interval holds the share of glances elsewhere."""
@@ -125,3 +146,16 @@ def test_photographic_flashes_bleach_the_eye_before_the_box(tmp_path):
     assert 0.38 < rods < 0.42
     assert observer.eye.s2_zero_min == pytest.approx(recovery_min(rods, 0.24), rel=0.01)
     assert observer.dark_since_s == pytest.approx(fired_ms[-1] / 1000, abs=0.2)
+
+
+def test_flashes_beyond_the_box_are_refused_before_the_first(tmp_path):
+    """The trigger gives eight in a row: 2·10⁷ td·s would take thirteen, and nothing is fired."""
+    flash = FlashBleach(kind="flash", retinal_td_s=2e7, pupil_mm=6.0, source="flash")
+    chosen = protocol(5.0).model_copy(update={"bleach": flash})
+    with (
+        open_box_stage(RunRequest(chosen, box="sim")) as (stage, checks),
+        RunJournal(tmp_path / "j", relive=True) as journal,
+    ):
+        with pytest.raises(RadiometerError, match="takes 13 flashes, the box fires 8 in a row"):
+            run_test(chosen, stage, journal, subject="A1", checks=checks)
+        assert not stage.box.link.line.twin.flash.fired_ms  # type: ignore[attr-defined]

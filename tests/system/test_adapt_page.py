@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.live_page import LivePage
-from radiometer.adaptation.outcome import Verdict
+from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.request import Controls
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.simulated_stage import simulated_stage
 from testing.chromium import headless

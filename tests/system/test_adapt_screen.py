@@ -12,8 +12,7 @@ import sys
 import numpy as np
 import pytest
 
-from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.outcome import Verdict
+from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test

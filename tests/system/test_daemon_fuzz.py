@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from benchmarks import daemon_fuzz
 from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.lexer import split_message
+from radiometer.daemon.scpi.language import split_message
 from radiometer.daemon.scpi.table import command_table
 
 TABLE = command_table()

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from radiometer.cli.main import run
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 
 SCENE = yaml.safe_load(shipped_config("bench-simulated.yaml").read_text())["scene"]
 LIT = [patch for patch in SCENE["patches"] if patch["drive"] > 0]

@@ -7,8 +7,8 @@ import numpy as np
 
 import radiometer as rm
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
+from radiometer.adaptation.intervals import InterceptRule
 from radiometer.adaptation.report import report_html
-from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import visits_html
 from radiometer.analysis.characterise import characterise, read_subject

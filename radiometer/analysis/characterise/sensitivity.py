@@ -53,7 +53,7 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
     light = np.array([s.light for s in steps])
     top = int(np.argmax(variances))
     reached = top < len(steps) - 1 or steps[top].bright.clipped_share > CLIPPED_SHARE
-    slope, u_slope = _slope_below(steps[: top + 1], steps[top].signal_dn)
+    slope, u_slope = _slope(_below(steps[: top + 1], steps[top].signal_dn))
     u_light_rel = _spacing_u(steps, top) / steps[top].light
     if not slope > 0.0:
         raise MeasurementError(
@@ -66,7 +66,7 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
     u_uneven_rel = math.sqrt(max(below.bright.spatial_variance_dn2, 0.0)) / (slope * below.light)
     return Saturation(
         signal_dn=steps[top].signal_dn,
-        u_signal_dn=steps[top].u_signal_dn,
+        u_signal_dn=math.hypot(steps[top].u_signal_dn, steps[top].u_warmth_dn),
         light=float(light[top]),
         u_light_rel=u_light_rel,
         linear_signal_dn=linear,
@@ -104,12 +104,12 @@ def _below(steps: Sequence[SignalStep], signal_dn: float) -> list[SignalStep]:
     return [s for s in steps if 0 < s.signal_dn <= 0.7 * signal_dn] or list(steps[:1])
 
 
-def _slope_below(steps: Sequence[SignalStep], signal_dn: float) -> tuple[float, float]:
-    used = _below(steps, signal_dn)
-    line = fit_line(
-        [s.light for s in used], [s.signal_dn for s in used], [s.u_signal_dn for s in used], through_origin=True
-    )
-    return line.slope, line.u_slope
+def _slope(used: Sequence[SignalStep]) -> tuple[float, float]:
+    """Return the slope of signal over light from the origin, and its standard uncertainty."""
+    light, u = [s.light for s in used], [s.u_signal_dn for s in used]
+    line = fit_line(light, [s.signal_dn for s in used], u, through_origin=True)
+    of_warmth = fit_line(light, [s.u_warmth_dn for s in used], u, through_origin=True)
+    return line.slope, math.hypot(line.u_slope, of_warmth.slope)
 
 
 def responsivity(steps: Sequence[SignalStep], saturation: Saturation, photons_u_rel: float) -> Quantity:
@@ -120,11 +120,8 @@ def responsivity(steps: Sequence[SignalStep], saturation: Saturation, photons_u_
 
     Source: EMVA Standard 1288, release 4.0, section 6.6, equation (13).
     """
-    used = [s for s in saturation.rising(steps) if 0 < s.signal_dn <= 0.7 * saturation.signal_dn]
-    line = fit_line(
-        [s.light for s in used], [s.signal_dn for s in used], [s.u_signal_dn for s in used], through_origin=True
-    )
-    return Quantity(line.slope, math.hypot(line.u_slope, line.slope * photons_u_rel), "DN/photon")
+    slope, u_slope = _slope(_below(saturation.rising(steps), saturation.signal_dn))
+    return Quantity(slope, math.hypot(u_slope, slope * photons_u_rel), "DN/photon")
 
 
 def propagated(function: Callable[..., float], unit: str, *inputs: Quantity) -> Quantity:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.signal.rounding import unrounded_variance
+from radiometer.data.sensor_noise import u_warmth_rel, warmer
 from radiometer.errors import MeasurementError
 from radiometer.statistics.scale import robust_sigma
 
@@ -37,6 +38,7 @@ class SignalStep:
     u_dark_variance_dn2: float  # its standard uncertainty
     dark_noise_dn2: float = 0.0  # the same before rounding to whole codes
     u_dark_noise_dn2: float = 0.0  # its standard uncertainty; alike in all steps
+    u_warmth_dn: float = 0.0  # standard uncertainty of that mean by temperatures: one error of all steps
 
     @property
     def signal_dn(self) -> float:
@@ -59,8 +61,8 @@ def make_steps(
 ) -> list[SignalStep]:
     """Return the bright groups with the dark signal of their exposure, by rising light.
 
-    The dark group of the same exposure, gain, region and temperature is used; where there is none, a line through
-    the others.
+    The dark group of the same exposure, gain and region is used, with its dark current as at the temperature of the
+    bright one, which may differ by 1.5 K; where there is none, a line through the others.
 
     Args:
         bright: Bright groups of one gain.
@@ -78,18 +80,36 @@ def _step(group: GroupStatistics, dark: Sequence[GroupStatistics], step_dn: int)
             "no dark frames at the gain and temperature of the bright ones: capture them with the shutter closed or "
             "the lens covered (radiometer bracket --darks 2)"
         )
-    exposure = group.settings.exposure_s
-    level = group.settings.source_level
-    light = group.photons if group.photons is not None else exposure * level
+    exposure, here_c = group.settings.exposure_s, group.settings.temperature_c
+    light = group.photons if group.photons is not None else exposure * group.settings.source_level
+    unexposed = _at_exposure(fitting, 0.0)
+    fitting = [_as_warm(d, here_c, unexposed[0][0], unexposed[1][0]) for d in fitting]
     same = [d for d in fitting if math.isclose(d.settings.exposure_s, exposure, rel_tol=SAME_EXPOSURE_REL)]
     near = same[0] if same else min(fitting, key=lambda d: abs(d.settings.exposure_s - exposure))
     noise = unrounded_variance(near.variance_dn2, near.u_variance_dn2, near.mean_dn, near.spatial_variance_dn2, step_dn)
     if same:
         mean, variance = (near.mean_dn, near.u_mean_dn), (near.variance_dn2, near.u_variance_dn2)
     else:
-        mean = _from_line(fitting, exposure, [(d.mean_dn, d.u_mean_dn) for d in fitting])
-        variance = _from_line(fitting, exposure, [(d.variance_dn2, d.u_variance_dn2) for d in fitting])
-    return SignalStep(group, light, *mean, *variance, noise.value, noise.u)
+        mean, variance = _at_exposure(fitting, exposure)
+    u_rel = u_warmth_rel(here_c, [d.settings.temperature_c for d in fitting])
+    u_warmth = u_rel * max(mean[0] - unexposed[0][0], 0.0)
+    return SignalStep(group, light, *mean, *variance, noise.value, noise.u, u_warmth)
+
+
+def _at_exposure(dark: Sequence[GroupStatistics], exposure_s: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return (value, uncertainty) of mean in DN and of variance in DN² at an exposure, of lines over dark groups."""
+    mean = _from_line(dark, exposure_s, [(d.mean_dn, d.u_mean_dn) for d in dark])
+    return mean, _from_line(dark, exposure_s, [(d.variance_dn2, d.u_variance_dn2) for d in dark])
+
+
+def _as_warm(dark: GroupStatistics, here_c: float | None, mean_dn: float, variance_dn2: float) -> GroupStatistics:
+    """Return a dark group as at another temperature, by its mean and variance at exposure 0."""
+    factor = warmer(here_c, dark.settings.temperature_c)
+    mean, variance = (
+        mean_dn + factor * (dark.mean_dn - mean_dn),
+        variance_dn2 + factor * (dark.variance_dn2 - variance_dn2),
+    )
+    return replace(dark, mean_dn=mean, variance_dn2=max(variance, 0.0))
 
 
 def _from_line(

@@ -33,7 +33,7 @@ from radiometer.data.white_level import WhiteLevel, white_level_notes
 from radiometer.errors import CaptureError, MeasurementError, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME, EmvaListing, find_descriptor
-from radiometer.importing.record import record_in
+from radiometer.importing.found import record_in
 from radiometer.units import photon_energy_j
 
 _MEASURED_REL: Final = 1e-4  # by which measured exposures of one setting differ; steps of a ladder do by per cents

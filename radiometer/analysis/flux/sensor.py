@@ -10,25 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.merge.frames import dark_map
 from radiometer.analysis.reading.budget import frame_u_rel, spectral_u_rel
 from radiometer.analysis.signal.lens import known_f_number
 from radiometer.analysis.signal.model import (
     SignalModel,
     dark_levels,
+    dark_map,
     signal_model,
     temperature_factor,
 )
 from radiometer.analysis.signal.situation import situation_of
-from radiometer.data import (
-    BlackLevel,
-    Frame,
-    FrameSettings,
-    LensDescription,
-    Patch,
-    Quantity,
-    SensorNoise,
-)
+from radiometer.data import BlackLevel, Frame, FrameSettings, LensDescription, Patch, Quantity, SensorNoise
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 from radiometer.units import photon_energy_j

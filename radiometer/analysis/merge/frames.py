@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.signal.lens import lens_factor_sr
-from radiometer.analysis.signal.model import DarkLevel, SignalModel, dark_levels, matching_darks, warmed
+from radiometer.analysis.signal.model import SignalModel, dark_levels, dark_map
 from radiometer.analysis.signal.situation import Situation
 from radiometer.data import Frame, FrameSettings
 from radiometer.typing import Array
@@ -179,22 +179,3 @@ def _lowest_dn(model: SignalModel, settings: FrameSettings) -> int:
     if black >= _BLACK_HEADROOM_SIGMA * model.noise.read_noise_e * model.noise.gain_dn_per_e(settings.gain_db):
         return 0
     return 1 if model.linear else max(1, model.valid_dn[0] + round(black - model.black_dn))
-
-
-def dark_map(
-    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: DarkLevel
-) -> tuple[NDArray[np.float32], float]:
-    """Return the dark signal x of every pixel, flat, with the variance of that mean, or one level for all with none.
-
-    Args:
-        dark_frames: Frames with the shutter closed; those of the same exposure count.
-        level: Dark level of the light frame, for all where there are none.
-    """
-    matching = matching_darks(settings, dark_frames)
-    if not matching:
-        return np.full(1, level.signal, np.float32), 0.0
-    total = warmed(matching[0], settings, model, level.black).ravel().astype(np.float32)
-    for frame in matching[1:]:
-        total += warmed(frame, settings, model, level.black).ravel().astype(np.float32)
-    total /= np.float32(len(matching))
-    return total, float(model.variance(0.0, settings)) / len(matching)

@@ -465,21 +465,6 @@ def radiance_thesis_w_sr_m2_um(luminance_cd_m2: float) -> float:
     return luminance_cd_m2 / (KM_LM_PER_W * 0.1068)
 
 
-def retinal_illuminance_td(luminance_cd_m2: float, pupil_diameter_mm: float) -> float:
-    """Return the retinal illuminance in trolands: luminance × pupil area in mm².
-
-    Args:
-        luminance_cd_m2: Luminance (photopic or scotopic, and so the trolands) in cd·m⁻².
-        pupil_diameter_mm: Diameter of the eye's pupil in mm, 1 to 10.
-
-    Raises:
-        InputError: If the pupil is outside 1 to 10 mm.
-    """
-    if not 1.0 <= pupil_diameter_mm <= 10.0:
-        raise InputError(f"pupil diameter {pupil_diameter_mm:g} mm is out of range; allowed is 1 to 10 mm")
-    return luminance_cd_m2 * math.pi / 4.0 * pupil_diameter_mm**2
-
-
 def spectral_mismatch_factor(
     source: Spectrum,
     calibration_source: Spectrum,

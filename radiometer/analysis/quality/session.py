@@ -53,14 +53,8 @@ class Index:
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping for programs."""
         one = self.procedure
-        content: dict[str, Any] = {
-            "index": one.name,
-            "symbol": one.symbol,
-            "title": one.title,
-            "definition": one.definition,
-            "source": one.source,
-            "measured": self.figure is not None,
-        }
+        stated = {name: getattr(one, name) for name in ("symbol", "title", "definition", "source")}
+        content: dict[str, Any] = {"index": one.name, **stated, "measured": self.figure is not None}
         if self.figure is None:
             return {**content, "reason": self.reason}
         found, k = self.figure, coverage_factor(self.figure.degrees_of_freedom)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -87,13 +88,21 @@ def estimate_patch(
         fluctuation_rel=tau,
         evidence=evidence,
         pixel_rates=pixels,
-        u_pixel=float(np.sqrt(coefficients**2 @ single)),
+        u_pixel=math.sqrt(float(coefficients**2 @ single) + _variance_of_darks(frames, coefficients)),
         doubts=doubted_gains(
             means / exposures,
             (single / count + curve + dark_variance) / exposures**2,
             [f.settings.gain_db for f in frames],
         ),
     )
+
+
+def _variance_of_darks(frames: Sequence[PatchFrame], coefficients: NDArray[np.float64]) -> float:
+    """Return the variance of one pixel's rate by the noise of dark frames, which lights of one exposure share."""
+    shared = defaultdict[tuple[float, float, float], float](float)
+    for frame, factor in zip(frames, coefficients, strict=True):
+        shared[frame.settings.exposure_s, frame.settings.gain_db, frame.dark_variance] += float(factor)
+    return sum(factor**2 * variance for (_, _, variance), factor in shared.items())
 
 
 def _variances(

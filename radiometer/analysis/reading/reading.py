@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,11 +36,13 @@ from radiometer.analysis.signal.lens import (
     relative_sensitivity,
 )
 from radiometer.analysis.signal.model import (
+    DarkLevel,
     PatchFrame,
     SignalModel,
     corrected_frames,
     crop_frames,
     dark_levels,
+    dark_map,
     picked,
     refuse_brighter_darks,
     straightened,
@@ -130,7 +132,7 @@ def patch_situation(
     # Below its data the curve is a line to the black level. Noise that was cut off there reads as light, in the longest
     # frame the least.
     chosen = [one for one in chosen if one.in_data] or chosen[-1:]
-    good = chosen[0].sound
+    good, whole_darks = chosen[0].sound, dark_frames
     dark_frames = [picked(frame, good) for frame in dark_frames]
     masked = [one.masked_dn for one in chosen]
     dark = dark_levels(
@@ -148,7 +150,10 @@ def patch_situation(
     factors = float(place.mean() * np.mean(gain)) * _lens_factors(light, calibration, settled.lens)
     surround = _surround(light, factors, settled)
     kept = [any(one is other for other in chosen) for one in light]
-    chosen = [_evened(one, level.signal, place * gain) for one, level in zip(chosen, dark, strict=True)]
+    chosen = [
+        _evened(_without_pattern(one, whole_darks, level, settled.model), level.signal, place * gain)
+        for one, level in zip(chosen, dark, strict=True)
+    ]
     exposures = np.array([one.settings.exposure_s for one in chosen]) * factors[kept]
     estimate = estimate_patch(chosen, dark, exposures, good, settled.model)
     field = _field(camera, settled.lens, shape, patch)
@@ -263,6 +268,17 @@ def _sensitivity(
         return np.ones((patch.height, patch.width))
     rows, columns = np.mgrid[patch.slices]
     return relative_sensitivity(camera, lens, flat_field_for(calibration, shape), shape, columns, rows)
+
+
+def _without_pattern(
+    frame: PatchFrame, dark_frames: Sequence[Frame], level: DarkLevel, model: SignalModel
+) -> PatchFrame:
+    """Return the frame's patch with what its dark frames show of single pixels taken out, its mean left as it is."""
+    own, variance = dark_map(frame.settings, dark_frames, model, level)
+    if own.size == 1:
+        return frame
+    pattern = own.reshape(frame.signal.shape)
+    return replace(frame, signal=frame.signal - (pattern - pattern[frame.sound].mean()), dark_variance=variance)
 
 
 def _evened(frame: PatchFrame, dark: float, place: NDArray[np.float64]) -> PatchFrame:

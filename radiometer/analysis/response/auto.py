@@ -21,7 +21,7 @@ from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import Choices, FittedResponse, error_of_quadrants, fit_with, refit, settle
 from radiometer.analysis.response.shutter_offset import Exposures, find_exposures, with_offset
 from radiometer.analysis.response.wrong_labels import WrongLabel, thinned
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread

@@ -13,7 +13,7 @@ from radiometer.analysis.response.estimate import ResponseEstimate, compare_thir
 from radiometer.analysis.response.fit import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
 from radiometer.analysis.response.noise import ASSUMPTION, mean_exposure_dn
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread

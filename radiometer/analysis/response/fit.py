@@ -129,10 +129,7 @@ def solve_penalised(
     grid = np.logspace(-12, 7, 39)
     scores = [_restricted_deviance(normal, penalty, fixed, value * scale, order) for value in grid]
     if not np.isfinite(np.min(scores)):
-        raise MeasurementError(
-            "the frames do not determine a response: too few values overlap between exposures; "
-            "take exposures about one stop apart of a scene with many brightnesses"
-        )
+        raise MeasurementError(_UNDETERMINED)
     best = float(grid[int(np.argmin(scores))])
     return _finish(normal, penalty, fixed, best * scale, best)
 

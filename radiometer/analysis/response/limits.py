@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.signal.model import mean_darks, unexposed_dn, whole_darks
-from radiometer.data.bracket import Bracket
-from radiometer.data.frame import Frame
+from radiometer.data.frame import Bracket, Frame
 from radiometer.data.pile_up import with_white_levels
 from radiometer.errors import MeasurementError
 

@@ -14,7 +14,7 @@ from radiometer.analysis.response.basis import hat_weight
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.noise import LogNoise, group_deviation, slope_at, value_at
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.errors import MeasurementError
@@ -84,23 +84,6 @@ class TermsFit:
         np.add.at(sums, part, self.score)
         inverse = np.linalg.pinv(self.information)
         return np.asarray(inverse @ (sums.T @ sums) @ inverse)
-
-
-def pixel_noise(bracket: Bracket, curve: ResponseCurve) -> LogNoise:
-    """Return the noise of one pixel: shot, read, and what arises behind the curve, as the frames themselves show it.
-
-    Some thousand pixels, evenly over the picture, represent all. The exposure of each is the mean over its frames,
-    weighted by the noise so far. The amplitudes follow from the residuals.
-
-    Args:
-        bracket: Frames of one unmoving scene.
-        curve: Their response.
-
-    Raises:
-        MeasurementError: If hardly a pixel is unclipped in two frames.
-    """
-    pixels = SinglePixels.of(bracket, curve)
-    return log_noise(fit_terms(pixels, pixels.noise_terms()).amplitudes)
 
 
 def log_noise(amplitudes: Array) -> LogNoise:

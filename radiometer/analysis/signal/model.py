@@ -24,7 +24,7 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.frame import DigitalNumbers
-from radiometer.data.sensor_noise import most_dark_e_per_s
+from radiometer.data.sensor_noise import U_UNKNOWN_WARMTH_REL, most_dark_e_per_s, u_warmth_rel, warmer
 from radiometer.errors import CalibrationError, MeasurementError
 from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma, robust_sigma, typical_pixels
 from radiometer.units import gain_factor
@@ -37,10 +37,6 @@ _OTHER_EXPOSURE_REL = 0.05  # dark frames that differ by less say nothing of the
 _DARKER_SIGMAS = 5.0  # of one pixel: no middle of a picture is so far below its dark level
 _DARK_SIGMAS = 2.0  # of that level, whose causes have limits: the most by k = 2
 _AS_WARM_K = 3.0  # beyond that a pixel's dark current no longer follows that of the others
-_U_DOUBLING_K = 1.0  # dark currents in silicon double within 6 to 8 K
-_U_THERMOMETER_K = 0.5 / math.sqrt(6.0)  # of the difference of two readings in steps of 0.5 K
-# Up to 3 K within a session, at 6 K per doubling, where a temperature is not stated: a rectangle.
-_U_UNKNOWN_WARMTH_REL = (2.0 ** (3.0 / 6.0) - 1.0) / math.sqrt(3.0)
 _OTHER = "dark frames of other exposures"
 _OTHER_WARMTH = "dark frames of unknown warmth"
 _DARKEST_PERCENTILE = 5.0  # of a frame: its dark signal is not above that of its darkest pixels, hot ones left out
@@ -354,12 +350,12 @@ def _from_matching(
     """Return the dark level that dark frames of the same exposure show, as at the light frame's temperature."""
     zero, u_zero = _without_dark_current(settings, matching, dark_frames, model, black)
     level = _from_frames(settings, matching, model, darkest, zero)
-    warmer = float(np.mean([_warmer(settings, frame, model) for frame in matching]))
+    factor = float(np.mean([_warmer(settings, frame, model) for frame in matching]))
     u_rel = _u_warmth_rel(settings, matching, model)
     most = max(_most_dark(settings, model), model.modelled_dark(settings))
     part = min(math.hypot(max(level.signal - zero, 0.0), u_zero), most)
-    u = math.hypot(u_rel * part, (warmer - 1.0) * u_zero)
-    source = _OTHER_WARMTH if u_rel == _U_UNKNOWN_WARMTH_REL else level.source
+    u = math.hypot(u_rel * part, (factor - 1.0) * u_zero)
+    source = _OTHER_WARMTH if u_rel == U_UNKNOWN_WARMTH_REL else level.source
     return replace(level, u_common=math.hypot(level.u_common, u), black=zero, source=source)
 
 
@@ -389,33 +385,41 @@ def _without_dark_current(
     return level - part, part
 
 
-def warmed(frame: Frame, settings: FrameSettings, model: SignalModel, black: float) -> NDArray[np.float64]:
-    """Return the signal x of every pixel of a dark frame as at the temperature of a light frame, shape of the frame.
+def dark_map(
+    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: DarkLevel
+) -> tuple[NDArray[np.float32], float]:
+    """Return the dark signal x of every pixel, flat, with the variance of that mean, or one level for all with none.
 
     Args:
-        frame: The dark frame.
         settings: Of the light frame.
+        dark_frames: Frames with the shutter closed; those of the same exposure count.
         model: Signal model of the camera.
-        black: The part of x that no warmth changes.
+        level: Dark level of the light frame, for all where there are none.
     """
-    signal, warmer = signal_of(frame, model, settings), _warmer(settings, frame, model)
-    return signal if warmer == 1.0 else black + warmer * (signal - black)
+    matching = matching_darks(settings, dark_frames)
+    if not matching:
+        return np.full(1, level.signal, np.float32), 0.0
+    total = _warmed(matching[0], settings, model, level.black).ravel().astype(np.float32)
+    for frame in matching[1:]:
+        total += _warmed(frame, settings, model, level.black).ravel().astype(np.float32)
+    total /= np.float32(len(matching))
+    return total, float(model.variance(0.0, settings)) / len(matching)
+
+
+def _warmed(frame: Frame, settings: FrameSettings, model: SignalModel, black: float) -> NDArray[np.float64]:
+    """Return the signal x of every pixel of a dark frame as at a light frame's temperature; `black` does not change."""
+    signal, factor = signal_of(frame, model, settings), _warmer(settings, frame, model)
+    return signal if factor == 1.0 else black + factor * (signal - black)
 
 
 def _warmer(settings: FrameSettings, frame: Frame, model: SignalModel) -> float:
     """Return the dark current of a light frame over that of a dark frame; 1 where a temperature is not stated."""
-    if settings.temperature_c is None or frame.settings.temperature_c is None:
-        return 1.0
-    return float(2.0 ** ((settings.temperature_c - frame.settings.temperature_c) / model.noise.dark_doubling_k))
+    return warmer(settings.temperature_c, frame.settings.temperature_c, model.noise.dark_doubling_k)
 
 
 def _u_warmth_rel(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel) -> float:
-    """Return the relative standard uncertainty of dark signal by the temperatures of a light frame and its darks."""
-    known = [one.settings.temperature_c for one in frames if one.settings.temperature_c is not None]
-    if settings.temperature_c is None or len(known) < len(frames):
-        return _U_UNKNOWN_WARMTH_REL
-    doublings = abs(settings.temperature_c - float(np.mean(known))) / model.noise.dark_doubling_k
-    return math.log(2.0) * math.hypot(_U_THERMOMETER_K, doublings * _U_DOUBLING_K) / model.noise.dark_doubling_k
+    there_c = [frame.settings.temperature_c for frame in frames]
+    return u_warmth_rel(settings.temperature_c, there_c, model.noise.dark_doubling_k)
 
 
 def _from_frames(
@@ -423,7 +427,7 @@ def _from_frames(
 ) -> DarkLevel:
     means, count = [], 0
     for frame in frames:
-        means.append(float(warmed(frame, settings, model, black).mean()))
+        means.append(float(_warmed(frame, settings, model, black).mean()))
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
     if (freedom := len(means) - 1) > 0:  # black levels wander from frame to frame, beyond what noise leaves in a mean
@@ -490,7 +494,7 @@ def _from_other_exposures(
     measured = [_from_frames(frame.settings, [frame], model, darkest) for frame in frames]
     times = np.array([_seconds_at_reference(frame.settings, model) for frame in frames])
     signals = np.array([level.signal for level in measured])
-    here, u_warmth_rel = _seconds_at_reference(settings, model), _u_warmth_rel(settings, frames, model)
+    here, u_rel = _seconds_at_reference(settings, model), _u_warmth_rel(settings, frames, model)
     noise = float(np.sqrt(np.sum([level.u_independent**2 for level in measured]))) / len(frames)
     rounding = max(level.u_common for level in measured)
     if np.ptp(times) > _OTHER_EXPOSURE_REL * times.max():
@@ -500,12 +504,12 @@ def _from_other_exposures(
         lacking = signals - signals.mean() - rate * (times - middle)
         scatter = max(noise * math.sqrt(len(frames)), float(np.sqrt(np.sum(lacking**2) / max(len(frames) - 2, 1))))
         u = scatter * math.sqrt(1.0 / len(frames) + (here - middle) ** 2 / spread)
-        return DarkLevel(level, 0.0, math.hypot(u, rate * u_warmth_rel * here, rounding), _OTHER)
+        return DarkLevel(level, 0.0, math.hypot(u, rate * u_rel * here, rounding), _OTHER)
     modelled = [model.modelled_dark(frame.settings) for frame in frames]
     offset = float(np.mean(signals - np.array(modelled)))
     dark = model.modelled_dark(settings)
     there, u_unstated = float(np.mean(modelled)), 0.0
-    u_rate = math.hypot(black.dark_u_rel * (dark - there), u_warmth_rel * there)
+    u_rate = math.hypot(black.dark_u_rel * (dark - there), u_rel * there)
     if "dark_current_e_per_s" in model.noise.assumed:
         apart_s = here - float(times.mean())
         # Shorter dark frames lack dark signal, up to all that the darkest pixels show; longer ones have too much, up to
@@ -768,6 +772,7 @@ class PatchFrame:
     masked_dn: float | None = None  # what the sensor's masked pixels read, in DN; None where it is not stated
     darkest: float = math.inf  # signal x of the darkest pixels of the whole picture, dark level not yet taken off
     u_black: float = 0.0  # standard uncertainty of the patch's signal x by the black level of its tap in this frame
+    dark_variance: float = 0.0  # of a pixel's dark signal that was evened; frames of one exposure share it
 
 
 def crop_frames(
@@ -855,6 +860,11 @@ def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: Si
             f"the patch {patch} is not inside the frame of {frame.shape[1]} × {frame.shape[0]} pixels; "
             "give X,Y,W,H within it"
         )
+    refuse_other_format(frame, shape, model)
+
+
+def refuse_other_format(frame: Frame, shape: tuple[int, int], model: SignalModel) -> None:
+    """Raise MeasurementError if a frame has not the shape of the others, or not the camera's depth."""
     if frame.shape != shape:
         raise MeasurementError(
             f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and {shape[1]} × {shape[0]} pixels)"

@@ -9,8 +9,17 @@ from typing import Any, Final
 import numpy as np
 from aiohttp import web
 
-from radiometer.daemon.http.requests import LightBody, MeasureBody, SettingsBody, read_body
-from radiometer.daemon.http.route import ASKER, LIGHTS_OFF, STATION, Route, json_reply
+from radiometer.daemon.http.requests import (
+    ASKER,
+    LIGHTS_OFF,
+    STATION,
+    LightBody,
+    MeasureBody,
+    Route,
+    SettingsBody,
+    json_reply,
+    read_body,
+)
 from radiometer.daemon.metrics import CONTENT_TYPE
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import radiometer
-from radiometer.daemon.http.requests import LimitsBody, PatchBody
-from radiometer.daemon.http.route import Route
+from radiometer.daemon.http.requests import LimitsBody, PatchBody, Route
 from radiometer.data import Flag
 
 _NUMBER_OR_NULL: Final = {"type": ["number", "null"]}

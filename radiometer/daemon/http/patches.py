@@ -11,8 +11,17 @@ from aiohttp import web
 from pydantic import Field
 
 from radiometer.daemon.http.readings import stream_asked
-from radiometer.daemon.http.requests import Asked, LimitsBody, PatchBody, read_body, read_query
-from radiometer.daemon.http.route import QUERIES, STATION, Route, json_reply
+from radiometer.daemon.http.requests import (
+    QUERIES,
+    STATION,
+    Asked,
+    LimitsBody,
+    PatchBody,
+    Route,
+    json_reply,
+    read_body,
+    read_query,
+)
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.patches import PatchLimits
 from radiometer.daemon.timestamps import now_us, parse_moment

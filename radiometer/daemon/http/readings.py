@@ -11,8 +11,7 @@ import structlog
 from aiohttp import web
 from pydantic import Field
 
-from radiometer.daemon.http.requests import Asked, Switch, read_query
-from radiometer.daemon.http.route import BUDGET, LIMITS, QUERIES, STATION, Route
+from radiometer.daemon.http.requests import BUDGET, LIMITS, QUERIES, STATION, Asked, Route, Switch, read_query
 from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.journal import OWN_STREAM
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv

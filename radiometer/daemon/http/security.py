@@ -12,8 +12,7 @@ import structlog
 from aiohttp import web
 from aiohttp.typedefs import Middleware
 
-from radiometer.daemon.http.requests import read_whole
-from radiometer.daemon.http.route import ASKER, LIGHTS_OFF, STATION, Route, json_reply
+from radiometer.daemon.http.requests import ASKER, LIGHTS_OFF, STATION, Route, json_reply, read_whole
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.light import Asker
 from radiometer.daemon.limits import TokenBucket, is_loopback

@@ -13,7 +13,7 @@ from aiohttp import web
 from radiometer.daemon.descriptors import listen
 from radiometer.daemon.http import control, patches, picture, readings
 from radiometer.daemon.http.openapi import description
-from radiometer.daemon.http.route import BUDGET, LIMITS, QUERIES, STATION, Route, json_reply
+from radiometer.daemon.http.requests import BUDGET, LIMITS, QUERIES, STATION, Route, json_reply
 from radiometer.daemon.http.security import guard, report_errors
 from radiometer.daemon.limits import Limits, ReplyBudget, check_token, is_loopback
 from radiometer.daemon.places import Places

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 import radiometer
-from radiometer.daemon.scpi.command import Call, Command, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.parameters import Number, ParameterLimits
+from radiometer.daemon.scpi.language import Call, Command, Number, Outcome, ParameterLimits
 from radiometer.daemon.scpi.session import when_done
 from radiometer.daemon.station import Station
 from radiometer.errors import RadiometerError

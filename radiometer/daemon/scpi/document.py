@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import groupby
 
 from radiometer.daemon.scpi import status
-from radiometer.daemon.scpi.command import Command, CommandTable
 from radiometer.daemon.scpi.errors import MESSAGES
+from radiometer.daemon.scpi.language import Command, CommandTable
 from radiometer.daemon.scpi.table import command_table
 
 _INTRODUCTION = """\

@@ -9,9 +9,18 @@ from typing import Final
 
 from radiometer.daemon.acquisition import EVERY_LIMITS_S
 from radiometer.daemon.scpi import formats
-from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError, scpi_error
-from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, always
+from radiometer.daemon.scpi.language import (
+    Boolean,
+    Call,
+    Choice,
+    Command,
+    Handler,
+    Number,
+    Outcome,
+    ParameterLimits,
+    always,
+)
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.station import Station
 from radiometer.data import Patch, Reading

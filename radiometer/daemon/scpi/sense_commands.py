@@ -8,11 +8,21 @@ from typing import Any, Final
 from radiometer.daemon.acquisition import WAVELENGTH_LIMITS_NM
 from radiometer.daemon.patches import DEFAULT_HYSTERESIS_REL, PatchLimits
 from radiometer.daemon.scpi import formats
-from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
+from radiometer.daemon.scpi.language import (
+    Boolean,
+    Call,
+    Choice,
+    Command,
+    Handler,
+    Number,
+    Outcome,
+    ParameterLimits,
+    Text,
+    always,
+)
 from radiometer.daemon.scpi.measure_commands import GROUP as MEASURING
 from radiometer.daemon.scpi.measure_commands import PATCH_PARAMETERS, patch_from
-from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, Text, always
 from radiometer.daemon.station import Station
 from radiometer.data import Patch
 

@@ -24,7 +24,7 @@ from radiometer.daemon.descriptors import listen
 from radiometer.daemon.limits import Limits, Network, ReplyBudget, TokenBucket, is_allowed, is_loopback
 from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.lexer import block_end
+from radiometer.daemon.scpi.language import block_end
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station

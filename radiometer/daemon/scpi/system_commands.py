@@ -9,9 +9,8 @@ import numpy as np
 
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.scpi import formats
-from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.parameters import Choice, Number, always
+from radiometer.daemon.scpi.language import Call, Choice, Command, Handler, Number, Outcome, always
 from radiometer.data import Frame
 from radiometer.data.json_text import json_text, parsed_json
 

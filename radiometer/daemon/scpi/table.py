@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from radiometer.daemon.scpi import common_commands, measure_commands, sense_commands, system_commands
-from radiometer.daemon.scpi.command import CommandTable
+from radiometer.daemon.scpi.language import CommandTable
 
 
 def command_table() -> CommandTable:

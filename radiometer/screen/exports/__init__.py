@@ -9,12 +9,9 @@ from typing import Final
 from radiometer.data.storage import write_bytes_atomic, write_text_atomic
 from radiometer.errors import UsageError
 from radiometer.screen.calibration import ScreenCalibration
-from radiometer.screen.exports.cgats import to_ti3
+from radiometer.screen.exports.formats import to_cal, to_csv, to_inverse_csv, to_psychopy_json, to_ti3, to_vcgt
 from radiometer.screen.exports.icc import profile_notes, to_icc
-from radiometer.screen.exports.psychopy import to_psychopy_json
 from radiometer.screen.exports.report_page import to_page
-from radiometer.screen.exports.tables import to_csv, to_inverse_csv
-from radiometer.screen.exports.video_lut import to_cal, to_vcgt
 
 # Kind on the command line: function, and ending of the file's name.
 EXPORTS: Final[dict[str, tuple[Callable[[ScreenCalibration], str | bytes], str]]] = {

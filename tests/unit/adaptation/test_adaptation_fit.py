@@ -27,9 +27,8 @@ from radiometer.adaptation.bleach import (
     retinal_illuminance_td,
 )
 from radiometer.adaptation.branch_fit import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH, BranchFit, fit_model, project
-from radiometer.adaptation.intervals import Interval, percentile_interval, profile_interval
+from radiometer.adaptation.intervals import InterceptRule, Interval, percentile_interval, profile_interval
 from radiometer.adaptation.report import curve_csv, report_html, short
-from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.data.bleaching_constants import CONE_HALF_BLEACH, CONE_REGENERATION, CONSTANTS
 from radiometer.errors import MeasurementError, UsageError

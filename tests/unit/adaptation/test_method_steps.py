@@ -10,7 +10,9 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
+from radiometer.adaptation.intervals import InterceptRule, rod_intercept
 from radiometer.adaptation.methods import Ascent, QuestPlusSearch, Staircase, begin
+from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import (
     AdaptationProtocol,
     DownUpMethod,
@@ -20,11 +22,12 @@ from radiometer.adaptation.protocol import (
     StaircaseMethod,
     read_protocol,
 )
-from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
+from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of, intercept_of, method_bias
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.data.validation import validate
-from radiometer.errors import ConfigurationError, MissingLibrary
+from radiometer.errors import ConfigurationError, DeviceLost, MissingLibrary
+from testing.scripted_adaptation import ScriptedStage, eye, threshold
 
 SPOT = Spot(device="light_box", channel="spot", peak_nm=453, lowest_log10=-3.0, highest_log10=1.0)
 
@@ -131,6 +134,28 @@ def protocol(monkeypatch):
         for part, change in ((whole.end, {"duration_min": 2.0}), (whole.watch, {"blind_min": 0.0}))
     )
     return whole.model_copy(update={"end": end, "watch": watch})
+
+
+def _run(path, stage):
+    with RunJournal(path) as journal:
+        return run_test(stage.protocol, stage, journal, subject="A1", seed=3)
+
+
+@pytest.mark.slow
+def test_run_taken_up_in_the_middle_of_a_search_has_the_same_events(tmp_path, protocol):
+    """The answers before the crash are taken from the journal, not asked for again."""
+    whole = _run(tmp_path / "whole", ScriptedStage(eye, protocol))
+    broken = ScriptedStage(eye, protocol)
+    broken.dies_after = 212.4
+    with pytest.raises(DeviceLost):
+        _run(tmp_path / "broken", broken)
+    assert '"kind": "blink"' in (tmp_path / "broken").read_text().splitlines()[-1]
+    _run(tmp_path / "broken", ScriptedStage(eye, protocol))
+    assert (tmp_path / "broken").read_text() == (tmp_path / "whole").read_text()
+    assert whole.verdict is Verdict.COMPLETE
+    errors = [v - threshold(60 * t) for t, v in zip(whole.times_min, whole.thresholds_log10, strict=True)]
+    assert max(map(abs, errors)) < 0.3  # 3 u; this eye is a step, 0.1 log10 wide with the levels
+    assert whole.to_csv().startswith("time_min,log10_threshold,u_log10_threshold\n")
 
 
 # Rod intercepts, and the bias of methods.

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.checks import Finding, judge_room
-from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.outcome import Verdict
+from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.request import Controls
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.session import prompts_after

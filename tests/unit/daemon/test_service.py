@@ -21,7 +21,6 @@ import pytest
 from radiometer.bench.doctor import check_daemon
 from radiometer.daemon import journal_writer
 from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.clock_watch import ClockWatch, Jump, RetentionClock
 from radiometer.daemon.descriptors import Descriptors, listen
 from radiometer.daemon.epics import PvaOptions
 from radiometer.daemon.http.server import HttpServer
@@ -32,7 +31,7 @@ from radiometer.daemon.limits import parse_networks
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station
-from radiometer.daemon.timestamps import iso_time, microseconds
+from radiometer.daemon.timestamps import ClockWatch, Jump, RetentionClock, iso_time, microseconds
 from radiometer.devices import Health
 from radiometer.errors import CalibrationError, OutputError, RadiometerError
 from testing.fake_station import QUICK, FakeBox, FakeInstrument

@@ -16,8 +16,7 @@ from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.patches import PatchLimits
-from radiometer.daemon.state import identity_mapping
-from radiometer.daemon.station import Station
+from radiometer.daemon.station import Station, identity_mapping
 from radiometer.data import Flag, Patch
 from radiometer.devices import CameraIdentity
 from radiometer.errors import (

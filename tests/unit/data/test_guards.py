@@ -63,7 +63,7 @@ from radiometer.importing.photograph_pixels import read_photograph
 from radiometer.importing.tiff_files import read_tiff_pixels
 from radiometer.reporting.plain_text import one_line, printable, spreadsheet_cell
 from simulators.effects.lens import Lens
-from simulators.scenes.image_file import ImageScene
+from simulators.scenes.kinds import ImageScene
 from testing import faulty_readers
 from testing.reader_fuzz import bombs, fuzz, hostile, seeds
 

@@ -12,8 +12,7 @@ from radiometer.data import Calibration, CameraDescription, LensDescription, Pat
 from radiometer.data.statements import StatementMap
 from radiometer.errors import CaptureError, UnsettledError
 from radiometer.importing import ImportOptions, import_sources, imported_of, is_foreign, open_capture
-from radiometer.importing.maker_models import FallOff, RowExposure, corners_of_plane
-from radiometer.importing.xmp import numbers, read_xmp
+from radiometer.importing.exif import FallOff, RowExposure, corners_of_plane, numbers, read_xmp
 
 PICTURE = ((np.arange(40 * 60).reshape(40, 60) % 3000 + 300) * 16).astype(np.uint16)
 

@@ -6,7 +6,7 @@ import pytest
 from radiometer.acquire.capture_plan import read_capture_plan
 from radiometer.reconciliation.engine import examine, whole_catalogue
 from radiometer.reconciliation.next_capture import write_plan
-from simulators.scenes.screen import ScreenPatch, ScreenScene
+from simulators.scenes.kinds import ScreenPatch, ScreenScene
 from testing.reduced import start_of
 
 pytestmark = pytest.mark.slow  # each runs a search among these entries: what may look alike, and some that do not

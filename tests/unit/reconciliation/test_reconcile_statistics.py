@@ -7,14 +7,14 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.errors import CaptureError
-from radiometer.reconciliation.fit.descent import converged_fit, first_state, fitted_parameters, refit
-from radiometer.reconciliation.fit.state import LinearTerm, with_effects
-from radiometer.reconciliation.measure.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
-from radiometer.reconciliation.measure.lines import RowBins, edge_shares
-from radiometer.reconciliation.measure.reduce import CaptureSums, add_tiles, coarse_cells, reduce_frames
-from radiometer.reconciliation.search.localise import localise, significant
+from radiometer.reconciliation.descent import converged_fit, first_state, fitted_parameters, refit
+from radiometer.reconciliation.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
+from radiometer.reconciliation.lines import RowBins, edge_shares
+from radiometer.reconciliation.localise import localise, significant
+from radiometer.reconciliation.reduce import CaptureSums, add_tiles, coarse_cells, reduce_frames
 from radiometer.reconciliation.separability import limits
 from radiometer.reconciliation.shared_errors import fixed_errors
+from radiometer.reconciliation.state import LinearTerm, with_effects
 from radiometer.reconciliation.statistics import usable_entries
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.black_level_offset import BlackLevelOffset

@@ -31,16 +31,13 @@ from radiometer.errors import (
     UsageError,
 )
 from radiometer.screen import ChannelCurve, ScreenCalibration
-from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, LevelTable, rising
-from radiometer.screen.calibration_run import Options, calibrate_screen
+from radiometer.screen.calibration import LUMINANCE, MODELS, RADIANCE, SCOTOPIC, LevelTable, fit_transfer, rising
+from radiometer.screen.calibration_run import Options, VerifiedLevel, calibrate_screen
 from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait_until_steady
 from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
 from radiometer.screen.meter import ScreenReading
-from radiometer.screen.plan import ScreenStep, make_plan, parse_levels
 from radiometer.screen.report import Examined, mura_of, warm_up_section
-from radiometer.screen.run import Drift, Light, Measured, curves_of, measure_steps
-from radiometer.screen.transfer_models import MODELS, fit_transfer
-from radiometer.screen.verification import VerifiedLevel
+from radiometer.screen.run import Drift, Light, Measured, ScreenStep, curves_of, make_plan, measure_steps, parse_levels
 from simulators.clock import SimulatedClock
 from simulators.displays import DISPLAYS, SimulatedDisplay
 

@@ -20,7 +20,7 @@ from radiometer.devices import CameraPreset
 from radiometer.errors import CalibrationError, InputError, MeasurementError, OutputRefused, UsageError
 from radiometer.numbers import with_u
 from radiometer.reporting.page import prose
-from simulators.cameras.colour_filters import ColourFilters, FilteredScene
+from simulators.cameras.simulated_camera import ColourFilters, FilteredScene
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
 from testing.golden.emva import REF001, REF001_LOOSE

@@ -575,6 +575,20 @@ def test_light_is_compared_with_darkness_at_its_own_temperature(temperatures_c, 
     assert found.value == pytest.approx(BLACK_DN + (0.0, 8.0)[own])
 
 
+@pytest.mark.parametrize(("warmer_k", "u_rel"), [(0.0, 0.02), (1.4, 0.028), (-1.0, 0.025), (None, 0.24)])
+def test_responsivity_less_darkness_of_another_warmth(warmer_k, u_rel):
+    """A dark current of a fifth of the light doubles with 7 K; what temperatures leave open of it is in u, once."""
+    here_c, factor = (None, 1.0) if warmer_k is None else (25.0 + warmer_k, 2.0 ** (warmer_k / 7.0))
+    times = np.geomspace(0.5, 8.0, 6)
+    bright = [group(BLACK_DN + (100.0 * factor + 500.0) * t, 40.0 + 240.0 * t, t, celsius=here_c, photons=1000.0 * t)
+              for t in times]  # fmt: skip
+    dark = [group(BLACK_DN + 100.0 * t, 40.0 + 40.0 * t, t, dark=True, celsius=25.0) for t in times]
+    steps = make_steps(bright, dark)
+    R = responsivity(steps, find_saturation(steps), 0.0)
+    assert R.value == pytest.approx(0.5, rel=1e-3)
+    assert R.u == pytest.approx(0.1 * factor * u_rel, rel=0.1)
+
+
 def changed(step, **more):
     return replace(step, bright=replace(step.bright, **more))
 

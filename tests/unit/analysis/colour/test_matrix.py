@@ -25,7 +25,7 @@ from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.data.mosaic import COLOURS
 from radiometer.errors import CalibrationError, UsageError
 from radiometer.typing import Array
-from simulators.cameras.colour_filters import ColourFilters
+from simulators.cameras.simulated_camera import ColourFilters
 
 NOISE_REL = 0.002
 LIGHTS = ("cie_d65", "cie_a", "white_led", "led_b5", "cie_fl11")

@@ -301,7 +301,7 @@ def test_pupil_angle_is_that_of_a_right_triangle() -> None:
 @pytest.mark.parametrize("half_angle", [0.0, 90.0, -5.0])
 def test_impossible_half_angles_are_refused(half_angle: float) -> None:
     """The message gives the value and the limits."""
-    with pytest.raises(ValueError, match=r"half angle .* is out of range"):
+    with pytest.raises(UsageError, match=r"half angle .* is out of range"):
         intensity_exponent(half_angle)
 
 

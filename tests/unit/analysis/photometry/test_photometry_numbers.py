@@ -78,24 +78,6 @@ def test_units_there_and_back(name, observer, radiance):
         assert luminance / radiance == pytest.approx(expected, rel=3e-3)
 
 
-@given(st.floats(2.0, 8.0), positive)
-def test_trolands_are_luminance_times_pupil_in_square_millimetres(diameter, luminance):
-    """π·d²/4."""
-    assert photometry.retinal_illuminance_td(luminance, diameter) == pytest.approx(
-        luminance * math.pi * diameter**2 / 4
-    )
-
-
-@pytest.mark.parametrize(("pupil", "taken"), [(0.99, False), (1.0, True), (10.0, True), (10.1, False)])
-def test_pupils_of_eyes(pupil, taken):
-    """1 to 10 mm."""
-    if taken:
-        assert photometry.retinal_illuminance_td(1.0, pupil) > 0.0
-    else:
-        with pytest.raises(InputError, match="1 to 10 mm"):
-            photometry.retinal_illuminance_td(1.0, pupil)
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(0.1, 1.0), min_size=4, max_size=4), st.floats(0.1, 1.0), st.floats(0.1, 1.0))
 def test_the_mismatch_factor_takes_a_reading_to_the_truth(power, blue, red):

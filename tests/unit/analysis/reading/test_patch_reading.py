@@ -470,11 +470,17 @@ def test_a_slope_over_the_patch_is_reported_from_five_per_cent_on(rig, slope_dn,
     assert (Flag.NONUNIFORM in found.flags) is raised
 
 
-@pytest.mark.parametrize(("amplitude", "raised"), [(100, False), (170, True)])
-def test_a_pattern_in_the_patch_is_reported_as_well(rig, amplitude, raised):
-    """A chessboard of ±100 of 3000 DN scatters by 4.7 %, of ±170 by 8 %."""
-    found = read_exactly(rig, [pattern(flat(3064), amplitude)] * 5)
+@pytest.mark.parametrize(
+    ("amplitude", "in_darks", "raised"), [(100, False, False), (170, False, True), (170, True, False)]
+)
+def test_a_pattern_in_the_patch_is_reported_unless_its_darks_have_it(rig, amplitude, in_darks, raised):
+    """A chessboard of ±100 of 3000 DN scatters by 4.7 %, of ±170 by 8 %; in the darks as well it is no light's."""
+    darks = [pattern(flat(264, shutter="closed"), amplitude)] * in_darks
+    found = read_exactly(rig, [*darks, *[pattern(flat(3064 + 200 * in_darks), amplitude)] * 5])
     assert (Flag.NONUNIFORM in found.flags) is raised
+    assert u_rel_of(found, "pixel pattern") == pytest.approx(
+        0.0 if in_darks else amplitude * math.sqrt(0.02) / 3e3, abs=2e-4
+    )
 
 
 def usable(rig, dn, full_well_e=1e6, **changes):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from radiometer.data import CaptureSet
-from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.descent import first_state
+from radiometer.reconciliation.design import Design
 from radiometer.reconciliation.propose import propose_law, search
 from radiometer.reconciliation.propose.grammar import Term
 from radiometer.reconciliation.propose.law import Law, effect_of
 from radiometer.reconciliation.propose.search import own_covariates
+from radiometer.reconciliation.reduce import reduce_frames
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.display_nonuniformity import DisplayNonuniformity
 from simulators.effects.led_thermal_droop import LedThermalDroop
