@@ -17,7 +17,7 @@ from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.bench.boxes import read_preset
-from radiometer.bench.served_box import places_of
+from radiometer.bench.served import places_of
 from simulators.observers.eye_kinetics import Eye
 from simulators.observers.observer import Habits, Observer, ObserverAtBox
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from radiometer.bench.config import DEFAULT_BENCH
-from radiometer.bench.served_camera import served_camera
+from radiometer.bench.served import served_camera
 from radiometer.data.storage import shipped_config
 from simulators.cameras.blackfly_gige import BlackflyGige, ForwardModelSource
 from testing.wire import LOOPBACK, only_camera, radiometer

@@ -15,7 +15,7 @@ import numpy as np
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, intercept_verdict
 from radiometer.adaptation.branch_fit import BranchFit
-from radiometer.adaptation.reliability import MEANINGS, NAMES, Reliability
+from radiometer.adaptation.outcome import MEANINGS, NAMES, Reliability
 from radiometer.data.storage import csv_text, write_text_atomic
 from radiometer.numbers import rounded, unit_text
 from radiometer.reporting.origin import Origin, moment

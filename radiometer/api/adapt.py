@@ -13,10 +13,18 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
-from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
-from radiometer.adaptation.outcome import Outcome, Verdict
-from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
-from radiometer.adaptation.reliability import NAMES, Reliability
+from radiometer.adaptation.outcome import NAMES, Outcome, Reliability, Verdict
+from radiometer.adaptation.protocol import (
+    SHIPPED,
+    AdaptationProtocol,
+    bleached_fraction,
+    bleached_range,
+    instructions,
+    practice_of,
+    pupil_diameter_mm,
+    read_protocol,
+    retinal_illuminance_td,
+)
 from radiometer.adaptation.report import CHOSEN_TO, LABELS, curve_csv, label_of, short, to_mapping, write_page
 from radiometer.adaptation.request import Controls, RunRequest
 from radiometer.adaptation.run_facts import intercept_of

@@ -15,8 +15,7 @@ from radiometer.bench.boxes import find_boxes
 from radiometer.bench.cameras import OWN_KINDS, SIMULATED, list_cameras
 from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.doctor import check_daemon, examine
-from radiometer.bench.served_box import served_box, tend
-from radiometer.bench.served_camera import Faults, serve, served_camera
+from radiometer.bench.served import Faults, serve, served_box, served_camera, tend
 from radiometer.data.capture_header import other_notation, serial_shown
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.data.validation import validate

@@ -38,13 +38,9 @@ from radiometer.reporting.origin import moment
 from radiometer.reporting.pictures import label
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration_run import COVERAGE, Options, Verified, calibrate_screen, verify_screen
-from radiometer.screen.checks import checks_in_words
-from radiometer.screen.exports import EXPORTS, NOTES, write_export
-from radiometer.screen.exports.formats import argyll_line
-from radiometer.screen.exports.icc import check_profile
-from radiometer.screen.exports.report_page import draw_curves
+from radiometer.screen.exports import EXPORTS, NOTES, argyll_line, check_profile, draw_curves, write_export
 from radiometer.screen.measured_elsewhere import METER_U_REL, chromaticities_in, imported, read_screen_readings
-from radiometer.screen.run import parse_levels
+from radiometer.screen.run import checks_in_words, parse_levels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,16 +21,14 @@ from structlog.typing import EventDict, WrappedLogger
 import radiometer
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.daemon import memory
 from radiometer.daemon.bench_instrument import BenchInstrument, bench_light
-from radiometer.daemon.descriptors import Descriptors, raise_limit
 from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal, default_journal_path
 from radiometer.daemon.limits import Limits, Network, is_loopback, parse_networks
-from radiometer.daemon.memory import limit_arenas
 from radiometer.daemon.mqtt import MqttPublisher, MqttTarget, parse_target
+from radiometer.daemon.resources import Descriptors, level_memory, limit_arenas, raise_limit
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from radiometer.errors import ConfigurationError, RadiometerError
@@ -160,7 +158,7 @@ class Service:
             await self._station.start()
             await self._listen()
             self._station.set_every(self._options.every_s)
-            self._housekeeping = asyncio.create_task(memory.run())
+            self._housekeeping = asyncio.create_task(level_memory())
             self._notifier.ready(self._summary())
             self._station.on_change.append(lambda: self._notifier.status(self._summary()))
             await self._watch()

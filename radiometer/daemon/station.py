@@ -12,13 +12,12 @@ import structlog
 
 import radiometer
 from radiometer.daemon.acquisition import Acquisition
-from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.alarms import Alarms, Lateness
 from radiometer.daemon.hub import Event, Hub
 from radiometer.daemon.instrument import LightSource, Measurement, MeasurementSettings, Origin, ServedInstrument
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
-from radiometer.daemon.lateness import Lateness
 from radiometer.daemon.light import Light
 from radiometer.daemon.metrics import Metrics
 from radiometer.daemon.patch_book import PatchBook

@@ -37,8 +37,7 @@ from radiometer.data.statements import (
     value_of,
 )
 from radiometer.errors import CaptureError, DamagedFileError, MissingLibrary
-from radiometer.importing.file_bytes import read_bytes
-from radiometer.importing.file_names import DARK_FLAT, claims_of, contradictions
+from radiometer.importing.file_names import DARK_FLAT, claims_of, contradictions, read_bytes
 from radiometer.importing.found import FoundFrame
 from radiometer.moments import moment_of
 from radiometer.units import BASE_ISO, gain_factor, read_number, unit_in_words

@@ -41,8 +41,7 @@ from radiometer.importing.exif import (
     row_exposure_of,
     statements_of_page,
 )
-from radiometer.importing.file_bytes import read_bytes
-from radiometer.importing.file_names import claims_of, contradictions
+from radiometer.importing.file_names import claims_of, contradictions, read_bytes
 from radiometer.importing.found import FoundFrame
 from radiometer.importing.micro_manager import completed, planes_of
 from radiometer.units import BASE_ISO

@@ -19,10 +19,24 @@ from radiometer.data.event_journal import START, Event, EventJournal
 from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import UsageError
 from radiometer.screen.calibration import RADIANCE, ScreenCalibration
-from radiometer.screen.checks import Flicker, Uniformity, WarmUp, additivity, as_mapping, wait_until_steady
-from radiometer.screen.exports.formats import ASSUMPTION
-from radiometer.screen.meter import ScreenReading
-from radiometer.screen.run import CHANNELS, Light, Measured, Progress, ScreenStep, curves_of, make_plan, measure_steps
+from radiometer.screen.exports import ASSUMPTION
+from radiometer.screen.run import (
+    CHANNELS,
+    Flicker,
+    Light,
+    Measured,
+    Progress,
+    ScreenReading,
+    ScreenStep,
+    Uniformity,
+    WarmUp,
+    additivity,
+    as_mapping,
+    curves_of,
+    make_plan,
+    measure_steps,
+    wait_until_steady,
+)
 
 _WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
 _PILOTS: Final = 8  # a scatter from eight is known to a quarter

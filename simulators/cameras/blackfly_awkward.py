@@ -25,7 +25,7 @@ from radiometer.devices import CameraCapabilities
 from radiometer.errors import RadiometerError
 from simulators.cameras import blackfly_features as registers
 from simulators.cameras.aravis_fake_device import FakeGigeDevice
-from simulators.cameras.blackfly_features import blackfly_features
+from simulators.cameras.blackfly_features import WIRE_FORMATS, Feature, blackfly_features, pack_pixels
 from simulators.cameras.blackfly_gige import (
     BlackflyGige,
     PictureRequest,
@@ -35,8 +35,6 @@ from simulators.cameras.blackfly_gige import (
     processed,
     read_request,
 )
-from simulators.cameras.genicam_document import Feature
-from simulators.cameras.pixel_packing import WIRE_FORMATS, pack_pixels
 
 SERIAL: Final = "0138C343"  # as USB reports 20497219
 MODEL: Final = "Blackfly S BFS-PGE-19S4M"

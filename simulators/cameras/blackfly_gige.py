@@ -29,9 +29,8 @@ from radiometer.devices.opening import Opened
 from radiometer.errors import RadiometerError
 from simulators.cameras import blackfly_features as registers
 from simulators.cameras.aravis_fake_device import FakeGigeDevice
-from simulators.cameras.genicam_document import Feature, genicam_xml
-from simulators.cameras.pixel_packing import WIRE_FORMATS, pack_pixels
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.cameras.blackfly_features import WIRE_FORMATS, Feature, genicam_xml, pack_pixels
+from simulators.chain.camera_model import VirtualSensor
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,8 +42,7 @@ from radiometer.devices import (
 )
 from radiometer.devices.opening import Opened
 from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, SettingOutOfRange
-from simulators.chain.camera_model import CameraModel
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import CameraModel, VirtualSensor
 from simulators.clock import SimulatedClock
 from simulators.scenes.base import LitScene, PulsedLight, Scene, SceneImage
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from drivers.cameras.aravis_camera import load_library, open_camera
-from drivers.cameras.gige_ping import answers
+from drivers.cameras.camera_opening import answers
 from drivers.cameras.pi_link import PiLink
 from drivers.cameras.plain_camera import PlainCamera
 from drivers.cameras.tethered_link import TetheredLink

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from drivers.cameras.gige_ping import answers
+from drivers.cameras.camera_opening import answers
 from radiometer.cli.main import run
 from testing.patience import ENDS_WITH_US, within
 

@@ -41,13 +41,13 @@ AREAS: dict[str, tuple[str, ...]] = {
     ),
     "sensor_effects": _of("simulators/effects"),
     "files": _of("radiometer", "data/* importing/*"),
-    "photographs_and_screen": _of("radiometer", "photographs/* screen/* screen/exports/*"),
+    "photographs_and_screen": _of("radiometer", "photographs/* screen/*"),
     "archive_and_bench": _of("radiometer", "archive/* bench/* devices/*"),
     "reconcile_rooms": _of("radiometer/reconciliation", "* propose/*"),
     "alarms_and_networks": (
         *_of("radiometer/adapters"),
-        *_of("radiometer/daemon", "alarm* descr* epics* hub* lateness* light* log* mqtt*"),
-        *_of("radiometer/daemon", "bench* instr* mem* metrics* patch_book* places* s*"),
+        *_of("radiometer/daemon", "alarm* epics* hub* light* log* mqtt*"),
+        *_of("radiometer/daemon", "bench* instr* metrics* resources* patch_book* s*"),
     ),
     "faces": _of("radiometer", "* api/* cli/* cli/*/*"),
     "cameras_and_worlds": (

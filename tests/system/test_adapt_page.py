@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.adaptation.live_page import LivePage
+from radiometer.adaptation.live import LivePage
 from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import Controls
 from radiometer.adaptation.run import run_test
-from radiometer.adaptation.simulated_stage import simulated_stage
+from radiometer.adaptation.session import simulated_stage
 from testing.chromium import headless
 from testing.scripted_adaptation import SubjectCurve
 

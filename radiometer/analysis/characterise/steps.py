@@ -62,7 +62,7 @@ def make_steps(
     """Return the bright groups with the dark signal of their exposure, by rising light.
 
     The dark group of the same exposure, gain and region is used, with its dark current as at the temperature of the
-    bright one, which may differ by 1.5 K; where there is none, a line through the others.
+    bright one, which may differ by 1.5 K. Where there is none, a line through the others counts.
 
     Args:
         bright: Bright groups of one gain.

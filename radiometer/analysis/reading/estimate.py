@@ -114,7 +114,8 @@ def _variances(
 ) -> tuple[NDArray[np.float64], ...]:
     """Return per frame the expected signal and the variances of one pixel, of the curve and of the dark level."""
     expected = rate * exposures
-    single = np.array([float(model.variance(x, f.settings)) for x, f in zip(expected, frames, strict=True)])
+    each = zip(expected, frames, dark, strict=True)
+    single = np.array([float(model.variance(x, f.settings)) + d.variance for x, f, d in each])
     curve = np.array([model.curve_u_rel(x, f.settings) for x, f in zip(expected, frames, strict=True)])
     dark_u = np.array([np.hypot(d.u_independent, d.u_common) for d in dark])
     return expected, single, (curve * expected) ** 2, dark_u**2

@@ -93,7 +93,7 @@ def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> 
         estimate.coefficients, situation.shown.frames, situation.shown.dark, estimate.expected, strict=True
     ):
         mean = float(frame.signal[situation.shown.good].mean())
-        noise = np.sqrt(float(situation.model.variance(expected, frame.settings)) / count)
+        noise = np.sqrt((float(situation.model.variance(expected, frame.settings)) + dark.variance) / count)
         fluctuation = estimate.fluctuation_rel * expected
         drawn = mean + noise * rng.standard_normal(trials)
         drawn += _student(fluctuation, max(estimate.degrees_of_freedom, 1), rng, trials)

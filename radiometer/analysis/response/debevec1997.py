@@ -52,12 +52,11 @@ def recover_response_debevec1997(brackets: Bracket | Sequence[Bracket]) -> Respo
     curve, normal, solution = _solve(samples, None)
     parts = [samples.third(k) for k in range(3)] if samples.group_count >= 60 else []
     thirds = [_solve(part, solution.smoothing, of_pixels=True)[0] for part in parts]
-    residual = normal.residuals(solution.coefficients)
     return ResponseEstimate.of(
         samples,
         curve,
         METHOD,
-        residual_rms_log=float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum())),
+        residual_rms_log=normal.rms(solution.coefficients),
         smoothing=solution.smoothing,
         stability=compare_thirds(thirds, curve) if thirds else None,
         details={"effective_parameters": solution.effective_parameters},
@@ -94,14 +93,11 @@ def _solve(
     every = basis.all_values()
     middle = basis.values_at(basis.anchor_dn)
     solution = solve_penalised(normal, basis.roughness(), middle, smoothing)
-    meat = normal.robust_meat(solution.coefficients)
-    covariance = solution.inverse @ meat @ solution.inverse
-    if not of_pixels:
-        # Bayesian share of the penalty: what smoothing may have bent. Parts of the pixels share it.
-        bend = solution.inverse - solution.inverse @ normal.matrix @ solution.inverse
+    covariance = normal.covariance(solution.coefficients, solution.inverse)
+    if not of_pixels:  # parts of the pixels share what smoothing bent
         posterior = solution.residual_variance * solution.inverse
         factor = unseen_factor(solution.coefficients, posterior, basis, supported_range(samples))
-        covariance = covariance + factor**2 * solution.residual_variance * bend
+        covariance = covariance + factor**2 * solution.residual_variance * normal.smoothness(solution.inverse)
     if not np.all(np.isfinite(covariance)):
         raise MeasurementError(
             "the frames hold too few different pixel values for a response; photograph a scene with more tones"

@@ -51,13 +51,21 @@ class NormalEquations:
         """Return y − X·c + e of every row at a solution, each group's e at its best value."""
         return self.target - self.centred @ solution
 
-    def robust_meat(self, solution: Array) -> Array:
-        """Return Σ_g s_g·s_gᵀ of the groups' scores: the covariance of q with no noise model assumed."""
+    def rms(self, solution: Array) -> float:
+        """Return the weighted root mean square of the residuals."""
+        return float(np.sqrt(self.weight @ self.residuals(solution) ** 2 / self.weight.sum()))
+
+    def covariance(self, solution: Array, inverse: Array) -> Array:
+        """Return the covariance of a solution from the scatter of whole groups' scores, with no noise model assumed."""
         starts = np.flatnonzero(np.diff(self.group, prepend=-1))
         weighted = self.centred * (self.weight * self.residuals(solution))[:, None]
         scores = np.add.reduceat(weighted, starts, axis=0)
         groups = max(scores.shape[0], 2)
-        return np.asarray(scores.T @ scores * (groups / (groups - 1.0)))
+        return np.asarray(inverse @ (scores.T @ scores * (groups / (groups - 1.0))) @ inverse)
+
+    def smoothness(self, inverse: Array) -> Array:
+        """Return the part of the posterior covariance that the penalty decides: what it may have bent."""
+        return np.asarray(inverse - inverse @ self.matrix @ inverse)
 
 
 def eliminate_groups(design: sp.csr_array, target: Array, weight: Array, group: NDArray[np.intp]) -> NormalEquations:
@@ -188,8 +196,8 @@ class ResponseFit:
         return np.concatenate([self.coefficients, self.time_modes])
 
     def covariance(self) -> Array:
-        """Return the covariance of the solution, from the scatter of whole groups, with no noise model assumed."""
-        return np.asarray(self.inverse @ self.normal.robust_meat(self.solution) @ self.inverse)
+        """Return the covariance of the solution."""
+        return self.normal.covariance(self.solution, self.inverse)
 
     def frame_covariance(self, frame: NDArray[np.intp]) -> Array:
         """Return the covariance of the solution that whole frames make that are each off in their own way.
@@ -216,7 +224,7 @@ class ResponseFit:
 
     def smoothness_covariance(self) -> Array:
         """Return the part of the posterior covariance that the smoothness (and the prior of the times) decides."""
-        return np.asarray(self.inverse - self.inverse @ self.normal.matrix @ self.inverse)
+        return self.normal.smoothness(self.inverse)
 
     def leverage(self) -> Array:
         """Return the part of each row's own noise that curve and group took up, 0 to 0.95."""

@@ -163,9 +163,7 @@ class FittedResponse:
     @property
     def residual_rms_log(self) -> float:
         """Return the root mean square of ln H residuals, weighted."""
-        normal = self.fit.normal
-        residual = normal.residuals(self.fit.solution)
-        return float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum()))
+        return self.fit.normal.rms(self.fit.solution)
 
 
 def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> FittedResponse:

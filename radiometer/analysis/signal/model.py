@@ -236,6 +236,7 @@ class DarkLevel:
     # Whether one dark frame alone gives it: the lights of its exposure then show how far such frames scatter
     is_single: bool = False
     black: float = 0.0  # the part of `signal` that no warmth changes
+    variance: float = 0.0  # of a pixel's x by shot noise of dark current that dark frames show and nothing states
 
 
 def dark_levels(
@@ -352,11 +353,22 @@ def _from_matching(
     level = _from_frames(settings, matching, model, darkest, zero)
     factor = float(np.mean([_warmer(settings, frame, model) for frame in matching]))
     u_rel = _u_warmth_rel(settings, matching, model)
-    most = max(_most_dark(settings, model), model.modelled_dark(settings))
-    part = min(math.hypot(max(level.signal - zero, 0.0), u_zero), most)
-    u = math.hypot(u_rel * part, (factor - 1.0) * u_zero)
-    source = _OTHER_WARMTH if u_rel == U_UNKNOWN_WARMTH_REL else level.source
-    return replace(level, u_common=math.hypot(level.u_common, u), black=zero, source=source)
+    most, shown = max(_most_dark(settings, model), model.modelled_dark(settings)), max(level.signal - zero, 0.0)
+    u = math.hypot(u_rel * min(math.hypot(shown, u_zero), most), (factor - 1.0) * u_zero)
+    variance = _unstated_shot_noise(min(shown, most), settings, model)
+    return replace(
+        level,
+        u_independent=math.hypot(level.u_independent, math.sqrt(variance / sum(one.dn.size for one in matching))),
+        u_common=math.hypot(level.u_common, u),
+        source=_OTHER_WARMTH if u_rel == U_UNKNOWN_WARMTH_REL else level.source,
+        black=zero,
+        variance=variance,
+    )
+
+
+def _unstated_shot_noise(dark: float, settings: FrameSettings, model: SignalModel) -> float:
+    """Return the variance of x by the shot noise of dark signal beyond the modelled, which `variance` holds."""
+    return max(dark - model.modelled_dark(settings), 0.0) / model.electrons_per_unit
 
 
 def _without_dark_current(
@@ -403,7 +415,7 @@ def dark_map(
     for frame in matching[1:]:
         total += _warmed(frame, settings, model, level.black).ravel().astype(np.float32)
     total /= np.float32(len(matching))
-    return total, float(model.variance(0.0, settings)) / len(matching)
+    return total, (float(model.variance(0.0, settings)) + level.variance) / len(matching)
 
 
 def _warmed(frame: Frame, settings: FrameSettings, model: SignalModel, black: float) -> NDArray[np.float64]:
@@ -504,7 +516,8 @@ def _from_other_exposures(
         lacking = signals - signals.mean() - rate * (times - middle)
         scatter = max(noise * math.sqrt(len(frames)), float(np.sqrt(np.sum(lacking**2) / max(len(frames) - 2, 1))))
         u = scatter * math.sqrt(1.0 / len(frames) + (here - middle) ** 2 / spread)
-        return DarkLevel(level, 0.0, math.hypot(u, rate * u_rel * here, rounding), _OTHER)
+        shot = _unstated_shot_noise(rate * here, settings, model)
+        return DarkLevel(level, 0.0, math.hypot(u, rate * u_rel * here, rounding), _OTHER, variance=shot)
     modelled = [model.modelled_dark(frame.settings) for frame in frames]
     offset = float(np.mean(signals - np.array(modelled)))
     dark = model.modelled_dark(settings)

@@ -19,15 +19,15 @@ from radiometer.adaptation.adaptation_fit import (
     earliest_visible_break,
     fit_adaptation,
 )
-from radiometer.adaptation.bleach import (
+from radiometer.adaptation.branch_fit import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH, BranchFit, fit_model, project
+from radiometer.adaptation.intervals import InterceptRule, Interval, percentile_interval, profile_interval
+from radiometer.adaptation.protocol import (
     KINETICS,
     bleached_fraction,
     bleached_range,
     pupil_diameter_mm,
     retinal_illuminance_td,
 )
-from radiometer.adaptation.branch_fit import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH, BranchFit, fit_model, project
-from radiometer.adaptation.intervals import InterceptRule, Interval, percentile_interval, profile_interval
 from radiometer.adaptation.report import curve_csv, report_html, short
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.data.bleaching_constants import CONE_HALF_BLEACH, CONE_REGENERATION, CONSTANTS

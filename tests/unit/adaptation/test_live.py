@@ -9,8 +9,7 @@ import aiohttp
 import numpy as np
 import pytest
 
-from radiometer.adaptation.live import LiveState, LiveText, event_line, live_lines, running_fit
-from radiometer.adaptation.live_page import LivePage, replayed
+from radiometer.adaptation.live import LivePage, LiveState, LiveText, event_line, live_lines, replayed, running_fit
 from radiometer.adaptation.outcome import RunJournal
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import Controls

@@ -11,7 +11,6 @@ from scipy.stats import t as student
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.intervals import InterceptRule, rod_intercept
-from radiometer.adaptation.methods import Ascent, QuestPlusSearch, Staircase, begin
 from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import (
     AdaptationProtocol,
@@ -22,7 +21,7 @@ from radiometer.adaptation.protocol import (
     StaircaseMethod,
     read_protocol,
 )
-from radiometer.adaptation.run import run_test
+from radiometer.adaptation.run import Ascent, QuestPlusSearch, Staircase, begin, run_test
 from radiometer.adaptation.run_facts import facts_of, intercept_of, method_bias
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.data.validation import validate

@@ -8,7 +8,7 @@ from scipy.stats import beta
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.intervals import InterceptRule
-from radiometer.adaptation.reliability import Count, Reliability
+from radiometer.adaptation.outcome import Count, Reliability
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import Compared, compare_visits, limits_of_agreement
 

@@ -22,7 +22,7 @@ import structlog
 
 import radiometer as rm
 from radiometer.bench.boxes import calibration_file
-from radiometer.bench.served_camera import served_camera
+from radiometer.bench.served import served_camera
 from radiometer.cli.arguments import (
     parse_bounds,
     parse_exposure,

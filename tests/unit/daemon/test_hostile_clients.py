@@ -11,8 +11,7 @@ import pytest
 
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.hub import Hub
-from radiometer.daemon.limits import Limits, ReplyBudget
-from radiometer.daemon.places import Places
+from radiometer.daemon.limits import Limits, Places, ReplyBudget
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.errors import UsageError
 from testing.fake_station import HttpClient

@@ -14,8 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from radiometer.daemon.http.openapi import description
-from radiometer.daemon.http.server import ROUTES, HttpServer
+from radiometer.daemon.http.server import ROUTES, HttpServer, description
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.limits import Limits, is_allowed, is_loopback, parse_networks

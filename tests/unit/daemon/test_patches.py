@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import radiometer as rm
 from radiometer.cli.main import run
-from radiometer.daemon.http.patches import trend_columns
+from radiometer.daemon.http.resources import trend_columns
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.log import log

@@ -10,9 +10,9 @@ import structlog
 from hypothesis.stateful import run_state_machine_as_test
 
 from radiometer.daemon.limits import Limits
+from radiometer.daemon.scpi.commands import command_table
 from radiometer.daemon.scpi.document import manual
 from radiometer.daemon.scpi.server import ScpiServer, is_other_protocol
-from radiometer.daemon.scpi.table import command_table
 from radiometer.errors import OutputError
 from testing.scpi_machine import ScpiMachine, machine_settings
 

@@ -21,13 +21,13 @@ import pytest
 from radiometer.bench.doctor import check_daemon
 from radiometer.daemon import journal_writer
 from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.descriptors import Descriptors, listen
 from radiometer.daemon.epics import PvaOptions
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.limits import parse_networks
+from radiometer.daemon.resources import Descriptors, listen
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station

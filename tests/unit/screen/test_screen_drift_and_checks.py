@@ -33,11 +33,23 @@ from radiometer.errors import (
 from radiometer.screen import ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration import LUMINANCE, MODELS, RADIANCE, SCOTOPIC, LevelTable, fit_transfer, rising
 from radiometer.screen.calibration_run import Options, VerifiedLevel, calibrate_screen
-from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait_until_steady
 from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
-from radiometer.screen.meter import ScreenReading
 from radiometer.screen.report import Examined, mura_of, warm_up_section
-from radiometer.screen.run import Drift, Light, Measured, ScreenStep, curves_of, make_plan, measure_steps, parse_levels
+from radiometer.screen.run import (
+    Drift,
+    Light,
+    Measured,
+    ScreenReading,
+    ScreenStep,
+    Uniformity,
+    additivity,
+    curves_of,
+    judge_flicker,
+    make_plan,
+    measure_steps,
+    parse_levels,
+    wait_until_steady,
+)
 from simulators.clock import SimulatedClock
 from simulators.displays import DISPLAYS, SimulatedDisplay
 

@@ -22,8 +22,7 @@ from radiometer.analysis.flux.sensor import flux_scale, sensor_flux
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.data import setup as measuring
 from radiometer.errors import CalibrationError, MeasurementError, UsageError
-from simulators.chain.camera_model import CameraModel
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import CameraModel, VirtualSensor
 from simulators.scenes import LedScene
 
 CAMERA = CameraDescription(

@@ -641,7 +641,9 @@ def test_eliminating_a_group_is_solving_for_it(seed):
         sum(normal.centred[i] * weight[i] * normal.residuals(solution)[i] for i in np.flatnonzero(group == g))
         for g in range(6)
     ]
-    assert normal.robust_meat(solution) == pytest.approx(sum(np.outer(s, s) for s in scores) * 6 / 5)
+    assert normal.covariance(solution, np.eye(solution.size)) == pytest.approx(
+        sum(np.outer(s, s) for s in scores) * 6 / 5
+    )
 
 
 @quick

@@ -11,15 +11,17 @@ from drivers.cameras.aravis_camera import AravisCamera
 from drivers.cameras.camera_checks import USB3_BYTES_S, check_features
 from drivers.cameras.camera_opening import open_session
 from drivers.cameras.camera_quirks import CameraMatch, load_preset, quirks_for
-from drivers.cameras.feature_access import FeatureAccess, Refusal, translated
-from drivers.cameras.feature_hygiene import (
+from drivers.cameras.feature_access import (
     FALSIFYING_FEATURES,
     LIMIT,
     SPEED,
     FalsifyingFeature,
+    FeatureAccess,
     HygieneFinding,
+    Refusal,
     choose_throughput,
     switch_off_falsifiers,
+    translated,
 )
 from drivers.cameras.frame_stream import changed_chunks, switch_on_chunks
 from drivers.cameras.settings_access import SettingsAccess

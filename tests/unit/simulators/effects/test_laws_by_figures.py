@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription, TapDescription
 from radiometer.reconciliation.tile_model import CapturesPast, FrameTimes, TileContext
-from simulators.chain.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel, FadingPast
 from simulators.chain.unsteady_pixels import unsteady_from
-from simulators.chain.virtual_sensor import FadingPast
 from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
 from simulators.effects.angle_dependence import AngleDependence

@@ -1,22 +1,47 @@
-"""GET /readings and GET /readings/stream."""
+"""What is served under each path: readings, the state, settings, the light, patches with names, trends and events."""
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import socket
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final, Literal
 
+import numpy as np
 import structlog
 from aiohttp import web
 from pydantic import Field
 
-from radiometer.daemon.http.requests import BUDGET, LIMITS, QUERIES, STATION, Asked, Route, Switch, read_query
+from radiometer.daemon.http.requests import (
+    ASKER,
+    BUDGET,
+    LIGHTS_OFF,
+    LIMITS,
+    QUERIES,
+    STATION,
+    Asked,
+    LightBody,
+    LimitsBody,
+    MeasureBody,
+    PatchBody,
+    Route,
+    SettingsBody,
+    Switch,
+    json_reply,
+    read_body,
+    read_query,
+)
 from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.journal import OWN_STREAM
-from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, TrendPoint, to_csv
 from radiometer.daemon.limits import SMALL_REPLY_BYTES
-from radiometer.daemon.timestamps import parse_moment
+from radiometer.daemon.metrics import CONTENT_TYPE
+from radiometer.daemon.patches import PatchLimits
+from radiometer.daemon.station import Station
+from radiometer.daemon.timestamps import now_us, parse_moment
+from radiometer.data import Patch
 from radiometer.data.json_text import parsed_json
 from radiometer.errors import InputError, UsageError
 
@@ -267,7 +292,7 @@ def _render(reader: JournalReader, row_filter: ReadingFilter, form: str) -> byte
     return ("[" + ",\n".join(lines) + "]\n").encode()
 
 
-ROUTES: Final = (
+READING_ROUTES: Final = (
     Route("GET", "/readings", list_readings, "History of readings, oldest first.", query=ListQuery, schema="Readings"),
     Route(
         "GET",
@@ -279,3 +304,253 @@ ROUTES: Final = (
         query=StreamQuery,
     ),
 )
+
+
+_MOST_POINTS: Final = 5000  # more than a screen has columns
+_MOST_EVENTS: Final = 5000  # more than a page can show
+_COVERAGE_FACTOR: Final = 2.0  # 95 %
+
+
+class TrendQuery(Asked):
+    """Which course."""
+
+    stream: str = Field("main", description="main (the default) or patch NAME.")
+    since: str = Field("1h", description="From this time on: ISO 8601, or an age such as 1h, 7d; 1h by default.")
+    until: str | None = Field(None, description="Before this time; now by default.")
+    points: int = Field(1000, ge=10, le=_MOST_POINTS, description="About so many points at most; 1000 by default.")
+
+
+class EventQuery(Asked):
+    """Which events."""
+
+    since: str | None = Field(None, description="From this time on: ISO 8601, or an age such as 1h, 7d.")
+    until: str | None = Field(None, description="Before this time.")
+    limit: int = Field(200, ge=1, le=_MOST_EVENTS, description="At most this many, the newest; 200 by default.")
+
+
+class NamedPatchBody(Asked):
+    """A patch with a name; "main" is the one measured for all, of which only limits can be set here."""
+
+    name: str
+    patch: PatchBody | None = Field(None, description="Where it is; left out, it stays.")
+    limits: LimitsBody | None = Field(None, description="Its limits; left out, they stay.")
+
+
+class NameBody(Asked):
+    """The name of a patch."""
+
+    name: str
+
+
+class RemarkBody(Asked):
+    """A remark of a person, kept among the events."""
+
+    message: str
+
+
+async def change_patch(request: web.Request) -> web.Response:
+    """Define or move a patch with a name, or set its limits, and reply the state."""
+    station = request.app[STATION]
+    body = await read_body(request, NamedPatchBody)
+    limits = PatchLimits(**body.limits.model_dump()) if body.limits else None
+    if body.patch is not None:
+        station.patches.define(body.name, Patch(**body.patch.model_dump()))
+    if limits is not None:
+        station.patches.set_limits(body.name, limits)
+    return json_reply(station.status())
+
+
+async def delete_patch(request: web.Request) -> web.Response:
+    """Measure a patch no longer and reply the state."""
+    station = request.app[STATION]
+    station.patches.delete((await read_body(request, NameBody)).name)
+    return json_reply(station.status())
+
+
+async def show_trend(request: web.Request) -> web.Response:
+    """Reply the course of one patch in columns; a time without readings is a point of nulls. Raises UsageError."""
+    query = read_query(request, TrendQuery)
+    until_us = now_us() if query.until is None else parse_moment(query.until)
+    since_us = parse_moment(query.since)
+    if since_us >= until_us:
+        raise UsageError("since must be a time before until")
+    stream = stream_asked(query.stream)
+    if stream is None:
+        raise UsageError("a trend is of one patch: stream must be main or patch NAME")
+    station = request.app[STATION]
+    reader = JournalReader(station.journal_path, deadline_s=_QUERY_DEADLINE_S)
+    async with request.app[QUERIES]:
+        found = await asyncio.to_thread(reader.trend, stream, since_us, until_us, query.points)
+    return json_reply({"since": since_us / 1e6, "until": until_us / 1e6, "coverage_factor": _COVERAGE_FACTOR,
+                  **trend_columns(found, station.acquisition.every_s)})  # fmt: skip
+
+
+def trend_columns(points: list[TrendPoint], every_s: float | None) -> dict[str, Any]:
+    """Return points in columns, in s since 1970, of the newest unit.
+
+    Where readings are missing, and between those of two places, stands a row of nulls.
+
+    Args:
+        every_s: Period of continuous measurement in s; None where there is none.
+    """
+    unit = points[-1].unit if points else ""
+    columns: dict[str, list[float | int | str | None]] = {
+        name: [] for name in ("time", "value", "U", "low", "high", "count", "flagged", "bound")
+    }
+    shown = [point for point in points if point.unit == unit]
+    longest_us = _longest_pause_us(shown, every_s)
+    before: TrendPoint | None = None
+    for point in shown:
+        pause_us = point.time_us - before.time_us if before else 0
+        if before is not None and (pause_us > longest_us or point.place != before.place):
+            for name, column in columns.items():
+                column.append((before.time_us + point.time_us) / 2e6 if name == "time" else None)
+        before = point
+        row: Sequence[float | str] = (point.time_us / 1e6, point.value, _COVERAGE_FACTOR * point.u, point.low,
+               point.high, point.count, point.flagged, point.bound)  # fmt: skip
+        for column, value in zip(columns.values(), row, strict=True):
+            column.append(value)
+    return {"unit": unit, **columns}
+
+
+def _longest_pause_us(points: list[TrendPoint], every_s: float | None) -> float:
+    """Return the pause between two points that is no gap yet: thrice the usual one, or the period asked for."""
+    pauses = sorted(later.time_us - earlier.time_us for earlier, later in itertools.pairwise(points))
+    usual = pauses[len(pauses) // 2] if pauses else 0
+    return max(3.0 * usual, 3e6 * (every_s or 0.0), 3e6)
+
+
+async def show_events(request: web.Request) -> web.Response:
+    """Reply the newest events of a time, oldest first. Raises UsageError."""
+    query = read_query(request, EventQuery)
+    since_us, until_us = (None if text is None else parse_moment(text) for text in (query.since, query.until))
+    reader = JournalReader(request.app[STATION].journal_path, deadline_s=5.0)
+    return json_reply(await asyncio.to_thread(reader.events, since_us, query.limit, until_us))
+
+
+async def add_remark(request: web.Request) -> web.Response:
+    """Keep a remark of a person among the events."""
+    body = await read_body(request, RemarkBody)
+    request.app[STATION].annotate(body.message)
+    return json_reply({"kind": "remark", "message": " ".join(body.message.split())})
+
+
+PATCH_ROUTES: Final = (
+    Route("POST", "/patches", change_patch, "Define or move a patch with a name, or set its limits.",
+          body=NamedPatchBody, schema="Status"),
+    Route("POST", "/patches/delete", delete_patch, "Measure a patch no longer; its readings stay.", body=NameBody,
+          schema="Status"),
+    Route("GET", "/trend", show_trend, "Course of one patch in columns: mean, expanded uncertainty (k=2), lowest and"
+          " highest radiance of each short time; nulls where there are no readings.",
+          query=TrendQuery, schema="Trend"),
+    Route("GET", "/events", show_events, "Alarms, recoveries, changes and remarks, oldest first.", query=EventQuery,
+          schema="Events"),
+    Route("POST", "/events", add_remark, "Keep a remark among the events.", body=RemarkBody, schema="Event"),
+)  # fmt: skip
+
+
+_MEASURING_DEADLINE_S: Final = 120.0  # twice the time limit of a bracket
+_NUMBERS: Final = itertools.count(1)
+_CURVE_POINTS: Final = 512  # about the pixels of the page's plot
+_FULL_SCALE_DN: Final = 4095  # 12 bits; the line is the same at any depth
+
+
+async def measure(request: web.Request) -> web.Response:
+    """Measure once and reply the reading."""
+    station = request.app[STATION]
+    changes = (await read_body(request, MeasureBody)).changes()
+    settings = replace(station.settings, **changes)
+    if changes:
+        station.acquisition.check_settings(settings)
+    reading = await station.acquisition.measure(settings, _MEASURING_DEADLINE_S, f"http-{next(_NUMBERS)}")
+    return web.Response(text=reading.to_json() + "\n", content_type="application/json")
+
+
+async def change_settings(request: web.Request) -> web.Response:
+    """Change the shared settings and reply the new state."""
+    station = request.app[STATION]
+    body = await read_body(request, SettingsBody)
+    if changes := body.changes():
+        station.configure(**changes)
+    if "every_s" in body.model_fields_set:
+        station.set_every(body.every_s)
+    return json_reply(station.status())
+
+
+async def set_light(request: web.Request) -> web.Response:
+    """Set a channel of the light box. Raises UsageError for a channel that there is not."""
+    station = request.app[STATION]
+    body = await read_body(request, LightBody)
+    if station.light.box is not None and body.channel not in station.light.box.channels:
+        channels = ", ".join(station.light.box.channels)
+        raise UsageError(f"there is no channel {body.channel[:40]!r}; there are: {channels}")
+    level = await station.light.set_level(body.channel, body.level, ASKER.get())
+    return json_reply({"channel": body.channel, "level": level})
+
+
+async def switch_off(request: web.Request) -> web.Response:
+    """Darken every channel of the light box and reply the levels."""
+    station = request.app[STATION]
+    await station.light.off()
+    return json_reply({"light": dict(station.light.levels)})
+
+
+async def show_status(request: web.Request) -> web.Response:
+    """Reply the state of everything."""
+    return json_reply(request.app[STATION].status())
+
+
+async def show_response(request: web.Request) -> web.Response:
+    """Reply the response curve, thinned out to what a plot can show."""
+    curve = request.app[STATION].instrument.response
+    if curve is None:
+        return json_reply(_linear_curve())
+    numbers = np.unique(np.linspace(0, curve.log_exposure.size - 1, _CURVE_POINTS).astype(int))
+    finite = numbers[np.isfinite(curve.log_exposure[numbers])]
+    return json_reply(
+        {
+            "dn": finite.tolist(),
+            "log_exposure": curve.log_exposure[finite].tolist(),
+            "u_log_exposure": np.nan_to_num(curve.u_log_exposure[finite], posinf=0.0).tolist(),
+            "absolute": curve.absolute,
+            "linear": False,
+        }
+    )
+
+
+def _linear_curve() -> dict[str, Any]:
+    """Return what is used where no curve is: digital numbers above black in proportion to the exposure."""
+    numbers = np.unique(np.geomspace(8, _FULL_SCALE_DN, 120).astype(int))
+    log_exposure = np.log(numbers / ((_FULL_SCALE_DN + 1) / 2))
+    zeros = [0.0] * numbers.size
+    return {"dn": numbers.tolist(), "log_exposure": log_exposure.tolist(), "u_log_exposure": zeros,
+            "absolute": False, "linear": True}  # fmt: skip
+
+
+async def show_health(request: web.Request) -> web.Response:
+    """Reply 200 while nothing is wrong at this moment, 503 with names where something is."""
+    alarms = request.app[STATION].troubles()
+    return json_reply({"status": "alarm" if alarms else "ok", "alarms": alarms}, status=503 if alarms else 200)
+
+
+async def show_metrics(request: web.Request) -> web.Response:
+    """Reply the figures for Prometheus."""
+    station: Station = request.app[STATION]
+    station.refresh_metrics()
+    return web.Response(body=station.metrics.render(), headers={"Content-Type": CONTENT_TYPE})
+
+
+CONTROL_ROUTES: Final = (
+    Route("POST", "/measure", measure, "Measure once and reply the reading, which is in the journal then.",
+          body=MeasureBody, schema="Reading"),
+    Route("POST", "/settings", change_settings, "Change settings for all later measurements.", body=SettingsBody,
+          schema="Status"),
+    Route("POST", "/light", set_light, "Set the level of a light channel.", body=LightBody, schema="Light"),
+    Route("POST", LIGHTS_OFF, switch_off, "Switch every light channel off.", schema="Light"),
+    Route("GET", "/status", show_status, "State of devices, settings, calibration and alarms.", schema="Status"),
+    Route("GET", "/response", show_response,
+          "Response curve in use, at most 512 points; `linear` is true where none is.", schema="Response"),
+    Route("GET", "/healthz", show_health, "200 while nothing is wrong, 503 while an alarm is up.", schema="Health",
+          public=True),
+    Route("GET", "/metrics", show_metrics, "Figures in Prometheus's text form.", reply="text/plain"),
+)  # fmt: skip
