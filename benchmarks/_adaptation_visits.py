@@ -11,17 +11,15 @@ import numpy as np
 
 from drivers.light_box import box as light_box
 from radiometer.adaptation.box_setup import open_box_stage
-from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.outcome import Outcome
+from radiometer.adaptation.outcome import Outcome, RunJournal
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.bench.boxes import read_preset
-from radiometer.bench.served_box import places_of
+from radiometer.bench.served import places_of
 from simulators.observers.eye_kinetics import Eye
-from simulators.observers.observer import Habits, Observer
-from simulators.observers.observer_at_box import ObserverAtBox
+from simulators.observers.observer import Habits, Observer, ObserverAtBox
 
 
 @dataclass(frozen=True, slots=True)

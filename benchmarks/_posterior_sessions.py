@@ -18,7 +18,7 @@ from benchmarks._reconcile_tasks import Task, tasks
 from benchmarks.reconcile_outsiders import session_of
 from radiometer.importing import open_capture
 from radiometer.reconciliation.engine import examine, whole_catalogue
-from radiometer.reconciliation.search.search import Reconciled
+from radiometer.reconciliation.search import Reconciled
 from testing.generator.registry import everything
 from testing.generator.session import make_session
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from benchmarks._adaptation_visits import shortened, visit
 from benchmarks._sections import write_section
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, best_branches, fit_adaptation
+from radiometer.adaptation.intervals import InterceptRule, rod_intercept
 from radiometer.adaptation.protocol import read_protocol
-from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.run_facts import method_bias
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError

@@ -21,8 +21,7 @@ from radiometer.analysis.characterise.photon_transfer import photon_transfer
 from radiometer.analysis.characterise.steps import make_steps
 from radiometer.data import CameraDescription, FrameSettings, LensDescription, Quantity
 from radiometer.devices import CameraPreset
-from simulators.chain.camera_model import CameraModel
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import CameraModel, VirtualSensor
 from simulators.effects.context import FrameGeometry
 from simulators.scenes import UniformScene
 

@@ -20,7 +20,7 @@ from radiometer.analysis.colour.chromaticity import coordinates
 from radiometer.analysis.photometry.displays import GRID_NM, tristimulus_of
 from radiometer.data.mosaic import COLOURS
 from radiometer.typing import Array
-from simulators.cameras.colour_filters import ColourFilters
+from simulators.cameras.simulated_camera import ColourFilters
 
 SEED, DRAWS = 2_300_001, 20
 NOISE_REL = 0.002

@@ -23,12 +23,13 @@ import structlog
 
 from benchmarks._sections import write_section
 from benchmarks.daemon_soak import slope
-from radiometer.daemon import memory, mqtt
+from radiometer.daemon import mqtt
 from radiometer.daemon.bench_instrument import BenchInstrument
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.instrument import DeviceReport, Measurement, MeasurementSettings
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.keeper import KeeperTimes
+from radiometer.daemon.resources import level_memory
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from radiometer.data import Patch
@@ -221,7 +222,7 @@ async def _day(
 ) -> tuple[dict[str, int], list[float], list[float]]:
     loop = asyncio.get_running_loop()
     async with _world(folder, witness) as world, aiohttp.ClientSession() as http:
-        tasks = [loop.create_task(work) for work in (*_clients(world, http), *_faults(world, seed), memory.run())]
+        tasks = [loop.create_task(work) for work in (*_clients(world, http), *_faults(world, seed), level_memory())]
         begun, times_s, megabytes = loop.time(), list[float](), list[float]()
         while (elapsed_s := loop.time() - begun) < seconds:
             times_s.append(elapsed_s)

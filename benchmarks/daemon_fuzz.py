@@ -15,7 +15,7 @@ import structlog
 from hypothesis.stateful import run_state_machine_as_test
 
 from benchmarks._sections import write_section
-from radiometer.daemon.scpi.table import command_table
+from radiometer.daemon.scpi.commands import command_table
 from testing.daemon_process import DaemonProcess
 from testing.scpi_machine import ScpiMachine, machine_settings
 

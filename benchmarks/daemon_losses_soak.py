@@ -17,7 +17,7 @@ from benchmarks._sections import write_section
 from benchmarks._soak_losses import Broker, Fault, FullDisk, Losses, small_disk
 from benchmarks.daemon_soak import sample, slope
 from simulators.light_box.box import SimulatedLightBox
-from simulators.light_box.pty_line import PtyServer, WiredLightBox
+from simulators.light_box.lines import PtyServer, WiredLightBox
 from testing import soak_clients as clients
 from testing.daemon_process import ROOT, DaemonProcess, machine_note
 from testing.soak_world import PATCHES, SERIAL, Verdict, Witness, fill_journal, judge, write_benches

@@ -26,8 +26,8 @@ from benchmarks._real_sets import SETS, Documented, RealSet, data_folder
 from benchmarks._sections import write_section
 from radiometer.importing import import_sources, imported_of
 from radiometer.importing.sources import as_capture
-from radiometer.reconciliation.inputs.sources import reconcile_source
 from radiometer.reconciliation.result import ReconcileResult
+from radiometer.reconciliation.sources import reconcile_source
 
 LSST_SEED = 20
 _LEADING = 3  # places of the localisation that count as first

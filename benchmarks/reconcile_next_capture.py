@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks._sections import write_section
 from radiometer.reconciliation.engine import examine
 from radiometer.reconciliation.next_capture import CapturePool
-from radiometer.reconciliation.search.search import Reconciled
+from radiometer.reconciliation.search import Reconciled
 from testing.generator.plan import Setting, bracket
 from testing.generator.session import make_session
 

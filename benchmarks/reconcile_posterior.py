@@ -21,8 +21,8 @@ import numpy as np
 from benchmarks._posterior_sessions import Record, collect, sessions
 from benchmarks._sections import write_section
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.state import ModelFit
 from radiometer.reconciliation.result import SURE
+from radiometer.reconciliation.state import ModelFit
 from radiometer.reconciliation.verdict import UNNAMED, posterior
 
 FOLDER = Path("out") / "reconcile_posterior"

@@ -27,14 +27,14 @@ from benchmarks import _own_outsiders as own_generator
 from benchmarks._sections import write_section
 from benchmarks.reconcile_outsiders import GENERATORS
 from radiometer.data import CaptureSet
+from radiometer.reconciliation.descent import first_state
+from radiometer.reconciliation.design import Design
 from radiometer.reconciliation.engine import reconcile_capture, whole_catalogue
-from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.propose import Proposal, propose_law
 from radiometer.reconciliation.propose.law import effect_class, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import write_files
+from radiometer.reconciliation.reduce import reduce_frames
+from radiometer.reconciliation.state import FitState
 from simulators.effects.catalogue import CatalogueEffect
 from testing.outside.judge import PLACES
 from testing.outside.session import Hidden, Secret, Session

@@ -18,12 +18,11 @@ from typing import Final
 import numpy as np
 
 from benchmarks._sections import write_section
+from radiometer.reconciliation.descent import first_state
+from radiometer.reconciliation.design import Design
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import reduce_frames
-from radiometer.reconciliation.search.screening import StartPool, screen
+from radiometer.reconciliation.reduce import reduce_frames
+from radiometer.reconciliation.screening import StartPool, screen
 from radiometer.reconciliation.separability import (
     Separability,
     asked_sizes,
@@ -31,6 +30,7 @@ from radiometer.reconciliation.separability import (
     noiseless,
     separability,
 )
+from radiometer.reconciliation.state import FitState
 from radiometer.reconciliation.thresholds import RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 from testing.generator.plan import Setting

@@ -59,7 +59,7 @@ _HOMES = {
     "radiometer.api.sensor": ("Sensor", "characterise"),
     "radiometer.data.reading": ("Patch", "Reading"),
     "radiometer.daemon.log": ("LoggedReadings", "log", "log_budget", "log_events"),
-    "radiometer.daemon.serving": ("serve",),
+    "radiometer.daemon.service": ("serve",),
     "radiometer.errors": (
         "CalibrationError", "CaptureError", "ConfigurationError", "DamagedFileError", "DeviceError", "DeviceInUse",
         "DeviceLost", "DeviceNotFound", "DeviceTimeout", "InputError", "LightEnded", "MeasurementError",

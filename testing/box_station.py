@@ -19,7 +19,7 @@ from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from simulators.light_box.box import SimulatedLightBox
-from simulators.light_box.pty_line import PtyServer, WiredLightBox
+from simulators.light_box.lines import PtyServer, WiredLightBox
 from testing.daemon_process import write_small_bench
 
 OPTICS = {

@@ -12,7 +12,7 @@ from radiometer.analysis.colour.chromaticity import tristimulus
 from radiometer.analysis.photometry.photometry import Spectrum
 from radiometer.cli.main import run
 from radiometer.typing import Array
-from simulators.scenes.colour_chart import ColourLight
+from simulators.scenes.kinds import ColourLight
 
 GRID_NM = np.arange(380.0, 781.0)
 LIGHTS = {

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from drivers.cameras.pi_link import RawRequest, SensorMode
 from drivers.cameras.v4l2_link import Control, VideoFrame
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
-from simulators.cameras.blackfly_pictures import PictureRequest, PictureSource
+from simulators.cameras.blackfly_gige import PictureRequest, PictureSource
 
 _CONTROL_UNIT_S: Final = 1e-4
 Mosaic = tuple[tuple[int, ...], ...]  # colours of its cell by row: 0 red, 1 green, 2 blue

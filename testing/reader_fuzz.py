@@ -47,16 +47,16 @@ from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml
 from radiometer.errors import RadiometerError
 from radiometer.importing.emva_listing import EmvaListing
+from radiometer.importing.exif import read_xmp
 from radiometer.importing.fits_files import read_fits_headers, read_fits_pixels
+from radiometer.importing.light_tables import read_meter_table
 from radiometer.importing.log_table import read_log
-from radiometer.importing.meter_table import read_meter_table
 from radiometer.importing.photograph_pixels import read_photograph
 from radiometer.importing.photograph_times import read_exif, read_list
 from radiometer.importing.statistics_table import read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
-from radiometer.importing.xmp import read_xmp
 from radiometer.screen.measured_elsewhere import read_screen_readings
-from simulators.scenes.image_file import ImageScene
+from simulators.scenes.kinds import ImageScene
 from testing.sky_log import sky_log
 
 _WORDS = (

@@ -8,8 +8,8 @@ from radiometer.data import CaptureHeader, Frame
 from radiometer.errors import CaptureError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation import ReconcileResult
+from radiometer.reconciliation.descent import first_state
 from radiometer.reconciliation.engine import evidence_for, examine, whole_catalogue
-from radiometer.reconciliation.fit.descent import first_state
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 

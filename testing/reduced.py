@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
-from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import CaptureStatistics, Design
-from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.descent import first_state
+from radiometer.reconciliation.design import CaptureStatistics, Design
+from radiometer.reconciliation.reduce import reduce_frames
+from radiometer.reconciliation.state import FitState
 
 
 class Captured(Protocol):

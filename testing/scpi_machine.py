@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from radiometer.daemon.journal import Journal
-from radiometer.daemon.scpi.command import Command
-from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, short_form
+from radiometer.daemon.scpi.commands import command_table
+from radiometer.daemon.scpi.language import Boolean, Choice, Command, Number, short_form
 from radiometer.daemon.scpi.session import Session
-from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import DeviceError
 from testing.fake_station import QUICK, FakeBox, FakeInstrument

@@ -16,8 +16,7 @@ from radiometer.data import (
     LensDescription,
     PatchDescription,
 )
-from simulators.chain.camera_model import CameraModel
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import CameraModel, VirtualSensor
 from simulators.scenes.base import Scene
 
 

@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import Final
 
 from radiometer.bench.config import DEFAULT_BENCH
-from radiometer.bench.served_camera import served_camera
-from radiometer.data.config_files import shipped_config
-from simulators.cameras.blackfly_gige import BlackflyGige
-from simulators.cameras.blackfly_pictures import ForwardModelSource
+from radiometer.bench.served import served_camera
+from radiometer.data.storage import shipped_config
+from simulators.cameras.blackfly_gige import BlackflyGige, ForwardModelSource
 from testing.wire import LOOPBACK, only_camera, radiometer
 
 OPEN_A_CAMERA: Final = ("measure", "bracket", "serve")

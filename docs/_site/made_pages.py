@@ -71,7 +71,7 @@ def commands() -> str:
 def bench_keys() -> str:
     """Return the keys of a bench file, section by section, from the form that every bench file is checked by."""
     from radiometer.bench.config import BenchConfig
-    from simulators.scenes.factory import SCENES
+    from simulators.scenes.kinds import SCENES
 
     form = BenchConfig.model_json_schema()
     parts = [

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from drivers.cameras.aravis_camera import AravisCamera
 from drivers.cameras.camera_opening import CameraSession
+from drivers.cameras.feature_access import SPEED
 from drivers.cameras.host_checks import USB3_MBIT_S
-from drivers.cameras.link_throughput import SPEED
 from radiometer.devices import Finding, Health
 
 USB3_BYTES_S = USB3_MBIT_S * 1_000_000 // 10  # ten symbols to a byte
@@ -15,7 +15,9 @@ _ADC_BITS = {"Bit8": 8, "Bit10": 10, "Bit12": 12, "Bit14": 14, "Bit16": 16}
 def check_features(camera: AravisCamera) -> list[Finding]:
     """Return what was found of an open camera's features. Raises DeviceError if it does not answer."""
     session = camera.session
-    return [*_hygiene(session), *_notes(session), *_links(session), *_alignment(session)]
+    notes = [Finding("opening", Health.NOTE, note) for note in session.notes]
+    link = _link(session) if session.camera.is_gv_device() else _usb(session)
+    return [*_hygiene(session), *notes, link, *_alignment(session)]
 
 
 def _hygiene(session: CameraSession) -> list[Finding]:
@@ -34,14 +36,6 @@ def _hygiene(session: CameraSession) -> list[Finding]:
     if off:
         findings.append(Finding("features", Health.OK, f"off as they must be: {', '.join(off)}"))
     return findings
-
-
-def _notes(session: CameraSession) -> list[Finding]:
-    return [Finding("opening", Health.NOTE, note) for note in session.notes]
-
-
-def _links(session: CameraSession) -> list[Finding]:
-    return [_link(session)] if session.camera.is_gv_device() else [_usb(session)]
 
 
 def _usb(session: CameraSession) -> Finding:

@@ -9,8 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from radiometer.data import CameraDescription
-from radiometer.data.config_files import shipped_config
-from radiometer.data.storage import read_yaml
+from radiometer.data.storage import read_yaml, shipped_config
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.devices import CameraPreset
 from radiometer.errors import ConfigurationError

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from radiometer.data.serials import same_serial, serial_shown
+from radiometer.data.capture_header import same_serial, serial_shown
 from radiometer.devices import Finding, Health
 from radiometer.errors import MissingLibrary
 

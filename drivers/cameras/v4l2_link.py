@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from drivers.cameras.call_thread import CallThread
-from drivers.cameras.feature_hygiene import FalsifyingFeature, HygieneFinding
+from drivers.cameras.feature_access import FalsifyingFeature, HygieneFinding
 from drivers.cameras.plain_camera import FrameLink, Grab, bits_of
 from radiometer.data.frame import DigitalNumbers
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health

@@ -11,8 +11,7 @@ from typing import Final, Protocol
 
 import structlog
 
-from drivers.light_box.frames import PROTOCOL_VERSIONS, Event
-from drivers.light_box.link import ATTEMPTS, DARK_SOON, MOST_RATE, BoxLink, BoxRefusal
+from drivers.light_box.link import ATTEMPTS, DARK_SOON, MOST_RATE, PROTOCOL_VERSIONS, BoxLink, BoxRefusal, Event
 from radiometer.devices.exposure_ledger import ExposureLedger, Stimulus
 from radiometer.devices.light_box import (
     FULL_LEVEL,

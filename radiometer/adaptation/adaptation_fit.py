@@ -16,8 +16,14 @@ import numpy as np
 from scipy.optimize import nnls
 
 from radiometer.adaptation.branch_fit import HUBER, MODELS, REWEIGHTINGS, BranchFit, fit_model, prior_weights
-from radiometer.adaptation.intervals import Interval, bootstrap_values, percentile_interval, profile_interval
-from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
+from radiometer.adaptation.intervals import (
+    InterceptRule,
+    Interval,
+    bootstrap_values,
+    percentile_interval,
+    profile_interval,
+    rod_intercept,
+)
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.plausible import PLAUSIBLE

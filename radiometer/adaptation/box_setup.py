@@ -19,8 +19,8 @@ from radiometer.adaptation.run import Stage
 from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.bench.boxes import OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
-from radiometer.bench.served_box import places_of, seat_subject
-from radiometer.data.config_files import shipped_config
+from radiometer.bench.served import places_of, seat_subject
+from radiometer.data.storage import shipped_config
 from radiometer.devices.light_box import ButtonEvent, FlashBox, LightBox, Radiance
 from radiometer.devices.retinal_safety import HazardFractions
 from radiometer.errors import (

@@ -10,6 +10,8 @@ from typing import Final
 import numpy as np
 
 import radiometer
+from radiometer.adaptation.intervals import InterceptRule
+from radiometer.adaptation.outcome import Reliability
 from radiometer.adaptation.protocol import (
     AdaptationProtocol,
     DownUpMethod,
@@ -17,8 +19,6 @@ from radiometer.adaptation.protocol import (
     QuestPlusMethod,
     StaircaseMethod,
 )
-from radiometer.adaptation.reliability import Reliability
-from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_files import number_of
 
 LEVEL_UNIT: Final = "scotopic cd·m⁻²"  # of which a run's levels and thresholds are log₁₀

@@ -25,8 +25,7 @@ from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, Scr
 from radiometer.screen.stimulus import Blink, Code, Hold, Rest, ScreenPicture, Shape, StimulusScreen, Viewing, in_codes
 from radiometer.typing import Array
 from simulators.displays import DISPLAYS, SimulatedDisplay
-from simulators.observers.behaviours import BEHAVIOURS, behaviour_of
-from simulators.observers.observer import Observer, ObserverAtScreen
+from simulators.observers.observer import BEHAVIOURS, Observer, ObserverAtScreen, behaviour_of
 
 _FRAME_S: Final = 1 / 60  # usual screens show 60 frames per second
 _SIMULATED_SIZE: Final = (1920, 1080)  # Full HD

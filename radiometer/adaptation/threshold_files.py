@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.adaptation.journal import DEVICE_FACTS
+from radiometer.adaptation.outcome import DEVICE_FACTS
 from radiometer.data import text_table
 from radiometer.data.event_journal import is_journal, read_events
 from radiometer.data.reader_limits import bounded_reader, unpacked

@@ -13,14 +13,20 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
-from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
-from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.outcome import Outcome, Verdict
-from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
-from radiometer.adaptation.reliability import NAMES, Reliability
+from radiometer.adaptation.outcome import NAMES, Outcome, Reliability, Verdict
+from radiometer.adaptation.protocol import (
+    SHIPPED,
+    AdaptationProtocol,
+    bleached_fraction,
+    bleached_range,
+    instructions,
+    practice_of,
+    pupil_diameter_mm,
+    read_protocol,
+    retinal_illuminance_td,
+)
 from radiometer.adaptation.report import CHOSEN_TO, LABELS, curve_csv, label_of, short, to_mapping, write_page
-from radiometer.adaptation.request import RunRequest
-from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
+from radiometer.adaptation.request import Controls, RunRequest
 from radiometer.adaptation.run_facts import intercept_of
 from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
@@ -28,8 +34,11 @@ from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_files import number_of
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import (
+    FEWEST_PAIRS,
     HALF_INTERVAL,
     OVERLAID,
+    Compared,
+    compare_visits,
     label_of_visit,
     moment_of_visit,
     visit_at,
@@ -111,7 +120,6 @@ class AdaptationRun(Result):
         return [f"{one.verdict}: {one.explanation}", counts, *rates, *unchecked]
 
     def __str__(self) -> str:
-        """Return verdict and number of thresholds."""
         return f"{self.outcome.verdict}: {len(self.outcome.times_min)} thresholds in {self.journal}"
 
 
@@ -327,7 +335,6 @@ class AdaptationCurve(Result):
         write_text_atomic(Path(path), curve_csv(self.fit))
 
     def __str__(self) -> str:
-        """Return the verdict."""
         return f"{self.name}: {self.fit.verdict}"
 
 
@@ -405,7 +412,6 @@ class Retest(Result):
             yield f"{LABELS[one.name]} ({unit_text(one.unit)}), pairs: {len(one.visits)}", text
 
     def __str__(self) -> str:
-        """Return the names of the quantities."""
         return ", ".join(f"{LABELS[one.name]}, pairs: {len(one.visits)}" for one in self.comparisons)
 
 
@@ -470,7 +476,6 @@ class Protocols(Result):
         return {one.name: one.model_dump() for one in self.protocols}
 
     def __str__(self) -> str:
-        """Return their names."""
         return ", ".join(one.name for one in self.protocols)
 
 
@@ -500,7 +505,6 @@ class Instructions(Result):
         return list(self.sentences)
 
     def __str__(self) -> str:
-        """Return whose they are and how they begin."""
         return f"{self.protocol}: {self.sentences[0]}"
 
 
@@ -554,7 +558,6 @@ class Visits(Result):
         write_text_atomic(Path(path), visits_html([(one.fit, one.name) for one in self.curves]))
 
     def __str__(self) -> str:
-        """Return the visits' names."""
         return ", ".join(label_of_visit(one.series, one.name) for one in self.curves)
 
 
@@ -617,7 +620,6 @@ class Bleach(Result):
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __str__(self) -> str:
-        """Return retinal exposure and both shares."""
         return (
             f"{self.retinal_td_s:.4g} td·s: rods {100 * self.rods_bleached:.1f} %, "
             f"cones {100 * self.cones_bleached:.1f} % bleached"

@@ -70,7 +70,6 @@ class AlphaOpicQuantities(Drawn):
         return where
 
     def __str__(self) -> str:
-        """Return the melanopic equivalent daylight quantity in one line."""
         return f"melanopic equivalent daylight {self['melanopic'].equivalent_daylight.text(with_k=True)}"
 
 

@@ -205,7 +205,6 @@ class MapAnalysis(Drawn):
         return section(f"{self.profile_title}, {self.coverage}", shown, figures)
 
     def __str__(self) -> str:
-        """Return the regions' means in one line."""
         means = [" ".join(row) for row in self.region_rows(("mean",))]
         return f"{', '.join([*means, *([self.illuminance.text()] if self.illuminance else [])])} (k = 2)"
 

@@ -44,7 +44,6 @@ class Batch(Result):
         }  # fmt: skip
 
     def __str__(self) -> str:
-        """Return table, rows and what was done."""
         one = self.summary
         return f"{self.table}: {one.rows_in_table} rows; {one.done} done, {one.skipped} as before"
 
@@ -82,7 +81,6 @@ class Trends(Result):
         write_text_atomic(Path(path), trend_report(list(self.trends), self.source))
 
     def __str__(self) -> str:
-        """Return the verdict of each patch."""
         return ", ".join(f"{one.patch}: {one.verdict}" for one in self.trends)
 
 
@@ -100,7 +98,6 @@ class Passports(Result):
         return {"cameras": [one.to_mapping() for one in self.cameras]}
 
     def __str__(self) -> str:
-        """Return each camera with what changed."""
         lines = []
         for one in self.cameras:
             changed = ", ".join(change.quantity for change in one.changes if change.changed) or "nothing"

@@ -31,6 +31,7 @@ from radiometer.analysis.signal.model import black_from_darks
 from radiometer.analysis.signal.situation import contradicted
 from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
 from radiometer.api.files import PathLike, stack_of
+from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Progress, Result
 from radiometer.bench.assembly import open_instrument
 from radiometer.bench.sources import is_photographs, open_source
@@ -60,14 +61,7 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.numbers import with_u
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNSTATED_SHUTTER_U_S, Photographs, has_unstated_shutter_offset, with_offset
-from radiometer.photographs.stated import (
-    at_iso,
-    reference_iso,
-    stated_camera,
-    with_f_number,
-    with_gains,
-    with_iso,
-)
+from radiometer.photographs.stated import at_iso, reference_iso, stated_camera, with_f_number, with_gains, with_iso
 from radiometer.plausible import (
     PLAUSIBLE,
     Exposure,
@@ -82,14 +76,12 @@ from radiometer.progress import counted
 from radiometer.units import exact_exposure_s
 
 if TYPE_CHECKING:
-    from radiometer.data import Calibration, FlatField, LensDescription
     from simulators.effects.base import Effect
 
 # Luminous efficacies of radiation (380 to 780 nm) of usual sources, 2856 K to a phosphor-converted LED, are from 0.86
 # to 1.8 times that of equal energy. The constant is the root mean square of that rectangle about 1.
 UNKNOWN_EFFICACY_U_REL: Final = 0.43
 
-PatchLike = Patch | tuple[int, int, int, int]
 # The gain in dB, and the warmth in K from 25 °C, at which the uncertainty of a law is stated.
 _TYPICAL_GAIN_DB: Final = 24.0
 _TYPICAL_WARMER_K: Final = 15.0
@@ -151,7 +143,6 @@ class Calibrated(Result):
         return report
 
     def __str__(self) -> str:
-        """Return scale, expanded uncertainty and method in one line."""
         scale = self.scale
         how = scale.method.replace("_", " ")
         return f"{with_u(scale.value, 2 * scale.u_rel * scale.value, 'J·m⁻² per unit of signal', k=2)}, {how}"
@@ -397,7 +388,7 @@ def _numbers(patch: PatchLike | str | None) -> Patch | None:
     """Return a patch that is given by its numbers. Raises UsageError for a name: only capture sets name patches."""
     if isinstance(patch, str):
         raise UsageError(f"--patch {patch!r}: expected X,Y,W,H in whole pixels, such as 100,80,40,40")
-    return patch if isinstance(patch, Patch | None) else Patch(*patch)
+    return as_patch(patch)
 
 
 def _seen_in_capture(
@@ -766,8 +757,6 @@ def _flat_field_of_effect(
     effect: Effect, notes: Mapping[str, Any], lens: LensDescription, shape: tuple[int, int] | None, where: str
 ) -> FlatField:
     """Return the fall-off (1 + s·ρ²)⁻²·(1 − k₄·ρ⁴) as a flat field, with its uncertainty in the corners."""
-    from radiometer.data import FlatField
-
     if shape is None:
         raise InputError(f"{where}: a fall-off needs frames of the known source, to know the picture's size")
     height, width = shape

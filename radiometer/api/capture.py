@@ -57,7 +57,6 @@ class BracketReport(Result):
         }
 
     def __str__(self) -> str:
-        """Return folder, number of exposures and their range."""
         low, high = min(self.exposures_s), max(self.exposures_s)
         return f"{self.capture}: {len(self.exposures_s)} exposures from {low:.4g} s to {high:.4g} s"
 

@@ -84,7 +84,6 @@ class Certificate(Result):
         return self.plain("file", "page", identifier=known.identifier, item=item, date=known.date, results=results)
 
     def __str__(self) -> str:
-        """Return number, item and first result in one line."""
         (name, one, k), item = self.content.results[0], self.content.item
         return f"{self.content.identifier}: {item.name} {item.serial}, {name} {one.text(k)} (k = {k:.3g})"
 

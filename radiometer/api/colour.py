@@ -82,7 +82,6 @@ class CalibratedColour(Result):
         return float(np.sqrt(self.calibration.error(kind, np.ones(3))[1, 1]))
 
     def __str__(self) -> str:
-        """Return channels, lights and the error for the kinds of light in one line."""
         known = self.calibration
         lights = 0 if known.training is None else len(known.training.names)
         parts = ", ".join(f"{kind} {100 * self.u_rel(kind):.2g} %" for kind in known.errors)
@@ -169,7 +168,6 @@ class ColourReading(Drawn):
         write_text_atomic(Path(path), page(f"colour of {self.source}", str(self), parts, kind="colour", origin=origin))
 
     def __str__(self) -> str:
-        """Return luminance, chromaticity and colour temperature in one line."""
         names = ("Y", "x", "y", "cct", "duv")
         shown = (f"{_SYMBOLS.get(name, name)} {_shown(self.quantities[name])}" for name in names)
         return f"{', '.join(shown)} (k = 2)"
@@ -288,19 +286,15 @@ def colour_measure(
         calibration: Colour calibration, or its file.
         patch: (x, y, width, height) in pixels of a colour's plane; the whole picture by default.
         kind: Kind of light, one that the calibration knows; by default the error is the mean over those.
-        filters: Of a monochrome camera with filters: capture set by channel, instead of a source.
-        linear: Photographs that are no raw files are proportional to light above black.
-        f_number: f-number of frames that state none.
         response: Response of photographs, the same as for the calibration.
         maps: File for the quantities of every pixel, .exr or .tiff.
         report: Page to write, .html.
-        notice: Gets what a user should know, a line each.
-        progress: Called as the work goes on.
 
     Raises:
         UsageError: If arguments exclude each other, or the kind of light is not known.
         CalibrationError: If the calibration is of another camera, f-number or filter.
         MeasurementError: If the patch has too few pixels with a value, or no light.
+        RadiometerError: As `colour_calibrate`, which has the other arguments.
     """
     check_outputs(*(Path(one) for one in (maps, report) if one is not None), force=True)
     if maps is not None and Path(maps).suffix.lower() not in _FORMS:

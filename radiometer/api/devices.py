@@ -15,9 +15,8 @@ from radiometer.bench.boxes import find_boxes
 from radiometer.bench.cameras import OWN_KINDS, SIMULATED, list_cameras
 from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.doctor import check_daemon, examine
-from radiometer.bench.served_box import served_box, tend
-from radiometer.bench.served_camera import Faults, serve, served_camera
-from radiometer.data.serials import other_notation, serial_shown
+from radiometer.bench.served import Faults, serve, served_box, served_camera, tend
+from radiometer.data.capture_header import other_notation, serial_shown
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.data.validation import validate
 from radiometer.devices import CameraIdentity, Finding, Health, LightBoxIdentity
@@ -64,7 +63,6 @@ class Devices(Result):
         ]
 
     def __str__(self) -> str:
-        """Return how many there are."""
         return f"{len(self.cameras)} cameras, {len(self.light_boxes)} light boxes"
 
 
@@ -114,7 +112,6 @@ class Diagnosis(Result):
         return {"sound": self.sound, "findings": [one.to_mapping() for one in self.findings]}
 
     def __str__(self) -> str:
-        """Return whether all is sound, and what is not."""
         wrong = ", ".join(one.check for one in self.findings if one.health is Health.FAULT)
         return f"not sound: {wrong}" if wrong else f"sound: {len(self.findings)} checks"
 

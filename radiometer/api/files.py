@@ -156,7 +156,6 @@ class Stack:
         return picture(self.plot, repr(self))
 
     def __repr__(self) -> str:
-        """Return size, number of frames and exposures in one line."""
         parts = []
         for name, bracket in self.brackets.items():
             times = [frame.settings.exposure_s for frame in bracket.light]

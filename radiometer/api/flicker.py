@@ -65,7 +65,6 @@ class FlickerReport(Drawn):
         return where
 
     def __str__(self) -> str:
-        """Return frequency, depth and SVM in one line."""
         found, k = self.measures, self.measures.coverage_factor
         depth = found.modulation_depth.scaled(100.0, "%").text(k)
         at = "no repetition" if found.frequency is None else f"{found.frequency.value:.5g} Hz"

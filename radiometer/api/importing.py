@@ -32,7 +32,6 @@ class Imported(Result):
         return {"capture_sets": [_mapping(one) for one in self.capture_sets]}
 
     def __str__(self) -> str:
-        """Return folders with what they hold."""
         return ", ".join(
             f"{one.path}: {one.frames} frames" if one.frames else f"{one.path}: {one.settings} settings"
             for one in self.capture_sets

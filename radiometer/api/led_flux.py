@@ -15,19 +15,15 @@ from radiometer.analysis.flux.report import Emitter, FluxReport
 from radiometer.analysis.flux.sensor import flux_scale
 from radiometer.analysis.signal.model import corrected_settings
 from radiometer.api.files import PathLike, stack_of
+from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Result, require_other
 from radiometer.bench.sources import is_photographs, open_source
-from radiometer.data import (
-    Calibration,
-    Frame,
-    Patch,
-    Quantity,
-)
+from radiometer.data import Calibration, Frame, Quantity
 from radiometer.data.setup import Setup
 from radiometer.devices import CameraPreset
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.importing import imported_of, open_capture
-from radiometer.importing.drive_table import read_drive_table
+from radiometer.importing.light_tables import read_drive_table
 from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
 from radiometer.photographs.stated import stated_camera
@@ -86,7 +82,6 @@ class Flux(Result):
         }
 
     def __str__(self) -> str:
-        """Return the flux in mW with its expanded uncertainty in one line."""
         where = "emitted" if self.report.emitted else "through the sensor"
         return f"{with_u(1e3 * self.result.value, 2e3 * self.result.u, 'mW', k=2)} {where}"
 
@@ -96,7 +91,7 @@ def flux(
     *,
     calibration: Calibration | PathLike | None = None,
     camera_file: PathLike | None = None,
-    patch: Patch | tuple[int, int, int, int] | None = None,
+    patch: PatchLike | None = None,
     half_angle: HalfAngle | None = None,
     half_angle_u: Uncertainty = 1.0,
     diameter: Millimetres | None = None,
@@ -150,7 +145,6 @@ def flux(
         UsageError: If arguments are missing or exclude each other.
     """
     require_other("--drive-table", drive_table, led=led, drive=drive, at_drive=at_drive)
-    region = patch if isinstance(patch, Patch | None) else Patch(*patch)
     emitter = _emitter(half_angle, half_angle_u, diameter, diameter_u, distance, distance_u, datasheet_mw)
     if calibration is not None and camera_file is not None:
         raise UsageError("--calibration and --camera-file exclude each other")
@@ -166,7 +160,7 @@ def flux(
         frames = [replace(one, settings=corrected_settings(one.settings, found, black_dn)) for one in frames]
     lit = [one.settings for one in frames if not one.settings.is_dark]
     scale = flux_scale(replace(taken.setup, camera=camera, calibration=known), lit, u_rel)
-    report = led_flux(frames, scale, emitter, region, f_number_u_rel)
+    report = led_flux(frames, scale, emitter, as_patch(patch), f_number_u_rel)
     law = None if drive_table is None else _driven(report.result, Path(drive_table), led, drive, at_drive)
     return Flux(report, taken.notes, law)
 

@@ -38,7 +38,7 @@ from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLev
 from radiometer.devices.exposure_account import name_of_eye
 from radiometer.devices.light_box import Level
 from radiometer.errors import DeviceError, DeviceNotFound, UsageError
-from radiometer.importing.drive_table import DriveTable, read_drive_table
+from radiometer.importing.light_tables import DriveTable, read_drive_table
 from radiometer.plausible import (
     BlinkCount,
     BoxLevel,
@@ -93,7 +93,6 @@ class LitChannel(Result):
         return report
 
     def __str__(self) -> str:
-        """Return channel, mode, level and current range."""
         state = self.state
         return f"{state.channel}  {state.mode}  level {state.drive.level} of 65535, {state.drive.current_range} current"
 
@@ -257,7 +256,6 @@ class Darkness(Result):
         return {"box": self.box, "dark": self.dark}
 
     def __str__(self) -> str:
-        """Return the box, and who darkened it."""
         by = "" if self.darkened_by is None else f", by process {self.darkened_by}, which holds it"
         return f"light box {self.box}: dark{by}"
 
@@ -308,7 +306,6 @@ class BoxStatus(Result):
         return self.report
 
     def __str__(self) -> str:
-        """Return serial number, firmware and port."""
         return f"light box {self.report['serial']}, firmware {self.report['firmware']}, on {self.report['port']}"
 
 
@@ -348,7 +345,6 @@ class ButtonPress(Result):
         return {"pressed": self.pressed, "time_s": self.time_s, "u_s": self.u_s}
 
     def __str__(self) -> str:
-        """Return the time with its expanded uncertainty, and what was done."""
         what = "pressed" if self.pressed else "released"
         return f"{self.time_s:10.4f} s ± {2e3 * self.u_s:.2f} ms (k = 2)  {what}"
 
@@ -405,7 +401,6 @@ class ExposureAccount(Result):
         return [_account_line(one) for one in self.reports]
 
     def __str__(self) -> str:
-        """Return how many boxes and eyes are known."""
         return f"{len(self.reports)} boxes and eyes"
 
 
@@ -489,7 +484,6 @@ class CalibratedBox(Result):
         return laws
 
     def __str__(self) -> str:
-        """Return box, channels and file."""
         return f"light box {self.calibration.box_serial}: {', '.join(self.channels)}; {self.file}"
 
 
@@ -632,7 +626,6 @@ class EngineLaws(Drawn):
         ]
 
     def __str__(self) -> str:
-        """Return the channel that is least proportional."""
         known = {name: law for name, law in self.laws.items() if law is not None}
         if not known:
             return "too few lit drives"

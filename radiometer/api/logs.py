@@ -11,7 +11,7 @@ from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data.statements import StatementMap
 from radiometer.importing.log_table import read_log
-from radiometer.reconciliation.inputs.log_fit import LogFit, fit_log
+from radiometer.reconciliation.log_fit import LogFit, fit_log
 from radiometer.reconciliation.result import ReconcileResult
 
 
@@ -47,7 +47,6 @@ class LogFinding(Result):
         return self.result.to_json()
 
     def __str__(self) -> str:
-        """Return verdict, names and the error of a night predicted from the others."""
         names = ", ".join(one.name for one in self.result.effects) or "nothing missing"
         before, after = 100 * self.fit.error_before, 100 * self.fit.error_after
         return f"{self.result.verdict}: {names}; error of a night {before:.2f} % → {after:.2f} %"

@@ -105,7 +105,6 @@ class Meter:
         return self.instrument.calibration
 
     def __repr__(self) -> str:
-        """Return camera, patch and calibration in one line."""
         who, patch = self.instrument.camera.identity, self.instrument.patch
         known = self.calibration
         scale = f"calibrated {known.created[:10]} by {known.scale.reference}" if known else "uncalibrated"

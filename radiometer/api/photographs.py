@@ -11,6 +11,7 @@ import numpy as np
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.api.files import PathLike, Stack, stack_of
+from radiometer.api.meter import PatchLike
 from radiometer.api.reading import reading_record
 from radiometer.api.result import Progress
 from radiometer.bench.sources import open_source
@@ -27,7 +28,7 @@ from radiometer.reporting.reading_page import check_report_name, write_reading_p
 
 def measure_photographs(
     photographs: Stack | PathLike,
-    patch: Patch | tuple[int, int, int, int] | None = None,
+    patch: PatchLike | None = None,
     *,
     calibration: Calibration | PathLike | None = None,
     uncalibrated: bool = False,
@@ -59,12 +60,7 @@ def measure_photographs(
         calibration: Calibration, or its file.
         uncalibrated: Use none: a relative reading.
         channel: Of a folder of colour photographs: "luminance", "red", "green" or "blue".
-        pattern: Displayed pattern of a capture set that holds several.
-        align: Photographs from the hand: "auto" (where they moved), "on", or "off".
         linear: Uncalibrated photographs are proportional to light above black.
-        measured_iso: Real ISO speed by stated one.
-        iso: ISO speed of photographs that state none.
-        f_number: f-number of frames that state none.
         spectrum: Spectrum of the light; where it is unknown, all kinds of light count in the uncertainty.
         monte_carlo: Add the interval by the propagation of distributions to `reading.more`.
         report: Page of the reading to write, .html or .pdf.
@@ -74,10 +70,8 @@ def measure_photographs(
         The reading; `more` holds the ISO speeds, the assumptions, how the frames lay, and notes.
 
     Raises:
-        CalibrationError: If the calibration does not fit the frames.
-        CaptureError: If the frames are missing or inconsistent.
-        MeasurementError: If a response is needed and the photographs hold none.
         UsageError: If arguments exclude each other.
+        RadiometerError: As `merge`, which has the other arguments.
     """
     if report is not None:
         check_report_name(Path(report))

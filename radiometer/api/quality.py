@@ -10,17 +10,17 @@ from typing import Any, Final
 
 from radiometer.acquire.bracketing import BracketRequest, plan_for_scene
 from radiometer.acquire.exposure_plan import ExposurePlan, exposure_ladder
-from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.analysis.quality.datasheet import datasheet_html, shown
 from radiometer.analysis.quality.procedures import PROCEDURES, Procedure, ProcedureStep, gain_of_step
 from radiometer.analysis.quality.procedures import procedure as procedure_of
 from radiometer.analysis.quality.session import SOURCE_U_REL, Datasheet, Evaluation, evaluate
+from radiometer.api.calibration import read_spectral_response
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Progress, Result
 from radiometer.bench.assembly import open_bench_camera
 from radiometer.bench.capturing import capture_exposures
-from radiometer.data import Calibration, PatchDescription, SpectralResponse
+from radiometer.data import Calibration, PatchDescription
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_text_atomic
 from radiometer.devices import Camera
@@ -55,7 +55,6 @@ class QualityPlan(Result):
         return {one.name: asdict(one) for one in self.procedures}
 
     def __str__(self) -> str:
-        """Return the names."""
         return ", ".join(one.name for one in self.procedures)
 
 
@@ -83,7 +82,6 @@ class QualityReport(Result):
         return [(of.symbol, of.title, *shown(figure)) for of, figure in measured if figure is not None]
 
     def __str__(self) -> str:
-        """Return symbols and values of what was measured."""
         return ", ".join(f"{symbol} = {value} ± {u}" for symbol, _, value, u in self.rows) or "nothing measured"
 
 
@@ -225,12 +223,7 @@ def quality_report(
     Raises:
         InputError: If the session holds no captures.
     """
-    response = _response(Path(spectral_response)) if spectral_response else None
+    response = read_spectral_response(Path(spectral_response)) if spectral_response else None
     known = Calibration.read(Path(calibration)) if calibration else None
     how = Evaluation(known, as_patch(patch), source_u_rel, response)
     return QualityReport(evaluate(Path(session), how, lambda title: (progress or unseen)(title, 0, None)))
-
-
-def _response(path: Path) -> SpectralResponse:
-    found = spectrum_from_csv(path)
-    return SpectralResponse(wavelength_nm=tuple(found.wavelength_nm), relative=tuple(found.power))

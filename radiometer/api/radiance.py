@@ -228,7 +228,6 @@ class Radiance(Drawn):
         return where
 
     def __repr__(self) -> str:
-        """Return size, range and share of good pixels in one line."""
         height, width = self.picture.first.shape
         names = "" if len(self.maps) == 1 else f" of {', '.join(self.maps)}"
         return f"<Radiance{names} {width} × {height} pixels in {unit_text(self.unit)}: {_summary(self.picture.first)}>"

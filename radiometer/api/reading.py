@@ -20,7 +20,7 @@ from radiometer.bench.capturing import shutter_by_hand
 from radiometer.bench.instrument import Instrument
 from radiometer.bench.reopening import reopen
 from radiometer.data import Bracket, CameraDescription, LensDescription, Reading
-from radiometer.data.serials import serial_shown
+from radiometer.data.capture_header import serial_shown
 from radiometer.errors import DeviceLost, DeviceTimeout, UsageError
 from radiometer.plausible import FNumber, Limit, Period, RelativeUncertainty
 from radiometer.progress import counted
@@ -112,7 +112,6 @@ def readings(
         [1, 2]
 
     Args:
-        camera: As all further ones for `measure`.
         repeat: Number of readings.
         watch: Read without end; a camera that is lost is waited for.
         every_s: Time from one reading's start to the next's in s.
@@ -121,7 +120,7 @@ def readings(
 
     Raises:
         UsageError: If a calibration is named and none is to be used.
-        RadiometerError: As `measure`.
+        RadiometerError: As `measure`, which has the other arguments.
     """
     if calibration is not None and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")

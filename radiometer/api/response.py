@@ -132,7 +132,6 @@ class Response(Drawn):
         return where
 
     def __repr__(self) -> str:
-        """Return method, depth, range and median uncertainty in one line."""
         return f"<Response {'; '.join(map(_summary, self.estimates))}>"
 
 

@@ -73,7 +73,6 @@ class Result:
         return json_text(self.to_mapping())
 
     def __repr__(self) -> str:
-        """Return name and content in one line."""
         return f"<{type(self).__name__} {self}>"
 
     def _repr_html_(self) -> str:

@@ -17,9 +17,9 @@ from radiometer.errors import UsageError
 from radiometer.numbers import with_u
 from radiometer.photographs.response import ENOUGH_PIXELS
 from radiometer.reconciliation.engine import plan_of, whole_catalogue
-from radiometer.reconciliation.inputs.sources import Done, DoneCapture, reconcile_source
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, ReconcileResult
 from radiometer.reconciliation.separability import Separability as SeparabilityPlan
+from radiometer.reconciliation.sources import Done, DoneCapture, reconcile_source
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.registry import register_file
 
@@ -58,7 +58,6 @@ class Separability(Result):
         return self.plan.to_mapping()
 
     def __str__(self) -> str:
-        """Return how many effects cannot be separated from others, and which do not show."""
         together = ", ".join(one.name for one in self.plan.together) or "none"
         return f"not separated from others: {together}; not shown: {', '.join(self.plan.blind) or 'none'}"
 
@@ -157,7 +156,6 @@ class Reconciliation(Result):
         return where
 
     def __repr__(self) -> str:
-        """Return verdict, names and gap in one line."""
         names = ", ".join(effect.name for effect in self.effects) or "nothing missing"
         before, after = self.gap
         return f"<Reconciliation {self.verdict}: {names}; gap {before:.3g} → {after:.3g}>"
@@ -250,15 +248,10 @@ def reconcile_plan(
 
     Args:
         capture: Capture set.
-        model: Model file to start from; the ideal camera by default.
-        without: Entries of the catalogue to leave out.
-        effects: Python files with further effects to look for.
         progress: Called as frames are read.
-        notice: Gets what a user should know, a line each.
 
     Raises:
-        CaptureError: If there is no such set.
-        UsageError: If there is no such effect.
+        RadiometerError: As `reconcile`, which has the other arguments.
     """
     _register(effects, notice)
     _refuse_unknown(without)

@@ -37,15 +37,10 @@ from radiometer.progress import counted
 from radiometer.reporting.origin import moment
 from radiometer.reporting.pictures import label
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
-from radiometer.screen.calibration_run import Options, calibrate_screen
-from radiometer.screen.checks import checks_in_words
-from radiometer.screen.exports import EXPORTS, NOTES, write_export
-from radiometer.screen.exports.chromaticity import argyll_line
-from radiometer.screen.exports.icc import check_profile
-from radiometer.screen.exports.report_page import draw_curves
+from radiometer.screen.calibration_run import COVERAGE, Options, Verified, calibrate_screen, verify_screen
+from radiometer.screen.exports import EXPORTS, NOTES, argyll_line, check_profile, draw_curves, write_export
 from radiometer.screen.measured_elsewhere import METER_U_REL, chromaticities_in, imported, read_screen_readings
-from radiometer.screen.plan import parse_levels
-from radiometer.screen.verification import COVERAGE, Verified, verify_screen
+from radiometer.screen.run import checks_in_words, parse_levels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,7 +101,6 @@ class CalibratedScreen(Drawn):
         return where
 
     def __str__(self) -> str:
-        """Return the name and each channel's brightest luminance."""
         known = self.calibration.channels.values()
         ends = ", ".join(f"{one.name} to {self.luminance_range(one)[1].value:.4g} cd·m⁻²" for one in known)
         return f"{self.calibration.name}: {ends}"
@@ -132,7 +126,6 @@ class ScreenLevel(Result):
         return {"channel": self.channel, "level": self.level, "shown": self.shown.to_mapping(), "target": self.target}
 
     def __str__(self) -> str:
-        """Return level, channel and what it shows."""
         return f"level {self.level} of {self.channel} shows {self.shown.value:.5g} {unit_text(self.shown.unit)}"
 
 
@@ -316,7 +309,6 @@ class VerifiedScreen(Result):
         return [*rows, verdict]
 
     def __str__(self) -> str:
-        """Return whether the calibration holds."""
         return f"{self.calibration.name}: {'holds' if self.holds else 'no longer holds'}"
 
 
@@ -348,24 +340,11 @@ def screen_verify(
 
     Args:
         calibration: Screen calibration, or its file.
-        display: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
-        levels: "all", "quick", a count such as "33", or a list such as "0,16,255".
-        size: Patch size as a share of the screen's.
-        warm_up_s: Longest wait for the screen to settle in s.
-        camera: Camera by id, serial number or address; a browser's page needs it, or a bench.
-        bench: Bench file; before a simulated display the simulated bench by default.
         camera_calibration: The camera's calibration; the bench's by default.
-        patch: Where the camera sees the patch.
-        port: Port of the page; 0 for any free one.
-        announce: Called with the page's address.
         notice: Gets warnings of the page.
-        progress: Called after every patch.
 
     Raises:
-        UsageError: If display or level is unknown, or no camera looks at a browser's page.
-        CalibrationError: If the camera has no absolute calibration.
-        MeasurementError: If white clips or is hardly brighter than black.
-        DeviceError: If display or camera fails.
+        RadiometerError: As `screen_calibrate`, which has the other arguments.
     """
     known = calibration if isinstance(calibration, ScreenCalibration) else ScreenCalibration.read(Path(calibration))
     chosen = parse_levels(levels)

@@ -22,8 +22,8 @@ from radiometer.plausible import Duration, Port, Seed
 from radiometer.progress import counted
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
-from radiometer.screen.plan import parse_levels
 from radiometer.screen.report import FIELD_SHARE, GEOMETRIES, POINTS, Examined, Geometry, Section, examine, methods_of
+from radiometer.screen.run import parse_levels
 from radiometer.typing import Array
 
 if TYPE_CHECKING:
@@ -108,7 +108,6 @@ class DisplayReport(Result):
         return found
 
     def __str__(self) -> str:
-        """Return the main figure of every method."""
         shown = [f"{one.method} {one.figures[0].text}" for one in self.sections]
         return f"{self.screen}: {', '.join(shown)} (k = 2)"
 
@@ -161,8 +160,6 @@ def screen_report(
 
     Args:
         out: Page to write; none by default.
-        display: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
-        name: Name of the screen; the display's by default.
         methods: Some of warm_up, white, black, sequential_contrast, checkerboard_contrast, gamma, primaries,
             additivity, uniformity, mura and viewing_angle; all that the geometry has by default.
         geometry: "direct", "viewing_angle" or "near_eye".
@@ -171,24 +168,14 @@ def screen_report(
         checkers: Columns and rows of the checkerboard, an even number of fields.
         levels: Greys of the gamma: a count such as "17", or a list such as "0,64,128,255".
         area: Where the camera sees the whole screen; all of a simulated camera's picture by default.
-        warm_up_s: Longest wait for the screen to settle in s.
-        white: Spectrum assumed for grey.
-        primaries: Spectra of red, green and blue: a display type, or a CSV of them.
-        camera: Camera by id, serial number or address; a browser's page needs it, or a bench.
-        bench: Bench file; before a simulated display the simulated bench by default.
-        calibration: The camera's calibration; the bench's by default.
-        port: Port of the page; 0 for any free one.
         seed: Seed of a simulated camera's noise.
         ask: Asks a person to turn the screen and returns once it is done; needed for angles of a real screen.
-        announce: Called with the page's address.
         notice: Gets warnings of the page.
         progress: Called after every method.
 
     Raises:
         UsageError: If a method, geometry or number is unknown, or a real screen's area is not stated.
-        MeasurementError: If white clips or is hardly brighter than black.
-        DeviceError: If display or camera fails.
-        OutputError: If the page cannot be written.
+        RadiometerError: As `screen_calibrate`, which has the other arguments.
     """
     if geometry not in GEOMETRIES:
         raise UsageError(f"geometry {geometry!r} is unknown; choose {', '.join(GEOMETRIES)}")

@@ -127,7 +127,6 @@ class Sensor(Result):
         return where
 
     def __str__(self) -> str:
-        """Return gain, read noise and dark current, or what there is, in one line."""
         telling = [name for name in ("K", "sigma_d", "mu_I_mean") if name in self.figures] or list(self.figures)[:3]
         return ", ".join(f"{name} = {_quantity(self[name])}" for name in telling)
 

@@ -11,7 +11,7 @@ from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.data import Calibration, Patch, PatchDescription, SourceDescription
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 from radiometer.devices import Camera
 from radiometer.errors import CalibrationError, ConfigurationError, UsageError
 

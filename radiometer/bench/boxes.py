@@ -20,10 +20,9 @@ from drivers.light_box.box import FLASH, SerialLightBox
 from drivers.light_box.link import BoxLink
 from drivers.light_box.serial_line import SerialLine, SerialPort, list_serial_ports
 from radiometer.bench.box_holder import account_folder, ask_for_darkness, held_boxes, holder_of, holding, is_ours
-from radiometer.data.config_files import shipped_config
 from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
-from radiometer.data.storage import read_yaml, state_folder, write_yaml_atomic
+from radiometer.data.storage import read_yaml, shipped_config, state_folder, write_yaml_atomic
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.devices.exposure_account import ANY_EYE, NO_HISTORY, AccountStore, FileStore, MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
@@ -41,7 +40,7 @@ from radiometer.errors import (
 )
 from radiometer.plausible import PLAUSIBLE
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.virtual_line import VirtualLine
+from simulators.light_box.lines import VirtualLine
 
 SIMULATED: Final = "sim"
 SIMULATED_SERIAL: Final = "SIM00001"

@@ -8,7 +8,7 @@ from pathlib import Path
 from radiometer.bench.config import SIMULATED as SIMULATED
 from radiometer.bench.config import BenchConfig, CameraConfig, GenicamCameraConfig, SimulatedCameraConfig
 from radiometer.data import CameraDescription
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 from radiometer.devices import Camera, CameraCapabilities, CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import ConfigurationError, MissingLibrary
 
@@ -99,11 +99,10 @@ def _first_settings(camera_config: CameraConfig, limits: CameraCapabilities) -> 
 
 
 def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where: Path) -> Camera:
-    from simulators.cameras.colour_filters import ColourFilters
-    from simulators.cameras.simulated_camera import SimulatedCamera
+    from simulators.cameras.simulated_camera import ColourFilters, SimulatedCamera
     from simulators.chain.camera_model import CameraModel
     from simulators.scenes import scene_from_mapping
-    from simulators.scenes.pulsed_light import PulsedLight
+    from simulators.scenes.base import PulsedLight
 
     if config.scene is None:
         raise ConfigurationError(f"{where}: key 'scene' is missing; a simulated camera needs something to look at")

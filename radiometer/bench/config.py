@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from radiometer.data import LensDescription, Patch, PatchDescription, SourceDescription
-from radiometer.data.config_files import shipped_config
-from radiometer.data.storage import read_yaml
+from radiometer.data.storage import read_yaml, shipped_config
 from radiometer.data.validation import ConfigSection, Side, refuse_large_frame, validate, within
 from radiometer.errors import ConfigurationError, InputError
 

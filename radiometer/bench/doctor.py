@@ -16,9 +16,9 @@ import numpy as np
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import read_bench
 from radiometer.data import Frame
+from radiometer.data.capture_header import serial_shown
 from radiometer.data.json_text import parsed_json
 from radiometer.data.sensor_noise import SensorNoise
-from radiometer.data.serials import serial_shown
 from radiometer.devices import Camera, CameraSettings, Finding, Health
 from radiometer.errors import DeviceError, RadiometerError
 

@@ -19,9 +19,9 @@ from radiometer.bench.cameras import simulated_parts
 from radiometer.bench.config import SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument
 from radiometer.data import Calibration, Patch, Provenance
-from radiometer.data.config_files import shipped_config
 from radiometer.data.event_journal import EventJournal
 from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
+from radiometer.data.storage import shipped_config
 from radiometer.errors import UsageError
 from simulators.chain.camera_model import CameraModel
 from simulators.light_box.camera import BoxView, HookedClock, LightBoxCamera

@@ -33,10 +33,8 @@ from radiometer.data import Calibration, Patch, RadianceMap, Reading
 from radiometer.devices import Camera, CameraSettings, Display
 from radiometer.errors import ConfigurationError, InputError, UsageError
 from radiometer.reporting.origin import moment
-from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
-from radiometer.screen.meter import ScreenReading
 from radiometer.screen.report import derived
-from radiometer.screen.run import Light
+from radiometer.screen.run import Flicker, Light, ScreenReading, Uniformity, judge_flicker
 from radiometer.typing import Array
 
 SIMULATED_DISPLAYS: Final = ("lcd", "pwm_lcd", "oled")

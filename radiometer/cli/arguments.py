@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, overload
+from typing import TYPE_CHECKING, Final
 
 import radiometer as rm
 from radiometer.errors import UsageError
@@ -18,22 +18,12 @@ _LONGEST_BARE_EXPOSURE_S: Final = 30.0  # the longest time that shutters offer; 
 _LARGEST_BARE_F_NUMBER: Final = 90.0  # the smallest aperture of lenses of large-format cameras
 
 
-@overload
-def parse_patch(text: str) -> Patch: ...
-
-
-@overload
-def parse_patch(text: str | None) -> Patch | None: ...
-
-
-def parse_patch(text: str | None) -> Patch | None:
-    """Return the patch behind "X,Y,W,H" in pixels; None where nothing is given.
+def parse_patch(text: str) -> Patch:
+    """Return the patch behind "X,Y,W,H" in pixels.
 
     Raises:
         UsageError: If it is not four whole numbers of which the size is above 0.
     """
-    if not text:
-        return None
     try:
         x, y, width, height = (int(part) for part in text.split(","))
     except ValueError as error:
@@ -43,22 +33,14 @@ def parse_patch(text: str | None) -> Patch | None:
     return rm.Patch(x, y, width, height)
 
 
-@overload
-def parse_seconds(text: str | float, option: str) -> float: ...
-
-
-@overload
-def parse_seconds(text: str | float | None, option: str) -> float | None: ...
-
-
-def parse_seconds(text: str | float | None, option: str) -> float | None:
-    """Return a time in s from "0.008", "1/125" or "8ms" / "500us"; None where nothing is given.
+def parse_seconds(text: str | float, option: str) -> float:
+    """Return a time in s from "0.008", "1/125" or "8ms" / "500us".
 
     Raises:
         UsageError: If it is no time above 0.
     """
-    if not isinstance(text, str) or not text:
-        return text or None
+    if not isinstance(text, str):
+        return text
     try:
         number, spelling = read_number(text)
     except ValueError as error:
@@ -72,7 +54,7 @@ def parse_seconds(text: str | float | None, option: str) -> float | None:
     return seconds
 
 
-def parse_exposure(text: str | None, option: str) -> float | None:
+def parse_exposure(text: str, option: str) -> float:
     """Return an exposure time in s as `parse_seconds` does; a bare number above 30 is refused.
 
     Cameras show 1/125 s as 125, so that a bare 125 may mean either.
@@ -81,19 +63,19 @@ def parse_exposure(text: str | None, option: str) -> float | None:
         UsageError: If it is no time above 0, or may mean two.
     """
     seconds = parse_seconds(text, option)
-    if seconds is not None and seconds > _LONGEST_BARE_EXPOSURE_S and text and text.strip()[-1].isdigit():
+    if seconds > _LONGEST_BARE_EXPOSURE_S and text.strip()[-1].isdigit():
         bare = text.strip()
         raise UsageError(f"{option} {bare}: is {bare} s meant, or 1/{bare} s? Write {bare}s or 1/{bare}")
     return seconds
 
 
-def parse_relative(text: str | float | None, option: str) -> float | None:
-    """Return a relative quantity from "0.01" or "1%"; None where nothing is given.
+def parse_relative(text: str | float, option: str) -> float:
+    """Return a relative quantity from "0.01" or "1%".
 
     Raises:
         UsageError: If it is no number from 0 to below 1.
     """
-    if text is None or isinstance(text, float):
+    if isinstance(text, float):
         return text
     percent = text.rstrip().endswith("%")
     try:
@@ -109,13 +91,13 @@ def parse_relative(text: str | float | None, option: str) -> float | None:
     return number
 
 
-def parse_f_number(text: str | float | None, option: str) -> float | None:
-    """Return an f-number from "4" or "f/4"; None where nothing is given. A bare number above 90 is refused.
+def parse_f_number(text: str | float, option: str) -> float:
+    """Return an f-number from "4" or "f/4". A bare number above 90 is refused.
 
     Raises:
         UsageError: If it is no number that a lens can have, or may be an exposure time.
     """
-    if text is None or isinstance(text, float):
+    if isinstance(text, float):
         return text
     low, high = PLAUSIBLE["f_number"].low, PLAUSIBLE["f_number"].high
     bare = text.strip().lower().removeprefix("f/")
@@ -134,13 +116,13 @@ def parse_f_number(text: str | float | None, option: str) -> float | None:
     return number
 
 
-def parse_radiance(text: str | None) -> float | str | None:
-    """Return a radiance in W·sr⁻¹·m⁻², or the name of a certificate; None where nothing is given.
+def parse_radiance(text: str) -> float | str:
+    """Return a radiance in W·sr⁻¹·m⁻², or the name of a certificate.
 
     Raises:
         UsageError: If it is neither a number nor the name of an XML file.
     """
-    if text is None or text.lower().endswith(".xml"):
+    if text.lower().endswith(".xml"):
         return text
     try:
         return float(text)
@@ -167,10 +149,10 @@ def parse_numbers(text: str, option: str, form: str, count: int | None = None, b
     return found
 
 
-def parse_size(text: str | None) -> tuple[float, ...] | None:
-    """Return the lengths of "0.52x0.32" or of a diameter "0.1"; None where nothing is given. Raises UsageError."""
+def parse_size(text: str) -> tuple[float, ...]:
+    """Return the lengths of "0.52x0.32" or of a diameter "0.1". Raises UsageError."""
     form = "WIDTHxHEIGHT in m, such as 0.52x0.32, or a diameter"
-    return None if text is None else tuple(parse_numbers(text.replace("×", "x"), "--size", form, between="x"))
+    return tuple(parse_numbers(text.replace("×", "x"), "--size", form, between="x"))
 
 
 def parse_bounds(text: str, option: str) -> tuple[float, float]:
@@ -179,10 +161,6 @@ def parse_bounds(text: str, option: str) -> tuple[float, float]:
     if not 0.0 < low < high < math.inf:
         raise UsageError(f"{option} {text!r}: needs 0 < LOW < HIGH")
     return low, high
-
-
-UNSTATED_ISO_HELP: Final = "Photographs: ISO speed of those that state none."
-ISO_HELP: Final = "Photographs: ISO speed stated as STATED is really REAL, such as 200=136; may be repeated."
 
 
 def parse_measured_iso(words: Sequence[str] | None) -> dict[float, float]:

@@ -38,16 +38,25 @@ def console(*, to_stderr: bool = False) -> Console:
     return PlainConsole(stderr=to_stderr, highlight=False, soft_wrap=True)
 
 
-def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print a table whose first column is of words, the others of figures."""
+def show_table(
+    title: str, head: Sequence[str], rows: Iterable[Sequence[str]], words: Sequence[int] = (0,), *, bare: bool = False
+) -> None:
+    """Print a table, without lines where it is bare; columns of words stand to the left, those of figures right."""
+    from rich.box import HEAVY_HEAD
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", box=None if bare else HEAVY_HEAD)
     for number, name in enumerate(head):
-        table.add_column(name, justify="right" if number else "left")
+        table.add_column(name, justify="left" if number in words else "right")
     for row in rows:
         table.add_row(*row)
     console().print(table)
+
+
+def show_lines(found: Any) -> None:
+    """Print a result's lines."""
+    for line in found.lines():
+        console().print(line)
 
 
 def show_remarks(assumptions: Iterable[str] = (), *, flags: Iterable[str] = (), warnings: Iterable[str] = ()) -> None:

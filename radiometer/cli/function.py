@@ -26,6 +26,7 @@ from radiometer.cli.outputs import writes
 _PAGE: Final = "open this address on the screen to be measured, then press Start:\n  {}"
 _HANDED: Final = ("notice", "progress", "ask", "announce")  # parameters that the terminal serves
 _ARGS: Final = re.compile(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", re.MULTILINE)
+_LIKE: Final = re.compile(r"`(\w+)`, which has the other arguments")
 # What one word becomes, by the first that its annotation names.
 _KINDS: Final = {
     "PathLike": Path,
@@ -69,7 +70,6 @@ def command_of(
     json: bool = True,
     page: str = _PAGE,
     code: Callable[[Any], int] = lambda found: 0,
-    like: str = "",
     **options: Any,
 ) -> Callable[..., int]:
     """Return the command of a public function, ready for typer.
@@ -94,12 +94,10 @@ def command_of(
         json: Whether the result can be printed as JSON.
         page: How the address of a page is announced.
         code: Exit code by the result.
-        like: Another function, whose docstring holds the help that this one's leaves out.
         options: By parameter, `typer.Option` or `typer.Argument` with what the command line has beyond the signature:
             another name, limits, a parser of words; or a whole annotation, with its own type.
     """
     text, helps, taken = _described(name)
-    helps = {**(_described(like)[1] if like else {}), **helps}
     converters = {**_CONVERTERS, **(converters or {})}
     served = {"notice": note, "progress": None, "ask": None, "announce": None, reports: None, **serves(False)}
     taken |= {one: (taken[one][0], default, False) for one, default in (defaults or {}).items()}
@@ -169,8 +167,8 @@ def _announce(page: str, open_browser: bool, url: str) -> None:
 def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any, bool]]]:
     """Return a function's text before the sections of its docstring, and the help of its parameters.
 
-    Then by parameter: annotation, default, and whether it is an argument. None replaces defaults that are no plain
-    value, and empty ones.
+    The help of parameters that it leaves out is that of the function which it names for them. Then by parameter:
+    annotation, default, and whether it is an argument. None replaces defaults that are no plain value, and empty ones.
     """
     home = importlib.util.find_spec(rm.home_of(name))
     source = Path(str(home and home.origin)).read_text(encoding="utf-8")
@@ -190,6 +188,8 @@ def _described(name: str) -> tuple[str, dict[str, str], dict[str, tuple[str, Any
         return re.sub(r"`\w+`", lambda it: options.get(it[0], it[0]), words)
 
     helps = {one: spoken(" ".join(words.split())) for one, words in arguments}
+    for other in _LIKE.findall(doc):
+        helps = _described(other)[1] | helps
     return spoken(re.split(r"\n\n[A-Z]\w+:\n", doc)[0]), helps, taken
 
 

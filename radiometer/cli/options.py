@@ -11,16 +11,9 @@ from typer.core import TyperCommand
 from typer.models import ParameterInfo
 
 from radiometer.argument_types import range_of
-from radiometer.cli.arguments import parse_f_number, parse_relative, parse_seconds
+from radiometer.cli.arguments import parse_f_number, parse_seconds
 from radiometer.errors import UsageError
 from radiometer.plausible import LARGEST
-
-
-def relative_option(name: str, text: str) -> Any:
-    """Return a typer option of a relative quantity below 1, as a fraction or in per cent."""
-    return typer.Option(
-        name, parser=lambda word: parse_relative(word, name), metavar="FRACTION", help=f"{text}: 0.01 or 1%."
-    )
 
 
 def time_option(name: str) -> Any:
@@ -32,16 +25,11 @@ _CAMERA = "sim, a GenICam id, serial number or address, or v4l2:, picamera:, gph
 
 CameraOption = Annotated[str | None, typer.Option("--camera", help=_CAMERA)]
 BenchOption = Annotated[Path | None, typer.Option("--bench", help="Bench file; the simulated bench by default.")]
-PatchOption = Annotated[
-    str | None, typer.Option("--patch", help="Region X,Y,W,H in pixels; the bench's, else each capture's, by default.")
-]
-UncalibratedOption = Annotated[bool, typer.Option("--uncalibrated", help="Use no calibration: relative values.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="JSON on standard output.")]
 PrimariesOption = Annotated[
     str | None,
     typer.Option("--primaries", help="Spectra of red, green, blue: led_lcd, ccfl_lcd, oled, crt, or a CSV of them."),
 ]
-URelOption = Annotated[float | None, relative_option("--u-rel", "Repeat until noise is below this relative u (k = 1)")]
 FNumberOption = Annotated[
     float | None,
     typer.Option(

@@ -12,12 +12,11 @@ from typing import Any, Final, Literal
 
 import structlog
 
-from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.alarms import Alarms, Lateness
 from radiometer.daemon.instrument import Measurement, MeasurementSettings, Origin, ServedInstrument
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper
-from radiometer.daemon.lateness import Lateness
 from radiometer.data import Patch, Reading
 from radiometer.errors import DeviceError, RadiometerError, SettingOutOfRange, UsageError
 from radiometer.numbers import unit_text

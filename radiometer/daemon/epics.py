@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import structlog
 
+from radiometer.daemon.alarms import READING
 from radiometer.daemon.hub import Subscription
-from radiometer.daemon.lateness import READING
 from radiometer.daemon.patches import MAIN
 from radiometer.daemon.station import Station
 from radiometer.data import Reading

@@ -14,9 +14,9 @@ from typing import Final, TypeVar
 import structlog
 
 from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.clock_watch import Jump, RetentionClock
 from radiometer.daemon.instrument import Origin
 from radiometer.daemon.journal import Journal, JournalError, JournalSizeError
+from radiometer.daemon.timestamps import Jump, RetentionClock
 from radiometer.data import Reading
 from radiometer.errors import OutputError
 

@@ -8,9 +8,8 @@ from typing import Any, Final
 
 from radiometer.daemon.acquisition import ALARM as MEASUREMENT_ALARM
 from radiometer.daemon.acquisition import Acquisition
-from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.alarms import Alarms, Lateness
 from radiometer.daemon.journal_writer import JournalWriter
-from radiometer.daemon.lateness import Lateness
 from radiometer.daemon.metrics import Metrics
 from radiometer.daemon.patches import MAIN, MOST_PATCHES, NamedPatch, PatchLimits, PatchWatch, check_name
 from radiometer.data import Patch, Reading

@@ -83,7 +83,9 @@ class PatchLimits:
         if self.is_of_other_unit(reading):
             return UNSEEN
         value, drawn_in = reading.radiance.value, self.hysteresis_rel if standing else 0.0
-        least, most = -math.inf if _is_upper_bound(reading) else value, math.inf if _is_lower_bound(reading) else value
+        is_known = math.isfinite(value)
+        least = value if is_known and Flag.BELOW_NOISE not in reading.flags else -math.inf
+        most = value if is_known and Flag.SATURATED not in reading.flags else math.inf
         high = math.inf if self.high is None else self.high - abs(self.high) * drawn_in
         low = -math.inf if self.low is None else self.low + abs(self.low) * drawn_in
         if least > high:
@@ -177,11 +179,3 @@ def check_name(name: str) -> str:
             f" {name[:40]!r} is none"
         )
     return name
-
-
-def _is_lower_bound(reading: Reading) -> bool:
-    return Flag.SATURATED in reading.flags or not math.isfinite(reading.radiance.value)
-
-
-def _is_upper_bound(reading: Reading) -> bool:
-    return Flag.BELOW_NOISE in reading.flags or not math.isfinite(reading.radiance.value)

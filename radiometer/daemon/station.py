@@ -5,30 +5,115 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import structlog
 
 import radiometer
 from radiometer.daemon.acquisition import Acquisition
-from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.clock_watch import ClockWatch, Jump
+from radiometer.daemon.alarms import Alarms, Lateness
 from radiometer.daemon.hub import Event, Hub
 from radiometer.daemon.instrument import LightSource, Measurement, MeasurementSettings, Origin, ServedInstrument
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
-from radiometer.daemon.lateness import Lateness
 from radiometer.daemon.light import Light
 from radiometer.daemon.metrics import Metrics
 from radiometer.daemon.patch_book import PatchBook
 from radiometer.daemon.patches import MAIN
-from radiometer.daemon.state import Shown, device_mapping, identity_mapping, jump_mapping, settings_mapping
+from radiometer.daemon.timestamps import ClockWatch, Jump, iso_time
 from radiometer.data import Reading
+from radiometer.data.capture_header import other_notation
 from radiometer.data.json_text import json_text
 from radiometer.data.provenance import utc_now
+from radiometer.devices import CameraIdentity
 from radiometer.errors import RadiometerError, UsageError
+
+
+class Shown:
+    """The latest reading that belongs to all, and the frames that are still held.
+
+    Attributes:
+        latest: That reading; None where there is none of what is measured now.
+        line: It as a line of JSON; "" for none.
+        measurement: The frames behind it; None where they are not held.
+        pictured: The frames of the latest picture with their reading: it outlives a moved patch.
+    """
+
+    def __init__(self) -> None:
+        self.latest: Reading | None = None
+        self.line = ""
+        self.measurement: Measurement | None = None
+        self.pictured: tuple[Measurement, Reading] | None = None
+        self._uncommitted: Measurement | None = None
+        self._own: Measurement | None = None
+
+    def hold(self, measurement: Measurement, origin: Origin) -> None:
+        """Hold the frames of a measurement whose reading is not yet in the journal."""
+        if origin.sessions:
+            self._own = measurement
+        elif not origin.name:
+            self._uncommitted = measurement
+
+    def show(self, reading: Reading, line: str) -> None:
+        """Show a committed reading."""
+        self.latest, self.line = reading, line
+        if self._uncommitted is not None and _is_of(self._uncommitted, reading):
+            self.measurement, self.pictured = self._uncommitted, (self._uncommitted, reading)
+
+    def forget(self) -> None:
+        """Show no reading until the next: what is measured has changed."""
+        self.latest, self.line, self.measurement = None, "", None
+
+    def measurement_of(self, reading: Reading | None) -> Measurement | None:
+        """Return the frames of a reading as far as they are still held; those of the latest where None."""
+        if reading is None:
+            return self.measurement
+        held = (self.measurement, self._own)
+        return next((one for one in held if one is not None and _is_of(one, reading)), None)
+
+
+def _is_of(measurement: Measurement, reading: Reading) -> bool:
+    made = measurement.reading
+    return (made.time, made.patch, made.radiance) == (reading.time, reading.patch, reading.radiance)
+
+
+def identity_mapping(identity: CameraIdentity) -> dict[str, str]:
+    """Return who the camera is; `serial_also` is a hexadecimal number in decimal, as people and labels write it."""
+    return {
+        "vendor": identity.vendor,
+        "model": identity.model,
+        "serial": identity.serial,
+        "serial_also": other_notation(identity.serial),
+    }
+
+
+def settings_mapping(settings: MeasurementSettings) -> dict[str, Any]:
+    """Return what is measured with; the patch is null for the middle of the picture."""
+    return {
+        "patch": asdict(settings.patch) if settings.patch else None,
+        "auto_exposure": settings.auto_exposure,
+        "exposure_s": settings.exposure_s,
+        "gain_db": settings.gain_db,
+        "wavelength_nm": settings.wavelength_nm,
+    }
+
+
+def device_mapping(keeper: DeviceKeeper) -> dict[str, Any]:
+    """Return how a device is doing."""
+    return {
+        "state": str(keeper.state),
+        "losses": keeper.losses,
+        "temperature_C": keeper.report.temperature_c,
+        "counters": dict(keeper.report.counters),
+    }
+
+
+def jump_mapping(jump: Jump) -> dict[str, Any]:
+    """Return by how many s the clock was set, and when it was, by the new time."""
+    return {"by_s": jump.by_us / 1e6, "time": iso_time(jump.after_us), "message": str(jump)}
+
 
 _log = structlog.get_logger(__name__)
 _LOOK_S = 0.5  # between two looks for what is late: a twentieth of the shortest time that is

@@ -1,6 +1,5 @@
 """Frozen objects that travel between stages, each with its uncertainty and provenance."""
 
-from radiometer.data.bracket import Bracket
 from radiometer.data.calibration import (
     BlackLevel,
     Calibration,
@@ -19,7 +18,7 @@ from radiometer.data.capture_header import (
     TapDescription,
 )
 from radiometer.data.capture_set import CaptureHeader, CaptureSet, CaptureSetWriter, FrameEntry, SettingStatistics
-from radiometer.data.frame import Frame, FrameSettings
+from radiometer.data.frame import Bracket, Frame, FrameSettings
 from radiometer.data.provenance import Provenance
 from radiometer.data.radiance_map import PixelMask, RadianceMap
 from radiometer.data.reading import Contribution, Flag, Patch, Quantity, Reading

@@ -17,22 +17,20 @@ import cv2
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from radiometer.data.bracket import Bracket
 from radiometer.data.capture_header import (
     CameraDescription,
     LensDescription,
     PatchDescription,
     SourceDescription,
 )
-from radiometer.data.decoding import decoded
-from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
+from radiometer.data.frame import MASKED_PIXELS, Bracket, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.mosaic import COLOURS, in_planes, of_colour, plane_of
 from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import check_new_folder, dump_yaml, read_yaml, state_folder, write_bytes_atomic
-from radiometer.data.tiff_pixels import TIFF_MAGICS, read_one_picture
+from radiometer.data.tiff_pixels import TIFF_MAGICS, decoded, read_one_picture
 from radiometer.data.validation import FileSection, validate, within
 from radiometer.errors import CaptureError, OutputError, OutputRefused, UsageError
 from radiometer.moments import UNIX_S, moment_of

@@ -29,7 +29,7 @@ _MOST_DARK_REFERENCE_C = 25.0
 _DARK_DOUBLING_K, _FASTEST_DOUBLING_K, _U_STATED_DOUBLING_K = 7.0, 4.3, 1.0
 _U_THERMOMETER_K = 0.5 / math.sqrt(6.0)  # of the difference of two readings in steps of 0.5 K
 # Up to 3 K within a session where a temperature is not stated: the fastest law is within k = 2.
-U_UNKNOWN_WARMTH_REL = (2.0 ** (3.0 / _FASTEST_DOUBLING_K) - 1.0) / 2.0
+U_UNKNOWN_WARMTH_REL: float = (2.0 ** (3.0 / _FASTEST_DOUBLING_K) - 1.0) / 2.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,24 @@ import yaml
 
 from radiometer.data.guards import MOST_YAML_BYTES, refuse_deep_yaml
 from radiometer.data.reader_limits import bounded_reader
-from radiometer.errors import InputError, OutputError, OutputRefused
+from radiometer.errors import ConfigurationError, InputError, OutputError, OutputRefused
+
+
+def shipped_config(name: str) -> Path:
+    """Return the path of a configuration file that comes with the product, such as "bench-simulated.yaml".
+
+    Raises:
+        ConfigurationError: If there is none of that name; the message lists those of the same folder.
+    """
+    package = Path(__file__).resolve().parent.parent
+    for root in (package.parent / "configs", package / "_configs"):
+        candidate = root / name
+        if candidate.is_file():
+            return candidate
+    folder = next((r / name for r in (package.parent / "configs", package / "_configs") if r.is_dir()), package).parent
+    there = ", ".join(sorted(p.name for p in folder.glob("*.yaml"))) if folder.is_dir() else "none"
+    raise ConfigurationError(f"no shipped configuration {name!r}; there are: {there}")
+
 
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)

@@ -39,25 +39,9 @@ _GROUP_SIGN: Final = re.compile("(?<=\\d)[\u00a0\u202f'\u2019](?=\\d{3}(?!\\d))"
 _STAMP_FORMS: Final = ("%Y/%m/%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%Y-%m-%d_%H:%M:%S")
 # What rows may be of: to pool them is to mix curves or scenes.
 _OF_WHAT: Final = (
-    "subject",
-    "participant",
-    "patient",
-    "person",
-    "eye",
-    "visit",
-    "channel",
-    "filter",
-    "camera",
-    "serial",
-    "sensor",
-    "display",
-    "monitor",
-    "screen",
-    "device",
-    "lamp",
-    "colour_channel",
-    "bayer",
-)
+    "subject", "participant", "patient", "person", "eye", "visit", "channel", "filter", "camera", "serial", "sensor",
+    "display", "monitor", "screen", "device", "lamp", "colour_channel", "bayer",
+)  # fmt: skip
 # A running number says nothing of what was measured.
 _INDEX_NAMES: Final = ("no", "nr", "number", "index", "row", "sample", "sample_id", "id", "n", "i", "patch", "step", "")
 

@@ -9,8 +9,7 @@ from typing import Any, Final
 from pydantic import Field, model_validator
 
 from radiometer.data import CameraDescription, SpectralResponse
-from radiometer.data.config_files import shipped_config
-from radiometer.data.storage import read_yaml
+from radiometer.data.storage import read_yaml, shipped_config
 from radiometer.data.validation import ConfigSection, Side, refuse_large_frame, validate
 from radiometer.devices.camera import CameraCapabilities
 from radiometer.errors import CalibrationError, ConfigurationError

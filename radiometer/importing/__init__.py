@@ -5,8 +5,7 @@ capture.header, capture.read_frame(0)
 imported_of(capture)                               # what was taken from where, what is missing, what is doubted
 """
 
-from radiometer.importing.found import ImportOptions
-from radiometer.importing.record import ImportRecord, imported_of
+from radiometer.importing.found import ImportOptions, ImportRecord, imported_of
 from radiometer.importing.sources import copy_into, import_into, import_sources, is_foreign, open_capture, statistics_of
 
 __all__ = [

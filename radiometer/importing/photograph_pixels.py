@@ -12,13 +12,12 @@ import cv2
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from radiometer.data.decoding import decoded
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.mosaic import COLOURS, LUMA
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import RAW_READER_BYTES, bounded_reader
-from radiometer.data.tiff_pixels import TIFF_MAGICS, read_one_picture
+from radiometer.data.tiff_pixels import TIFF_MAGICS, decoded, read_one_picture
 from radiometer.errors import CaptureError
 
 IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})

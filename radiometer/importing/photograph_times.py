@@ -31,17 +31,8 @@ _DECIMAL_COMMA: Final = re.compile(r"[;\s]+(\d+,\d+\s*[^\W\d]*)\s*(?![,\d])")
 _UNITS_OFFERED: Final = "write s, ms, us, ns or min behind the number, or in the heading"
 _NAME_COLUMN: Final = ("file", "name", "filename", "image")
 _TIME_COLUMN: Final = (
-    "time",
-    "exposure",
-    "exposure_time",
-    "exptime",
-    "exp",
-    "seconds",
-    "t",
-    "shutter",
-    "duration",
-    "zeit",
-)
+    "time", "exposure", "exposure_time", "exptime", "exp", "seconds", "t", "shutter", "duration", "zeit",
+)  # fmt: skip
 _FRACTION_WITH_BLANKS: Final = re.compile(r"(?<=\d)\s*/\s*(?=\d)")
 
 LIST_NAMES: Final = ("exposures.txt", "exposures.csv", "image_list.txt")

@@ -15,19 +15,19 @@ from radiometer.data.statements import Statement, StatementMap, is_unknown, valu
 from radiometer.data.text_table import decode_export, read_table
 from radiometer.data.validation import validate
 from radiometer.errors import CaptureError, InputError, UnsettledError
-from radiometer.importing.file_bytes import read_bytes
-from radiometer.importing.record import ImportRecord
+from radiometer.importing.file_names import read_bytes
+from radiometer.importing.found import ImportRecord
 from radiometer.moments import UNIX_S
 from radiometer.units import heading_parts
 
 TABLE_SUFFIXES: Final = (".csv", ".tsv", ".jsonl", ".ndjson", ".json")
 _ASSUMED_PIXELS: Final = 10_000  # a region of 100 × 100
 # Names of columns without their unit (`heading_parts`), the best first.
-_EXPOSURE: Final = (
-    "exposure", "exposure_time", "exptime", "exp", "t_exp", "texp", "integration_time", "integration", "t_int",
-    "shutter_time", "exposure_in_file_units",
-)  # fmt: skip
 _NAMES: Final[Mapping[str, tuple[str, ...]]] = {
+    "exposure": (
+        "exposure", "exposure_time", "exptime", "exp", "t_exp", "texp", "integration_time", "integration", "t_int",
+        "shutter_time", "exposure_in_file_units",
+    ),
     "mean": ("mean_dn", "mean", "mu", "mu_y", "mean_adu", "avg", "average", "mean_counts", "mean_signal", "signal_dn"),
     "variance": (
         "variance_dn2", "variance", "var", "temporal_var", "temporal_variance", "temporal_variance_dn2", "sigma2",
@@ -49,6 +49,7 @@ _NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "bits": ("bit_depth", "bits"),
     "top": ("full_scale_dn", "full_scale"),
 }  # fmt: skip
+_WITH_UNIT: Final = ("exposure", "gain", "temperature")
 _SHARE_AT: Final = re.compile(r"^share_at_(\d+)$")
 _DARK_WORDS: Final = ("closed", "dark", "d", "bias", "zero", "off")
 _PAIR_COLUMNS: Final = (("taken_a", "taken_b"), ("mean_a", "mean_b"), ("file_a", "file_b"))
@@ -61,24 +62,23 @@ def is_statistics_table(path: Path, mapped: StatementMap | None = None) -> bool:
     if _suffix(path) not in TABLE_SUFFIXES:
         return False
     try:
-        heading = _heading(path)
+        keys = _heading(path)
     except InputError:
         return False
-    map_of = mapped or StatementMap()
-    has = {fact: _has(heading, fact) or fact in map_of.places for fact in ("mean", "variance", "sigma")}
+    places = mapped.places if mapped else {}
+    has = {fact: fact in places or not keys.isdisjoint(_NAMES[fact]) for fact in ("mean", "variance", "sigma")}
     return has["mean"] and (has["variance"] or has["sigma"])
 
 
-def _heading(path: Path) -> Sequence[Row]:
-    """Return the keys of a table's first row, with its values where it is JSON; what follows may be damaged."""
+def _heading(path: Path) -> frozenset[str]:
+    """Return the keys of a table's first row; what follows may be damaged."""
     text = read_bytes(path).decode("utf-8-sig", "replace")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        return []
     if _suffix(path) in (".csv", ".tsv"):
         # Of a first line alone any separator may be meant: under one of them it names a mean and a variance.
-        return [dict.fromkeys(map(_key, lines[0].split(mark))) for mark in (",", ";", "\t")]
-    return _json_rows(text if text.lstrip().startswith("[") else lines[0], path)[:1]
+        return frozenset(_key(cell) for line in lines[:1] for mark in ",;\t" for cell in line.split(mark))
+    rows = _json_rows(text if text.lstrip().startswith("[") else lines[0], path) if lines else []
+    return frozenset(rows[0] if rows else ())
 
 
 @bounded_reader()
@@ -102,7 +102,7 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
     if not rows:
         raise CaptureError(f"{path}: the table has no rows")
     columns = _columns(rows, path, map_of)
-    pixels = _pixels(rows, missing, doubts)
+    pixels = 1 if "pixels" in columns else _pixels(rows, missing, doubts)
     entries = [
         _entry(row, columns, spelled, pixels, f"{path}, row {number}", map_of, doubts)
         for number, row in enumerate(rows, start=1)
@@ -112,7 +112,7 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
             f"{path}: all means are at most 1 and may be DN or shares of full scale: multiply shares by full scale, or "
             "state by --map mean=COLUMN that they are DN"
         )
-    bits = _bit_depth(rows, entries, missing)
+    bits = _bit_depth(rows[0], columns, entries, missing)
     if "kind" not in columns and "dark" not in columns:
         missing.append("no column states which rows are dark: all are taken with light (but exposures of 0)")
     used = {*columns.values(), *(name for name in rows[0] if _SHARE_AT.match(name) or _is_of_pair(name))}
@@ -140,17 +140,15 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
 def _columns(rows: Sequence[Row], path: Path, mapped: StatementMap) -> dict[str, str]:
     """Return the column of each fact: the user's, else the one of a known name, the same in all rows."""
     found = {}
-    for fact, names in {"exposure": _EXPOSURE, **_NAMES}.items():
-        for place in mapped.places.get(fact, ()):
-            if place.constant is not None or _key(place.name) in rows[0]:
-                found[fact] = place.name if place.constant is not None else _key(place.name)
-                break
-        else:
-            if fact in mapped.demanded:
-                raise UnsettledError(f"{path}: has no column that --map {fact} names; it has {', '.join(rows[0])}")
-            name = _column(rows, fact, names)
-            if name is not None:
-                found[fact] = name
+    for fact in _NAMES:
+        stated = mapped.places.get(fact, ())
+        place = next((p for p in stated if p.constant is not None or _key(p.name) in rows[0]), None)
+        if place is not None:
+            found[fact] = place.name if place.constant is not None else _key(place.name)
+        elif fact in mapped.demanded:
+            raise UnsettledError(f"{path}: has no column that --map {fact} names; it has {', '.join(rows[0])}")
+        elif (name := _column(rows[0], fact)) is not None:
+            found[fact] = name
     if "exposure" not in found:
         raise CaptureError(
             f"{path}: no column of exposures (such as exposure_s or exposure_ms); name it: --map exposure=COLUMN:UNIT"
@@ -172,9 +170,6 @@ def _rows(path: Path) -> tuple[list[Row], dict[str, str], tuple[str, ...]]:
         return rows, {_key(name): name for name in reversed(spelled)}, ()
     try:
         table = read_table(path, "columns of exposure, mean and variance", text, named=True)
-    except InputError as error:
-        raise CaptureError(str(error)) from error
-    try:
         table.refuse_mixed()
     except InputError as error:
         raise CaptureError(str(error)) from error
@@ -220,21 +215,13 @@ def _key(heading: str) -> str:
     return words.replace("dn_2", "dn2").replace("dn^2", "dn2")
 
 
-def _column(rows: Sequence[Row], fact: str, names: Sequence[str] | None = None) -> str | None:
+def _column(row: Row, fact: str) -> str | None:
     """Return the first column of a fact, its unit apart."""
-    for known in names or _NAMES[fact]:
-        for row in rows[:1]:
-            for name in row:
-                if known == name or (fact in _WITH_UNIT and heading_parts(name, fact)[0] == known):
-                    return str(name)
-    return None
 
+    def is_of(name: str, known: str) -> bool:
+        return name == known or (fact in _WITH_UNIT and heading_parts(name, fact)[0] == known)
 
-_WITH_UNIT: Final = ("exposure", "gain", "temperature")
-
-
-def _has(rows: Sequence[Row], fact: str) -> bool:
-    return any(_column([row], fact) is not None for row in rows)
+    return next((name for known in _NAMES[fact] for name in row if is_of(name, known)), None)
 
 
 def _entry(
@@ -337,12 +324,10 @@ def _top_share(row: Row) -> str | None:
 
 
 def _is_dark(row: Row, exposure_s: float, photons: float | None) -> bool:
-    for name in _NAMES["dark"]:
-        if name in row:
-            return str(row[name]).strip().lower() in ("1", "true", "yes", "dark")
-    for name in _NAMES["kind"]:
-        if name in row:
-            return str(row[name]).strip().lower() in _DARK_WORDS
+    for fact, words in (("dark", ("1", "true", "yes", "dark")), ("kind", _DARK_WORDS)):
+        for name in _NAMES[fact]:
+            if name in row:  # an object of JSON may state it in its own line alone
+                return str(row[name]).strip().lower() in words
     return exposure_s == 0 or photons == 0
 
 
@@ -357,9 +342,7 @@ def _number(value: Any, where: str, name: str) -> float:
 
 
 def _pixels(rows: Sequence[Row], missing: list[str], doubts: list[str]) -> int:
-    """Return the number of pixels: stated, or from the shares (multiples of one over pixels × frames), or assumed."""
-    if _has(rows, "pixels"):
-        return 1
+    """Return the number of pixels: from the shares (multiples of one over pixels × frames), or assumed."""
     names = [name for name in rows[0] if _SHARE_AT.match(name)]
     shares = [float(row[name]) for row in rows for name in names if _is_positive(row.get(name))]
     least = min(shares, default=0.0)
@@ -378,13 +361,13 @@ def _is_positive(value: Any) -> bool:
         return False
 
 
-def _bit_depth(rows: Sequence[Row], entries: Sequence[SettingStatistics], missing: list[str]) -> int:
+def _bit_depth(row: Row, columns: Mapping[str, str], entries: Sequence[SettingStatistics], missing: list[str]) -> int:
     for fact in ("bits", "top"):
-        name = _column(rows, fact)
-        if name is not None and _is_positive(rows[0].get(name)):
-            top = float(rows[0][name])
+        name = columns.get(fact)
+        if name is not None and _is_positive(row.get(name)):
+            top = float(row[name])
             return min(16, max(1, round(top) if fact == "bits" else math.ceil(math.log2(top + 1))))
-    counted = _top_share(rows[0])
+    counted = _top_share(row)
     if counted:
         return min(16, max(1, int(counted.rpartition("_")[2]).bit_length()))
     highest = max(e.mean_dn for e in entries)

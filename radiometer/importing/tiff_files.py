@@ -30,18 +30,20 @@ from radiometer.data.tiff_pixels import (
 )
 from radiometer.errors import CaptureError
 from radiometer.importing.exif import (
+    corners_of_plane,
     exposure_of,
     f_number_of,
+    fall_off_of,
     iso_of,
+    numbers,
     numbers_of,
+    read_xmp,
+    row_exposure_of,
     statements_of_page,
 )
-from radiometer.importing.file_bytes import read_bytes
-from radiometer.importing.file_names import claims_of, contradictions
+from radiometer.importing.file_names import claims_of, contradictions, read_bytes
 from radiometer.importing.found import FoundFrame
-from radiometer.importing.maker_models import corners_of_plane, fall_off_of, row_exposure_of
 from radiometer.importing.micro_manager import completed, planes_of
-from radiometer.importing.xmp import numbers, read_xmp
 from radiometer.units import BASE_ISO
 
 _XMP, _MAKE, _MODEL, _DATE_TIME = 700, 271, 272, 306  # TIFF 6.0 and XMP part 3

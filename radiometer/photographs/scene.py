@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.calibration.shared import require_photograph
-from radiometer.analysis.exports.curves import FILE_METHOD, read_curves
+from radiometer.analysis.exports.curves import FILE_METHOD
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.response.labels import reject_inconsistent_exposures
 from radiometer.data import (
@@ -326,20 +326,6 @@ def curve_of_channel(curves: Mapping[str, ResponseCurve], channel: str) -> Respo
     if channel not in curves and len(curves) > 1:
         raise UsageError(f"there is no response curve of the channel {channel!r}; give one per channel, or one for all")
     return curves.get(channel) or next(iter(curves.values()), None)
-
-
-def curves_of(paths: Sequence[Path], bit_depth: int) -> dict[str, ResponseCurve]:
-    """Return given curves by channel; a single one has its own channel and serves all.
-
-    Args:
-        paths: Files that `radiometer response` or another program wrote.
-        bit_depth: Bits per digital number of the photographs.
-
-    Raises:
-        InputError: If a file holds no curve.
-        UsageError: If two are of one channel.
-    """
-    return by_channel([curve for path in paths for curve in read_curves(path, bit_depth).items()])
 
 
 def by_channel(curves: Sequence[tuple[str, ResponseCurve]]) -> dict[str, ResponseCurve]:

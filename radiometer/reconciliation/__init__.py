@@ -2,6 +2,6 @@
 
 from radiometer.reconciliation.engine import reconcile_capture
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, ReconcileResult, Verdict
-from radiometer.reconciliation.search.search import Reconciled
+from radiometer.reconciliation.search import Reconciled
 
 __all__ = ["FittedParameter", "FoundEffect", "ReconcileResult", "Reconciled", "Verdict", "reconcile_capture"]

@@ -6,11 +6,12 @@ Frames are read a second time where what they show changes how they are to be re
 from __future__ import annotations
 
 import itertools
+import math
 import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -19,28 +20,30 @@ import numpy as np
 import structlog
 
 from radiometer.data import CaptureHeader
-from radiometer.data.white_level import white_level_notes
+from radiometer.data.pile_up import white_levels_of
+from radiometer.data.white_level import EDGE_SIGMAS, WhiteLevel, white_level_notes
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
+from radiometer.numbers import lower_limit
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.fit.descent import first_state, fitted_parameters, is_misfit, scatter_of
-from radiometer.reconciliation.fit.nuisances import dark_current_is_free
-from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
-from radiometer.reconciliation.measure.design import CaptureStatistics, Design
-from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
-from radiometer.reconciliation.measure.reduce import (
+from radiometer.reconciliation.descent import first_state, fitted_parameters, is_misfit, scatter_of
+from radiometer.reconciliation.design import CaptureStatistics, Design
+from radiometer.reconciliation.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
+from radiometer.reconciliation.localise import Disagreement, axis_of, global_p_value, places
+from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
+from radiometer.reconciliation.nuisances import dark_current_is_free
+from radiometer.reconciliation.propose.search import held_to_laws
+from radiometer.reconciliation.reduce import (
     FrameReader,
     PatternImages,
     Progress,
     reduce_frames,
     with_even_tiles,
 )
-from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
-from radiometer.reconciliation.propose.search import held_to_laws
 from radiometer.reconciliation.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
 from radiometer.reconciliation.result import (
     CovariateGap,
+    FittedParameter,
     FoundEffect,
     LawCurve,
     Limit,
@@ -50,9 +53,9 @@ from radiometer.reconciliation.result import (
     Series,
     Verdict,
 )
-from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
-from radiometer.reconciliation.search.search import Reconciled, Search, search
+from radiometer.reconciliation.search import Reconciled, Search, search
 from radiometer.reconciliation.separability import Separability, inseparable, limits, separability
+from radiometer.reconciliation.state import FitState, with_effects
 from radiometer.reconciliation.verdict import (
     UNNAMED,
     Posterior,
@@ -69,9 +72,11 @@ from radiometer.statistics.scale import robust_sigma
 from radiometer.typing import Array
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.ideal_chain import next_to_ideal
+from simulators.effects.base import Stage
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 from simulators.effects.registry import all_effects
+from simulators.effects.tile_moments import TileMoments
 
 _STANDS_OUT: Final = 8.0  # times what neighbouring frames differ by otherwise
 _STAYS: Final = 4.0  # the same of the frames behind the jump: a lone frame that differs is no jump
@@ -90,7 +95,6 @@ def jumps(design: Design, tiles_of: Callable[[tuple[int, ...]], Array]) -> tuple
 
 
 def _series(design: Design) -> Iterator[tuple[int, ...]]:
-    """Yield the frames of captures of one setting that follow each other, where there are several."""
     numbers = range(len(design.captures))
     for _, same in itertools.groupby(numbers, key=lambda number: design.setting_id[number]):
         captures = [design.captures[number].frames for number in same]
@@ -140,13 +144,17 @@ def evidence_for(
 
 
 def _by_scene(header: CaptureHeader, light: FrameLight) -> CaptureHeader | None:
-    """Return the header with a pattern for each scene; None where every pattern shows one."""
     names: dict[int, str] = {}
     for pattern in dict.fromkeys(header.frames[index].pattern for index in light.structures):
         own = {index: seen for index, seen in light.structures.items() if header.frames[index].pattern == pattern}
         scenes = scenes_of(own)
-        if max(scenes.values()):
-            _refuse_lone_frames(header, scenes)
+        times = Counter(scenes.values())
+        lone = [header.frames[index].file for index, scene in scenes.items() if times[scene] == 1]
+        if lone and len(times) > 1:
+            raise CaptureError(
+                f"the frames show {len(times)} scenes, and no other frame shows that of {', nor that of '.join(lone)}: "
+                "it cannot be compared with any; give two frames or more of each scene, or those of one scene only"
+            )
         names |= {index: f"{pattern}, scene {scene + 1}" for index, scene in scenes.items() if scene}
     if not names:
         return None
@@ -158,21 +166,149 @@ def _by_scene(header: CaptureHeader, light: FrameLight) -> CaptureHeader | None:
     return header.model_copy(update={"frames": tuple(frames), "patterns": patterns})
 
 
-def _refuse_lone_frames(header: CaptureHeader, scenes: Mapping[int, int]) -> None:
-    times = Counter(scenes.values())
-    lone = [header.frames[index].file for index, scene in scenes.items() if times[scene] == 1]
-    if lone:
-        raise CaptureError(
-            f"the frames show {len(times)} scenes, and no other frame shows that of {', nor that of '.join(lone)}: "
-            "it cannot be compared with any; give two frames or more of each scene, or those of one scene only"
-        )
-
-
 def _read_by(design: Design, read: FrameReader, progress: Progress | None) -> Shown:
     light = FrameLight(design, read)
     return design, light, reduce_frames(design, light, progress)
 
 
+# ---- the full well --------------------------------------------------------------------------------------------------
+# Saturated pixels gather at one digital number. The model predicts the number for the declared full well. Where pixels
+# gather lower, or go higher, another full well is shown. Where the converter ends first, nothing is tested.
+
+# Datasheets state the saturation capacity of EMVA 1288, at the peak of the variance: up to a tenth below the pile.
+_AS_DECLARED: Final = 0.1
+_GAINS_LOOKED_AT: Final = 2  # the lowest: a full well needs most light there, and two separate it from a converter
+_SIGMAS: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class ShownWell:
+    """The full well that the brightest pixels show."""
+
+    declared_e: float  # as the camera's description states it, in electrons
+    # Electrons at which pixels gather; where they gather nowhere below the converter's end, the most that many pixels
+    # hold
+    shown_e: float
+    u_e: float  # standard uncertainty of that
+    is_least: bool  # whether pixels gather nowhere, so that the full well is at least `shown_e`
+    may_be_converter: bool  # whether one gain alone shows the pile: a converter may end there
+
+    @property
+    def least_e(self) -> float:
+        """Return the electrons that pixels hold at least, with a probability of 95 %."""
+        return lower_limit(self.shown_e, self.u_e)
+
+    @property
+    def contradicts(self) -> bool:
+        """Return whether the declared full well is wrong."""
+        off = self.shown_e - self.declared_e
+        size = off if self.is_least else abs(off)
+        return size > max(_AS_DECLARED * self.declared_e, _SIGMAS * self.u_e)
+
+    @property
+    def remark(self) -> str:
+        """Return what a user must know of the full well; nothing where pixels gather where it is declared."""
+        if self.contradicts:
+            shown = f"at least {self.least_e:.4g} (95 %)" if self.is_least else f"{self.shown_e:.4g} ± {self.u_e:.2g}"
+            return f"full well: stated {self.declared_e:.4g} e-, the brightest pixels show {shown} e-"
+        if self.is_least and self.shown_e < (1.0 - _AS_DECLARED) * self.declared_e:
+            return (
+                f"the full well is not tested: pixels show at most {self.shown_e:.4g} e- of the {self.declared_e:.4g} "
+                "e- that are declared"
+            )
+        return ""
+
+    def as_effect(self, gap: float) -> FoundEffect:
+        """Return the finding that the full well is another one, at a gap that it leaves as it is."""
+        sigmas = (self.shown_e - self.declared_e) / self.u_e
+        size = (
+            FittedParameter(self.least_e, None, "e-")
+            if self.is_least
+            else FittedParameter(self.shown_e, self.u_e, "e-")
+        )
+        well = limit_at(Stage.WELL)
+        rivals = (limit_at(Stage.DIGITAL).name,) if self.may_be_converter else ()
+        (name,) = well.fitted
+        return FoundEffect(well.name, {name: size}, well.where, gap, gap, rivals, None, 0.5 * sigmas**2, well.block)
+
+
+def limit_at(stage: Stage) -> type[CatalogueEffect]:
+    """Return the entry of the catalogue that limits the signal sharply at a stage."""
+    kinds = (kind for kind in all_effects().values() if issubclass(kind, CatalogueEffect))
+    return next(kind for kind in kinds if kind.saturates == "sharply" and kind.stage is stage)
+
+
+def levels_of_brightest(header: CaptureHeader, read: FrameReader) -> dict[float, WhiteLevel]:
+    """Return where the frames of the lowest gains show that pixels saturate, by gain in dB."""
+    settings = [entry.settings for entry in header.frames]
+    gains = sorted({one.gain_db for one in settings if not one.is_dark})[:_GAINS_LOOKED_AT]
+    places = [place for place, one in enumerate(settings) if one.gain_db in gains and not one.is_dark]
+    return white_levels_of([settings[place] for place in places], lambda number: read(places[number]))
+
+
+def shown_well(state: FitState, levels: Mapping[float, WhiteLevel]) -> ShownWell | None:
+    """Return the full well that the brightest pixels show; None where none is declared or the fit has found another.
+
+    Args:
+        levels: Where pixels saturate, by gain in dB.
+    """
+    camera = state.design.header.camera
+    limits = [effect for effect in (*state.model.given, *state.effects) if effect.saturates]
+    if camera.full_well_e is None or camera.conversion_gain_e_per_dn is None or limits or not levels:
+        return None
+    full_dn = camera.saturated_dn
+    piles, reached = list[tuple[float, float, float]](), list[float]()
+    for gain_db, level in levels.items():
+        black_dn, end_dn = _range_dn(state, gain_db, camera.full_well_e)
+        e_per_dn = camera.full_well_e / (end_dn - black_dn)
+        if level.reached_dn is not None:
+            reached.append((level.reached_dn - black_dn) * e_per_dn)
+        if level.measured_dn is not None and level.measured_dn + EDGE_SIGMAS * level.spread_dn + 1.0 < full_dn:
+            u_dn = math.hypot(level.spread_dn / math.sqrt(max(level.piled_pixels, 1)), 1.0 / math.sqrt(12.0))
+            piles.append(((level.measured_dn - black_dn) * e_per_dn, u_dn * e_per_dn, level.measured_dn))
+    if not reached:
+        return None
+    most_e, relative_u = max(reached), _relative_u_of_gain(state)
+    whole = [pile for pile in piles if pile[0] > (1.0 - _AS_DECLARED) * most_e]
+    if whole and not _is_converter(piles):
+        shown_e, u_e, _ = max(whole)
+        return ShownWell(camera.full_well_e, shown_e, math.hypot(u_e, relative_u * shown_e), False, len(piles) == 1)
+    u_e = math.hypot(math.sqrt(max(most_e, 1.0)), relative_u * most_e)
+    return ShownWell(camera.full_well_e, most_e, u_e, True, False)
+
+
+def _is_converter(piles: Sequence[tuple[float, float, float]]) -> bool:
+    """Return whether pixels gather at one digital number whatever the gain: a converter's end, no full well."""
+    at_dn = [dn for _, _, dn in piles]
+    at_e = [electrons for electrons, _, _ in piles]
+    return len(piles) > 1 and max(at_dn) / min(at_dn) < max(at_e) / min(at_e)
+
+
+def _range_dn(state: FitState, gain_db: float, well_e: float) -> tuple[float, float]:
+    lit = (state.design.gain_db == gain_db) & ~state.design.closed
+    trace, model = state.trace, state.model
+    shape = (len(state.design.captures), len(state.design.tiles), 1)
+    found = []
+    for electrons in (0.0, well_e):
+        moments = TileMoments.exactly(np.full(shape, electrons))
+        for step in trace.chain:
+            if step.stage > Stage.WELL:
+                moments = model.through(step, moments)
+        level = np.broadcast_to(moments.mean, np.broadcast_shapes(shape, np.shape(moments.mean)))[lit]
+        found.append(float(np.median(level)))
+    return found[0], found[1]
+
+
+def _relative_u_of_gain(state: FitState) -> float:
+    """Return the relative standard uncertainty of the conversion gain where it was fitted; declared, it has none."""
+    effect = next((effect for effect in state.effects if effect.responsivity_taken() != 1.0), None)
+    if effect is None:
+        return 0.0
+    known = fitted_parameters(state)[effect.name][effect.fitted[0]].u
+    return (known or 0.0) / effect.responsivity_taken()
+
+
+# ---- the verdict ----------------------------------------------------------------------------------------------------
 _log = structlog.get_logger(__name__)
 
 _T = TypeVar("_T")
@@ -346,6 +482,9 @@ def _result(
         return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
     further = None if settled else _optional_step("the next capture", following, failed)
+    fitted = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
+    own = [one.remark(state.design.header.camera, fitted[one.name]) for one in state.effects if one.name in fitted]
+    remarks = [remark for remark in (*own, well.remark if well is not None and other_well else "") if remark]
     last, before = _largest(outcome.tests), global_p_value(outcome.start, outcome.first_tests)
     return ReconcileResult(
         verdict=verdict,
@@ -360,7 +499,10 @@ def _result(
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,
         assumptions=(*_assumptions(outcome, doubts, well), *failed),
-        localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
+        localisation=tuple(
+            Place(test.family, axis_of(test.where, test.block), test.form, test.chi2, test.p_value)
+            for test in places(outcome.start, _PLACES)
+        ),
         global_p=(before, before if state is outcome.start else global_p_value(state, outcome.tests)),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
@@ -368,15 +510,12 @@ def _result(
         frames=frames,
         seconds=time.monotonic() - begun,
         models=weighed.listed(),
-        extra=_remarks(state, effects, well),
+        extra={"remarks": remarks} if remarks else {},
     )
 
 
 def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> FoundEffect:
-    """Return a found effect with its probability, and its parameters averaged over the models that hold it.
-
-    A test alone may show what has no name: without a model of it there is no probability.
-    """
+    """Return a found effect with its probability, and its parameters averaged over the models that hold it."""
     provisional = verdict is Verdict.INCOMPLETE and effect.name != UNNAMED
     if not any(effect.name in model.names for model in weighed.models):
         return replace(effect, provisional=provisional)
@@ -389,22 +528,8 @@ def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> Foun
     )
 
 
-def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | None) -> dict[str, Any]:
-    named = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
-    camera = state.design.header.camera
-    all_remarks = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
-    remarks = [remark for remark in all_remarks if remark]
-    if well is not None and well.contradicts:
-        remarks.append(well.remark)
-    return {"remarks": remarks} if remarks else {}
-
-
 def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
-    """Return the result of an optional step; None where it fails, since advice must not cost the answer.
-
-    Args:
-        failed: Receives the reason why it is missing.
-    """
+    """Return the result of an optional step; None where it fails, since advice must not cost the answer."""
     try:
         return work()
     except Exception as error:  # noqa: BLE001 (whatever it is: minutes of fitting are not thrown away for a hint)
@@ -457,10 +582,6 @@ def _found(
     return (*found, unnamed) if unnamed is not None and unnamed not in found else tuple(found)
 
 
-def _place(test: Disagreement) -> Place:
-    return Place(test.family, axis_of(test.where, test.block), test.form, test.chi2, test.p_value)
-
-
 def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
     found: dict[str, float] = {}
     for test in tests:
@@ -470,51 +591,33 @@ def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
 
 
 def _assumptions(outcome: Search, doubts: Sequence[str], well: ShownWell | None) -> tuple[str, ...]:
-    state = outcome.state
-    camera = state.design.header.camera
-    notes = list(doubts)
-    for key, text in (
-        ("conversion_gain_e_per_dn", "the conversion gain is not declared: it was fitted from the noise"),
-        ("read_noise_e", "the read noise is not declared: it was fitted"),
-        ("full_well_e", "the full well is not declared: clipping alone limits the data"),
-    ):
-        if getattr(camera, key) is None:
-            notes.append(text)
-    if camera.dark_current_e_per_s is None:
-        free = dark_current_is_free(state.design)
-        notes.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
-    if well is not None and not well.contradicts and well.remark:
-        notes.append(well.remark)
-    if state.model.passes_well and not (well is not None and well.contradicts):
-        notes.append(
-            "pixels hold more than the declared full well, with the noise of that charge: the declared "
-            "value is not used as a limit"
-        )
-    if is_misfit(state):
-        notes.append(f"structure remains (gap {state.gap:.3g}): it widens the uncertainties of all parameters")
-    if state.comparison.wander2:
-        notes.append(
-            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted as a "
-            "nuisance, not named"
-        )
-    wander_dn = wander_of_black(state.design, state.seen)
-    if wander_dn:
-        notes.append(
-            f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted as a nuisance, not named"
-        )
-    drift_dn = drift_of_black(state.design, state.seen)
-    if drift_dn:
-        notes.append(
-            f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted as a nuisance, not named"
-        )
-    reading_k = state.design.reading_u_k
-    if reading_k:
-        notes.append(f"temperatures are recorded in steps: each is known within {reading_k:.2g} K")
-    if np.isnan(state.design.black_level_dn).any():
-        notes.append("the black level is not declared: it was fitted")
-    if not state.design.uniform:
-        notes.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
-        notes.append("uneven tiles that reach the highest measured level are left out: only even tiles show saturation")
-    if not state.design.has_timestamps:
-        notes.append("times are missing: captures are treated as taken in the order listed")
-    return tuple(notes)
+    state, contradicts = outcome.state, well is not None and well.contradicts
+    camera, design, wander2 = state.design.header.camera, state.design, state.comparison.wander2
+    free, reading_k = dark_current_is_free(design), design.reading_u_k
+    wander_dn, drift_dn = wander_of_black(design, state.seen), drift_of_black(design, state.seen)
+    shown = well.remark if well is not None and not contradicts else ""
+    aside = "fitted as a nuisance, not named"
+    notes = (
+        (camera.conversion_gain_e_per_dn is None,
+         "the conversion gain is not declared: it was fitted from the noise"),
+        (camera.read_noise_e is None, "the read noise is not declared: it was fitted"),
+        (camera.full_well_e is None, "the full well is not declared: clipping alone limits the data"),
+        (camera.dark_current_e_per_s is None,
+         f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}"),
+        (shown, shown),
+        (state.model.passes_well and not contradicts,
+         "pixels hold more than the declared full well, with the noise of that charge: the declared value is not used "
+         "as a limit"),
+        (is_misfit(state),
+         f"structure remains (gap {state.gap:.3g}): it widens the uncertainties of all parameters"),
+        (wander2, f"the source wanders by {np.sqrt(wander2):.2g} from frame to frame: {aside}"),
+        (wander_dn, f"the black level wanders by {wander_dn:.2g} DN from frame to frame: {aside}"),
+        (drift_dn, f"the black level moves by {drift_dn:.2g} DN while a frame is read: {aside}"),
+        (reading_k, f"temperatures are recorded in steps: each is known within {reading_k:.2g} K"),
+        (np.isnan(design.black_level_dn).any(), "the black level is not declared: it was fitted"),
+        (not design.uniform, "no patches are given: the scene is unknown but constant, cut into a grid of tiles"),
+        (not design.uniform,
+         "uneven tiles that reach the highest measured level are left out: only even tiles show saturation"),
+        (not design.has_timestamps, "times are missing: captures are treated as taken in the order listed"),
+    )  # fmt: skip
+    return (*doubts, *(text for holds, text in notes if holds))

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from radiometer.data import FrameEntry, FrameSettings
 from radiometer.data.storage import write_yaml_atomic
-from radiometer.reconciliation.fit.descent import refit, refit_with
-from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
-from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Design
-from radiometer.reconciliation.measure.reduce import PatternImages
+from radiometer.reconciliation.descent import refit, refit_with
+from radiometer.reconciliation.design import BRIGHT_SURROUND, DARK_SURROUND, Design
+from radiometer.reconciliation.reduce import PatternImages
 from radiometer.reconciliation.result import Limit, ReconcileResult
-from radiometer.reconciliation.search.screening import best_start
+from radiometer.reconciliation.screening import best_start
+from radiometer.reconciliation.state import FitState, with_effects, with_terms
 from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.tile_model import TileModel
 from radiometer.typing import Array
@@ -105,7 +105,6 @@ class CapturePool:
 
     @cached_property
     def _edge_u(self) -> float:
-        """Return how well the blend at the patches' borders was measured in one capture; infinite if it was not."""
         seen = self.state.seen.edge_u
         return float(np.median(seen[np.isfinite(seen)])) if np.isfinite(seen).any() else np.inf
 
@@ -115,7 +114,6 @@ def _settings_of(settings: FrameSettings) -> FrameSettings:
 
 
 def _settings(design: Design, patterns: tuple[str, ...]) -> list[FrameSettings]:
-    """Return settings to choose from: those in use, crossed with what was not tried."""
     lit = np.where(design.closed, -1.0, design.source_level)
     base = replace(design.captures[int(np.argmax(lit))].settings, gain_db=0.0, timestamp_s=None, temperature_c=None)
     with_light = design.exposure_s[lit > 0] if (lit > 0).any() else design.exposure_s
@@ -143,7 +141,6 @@ def _extended(patch: Any, first: str, patterns: tuple[str, ...]) -> Any:
 
 
 def _with_surrounds(design: Design, images: PatternImages, names: tuple[str, ...]) -> PatternImages:
-    """Return the pictures with those of the first pattern's patches in other surrounds, by the surrounds' names."""
     pictures = [images.picture(p) for p in range(images.total.shape[0])]
     patches = _is_patch(design, pictures[0], images.cell_px)
     level = {BRIGHT_SURROUND: pictures[0].max(), DARK_SURROUND: 0.0}
@@ -274,7 +271,6 @@ def propose_for_blind(
 
 
 def _would_show(limit: Limit, typical: CatalogueEffect) -> bool:
-    """Return whether the limit is well below an effect's typical size."""
     value = typical.values().get(limit.parameter)
     if limit.amplitude is None or limit.parameter not in typical.free() or value is None:
         return limit.amplitude is not None

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import stdtr
 
-from radiometer.reconciliation.measure.design import CaptureStatistics, Design
+from radiometer.reconciliation.design import CaptureStatistics, Design
 from radiometer.reconciliation.result import FittedParameter, Repeats, Series
-from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
+from radiometer.reconciliation.thresholds import SIGNIFICANCE
 from radiometer.statistics.chances import chi2_beyond, chi2_quantile
 from radiometer.statistics.least_squares import solve
 from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
@@ -166,11 +166,9 @@ class _Repeats:
 
     @property
     def freedom(self) -> int:
-        """Return the degrees of freedom of their scatter."""
         return self.taken.size - int(np.linalg.matrix_rank(self.basis)) if self.taken.size else 0
 
     def apart(self, tau: float) -> Array:
-        """Return their distance from the basis, weighted as τ and pixel noise want it, (n,)."""
         return np.asarray(self.scale - self.basis @ solve(self.basis, self.scale, 1.0 / (self.variance + tau**2)))
 
     def tau_at(self, chi2: float) -> float:
@@ -253,11 +251,7 @@ def _apart(means: Array) -> tuple[Array, Array]:
 
 
 def _together(design: Design, kind: str, unit: str, seen: Mapping[int, tuple[Array, Array]], aside: float) -> Repeats:
-    """Return series of one kind with what they scatter by beyond their tiles' chance, and the frames that stick out.
-
-    Args:
-        seen: Of each capture, by its number, frames less the mean of the others, and their u.
-    """
+    """Return series of one kind with what they scatter by beyond their tiles' chance, and the frames that stick out."""
     own = np.array([apart.size - 1.0 for apart, _ in seen.values()])
     kept = own / (own + 1.0)  # of a frame less the mean of the others, where it is taken less that of all
     square = np.array([float(apart @ apart) for apart, _ in seen.values()]) * kept**2
@@ -296,7 +290,7 @@ def _standing_out(apart: Array, total: float, freedom: int) -> tuple[int, ...]:
     n = apart.size
     left = np.maximum(total - apart**2 * (n - 1.0) / n, 1e-30) / max(freedom - 1, 1)
     chance = 2.0 * stdtr(freedom - 1, -np.abs(apart) / np.sqrt(left * n / (n - 1.0))) * (freedom + 1)
-    return tuple(np.flatnonzero(chance < FRAME_SIGNIFICANCE).tolist()) if freedom > _FEWEST else ()
+    return tuple(np.flatnonzero(chance < SIGNIFICANCE).tolist()) if freedom > _FEWEST else ()
 
 
 # ---- darkness -------------------------------------------------------------------------------------------------------

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from radiometer.numbers import unit_text, with_u
-from radiometer.reconciliation.fit.comparison import FAMILY
-from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.comparison import FAMILY
+from radiometer.reconciliation.localise import covariates
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
-from radiometer.reconciliation.search.localise import covariates
-from radiometer.reconciliation.search.search import Reconciled
+from radiometer.reconciliation.search import Reconciled
+from radiometer.reconciliation.state import FitState
 from radiometer.reconciliation.statistics import STATISTICS, Prediction
 from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
@@ -36,21 +36,16 @@ def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
         outcome(result),
         [
             paragraph(_summary(result)),
-            story(reconciled),
+            _story(reconciled),
             *[_effect(effect, reconciled) for effect in result.effects],
             paragraph(f"Next capture: {result.next_capture['description']}", "do") if result.next_capture else "",
             _repeats(result),
-            section("Where the residual is", rest_map(reconciled.outcome.state)),
+            section("Where the residual is", _rest_map(reconciled.outcome.state)),
             heading("Figures"),
             folded("Equal frames, each less the others of its series", _frames(result)),
             folded(
-                "Residuals along each setting, before and after",
-                residual_panels(reconciled) if result.covariates else "",
-            ),
-            folded(
                 "Where simulation and measurement disagreed at first, found without any known effect", _places(result)
             ),
-            folded("Largest trend along each covariate", _covariate_table(result)),
             folded("What these data would have detected", _limits(result)),
             folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
         ],
@@ -75,7 +70,6 @@ def outcome(result: ReconcileResult) -> str:
 
 
 def _size(effect: FoundEffect) -> str:
-    """Return the first parameter of an effect with its U (k = 2), in brackets; nothing where it has none."""
     for name, entry in effect.parameters.items():
         if entry.u is not None:
             unit = unit_text(entry.unit)
@@ -84,7 +78,6 @@ def _size(effect: FoundEffect) -> str:
 
 
 def _plain(name: str, unit: str) -> str:
-    """Return a parameter's name without its unit, which is shown with the value."""
     stem, _, last = name.rpartition("_")
     return (stem if stem and last.casefold() == unit.casefold().rstrip("-") else name).replace("_", " ")
 
@@ -182,7 +175,6 @@ def _parameters(effect: FoundEffect) -> str:
 
 
 def _law(effect: FoundEffect) -> str:
-    """Return the curve of another law than the catalogue's; of a table a row for each knot of the first covariate."""
     if effect.curve is None:
         return ""
     (first, knots), *second = effect.curve.along.items()
@@ -214,13 +206,11 @@ def _rivals(effect: FoundEffect) -> str:
 
 
 def _in_words(name: str) -> str:
-    """Return what the effect of a name is, as a further sentence; nothing where it is in no catalogue."""
     kind = all_effects().get(name)
     return f" {_physics(kind)}" if kind is not None and issubclass(kind, CatalogueEffect) else ""
 
 
 def _advice(effect: FoundEffect, entry: CatalogueEffect | None) -> str:
-    """Return what to do at the bench: the capture that settles the choice, else what would show the effect best."""
     following = str(effect.next_capture.get("description", "")) if effect.next_capture else ""
     if following:
         return paragraph(f"To settle it, take: {following}", "do")
@@ -228,15 +218,6 @@ def _advice(effect: FoundEffect, entry: CatalogueEffect | None) -> str:
         what = axis_label(effect.where)[0]
         return paragraph(f"To learn more, vary nothing but this, in more steps and in another order: {what}.", "do")
     return paragraph(f"To see it alone: {entry.settles}.", "do") if entry and entry.settles else ""
-
-
-def _covariate_table(result: ReconcileResult) -> str:
-    rows = [
-        (along(name), f"{gap.before:.1f}", f"{gap.after:.1f}")
-        for name, gap in sorted(result.covariates.items(), key=lambda item: -item[1].before)
-    ]
-    note = "Largest trend's χ² per degree of freedom; a single trend has 1 by chance."
-    return table(("covariate", "before", "after"), rows) + paragraph(note, "small")
 
 
 def _limits(result: ReconcileResult) -> str:
@@ -264,13 +245,11 @@ _NARROW: Final = (4.0, 3.0)
 _CHANCE_SIGMAS: Final = 4.0
 _FEWEST_ROWS: Final = 3  # of the bars: one alone is not drawn as tall as the picture
 _BINS: Final = 14
-_PANELS: Final = 6
 _SMALLEST_REACH: Final = 0.01  # of an axis, in % or DN: finer than any converter resolves
 _DIMMEST_DN: Final = 3.0  # below, a relative deviation of the means says nothing
 
 
-def story(reconciled: Reconciled) -> str:
-    """Return the opening picture: measured over simulated before and after, and the gap step by step."""
+def _story(reconciled: Reconciled) -> str:
     steps = len(reconciled.outcome.steps)
 
     def draw(figure: Figure, narrow: bool) -> None:
@@ -289,7 +268,6 @@ def story(reconciled: Reconciled) -> str:
 
 
 def _deviations(axes: Axes, reconciled: Reconciled) -> None:
-    """Draw what each patch deviates by: relative over its light, or in DN over the settings where none has light."""
     from matplotlib.ticker import MaxNLocator
 
     outcome = reconciled.outcome
@@ -319,13 +297,11 @@ def _deviations(axes: Axes, reconciled: Reconciled) -> None:
 
 
 def _colour_of_start(reconciled: Reconciled) -> str:
-    """Return the colour of the starting model: that of the final one where it is the final one and agrees."""
     agrees = not reconciled.outcome.steps and reconciled.result.verdict is Verdict.AGREES
     return AFTER if agrees else BEFORE
 
 
 def _relative(state: FitState) -> tuple[Array, Array]:
-    """Return what light adds to the means in DN, and their deviation in % of it, where both say something."""
     light = state.sensitivity  # d(mean)/d(ln light)
     usable = state.comparison.usable["mean"] & (light > _DIMMEST_DN)
     return light[usable], 100.0 * (state.seen.mean - state.prediction.mean)[usable] / light[usable]
@@ -414,14 +390,12 @@ def _left(state: FitState, value: Array, block: str, prediction: Prediction) -> 
 
 
 def _fitting(value: Array, dimensions: int) -> Array:
-    """Return a covariate in the shape of a statistic: of captures alone where it has no tiles."""
     return np.asarray(
         value.mean(axis=1) if dimensions == 1 else value if value.ndim == dimensions else value[..., None]
     )
 
 
-def rest_map(state: FitState) -> str:
-    """Return where on the picture the final model still disagrees: each patch by its residual over all captures."""
+def _rest_map(state: FitState) -> str:
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import TwoSlopeNorm
@@ -460,44 +434,7 @@ def rest_map(state: FitState) -> str:
     return picture(draw, caption, (6.8, 0.6 + 5.2 * height / width), (4.0, 1.0 + 3.2 * height / width))
 
 
-def residual_panels(reconciled: Reconciled) -> str:
-    """Return the residuals of the means along the most telling covariates, before and after."""
-    gaps = reconciled.result.covariates
-    # What varies in the tiles that one model leaves usable need not vary in those of the other.
-    drawn = [covariates(one.model, one.prediction) for one in (reconciled.outcome.start, reconciled.outcome.state)]
-    both = [name for name in gaps if all(name in axes for axes in drawn)]
-    names = sorted(both, key=lambda name: -gaps[name].before)[:_PANELS]
-    if not names:
-        return ""
-
-    def draw(figure: Figure, narrow: bool) -> None:
-        columns = 1 if narrow else 2
-        panels = figure.subplots(-(-len(names) // columns), columns, squeeze=False).ravel()
-        for axes, name in zip(panels, names, strict=False):
-            for state, colour, words in (
-                (reconciled.outcome.start, BEFORE, "before"),
-                (reconciled.outcome.state, AFTER, "after"),
-            ):
-                x, y, u = _profile(state, name)
-                axes.errorbar(x, y, u, fmt="o", ms=3, lw=1, color=colour, label=words)
-            _along(axes, name, "residual in σ")
-        for axes in panels[len(names) :]:
-            axes.set_visible(False)
-
-    caption = "Measured − simulated: means of patches, of one setting or of neighbouring settings."
-    return picture(draw, caption, (10.0, 2.6 * -(-len(names) // 2)), (4.0, 2.3 * len(names)))
-
-
-def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
-    axis = covariates(state.model, state.prediction)[name]
-    usable = state.comparison.usable["mean"]
-    deviation = np.hypot(state.comparison.deviation["mean"], state.tau * state.sensitivity)
-    standardised = ((state.seen.mean - state.prediction.mean) / deviation)[usable]
-    return _binned(name, axis.value[usable], standardised)
-
-
 def _binned(name: str, value: Array, standardised: Array) -> tuple[Array, Array, Array]:
-    """Return centres in a reader's units, means, and standard uncertainties of bins along a covariate."""
     levels = np.unique(np.round(value, 6))
     if levels.size <= _BINS:  # every setting has a separate point
         place = np.argmin(np.abs(value[:, None] - levels), axis=1)

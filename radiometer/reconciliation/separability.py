@@ -23,13 +23,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
-from radiometer.reconciliation.fit.comparison import Comparison
-from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects
+from radiometer.reconciliation.comparison import Comparison
+from radiometer.reconciliation.descent import Candidate, fit_candidate, refit
 from radiometer.reconciliation.next_capture import propose
 from radiometer.reconciliation.result import Limit
-from radiometer.reconciliation.search.screening import AT_ONCE, changes_with, directions_of_each
+from radiometer.reconciliation.screening import AT_ONCE, changes_with, directions_of_each
+from radiometer.reconciliation.state import FitState, ModelFit, with_effects
 from radiometer.reconciliation.statistics import Prediction, partly_at_the_top
 from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
 from radiometer.typing import Array
@@ -76,7 +75,7 @@ def grown(state: FitState, effects: Sequence[CatalogueEffect], asked: Asked) -> 
     for first in range(0, len(effects), AT_ONCE):
         batch = effects[first : first + AT_ONCE]
         for effect, information in zip(batch, _information(state, batch), strict=True):
-            found.append(Grown(effect, *main_parameter(type(effect), effect), information, asked))
+            found.append(Grown(effect, *_main_parameter(type(effect), effect), information, asked))
     return found
 
 
@@ -135,7 +134,6 @@ class _Search:
     above: Grown | None = None  # the last one that did
 
     def narrowed(self) -> _Search:
-        """Return the search with the last look as one of its ends."""
         shows = self.near.information > self.near.asked.chi2
         return replace(self, above=self.near) if shows else replace(self, below=self.near)
 
@@ -145,7 +143,6 @@ class _Search:
         return least is not None and self.below is not None and abs(self.below.size) >= abs(least.size)
 
     def next_look(self) -> CatalogueEffect | None:
-        """Return the effect where to look next; None where it would be absurd."""
         size, asked = _next_size(self.below, self.above), self.near.asked
         if not self.near.size or abs(size) > asked.largest_factor * self.first:  # it shows without any size, or never
             return None
@@ -153,7 +150,6 @@ class _Search:
 
 
 def _next_size(below: Grown | None, above: Grown | None) -> float:
-    """Return where to look next: between the two sizes in logarithms, or further on from one."""
     if below is None or above is None:
         known = below or above
         assert known is not None
@@ -173,12 +169,8 @@ def _information(state: FitState, effects: Sequence[CatalogueEffect]) -> list[fl
     return [float(value) for value in np.where(left > np.maximum(_BLIND * whole, 0.0), left, 0.0)]
 
 
-def main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -> tuple[str, str]:
-    """Return the parameter that is an entry's size, and its unit.
-
-    Args:
-        start: One form of it; None for the usual one.
-    """
+def _main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -> tuple[str, str]:
+    """Return the parameter that is an entry's size, and its unit."""
     names = start.free() if start is not None else kind.fitted
     known = {entry.name: entry.unit for entry in kind.parameters()}
     name = names[0].split("[")[0] if names else kind.profiled or next(iter(known), "share")
@@ -186,7 +178,6 @@ def main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -
 
 
 def _amplitude(effect: CatalogueEffect, name: str) -> float:
-    """Return the distance of a parameter from the value without effect; of a table, its largest entry."""
     if name not in effect.values():
         return 1.0
     values = np.atleast_1d(np.asarray(effect.values()[name], dtype=np.float64)) - effect.neutral(name)
@@ -200,7 +191,7 @@ _ABSOLUTE_LIGHT: Final = "W m-2"  # has no scale where no radiance is known: the
 
 def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, Limit]:
     """Return the amplitude of every entry that these data would have shown at five sigma, by name."""
-    found = {name: Limit(None, *main_parameter(kind, None)) for name, kind in sorted(catalogue.items())}
+    found = {name: Limit(None, *_main_parameter(kind, None)) for name, kind in sorted(catalogue.items())}
     asked = {name: kind for name, kind in catalogue.items() if _can_show(state, kind, found[name].unit)}
     present = {effect.name for effect in state.effects if effect.name in asked}
     starts = [_spread(kind.starts(state.model.context)) for name, kind in asked.items() if name not in present]
@@ -220,12 +211,13 @@ def _can_show(state: FitState, kind: type[CatalogueEffect], unit: str) -> bool:
 
 
 def _mildest(state: FitState, starts: Sequence[CatalogueEffect]) -> dict[str, Limit]:
-    return {name: _limit(near) for name, near in mildest(state, starts, _ASKED_OF_LIMITS).items()}
-
-
-def _limit(near: Grown) -> Limit:
-    stated = near.effect.values()["reference_C"] if near.effect.heated else None
-    return Limit(abs(near.size) if near.grows else near.size, near.parameter, near.unit, stated)
+    return {
+        name: Limit(
+            abs(near.size) if near.grows else near.size, near.parameter, near.unit,
+            near.effect.values()["reference_C"] if near.effect.heated else None,
+        )
+        for name, near in mildest(state, starts, _ASKED_OF_LIMITS).items()
+    }  # fmt: skip
 
 
 _STARTS: Final = 6  # of an entry, spread over all that it has
@@ -312,11 +304,7 @@ class Directions:
 
 
 def _followed(gram: Array, right: Array, whole: float) -> tuple[float, Array]:
-    """Return what columns leave of a χ² at best, and how much of each they take.
-
-    Args:
-        right: Their products with what is to be followed.
-    """
+    """Return what columns leave of a χ² at best, and how much of each they take."""
     lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
     kept = values > _DIRECTION
@@ -341,7 +329,6 @@ def _times(effect: CatalogueEffect, amount: float) -> CatalogueEffect:
 
 
 def _columns(state: FitState, starts: Sequence[CatalogueEffect]) -> Iterator[Array]:
-    """Yield what each start changes and what its parameters do there, but for an amount."""
     place = len(state.effects)
     for first in range(0, len(starts), AT_ONCE):
         batch = starts[first : first + AT_ONCE]
@@ -374,7 +361,6 @@ def inseparable(
 
 
 def _exchanged(state: FitState, chosen: CatalogueEffect, other: CatalogueEffect, left: float) -> ModelFit:
-    """Return the model with another effect in the place of one, which leaves so much χ² more on average."""
     effects = tuple(other if effect is chosen else effect for effect in state.effects)
     density = state.log_density - left / 2.0 / state.log_density.size
     return ModelFit(effects, state.curves, density, state.parameters_of(effects).size + state.curves)

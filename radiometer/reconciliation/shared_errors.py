@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import SURFACE_LINES, CaptureStatistics, Design, slope_lengths
-from radiometer.reconciliation.measure.lines import SHARPEST, RowBins, TileBands
+from radiometer.reconciliation.design import SURFACE_LINES, CaptureStatistics, Design, slope_lengths
+from radiometer.reconciliation.lines import SHARPEST, RowBins, TileBands
 from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.statistics import STATISTICS, Prediction, Scale
 from radiometer.reconciliation.tile_model import Nuisance, TileModel, Trace
@@ -138,7 +138,6 @@ def shared_errors(
 
 
 def _row_noise(design: Design, base: Prediction, usable: Mapping[str, Mask], variance: Array) -> list[SharedError]:
-    """Return row noise: in means, slopes and first frames, and what its own chance variance does to variances."""
     n = design.frame_count
     first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
     count = {name: mask.astype(np.float64) for name, mask in usable.items()}
@@ -247,8 +246,8 @@ def chances_of_rows(
     """
     if not base.row_variance.any():
         return ()
-    bins, of_tiles = RowBins.of(design), rows_in_bins(design)
-    of_all = line_weights(design, base)[:, None, :]
+    bins, of_tiles = RowBins.of(design), _rows_in_bins(design)
+    of_all = _line_weights(design, base)[:, None, :]
     moved, spread = _moved_by_rows(design, base), _spread_of_rows(design)
     found = []
     for tiled, lined, taken in (
@@ -384,18 +383,14 @@ def band_excess(design: Design, seen: CaptureStatistics, prediction: Prediction)
     return found
 
 
-def line_weights(design: Design, base: Prediction) -> Array:
-    """Return the share of each bin of rows in the rows' profiles, (captures, bins): tiles of little noise count more.
-
-    The shares of a capture sum to 1.
-    """
-    held = design.tile_width[:, None] * design.tile_height[:, None] * rows_in_bins(design)
+def _line_weights(design: Design, base: Prediction) -> Array:
+    """Return the share of each bin of rows in the profiles, (captures, bins): tiles of little noise count more."""
+    held = design.tile_width[:, None] * design.tile_height[:, None] * _rows_in_bins(design)
     found = (1.0 / base.variance) @ held
     return np.asarray(found / found.sum(axis=1, keepdims=True))
 
 
-def rows_in_bins(design: Design) -> Array:
-    """Return the share of each bin of rows in each tile, (tiles, bins)."""
+def _rows_in_bins(design: Design) -> Array:
     bins = RowBins.of(design)
     found = np.zeros((len(design.tiles), bins.number))
     np.add.at(found.T, np.arange(design.shape[0]) // bins.step, design.rows_of_tiles.T)
@@ -407,7 +402,7 @@ def with_heavy_rows(design: Design, seen: CaptureStatistics, base: Prediction) -
 
     Where it outweighs the pixels' noise, a profile follows its few heaviest rows.
     """
-    weights = line_weights(design, base)
+    weights = _line_weights(design, base)
     lines = np.maximum(np.sum(weights > 0, axis=1), 1)
     changed = {}
     for name, variance in (("row_temporal", base.row_variance), ("rows", base.row_variance / design.frame_count)):
@@ -600,7 +595,8 @@ def fixed_errors(
         white = np.array([np.median(column[mask]) if mask.any() else 0.0 for column, mask in columns])  # darks alone
         terms += _offset_terms("proportional pattern", _unit_of_light, white, (0.0, 0.0), pixels, design)
     if additive:
-        lines = _line_variances(prediction)
+        of_lines = (prediction.fixed_row_variance, prediction.fixed_column_variance)
+        lines = tuple(float(np.median(variance / prediction.gain**2)) for variance in of_lines)
         relative = fixed / np.maximum(_times_gain(1.0)(prediction) ** 2, 1e-30) - sum(lines)
         white = relative[np.argmin(prediction.signal, axis=0), np.arange(pixels.size)]  # purest in the darkest
         terms += _offset_terms("additive pattern", _times_gain(1.0), white, lines, pixels, design)
@@ -661,7 +657,6 @@ def errors_of_few_pixels(
 
 
 def _whatever(part: Mapping[str, Part]) -> Callable[[Prediction], Mapping[str, Part]]:
-    """Return the parts of a source of error that are the same whatever is predicted."""
     return lambda prediction: part
 
 
@@ -695,18 +690,11 @@ def _of_captures(columns: Array) -> Part:
 
 
 def _offset_terms(
-    name: str, unit: Unit, white: Array, lines: tuple[float, float], pixels: Array, design: Design
+    name: str, unit: Unit, white: Array, lines: Sequence[float], pixels: Array, design: Design
 ) -> list[FixedError]:
-    """Return what a pattern does to means, slopes and edges.
-
-    Args:
-        unit: Gives (captures, tiles) DN per unit of the pattern for a prediction.
-        white: (tiles,) variance from pixel to pixel in squared units.
-        lines: Variance of rows and of columns in squared units.
-        pixels: (tiles,) pixels that count.
-    """
+    """Return what a pattern does to means, slopes and edges."""
     (rows_e2, columns_e2), white = lines, np.maximum(white, 1e-14)
-    rows, columns = shared_lines(design)
+    rows, columns = _shared_lines(design)
     height, width, lengths = design.tile_height, design.tile_width, slope_lengths(design)
     # The pixels of a row (column) move together, and with them every tile that it crosses.
     mean = np.diag(white / pixels) + rows_e2 * rows / _outer(height) + columns_e2 * columns / _outer(width)
@@ -714,19 +702,17 @@ def _offset_terms(
     tilt_y = np.diag(white / lengths[1] ** 2) + rows_e2 * rows * _outer(np.sqrt(width) / lengths[1])
     ones = np.ones(len(design.tiles))
     line = float(np.median(np.sqrt(white / np.sqrt(pixels) + rows_e2 + columns_e2)))
-    return [
-        FixedError(f"{name}: mean", _moving("mean", unit, _root(mean)), ones),
-        FixedError(f"{name}: tilt x", _moving("slope_x", unit, _root(tilt_x)), ones),
-        FixedError(f"{name}: tilt y", _moving("slope_y", unit, _root(tilt_y)), ones),
-        FixedError(f"{name}: edges", _blurring(unit), np.array([line])),
-    ]
+    shifts = (("mean", "mean", mean), ("tilt x", "slope_x", tilt_x), ("tilt y", "slope_y", tilt_y))
+
+    def moving(statistic: str, root: Array) -> Callable[[Prediction], Mapping[str, Part]]:
+        return lambda prediction: {statistic: Part(unit(prediction), root)}
+
+    found = [FixedError(f"{name}: {what}", moving(of, _root(shift)), ones) for what, of, shift in shifts]
+    return [*found, FixedError(f"{name}: edges", _blurring(unit), np.array([line]))]
 
 
 def _root(covariance: Array) -> Array:
-    """Return a matrix whose product with its transpose is the covariance.
-
-    Tiles of a grid share all their lines: where there is hardly a pattern except that of lines, they move as one.
-    """
+    """Return a matrix whose product with its transpose is the covariance."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -734,15 +720,7 @@ def _root(covariance: Array) -> Array:
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float64)
 
 
-def _line_variances(prediction: Prediction) -> tuple[float, float]:
-    gain2 = prediction.gain**2
-    return float(np.median(prediction.fixed_row_variance / gain2)), float(
-        np.median(prediction.fixed_column_variance / gain2)
-    )
-
-
-def shared_lines(design: Design) -> tuple[Array, Array]:
-    """Return which share of their rows and of their columns two tiles have in common, each (tiles, tiles)."""
+def _shared_lines(design: Design) -> tuple[Array, Array]:
     x, y = (np.array([getattr(tile, name) for tile in design.tiles]) for name in ("x", "y"))
     width, height = design.tile_width, design.tile_height
     rows = np.minimum((y + height)[:, None], y + height) - np.maximum(y[:, None], y)
@@ -758,21 +736,11 @@ def _unit_of_light(prediction: Prediction) -> Array:
     return prediction.signal * prediction.gain[:, None]
 
 
-def _unit_of_limit(prediction: Prediction) -> Array:
-    return np.asarray(np.sqrt(prediction.limit_variance))
-
-
 def _times_gain(electrons: Array | float) -> Unit:
     return lambda prediction: np.broadcast_to(electrons * prediction.gain[:, None], prediction.mean.shape)
 
 
-def _moving(name: str, unit: Unit, root: Array) -> Callable[[Prediction], Mapping[str, Part]]:
-    """Return what a pattern does whose shifts of the tiles have the covariance root·rootᵀ."""
-    return lambda prediction: {name: Part(unit(prediction), root)}
-
-
 def _blurring(unit: Unit) -> Callable[[Prediction], Mapping[str, Part]]:
-    """Return what a fixed pattern in the lines along edges feigns of blur."""
 
     def parts(prediction: Prediction) -> Mapping[str, Part]:
         light = np.max(_unit_of_light(prediction), axis=1)
@@ -804,11 +772,8 @@ def _lines(name: str, prediction: Prediction) -> Array:
 
 
 def _spread_of_lines_in_tiles(name: str, seen: CaptureStatistics, design: Design) -> FixedError:
-    """Return the chance spread of the few lines of a pattern that cross each tile, alike in every capture.
-
-    Tiles side by side share it, and the spread of all lines is the mean of the tiles'.
-    """
-    rows, columns = shared_lines(design)
+    """Return the chance spread of the few lines of a pattern that cross each tile, alike in every capture."""
+    rows, columns = _shared_lines(design)
     free = np.maximum((design.tile_height if name == "rows" else design.tile_width) - SURFACE_LINES, 1.0)
     values, vectors = np.linalg.eigh(2.0 * (rows if name == "rows" else columns) / _outer(free))
     kept = values > _SMALLEST_SHARE * values.max()
@@ -825,7 +790,6 @@ def _spread_of_lines_in_tiles(name: str, seen: CaptureStatistics, design: Design
 
 
 def _spread_of_lines(name: str, seen: CaptureStatistics) -> FixedError:
-    """Return the chance spread of a white pattern's own row or column means, alike in every capture."""
 
     def parts(prediction: Prediction) -> Mapping[str, Part]:
         share = (prediction.fixed / np.maximum(prediction.spatial, 1e-30)).mean(axis=1)

@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics, Design, slope_lengths
-from radiometer.reconciliation.measure.lines import RowBins
+from radiometer.reconciliation.design import COMB_PERIODS, CaptureStatistics, Design, slope_lengths
+from radiometer.reconciliation.lines import RowBins
 from radiometer.statistics.chances import log_variance
 from radiometer.typing import Array, Mask
 from simulators.effects.context import Signal
@@ -323,7 +323,7 @@ class Scatter:
         """
         if self.design.uniform:
             return 1.0
-        structure = structure_dn2(self.design, self.seen)
+        structure = _structure_dn2(self.design, self.seen)
         more = 1.0 + self.base.gain[:, None] ** 2 * structure / np.maximum(self.noise, 1e-12) ** 2
         return np.asarray(np.where(self.design.source_level[:, None] > 0, more, 1.0))
 
@@ -495,7 +495,7 @@ def partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction)
     """
     if design.uniform:
         return np.zeros(seen.mean.shape, dtype=np.bool_)
-    uneven = structure_dn2(design, seen) > base.variance * (1.0 + 1.0 / design.frame_count[:, None])
+    uneven = _structure_dn2(design, seen) > base.variance * (1.0 + 1.0 / design.frame_count[:, None])
     found = np.zeros(uneven.shape, dtype=np.bool_)
     for gain_db in np.unique(design.gain_db):
         lit = ((design.gain_db == gain_db) & (design.source_level > 0))[:, None] & (seen.pixels > 0)
@@ -521,10 +521,7 @@ def seen_step(seen: CaptureStatistics) -> int:
 
 
 def _cut_off(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
-    """Return where light should bring noise and not even read noise is seen: nearly all samples show the highest code.
-
-    What is left there are a few samples, whose variance and correlations are far from normal.
-    """
+    """Return where light should bring noise and not even read noise is seen: most samples show the highest code."""
     read_e = design.header.camera.read_noise_e
     dark = design.closed | ~(design.source_level > 0)
     seen_e2 = np.nan_to_num(seen.variance[dark] / base.gain[dark, None] ** 2, nan=np.inf)
@@ -557,10 +554,7 @@ def honest_comb(design: Design, seen: CaptureStatistics, base: Prediction) -> Ar
 
 
 def _noise_without_light(design: Design, base: Prediction) -> Array:
-    """Return the variance of a pixel without light in DN², (captures,): from the darkest capture at each gain.
-
-    A tile of a scene may hold dark pixels and bright ones: the noise of its photons is taken off.
-    """
+    """Return the variance of a pixel without light in DN², (captures,): from the darkest capture at each gain."""
     light = base.signal.mean(axis=1)
     dark = np.min(base.variance - base.gain[:, None] ** 2 * np.maximum(base.signal, 0.0), axis=1)
     gains, own = np.unique(design.gain_db, return_inverse=True)
@@ -568,7 +562,7 @@ def _noise_without_light(design: Design, base: Prediction) -> Array:
     return np.asarray(np.maximum(dark[darkest], 0.0)[own])
 
 
-def structure_dn2(design: Design, seen: CaptureStatistics) -> Array:
+def _structure_dn2(design: Design, seen: CaptureStatistics) -> Array:
     """Return the variance of the time mean from pixel to pixel with the tile's tilt, in DN², (captures, tiles)."""
     tilts = [
         (slope * length) ** 2 for slope, length in zip((seen.slope_x, seen.slope_y), slope_lengths(design), strict=True)

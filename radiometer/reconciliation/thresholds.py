@@ -6,9 +6,10 @@ stands here and nowhere else. A nat is a factor of e in likelihood.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
+
+from radiometer.statistics.chances import chi2_beyond
 
 _TOGETHER: Final = (
     "set in development; its effect alone was not measured, the benchmark holds for all thresholds together"
@@ -42,30 +43,18 @@ def _acted(sessions: int) -> str:
     return f"acted in {sessions} of 79 sessions (docs/benchmarks/reconcile.md, rules that decide a name)"
 
 
-# ---- whether anything disagrees -------------------------------------------------------------------------------------
 SIGNIFICANCE: Final = _row(
     "SIGNIFICANCE",
     0.005,
     "chance",
-    "a false alarm among all tests of one pass, and among the few in a name's own place",
+    "a false alarm among all tests of one pass, among the few in a name's own place, among periods of frames and among "
+    "equal frames; a gap that is open by chance",
     _NULL,
-)
-FRAME_SIGNIFICANCE: Final = _row(
-    "FRAME_SIGNIFICANCE",
-    0.001,
-    "chance",
-    "a period among frames that scatter at random, one of equal frames reported as an outlier by chance",
-    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py), series drawn at random "
-    "(tests/unit/reconciliation/test_reconcile_places.py): none",
-)
-SCATTER_SIGMAS: Final = _row(
-    "SCATTER_SIGMAS", 5.0, "sigma", "scatter without any trend, which no test along a covariate sees", _NULL
 )
 CLOSED_GAP: Final = _row(
     "CLOSED_GAP", 1.05, "1", "calling a gap open that is chance; it was 1.02 at most in 365 sets", _NULL
 )
 
-# ---- the score ------------------------------------------------------------------------------------------------------
 PARAMETER_NATS: Final = _row(
     "PARAMETER_NATS",
     3.0,
@@ -85,17 +74,10 @@ SMOOTH_SHARE: Final = _row(
     "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate", _acted(16)
 )
 
-# ---- the search -----------------------------------------------------------------------------------------------------
-RIVAL_NATS: Final = _row(
-    "RIVAL_NATS",
-    5.0,
-    "nats",
-    "one name reported where another is as good: rivals within odds of 150; a flexible form that takes a name from a "
-    "rigid entry of another without leading by as much",
-    _acted(6),
-)
+# What a name must bring, less what a parameter costs. Rivals are within it; a flexible form that takes a name from a
+# rigid entry of another leads by as much.
+RIVAL_NATS: Final = NAMED_NATS - PARAMETER_NATS
 
-# ---- doubts ---------------------------------------------------------------------------------------------------------
 ESSENTIAL_SIGMAS: Final = _row(
     "ESSENTIAL_SIGMAS",
     3.0,
@@ -109,4 +91,4 @@ TABLE: Final[tuple[Threshold, ...]] = tuple(_ROWS.values())
 
 def is_open(gap: float, count: float) -> bool:
     """Return whether the reduced χ² of so many held-out entries exceeds 1 by more than chance."""
-    return gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * math.sqrt(2.0 / max(count, 1.0)))
+    return gap > CLOSED_GAP and chi2_beyond(gap * count, max(int(count), 1)) < SIGNIFICANCE

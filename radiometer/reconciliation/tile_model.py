@@ -18,9 +18,9 @@ from typing import Any, Final, Literal, Self, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.lines import TileBands
-from radiometer.reconciliation.measure.reduce import PatternImages
+from radiometer.reconciliation.design import Design
+from radiometer.reconciliation.lines import TileBands
+from radiometer.reconciliation.reduce import PatternImages
 from radiometer.reconciliation.statistics import Prediction, of_tiles
 from radiometer.typing import Array
 from simulators.chain.stages import in_order, place_for
@@ -155,7 +155,7 @@ class PictureSurroundings:
     def __init__(self, design: Design, images: PatternImages) -> None:
         self._design, self._images = design, images
         self._pictures = [images.picture(p) for p in range(len(design.patterns))]
-        tiles = np.stack([_looked_up(images, picture, *tile_points(design)) for picture in self._pictures])
+        tiles = np.stack([_looked_up(images, picture, *_tile_points(design)) for picture in self._pictures])
         self._norm = np.maximum(tiles.mean(axis=(1, 2)), 1e-30)
         self._mean = np.array([picture.mean() for picture in self._pictures]) / self._norm
         self._known: dict[tuple[object, ...], Array] = {}
@@ -190,10 +190,7 @@ class PictureSurroundings:
         return self._relative(signal, ("reflected", radius), turned)
 
     def _relative(self, signal: Signal, key: tuple[object, ...], change: Callable[[Array], Array]) -> Signal:
-        """Return the signal times what a change makes of each picture, over the tiles' mean.
-
-        Values at the tiles' points have the mean and the least-squares slopes of each tile's pixels.
-        """
+        """Return the signal times what a change makes of each picture, over the tiles' mean."""
         if key not in self._known:
             places = _dense_points(self._design)
             values = (_looked_up(self._images, change(picture), *places) for picture in self._pictures)
@@ -277,8 +274,7 @@ def from_grid(values: Signal) -> tuple[Signal, Signal]:
     return np.asarray(values @ _TO_POINTS), np.asarray(np.maximum(left, 0.0)[..., None])
 
 
-def tile_points(design: Design) -> tuple[Array, Array]:
-    """Return column and row coordinates of the tiles' Gauss points in pixels, each (tiles, 4)."""
+def _tile_points(design: Design) -> tuple[Array, Array]:
     middle = np.array([(t.x + (t.width - 1) / 2, t.y + (t.height - 1) / 2) for t in design.tiles])
     half = np.array([(t.width / 2, t.height / 2) for t in design.tiles]) * GAUSS_POINT
     signs = np.array(_POINTS, dtype=np.float64)
@@ -287,7 +283,7 @@ def tile_points(design: Design) -> tuple[Array, Array]:
     return x, y
 
 
-def tilt_of(rise_x: Array, rise_y: Array) -> Array:
+def _tilt_of(rise_x: Array, rise_y: Array) -> Array:
     """Return the factor at the four points of tiles whose relative rise from centre to edge is given."""
     signs_x, signs_y = np.array(_POINTS, dtype=np.float64).T
     tilt = rise_x[:, :, None] * signs_x + rise_y[:, :, None] * signs_y
@@ -303,14 +299,12 @@ def rise_of(points: Signal) -> tuple[Array, Array]:
 
 
 def _dense_points(design: Design) -> tuple[Array, Array]:
-    """Return image coordinates of a grid of points in each tile, each (tiles, points)."""
     x = np.array([t.x + (t.width - 1) / 2 + 0.5 * t.width * _U for t in design.tiles])
     y = np.array([t.y + (t.height - 1) / 2 + 0.5 * t.height * _V for t in design.tiles])
     return x, y
 
 
-def tile_context(design: Design, images: PatternImages) -> TileContext:
-    """Return the context of all captures of a design."""
+def _tile_context(design: Design, images: PatternImages) -> TileContext:
     camera, lens = design.header.camera, design.header.lens
     geometry, grid = (
         FrameGeometry(
@@ -321,9 +315,9 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
             principal_point_px=lens.principal_point_px,
             pixel_spacing_um=camera.pixel_spacing_um or camera.pixel_pitch_um or 4.5,
         )
-        for x, y in (tile_points(design), _dense_points(design))
+        for x, y in (_tile_points(design), _dense_points(design))
     )
-    radiance = scene_radiance(design, images)
+    radiance = _scene_radiance(design, images)
     peak = float(np.nanmax(radiance))
     settings = BatchSettings.of(design)
     numbers = [table[:, None, None, :] for table in design.frame_numbers]
@@ -369,14 +363,10 @@ def _column(values: Array) -> Array:
     return values[:, None, None]
 
 
-def scene_radiance(design: Design, images: PatternImages) -> Array:
-    """Return the radiance of every tile under every pattern, (patterns, tiles) in W·sr⁻¹·m⁻².
-
-    What is unknown is taken from the pattern's mean picture, brought to the scale of what is known (or of the
-    declared camera where nothing is).
-    """
+def _scene_radiance(design: Design, images: PatternImages) -> Array:
+    """Return the radiance of every tile under every pattern, (patterns, tiles) in W·sr⁻¹·m⁻²."""
     known = np.array([[np.nan if v is None else v for v in tile.radiance] for tile in design.tiles]).T
-    places, pictures = tile_points(design), [images.picture(p) for p in range(len(design.patterns))]
+    places, pictures = _tile_points(design), [images.picture(p) for p in range(len(design.patterns))]
     seen = np.stack([_looked_up(images, picture, *places).mean(axis=1) for picture in pictures])
     both = np.isfinite(known) & (seen > 0)
     declared = 1.0 / np.pi  # any positive number serves: the responsivity is fitted
@@ -448,7 +438,7 @@ class TileModel:
     @classmethod
     def of(cls, design: Design, images: PatternImages) -> TileModel:
         """Return the ideal camera."""
-        model = cls(design, tile_context(design, images), scene_radiance(design, images), images)
+        model = cls(design, _tile_context(design, images), _scene_radiance(design, images), images)
         return model._looking_back(Nuisance.start(design))
 
     def with_effects(self, effects: Sequence[CatalogueEffect]) -> TileModel:
@@ -504,7 +494,6 @@ class TileModel:
         return tuple(_as_known(link, known.get(type(link))) for link in links)
 
     def _chain(self, links: tuple[Effect, ...]) -> tuple[Effect, ...]:
-        """Return all steps in the order of the light: what acts in front of each link, by its stage, and the link."""
         steps = (*links, *self.given, *self.effects)
         return tuple(steps[number] for number in _ordered(tuple(map(type, steps)), len(links)))
 
@@ -520,7 +509,7 @@ class TileModel:
     def walked(self, walk: Walk, until: int) -> Walk:
         """Return a walk that went on to the front of a step of its chain, by number; behind the last is one more."""
         ahead = walk.chain[len(walk.passed) - 1 : until]
-        model, passed = self._looking_back(walk.nuisance) if any(map(looks_back, ahead)) else self, [*walk.passed]
+        model, passed = self._looking_back(walk.nuisance) if any(map(_looks_back, ahead)) else self, [*walk.passed]
         for step in ahead:
             passed.append(model.through(step, passed[-1]))
         return replace(walk, passed=tuple(passed))
@@ -534,17 +523,17 @@ class TileModel:
     def _scene(self, nuisance: Nuisance) -> TileMoments:
         scene = (self.radiance * np.exp(nuisance.log_radiance))[self.design.pattern_index]
         slopes = nuisance.slope[self.design.pattern_index]
-        points = tilt_of(slopes[:, 0], slopes[:, 1]) if nuisance.slope.any() else 1.0
+        points = _tilt_of(slopes[:, 0], slopes[:, 1]) if nuisance.slope.any() else 1.0
         return TileMoments.exactly(scene[:, :, None] * np.ones(4) * points)
 
     def signal(self, walk: Walk) -> Array:
         """Return the light signal of a walk in electrons, (captures, tiles)."""
-        light = walk.in_front(1 + first_of(walk.links, ELECTRONS)).mean
+        light = walk.in_front(1 + _first_of(walk.links, ELECTRONS)).mean
         return of_tiles(light, light.shape[:-1])
 
     def gain(self, walk: Walk) -> Array:
         """Return DN per electron of a walk, (captures,)."""
-        place = first_of(walk.links, DIGITAL_NUMBER)
+        place = _first_of(walk.links, DIGITAL_NUMBER)
         gain = np.asarray(walk.links[place].slope(walk.in_front(place).mean, self.context), dtype=np.float64)
         return np.asarray(np.broadcast_to(gain, (*gain.shape[:-3], len(self.design.captures), 1, 1))[..., 0, 0])
 
@@ -669,14 +658,12 @@ class Trace(Walk):
     prediction: Prediction  # the expected statistics
 
 
-def looks_back(step: Effect) -> bool:
-    """Return whether a step of the chain asks for what earlier frames held."""
+def _looks_back(step: Effect) -> bool:
     return isinstance(step, CatalogueEffect) and step.looks_back
 
 
 @lru_cache(maxsize=4096)
 def _ordered(kinds: tuple[type[Effect], ...], links: int) -> tuple[int, ...]:
-    """Return the numbers of steps in the order of the light."""
     steps_at: dict[int, list[int]] = defaultdict(list)
     for number in sorted(range(links, len(kinds)), key=lambda number: in_order(kinds[number])):
         steps_at[place_for(kinds[number], kinds[:links])].append(number)
@@ -685,15 +672,13 @@ def _ordered(kinds: tuple[type[Effect], ...], links: int) -> tuple[int, ...]:
 
 
 def _as_known(link: Effect, known: Effect | None) -> Effect:
-    """Return the known link of its kind where it is as that one, else the link."""
     if known is None:
         return link
     pairs = ((getattr(link, name), getattr(known, name)) for name in link.values())
     return known if all(a is b or (type(a) is type(b) is not np.ndarray and a == b) for a, b in pairs) else link
 
 
-def first_of(links: Sequence[Effect], unit: str) -> int:
-    """Return the position of the link that first gives a unit."""
+def _first_of(links: Sequence[Effect], unit: str) -> int:
     return next(place for place, link in enumerate(links) if link.unit_out == unit)
 
 
@@ -726,17 +711,13 @@ class _Apart:
         """Return a model just before the steps that it shares with a known chain."""
         walk = model.begun(nuisance, like)
         behind = zip(reversed(like.chain), reversed(walk.chain), strict=False)
-        same = takewhile(lambda pair: pair[0] is pair[1] and not looks_back(pair[0]), behind)
+        same = takewhile(lambda pair: pair[0] is pair[1] and not _looks_back(pair[0]), behind)
         shared = min(sum(1 for _ in same), len(walk.chain) + 1 - len(walk.passed))
         return cls(number, model, model.walked(walk, len(walk.chain) - shared), len(like.chain) - shared)
 
 
 class _Together:
-    """Models that go through the rest of a known chain as one.
-
-    Attributes:
-        members: The models, in the order in which they joined.
-    """
+    """Models that go through the rest of a known chain as one."""
 
     def __init__(self, model: TileModel, like: Trace) -> None:
         self._model, self._like = model, like
@@ -744,11 +725,7 @@ class _Together:
         self.members = list[_Apart]()
 
     def walk_with(self, waiting: Sequence[_Apart]) -> list[_Apart]:
-        """Walk to the end of the chain with all that may join; return those that may not.
-
-        Args:
-            waiting: The models in the order in which they join.
-        """
+        """Walk to the end of the chain with all that may join; return those that may not."""
         left, chain = list[_Apart](), self._like.chain
         for number in range(waiting[0].joins, 1 + len(chain)):
             joining = [one for one in waiting if one.joins == number]
@@ -759,15 +736,13 @@ class _Together:
         return left
 
     def prediction(self) -> Prediction:
-        """Return what the members expect."""
         known = self._like.prediction
-        signal = self._of_members(1 + first_of(self._like.links, ELECTRONS), TileModel.signal, known.signal.shape)
-        gain = self._of_members(first_of(self._like.links, DIGITAL_NUMBER), TileModel.gain, known.gain.shape)
+        signal = self._of_members(1 + _first_of(self._like.links, ELECTRONS), TileModel.signal, known.signal.shape)
+        gain = self._of_members(_first_of(self._like.links, DIGITAL_NUMBER), TileModel.gain, known.gain.shape)
         taken = np.array([[one.model.taken] for one in self.members])
         return self._model.summary(self._passed[-1], signal, taken * gain)
 
     def _join(self, joining: list[_Apart], number: int) -> list[_Apart]:
-        """Put models into the stack in front of a step; return those that have other figures of a whole frame."""
         parts, counts = [one.walk.passed[-1] for one in joining], [1] * len(joining)
         if self.members:
             parts, counts = [self._passed[number], *parts], [len(self.members), *counts]

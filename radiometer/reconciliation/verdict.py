@@ -20,13 +20,13 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.fit.comparison import FAMILY, Comparison
-from radiometer.reconciliation.fit.descent import fitted_parameters, is_misfit, refit
-from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects, with_terms
-from radiometer.reconciliation.measure.frame_order import Periodic
+from radiometer.reconciliation.comparison import FAMILY, Comparison
+from radiometer.reconciliation.descent import fitted_parameters, is_misfit, refit
+from radiometer.reconciliation.frame_order import Periodic
+from radiometer.reconciliation.localise import Disagreement, axis_of, departing, own_place
 from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
-from radiometer.reconciliation.search.localise import Disagreement, axis_of, departing, own_place
-from radiometer.reconciliation.search.search import Search, Step
+from radiometer.reconciliation.search import Search, Step
+from radiometer.reconciliation.state import FitState, ModelFit, with_effects, with_terms
 from radiometer.reconciliation.thresholds import ESSENTIAL_SIGMAS, NAMED_NATS, PARAMETER_NATS, SMOOTH_SHARE
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
@@ -173,10 +173,7 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
 
 
 def _named_alone(outcome: Search, weak: Collection[str]) -> FitState:
-    """Return the model that the rest is a rest of: as it came out, or anew without the names that count to the rest.
-
-    These and the unnamed terms hold each other up: neither alone has the size of what both take up.
-    """
+    """Return the model that the rest is a rest of: as it came out, or anew without the names that count to the rest."""
     if not weak:
         return outcome.state
     kept = tuple(effect for effect in outcome.state.effects if effect.name not in weak)
@@ -212,10 +209,7 @@ def _unwhitened(comparison: Comparison, block: str, values: Array) -> Array:
 
 
 def _taken_up(state: FitState, block: str) -> Array:
-    """Return what of a statistic's whitened residual only unnamed terms take up, or else its excess, as it is shaped.
-
-    What the nuisances and effects would take up of it without them is none of theirs.
-    """
+    """Return what only unnamed terms take up of a statistic's whitened residual, else its excess, as it is shaped."""
     comparison = state.comparison
     cut, shape = comparison.cuts[block], comparison.usable[block].shape
     taken, at = np.zeros(comparison.size), 0
@@ -391,6 +385,5 @@ def pseudo_bma(log_density: Array, log_prior: Array) -> Array:
 
 
 def _log_prior(fit: ModelFit, names: Collection[str], entries: int) -> float:
-    """Return the log prior odds of a model: of its effects as usual as they are, its parameters paid for."""
     odds = sum(effect.log_prior_odds for effect in fit.effects) - len(names) * np.log(max(entries, 1))
     return float(odds - (NAMED_NATS if UNNAMED in names else 0.0) - PARAMETER_NATS * fit.parameters)

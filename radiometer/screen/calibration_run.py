@@ -1,4 +1,4 @@
-"""The whole calibration of a screen: checks, levels, drift, curves; taken up where it was interrupted.
+"""The whole calibration of a screen: checks, levels, drift, curves; taken up where it was interrupted; verified.
 
 Events of its journal after `start`: `warm_up` of each part, `checks` (flicker, uniformity, readings of each patch) and
 `patch` after every patch. Its `number` is the place in the plan, null for a reference that a new part begins with.
@@ -6,6 +6,7 @@ Events of its journal after `start`: `warm_up` of each part, `checks` (flicker, 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -13,15 +14,29 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from radiometer.data import Provenance
+from radiometer.data import Provenance, Quantity
 from radiometer.data.event_journal import START, Event, EventJournal
 from radiometer.devices import Display, DisplayPatch
-from radiometer.screen.calibration import ScreenCalibration
-from radiometer.screen.checks import Flicker, Uniformity, additivity, as_mapping, wait_until_steady
-from radiometer.screen.exports.chromaticity import ASSUMPTION
-from radiometer.screen.meter import ScreenReading
-from radiometer.screen.plan import ScreenStep, make_plan
-from radiometer.screen.run import Light, Measured, Progress, curves_of, measure_steps
+from radiometer.errors import UsageError
+from radiometer.screen.calibration import RADIANCE, ScreenCalibration
+from radiometer.screen.exports import ASSUMPTION
+from radiometer.screen.run import (
+    CHANNELS,
+    Flicker,
+    Light,
+    Measured,
+    Progress,
+    ScreenReading,
+    ScreenStep,
+    Uniformity,
+    WarmUp,
+    additivity,
+    as_mapping,
+    curves_of,
+    make_plan,
+    measure_steps,
+    wait_until_steady,
+)
 
 _WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
 _PILOTS: Final = 8  # a scatter from eight is known to a quarter
@@ -206,3 +221,99 @@ def _additivity(measured: list[Measured]) -> float | None:
         if entry.step.purpose == "level" and entry.step.level == max(m.step.level for m in measured):
             tops[entry.step.channel] = entry.mean.radiance
     return additivity(tops, float(np.mean(blacks)) if blacks else 0.0)
+
+
+COVERAGE: Final = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class VerifiedLevel:
+    """A level as calibrated and as measured now, in W·sr⁻¹·m⁻² with standard uncertainties."""
+
+    channel: str
+    level: int
+    calibrated: Quantity
+    measured: Quantity
+    # Relative standard uncertainty that both share: the scale of one camera under one calibration; 0 of two cameras
+    shared_u_rel: float = 0.0
+
+    @property
+    def difference(self) -> Quantity:
+        """Return measured minus calibrated, with the standard uncertainty of both; what they share drops out."""
+        covariance = self.calibrated.value * self.measured.value * self.shared_u_rel**2
+        u = math.sqrt(max(self.calibrated.u**2 + self.measured.u**2 - 2.0 * covariance, 0.0))
+        return Quantity(self.measured.value - self.calibrated.value, u, RADIANCE)
+
+    @property
+    def agrees(self) -> bool:
+        """Return whether the two differ by at most the expanded uncertainty of the difference (k = 2)."""
+        return abs(self.difference.value) <= COVERAGE * self.difference.u
+
+
+@dataclass(frozen=True, slots=True)
+class Verified:
+    """Levels of a screen measured again, and how it warmed up."""
+
+    levels: tuple[VerifiedLevel, ...]
+    warm_up: WarmUp
+
+    @property
+    def holds(self) -> bool:
+        """Return whether the calibration holds at every level."""
+        return all(one.agrees for one in self.levels)
+
+
+def verify_screen(
+    bench: Instrumented,
+    calibration: ScreenCalibration,
+    levels: Sequence[int],
+    *,
+    warm_up_limit_s: float = 900.0,
+    patch_size: float = 1.0,
+    same_meter: bool = False,
+    progress: Progress | None = None,
+    waiting: Callable[[float, float], None] | None = None,
+) -> Verified:
+    """Return levels of every calibrated channel as they are measured now.
+
+    Args:
+        bench: An open display and what looks at it.
+        calibration: The calibration.
+        levels: Levels to measure, as far as the calibration covers them.
+        warm_up_limit_s: Longest wait for the screen to settle in s.
+        patch_size: Patch as a share of the screen's width and height.
+        same_meter: The camera, its lens and its calibration are those of the screen's calibration.
+        progress: Called after every patch.
+        waiting: Called while the screen warms up with the time so far and the longest time, both in s.
+
+    Raises:
+        UsageError: If the calibration covers none of the levels.
+        DeviceError: If display or camera fail.
+        MeasurementError: If a reading clips, or white is hardly brighter than black.
+    """
+    references = [ScreenStep("grey", 255, "white"), ScreenStep("grey", 0, "black")]
+    steps = [
+        ScreenStep(name, level)
+        for name, curve in calibration.channels.items()
+        if name in CHANNELS
+        for level in levels
+        if curve.levels[0] <= level <= curve.levels[-1]
+    ]
+    if not steps:
+        raise UsageError(
+            f"the calibration of {calibration.name} covers none of the levels {', '.join(map(str, levels))}"
+        )
+    measure_steps(bench.display, bench, references, patch_size=patch_size)
+    bench.display.show(references[0].patch())
+    warm_up = wait_until_steady(bench, bench.sleep, limit_s=warm_up_limit_s, progress=waiting)
+    measured = measure_steps(bench.display, bench, steps, patch_size=patch_size, progress=progress)
+    found = []
+    for entry in measured:
+        one, name, level = entry.mean, entry.step.channel, entry.step.level
+        u = math.hypot(
+            one.u_independent, one.radiance * one.u_common_rel, one.radiance * warm_up.drift_rel / np.sqrt(3.0)
+        )
+        curve = calibration.channel(name)
+        shared = min(curve.u_common_rel, one.u_common_rel) if same_meter else 0.0
+        found.append(VerifiedLevel(name, level, curve.radiance_at(level), Quantity(one.radiance, u, RADIANCE), shared))
+    return Verified(tuple(found), warm_up)

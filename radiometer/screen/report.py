@@ -24,10 +24,7 @@ from radiometer.devices import DisplayPatch
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.numbers import unit_text, upper_limit
 from radiometer.screen.calibration_run import Instrumented
-from radiometer.screen.checks import WarmUp, wait_until_steady
-from radiometer.screen.meter import ScreenReading
-from radiometer.screen.plan import ScreenStep
-from radiometer.screen.run import Light, measure_steps
+from radiometer.screen.run import Light, ScreenReading, ScreenStep, WarmUp, measure_steps, wait_until_steady
 from radiometer.statistics.scale import spread_beyond_noise
 from radiometer.typing import Array
 

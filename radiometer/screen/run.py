@@ -1,21 +1,112 @@
-"""Measuring a screen: patches shown and read, drift taken out, black as a limit where nothing is seen."""
+"""Measuring a screen: patches shown and read in their order, drift taken out, black a limit where unseen."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from radiometer.devices import Display
-from radiometer.errors import MeasurementError
+from radiometer.devices import Display, DisplayPatch
+from radiometer.errors import MeasurementError, UsageError
+from radiometer.numbers import rounded
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve
-from radiometer.screen.meter import Meter, ScreenReading
-from radiometer.screen.plan import ScreenStep
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenReading:
+    """One reading of a patch on the screen."""
+
+    radiance: float  # radiance in W·sr⁻¹·m⁻²
+    u_independent: float  # standard uncertainty in W·sr⁻¹·m⁻² of what differs from reading to reading (noise, dark)
+    u_common_rel: float  # relative standard uncertainty of what all readings share (scale, lens)
+    time_s: float  # when it was taken, in s on the meter's steady clock
+    flags: tuple[str, ...] = ()  # what must be known of it, as in a Reading
+
+
+class Meter(Protocol):
+    """Reads the patch that it looks at."""
+
+    def read(self) -> ScreenReading:
+        """Return one reading. Raises DeviceError, MeasurementError."""
+
+
+TOP: Final = 255  # highest level: the drivers and pages here set 8 bits
+CHANNELS: Final = ("grey", "red", "green", "blue")
+_PRIMARIES: Final[dict[str, tuple[float, float, float]]] = {
+    "grey": (1.0, 1.0, 1.0),
+    "red": (1.0, 0.0, 0.0),
+    "green": (0.0, 1.0, 0.0),
+    "blue": (0.0, 0.0, 1.0),
+}
+QUICK_LEVELS: Final = (0, 32, 64, 96, 128, 192, 255)  # dense where a screen's curve bends, dark
+REFERENCE_EVERY: Final = 10  # a drift over ten readings is a straight line
+
+Purpose = Literal["level", "white", "black"]
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenStep:
+    """One patch to be shown and read."""
+
+    channel: str  # one of `CHANNELS`
+    level: int  # level 0 to `TOP`
+    purpose: Purpose = "level"  # "level" for the curve, "white" and "black" for drift references
+
+    def patch(self, size: float = 1.0) -> DisplayPatch:
+        """Return what the display is asked to show, `size` of the screen's width and height."""
+        drive = self.level / TOP
+        red, green, blue = _PRIMARIES[self.channel]
+        return DisplayPatch((red * drive, green * drive, blue * drive), width_fraction=size, height_fraction=size)
+
+
+def parse_levels(text: str) -> tuple[int, ...]:
+    """Return ascending levels behind "all", "quick", a count such as "33", or a list such as "0,16,255".
+
+    Black and white are always among them. Raises UsageError if the text is none of these.
+    """
+    if text == "all":
+        return tuple(range(TOP + 1))
+    if text == "quick":
+        return QUICK_LEVELS
+    try:
+        numbers = [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise UsageError(
+            f"--levels {text!r}: expected all, quick, a count such as 33, or a list such as 0,16,255"
+        ) from error
+    if len(numbers) == 1 and 3 <= numbers[0] <= TOP + 1:
+        return tuple(sorted({round(n) for n in np.linspace(0, TOP, numbers[0])}))
+    if len(numbers) == 1 or min(numbers) < 0 or max(numbers) > TOP:
+        raise UsageError(f"--levels {text!r}: a count is 3 to {TOP + 1}; levels are 0 to {TOP}")
+    found = tuple(sorted({0, TOP, *numbers}))
+    if len(found) < 3:
+        raise UsageError(f"--levels {text!r}: black and white alone show no curve; name a level between 0 and {TOP}")
+    return found
+
+
+def make_plan(levels: tuple[int, ...], channels: tuple[str, ...], rng: np.random.Generator) -> list[ScreenStep]:
+    """Return all levels of all channels in random order, white and black references before, after and between.
+
+    Raises:
+        UsageError: If a channel is unknown.
+    """
+    unknown = sorted(set(channels) - set(CHANNELS))
+    if unknown:
+        raise UsageError(f"channel {unknown[0]!r} is unknown; choose from {', '.join(CHANNELS)}")
+    steps = [ScreenStep(channel, level) for channel in channels for level in levels]
+    references = [ScreenStep("grey", TOP, "white"), ScreenStep("grey", 0, "black")]
+    plan: list[ScreenStep] = []
+    for number, position in enumerate(rng.permutation(len(steps))):
+        if number % REFERENCE_EVERY == 0:
+            plan += references
+        plan.append(steps[position])
+    return plan + references
+
 
 LEAST_CONTRAST: Final = 1.5  # white over black; a screen in a lit room still has more
 
@@ -228,3 +319,156 @@ def _curve(
         detection_limit=limits[0],
         u_spectrum_rel=light.u_rel_where_measured_in(RADIANCE),
     )
+
+
+STEADY_REL: Final = 0.002  # change over the window that counts as warmed up: the size of white's repeatability
+_PAUSE_S: Final = 60.0  # between two readings: a backlight settles in some ten minutes
+_WINDOW: Final = 5  # readings: a drift of 0.2 % is seen over five
+
+
+@dataclass(frozen=True, slots=True)
+class WarmUp:
+    """What was seen while the display warmed up."""
+
+    waited_s: float  # how long white was shown
+    drift_rel: float  # relative change over the last readings
+    steady: bool  # whether that was below the limit before the time was up
+    readings: tuple[ScreenReading, ...] = ()  # of white meanwhile
+
+    @property
+    def drift_s(self) -> float:
+        """Return the time in s that the change was seen over."""
+        return self.readings[-1].time_s - self.readings[-_WINDOW:][0].time_s
+
+
+def wait_until_steady(
+    meter: Meter,
+    sleep: Callable[[float], None],
+    *,
+    limit_s: float,
+    progress: Callable[[float, float], None] | None = None,
+) -> WarmUp:
+    """Read white until five readings in a row agree within 0.2 % (or their noise), or the time is up.
+
+    Args:
+        sleep: Waits for a number of seconds.
+        limit_s: Longest time to wait in s; 0 takes a single set of readings.
+        progress: Called after every reading with the time so far and the limit, both in s.
+    """
+    readings = [meter.read()]
+    while True:
+        drift, noise = _drift_of(readings[-_WINDOW:])
+        waited = readings[-1].time_s - readings[0].time_s
+        if progress is not None:
+            progress(waited, limit_s)
+        steady = len(readings) >= _WINDOW and drift <= max(STEADY_REL, 3.0 * noise)
+        if steady or waited >= limit_s:
+            return WarmUp(waited, drift, steady, tuple(readings))
+        sleep(_PAUSE_S)
+        readings.append(meter.read())
+
+
+def _drift_of(readings: Sequence[ScreenReading]) -> tuple[float, float]:
+    values = np.array([r.radiance for r in readings])
+    noise = float(np.mean([r.u_independent for r in readings])) / values.mean()
+    return float(np.ptp(values) / values.mean()), float(noise)
+
+
+@dataclass(frozen=True, slots=True)
+class Flicker:
+    """Whether the display's light changes within fractions of a second (PWM dimming, scanning)."""
+
+    exposure_s: float  # exposure of the test frames in s
+    scatter_rel: float  # relative scatter from frame to frame
+    noise_rel: float  # what noise alone would give
+    found: bool  # whether the scatter exceeds noise beyond doubt (five sigmas of its estimate)
+
+
+def judge_flicker(values: Sequence[float], noise_rel: float, exposure_s: float) -> Flicker:
+    """Return whether readings of many short exposures scatter more than noise.
+
+    Args:
+        values: Mean signal of each frame, at least 3.
+        noise_rel: Relative standard uncertainty of each by noise.
+        exposure_s: Their exposure in s.
+    """
+    signal = np.asarray(values, dtype=np.float64)
+    scatter = float(signal.std(ddof=1) / signal.mean())
+    limit = noise_rel * math.sqrt(1 + 5 * math.sqrt(2 / (signal.size - 1)))
+    return Flicker(exposure_s, scatter, noise_rel, found=scatter > max(limit, 5e-4))
+
+
+@dataclass(frozen=True, slots=True)
+class Uniformity:
+    """White over a grid of places relative to the middle."""
+
+    grid: tuple[tuple[float, ...], ...]  # rows of values relative to the middle
+    lowest: float  # the lowest of them
+    highest: float  # the highest of them
+    u_rel: float  # the largest standard uncertainty of one of them
+
+    @classmethod
+    def of(cls, values: Sequence[Sequence[float]], u_rel: float) -> Uniformity:
+        """Return the figures of a grid of radiances with odd numbers of rows and columns.
+
+        Args:
+            values: The radiances, in any unit.
+            u_rel: The largest standard uncertainty of their ratios to the middle.
+        """
+        table = np.asarray(values, dtype=np.float64)
+        relative = table / table[table.shape[0] // 2, table.shape[1] // 2]
+        rows = tuple(tuple(float(v) for v in row) for row in relative)
+        return cls(rows, float(relative.min()), float(relative.max()), u_rel)
+
+
+def additivity(whites: Mapping[str, float], blacks: float) -> float | None:
+    """Return (red + green + blue − 2·black) / white − 1 of the highest levels; None unless all were measured."""
+    if not {"grey", "red", "green", "blue"} <= set(whites):
+        return None
+    return (whites["red"] + whites["green"] + whites["blue"] - 2.0 * blacks) / whites["grey"] - 1.0
+
+
+def as_mapping(check: WarmUp | Flicker | Uniformity) -> dict[str, Any]:
+    """Return a check as it is written to the file."""
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(check).items()}
+
+
+def checks_in_words(checks: Mapping[str, Any]) -> dict[str, str]:
+    """Return what the checks of a calibration found, by name, as every face states it.
+
+    Args:
+        checks: As its file holds them; those that were not made, or that the file states otherwise, are left out.
+    """
+    warm = _part(checks, "warm_up", "steady", "waited_s")
+    flicker = _part(checks, "flicker", "found", "scatter_rel", "exposure_s")
+    grid = _part(checks, "uniformity", "lowest", "highest")
+    drift, u_drift, additive, repeats = (
+        value if isinstance(value := checks.get(name), float | int) else None
+        for name in ("drift_rel", "drift_u_rel", "additivity_rel", "repeats")
+    )
+    found = {}
+    if warm:
+        state = "steady" if warm["steady"] else "still drifting"
+        found["warm-up"] = f"{state} after {warm['waited_s']:.0f} s"
+    if drift is not None:
+        found["drift"] = f"{100 * drift:.2g} % while measuring, taken out"
+        found["drift"] += "" if u_drift is None else f"; {100 * u_drift:.2g} % (k = 1) remains"
+    if flicker and flicker["found"]:
+        found["flicker"] = (
+            f"light changes by {100 * flicker['scatter_rel']:.2g} % between frames of "
+            f"{1e3 * flicker['exposure_s']:.3g} ms (PWM dimming?): {repeats} readings are averaged"
+        )
+    if grid:
+        u = grid.get("u_rel", math.nan)  # files of earlier versions do not state it
+        (lowest, each), (highest, _) = (rounded(100 * grid[end], 200 * u) for end in ("lowest", "highest"))
+        found["uniformity"] = f"{lowest} to {highest} % of the middle, each ± {each} % (k = 2)"
+    if additive is not None:
+        found["additivity"] = f"primaries add up to white within {100 * additive:.2g} %"
+    return found
+
+
+def _part(checks: Mapping[str, Any], name: str, *keys: str) -> Mapping[str, Any]:
+    """Return a check that holds numbers under all keys, or nothing."""
+    part = checks.get(name)
+    known = isinstance(part, Mapping) and all(isinstance(part.get(key), float | int) for key in keys)
+    return part if isinstance(part, Mapping) and known else {}

@@ -25,12 +25,16 @@ from radiometer.devices import CameraCapabilities
 from radiometer.errors import RadiometerError
 from simulators.cameras import blackfly_features as registers
 from simulators.cameras.aravis_fake_device import FakeGigeDevice
-from simulators.cameras.blackfly_features import blackfly_features
-from simulators.cameras.blackfly_gige import BlackflyGige, SentPicture
-from simulators.cameras.blackfly_pictures import PictureRequest, PictureSource
-from simulators.cameras.blackfly_registers import is_acquiring, processed, read_request
-from simulators.cameras.genicam_document import Feature
-from simulators.cameras.pixel_packing import WIRE_FORMATS, pack_pixels
+from simulators.cameras.blackfly_features import WIRE_FORMATS, Feature, blackfly_features, pack_pixels
+from simulators.cameras.blackfly_gige import (
+    BlackflyGige,
+    PictureRequest,
+    PictureSource,
+    SentPicture,
+    is_acquiring,
+    processed,
+    read_request,
+)
 
 SERIAL: Final = "0138C343"  # as USB reports 20497219
 MODEL: Final = "Blackfly S BFS-PGE-19S4M"

@@ -1,4 +1,4 @@
-"""A camera that does not exist, behaving as one that does.
+"""A camera that does not exist, behaving as one that does; with a mosaic of colour filters where it has one.
 
     preset = CameraPreset.shipped("BFS-U3-19S4M")
     model = CameraModel.ideal(preset.camera, LensDescription(focal_length_mm=16, f_number=4.0))
@@ -12,12 +12,25 @@ Time is simulated: nothing sleeps, and frames carry the time of their start on `
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Generator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
-from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import (
+    CameraDescription,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    PatchDescription,
+    SourceDescription,
+)
+from radiometer.data.mosaic import COLOURS
 from radiometer.devices import (
     AcquisitionCounts,
     CameraCapabilities,
@@ -29,13 +42,66 @@ from radiometer.devices import (
 )
 from radiometer.devices.opening import Opened
 from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, SettingOutOfRange
-from simulators.cameras.colour_filters import ColourFilters, FilteredScene
-from simulators.chain.camera_model import CameraModel
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import CameraModel, VirtualSensor
 from simulators.clock import SimulatedClock
-from simulators.scenes.base import Scene
-from simulators.scenes.layout import LitScene
-from simulators.scenes.pulsed_light import PulsedLight
+from simulators.scenes.base import LitScene, PulsedLight, Scene, SceneImage
+
+# Peak and full width at half maximum of each colour's quantum efficiency in nm, what leaks elsewhere, and the infrared
+# filter's edge. Assumed: between the data sheets of colour sensors (Sony IMX249, IMX273), and of no one camera.
+_BELLS_NM: Final = {"red": (600.0, 78.0), "green": (532.0, 88.0), "blue": (465.0, 70.0)}
+_LEAK: Final = 0.03
+_CUT_NM, _CUT_WIDTH_NM = 665.0, 6.0
+_REFERENCE_NM: Final = 550.0  # at which the camera's own quantum efficiency holds
+
+
+@dataclass(frozen=True, slots=True)
+class ColourFilters:
+    """Filters over the pixels.
+
+    Attributes:
+        mosaic: Colours of 2 × 2 pixels row by row.
+    """
+
+    mosaic: str = "RGGB"
+
+    def responsivity(self, colour: str, wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the signal per watt under a filter over that of the bare sensor at 550 nm."""
+        peak_nm, width_nm = _BELLS_NM[colour]
+        bell = np.exp(-4.0 * math.log(2.0) * ((wavelength_nm - peak_nm) / width_nm) ** 2)
+        cut = 1.0 / (1.0 + np.exp((wavelength_nm - _CUT_NM) / _CUT_WIDTH_NM))
+        return np.asarray(wavelength_nm / _REFERENCE_NM * cut * (_LEAK + (1.0 - _LEAK) * bell))
+
+
+@dataclass(frozen=True, slots=True)
+class FilteredScene:
+    """A scene behind the filters of a mosaic: the radiance at 550 nm that gives each pixel's signal."""
+
+    scene: LitScene
+    filters: ColourFilters
+
+    @property
+    def source(self) -> SourceDescription:
+        return self.scene.source.model_copy(update={"wavelength_nm": _REFERENCE_NM})
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        return self.scene.patterns
+
+    def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
+        return self.scene.patches(width, height)
+
+    def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
+        planes = {
+            colour: self.scene.seen_through(partial(self.filters.responsivity, colour), width, height, pattern)
+            for colour in COLOURS
+        }
+        seen = np.empty((height, width), np.float32)
+        for place, letter in enumerate(self.filters.mosaic):
+            colour = next(one for one in COLOURS if one[0].upper() == letter)
+            row, column = divmod(place, 2)
+            seen[row::2, column::2] = planes[colour].radiance[row::2, column::2]
+        return SceneImage(seen, peak_radiance=float(seen.max()))
+
 
 _BITS: Final = {"Mono8": 8, "Mono10": 10, "Mono10p": 10, "Mono12": 12, "Mono12p": 12, "Mono16": 16} | {
     "BayerRG8": 8,

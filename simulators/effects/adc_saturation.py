@@ -34,6 +34,7 @@ class AdcSaturation(CatalogueEffect):
     saturates = "sharply"
     trials = ()
     fitted = ("clip_dn",)
+    bends = ("spread_dn",)
     settles = "over-exposed captures at two gains: a converter clips at one DN, a full well at one signal"
     clip_dn: float = parameter(
         0.0, "DN", 0.0, 1.0, source="highest code that occurs; 0 for full scale", of_full_scale=True
@@ -79,9 +80,6 @@ class AdcSaturation(CatalogueEffect):
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         return () if self.spread_dn or not self.clip_dn else (replace(self, spread_dn=_SPREAD * self.clip_dn),)
-
-    def free(self) -> tuple[str, ...]:
-        return ("clip_dn", "spread_dn") if self.spread_dn else ("clip_dn",)
 
     def _highest(self, context: ExposureContext) -> float:
         full_scale = float(context.full_scale_dn)

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext
 
@@ -32,9 +32,7 @@ class AmbientLightLeak(Offset):
     fitted = ("irradiance_w_m2",)
     further = ({"tilt_x": 0.05, "tilt_y": 0.05},)
     settles = "frames with the lamp off and with the cap on"
-    irradiance_w_m2: float = parameter(
-        0.0, "W m-2", -1000.0, 1000000.0, source="engineering prior; refined on a real rig"
-    )
+    irradiance_w_m2: float = parameter(0.0, "W m-2", -1000.0, 1000000.0, source=PRIOR)
     through_lens: float = parameter(0.0, "1", 0.0, 1.0, source="0 past the lens, 1 through it")
     tilt_x: float = parameter(0.0, "1", -1.0, 1.0, source="a window or a gap is on one side")
     tilt_y: float = parameter(0.0, "1", -1.0, 1.0, source="the same from top to bottom")

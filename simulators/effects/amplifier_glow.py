@@ -41,6 +41,7 @@ class AmplifierGlow(Offset):
         for below in (0.0, 1.0)
     )
     fitted = ("rate_e_per_s", "decay_share")
+    bends = ("power",)
     settles = "dark frames of long exposure"
     rate_e_per_s: float = parameter(0.0, "e-/s", 0.0, 1e6, source="at the corner: 1 to 1000 e⁻/s")
     decay_share: float = parameter(0.15, "1", 0.02, 0.5, source="share of the diagonal; a longer one is an even leak")
@@ -53,10 +54,6 @@ class AmplifierGlow(Offset):
         """Return a bell at each corner."""
         corners = [(right, below) for right in (0.0, 1.0) for below in (0.0, 1.0)]
         return tuple(cls(100.0, 0.2, 2.0, right, below) for right, below in corners)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the power only where it is not that of scattering."""
-        return (*self.fitted, "power") if self.power != 1.0 else self.fitted
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:

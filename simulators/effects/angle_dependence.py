@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -35,12 +35,11 @@ class AngleDependence(Scaling):
     settles = "an even field with the camera tilted"
     # A fall-off that no stop changes is the lens, a loss at wide stops that is the same all over is its transmission.
     essential = ("strength", "stop_power", "cone")
-    strength: float = parameter(0.0, "1", -3.0, 3.0, source="engineering prior; refined on a real rig")
+    strength: float = parameter(0.0, "1", -3.0, 3.0, source=PRIOR)
     radius_power: float = parameter(2.0, "1", 1.0, 6.0, source="microlenses are shifted for the inner field")
     stop_power: float = parameter(
         1.0, "1", -2.0, 1.0, source="cone and chief ray weigh differently from pixel to pixel"
     )
-
     cone: float = parameter(0.0, "1", -1.0, 1.0, source="pixel vignetting at f/1.4 takes up to a third")
 
     def factor(self, context: ExposureContext) -> Any:

@@ -43,6 +43,7 @@ PHOTONS: Final = "photon"
 ELECTRONS: Final = "e-"
 DIGITAL_NUMBER: Final = "DN"
 
+PRIOR: Final = "engineering prior; refined on a real rig"  # source of bounds that no datasheet gives
 KINDS_KEPT: Final = 2048  # classes of which facts are kept: several times the catalogue; laws make classes without end
 _RELATIVE_STEP: Final = 1e-4  # of a central difference: neither rounding nor bending matters
 _LARGEST_FULL_SCALE_DN: Final = 2.0**32  # of any converter that may ever stand in a model file
@@ -193,6 +194,13 @@ class Effect(ABC):
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""
         return after
+
+
+class Proportional(Effect):
+    """An effect whose output is its input times its slope."""
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        return signal * self.slope(signal, context)
 
 
 class UnitSlope(Effect):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
+from simulators.effects.base import DIGITAL_NUMBER, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Offset, warmer_k
 from simulators.effects.context import ExposureContext
 
@@ -22,21 +22,15 @@ class BlackLevelDrift(Offset):
     unit_in = unit_out = DIGITAL_NUMBER
     where = "temperature_C"
     block = "mean"
-    trials = (
-        {"drift_dn_per_K": 0.1, "reference_C": 25.0},
-        {"drift_dn_per_K": -0.1, "reference_C": 25.0},
-        {"drift_dn_per_K": 0.1, "reference_C": 35.0},
-        {"drift_dn_per_K": -0.1, "reference_C": 35.0},
-    )
+    trials = tuple({"drift_dn_per_K": rate, "reference_C": at} for at in (25.0, 35.0) for rate in (0.1, -0.1))
     fitted = ("drift_dn_per_K", "reference_C")
     varies = "temperature_C"
     further = ({"bend_dn_per_K2": 0.001},)
     settles = "dark frames at the shortest exposure at three temperatures"
     drift_dn_per_K: float = parameter(  # noqa: N815
-        0.0, "DN/K", -0.0125, 0.0125, source="engineering prior; refined on a real rig", of_full_scale=True
+        0.0, "DN/K", -0.0125, 0.0125, source=PRIOR, of_full_scale=True
     )
     reference_C: float = parameter(25.0, "°C", -60.0, 120.0, source="temperature at which the stated black level holds")  # noqa: N815
-
     bend_dn_per_K2: float = parameter(  # noqa: N815
         0.0, "DN/K²", -0.00125, 0.00125, source="leakage in the black clamp grows with heat", of_full_scale=True
     )

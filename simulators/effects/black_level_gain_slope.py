@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
+from simulators.effects.base import DIGITAL_NUMBER, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Offset, gain_of
 from simulators.effects.context import ExposureContext
 
@@ -32,22 +32,16 @@ class BlackLevelGainSlope(Offset):
     block = "mean"
     trials = ({"slope_dn": 0.5}, {"slope_dn": -0.5}, {"slope_dn": 5.0})
     fitted = ("slope_dn",)
+    bends = ("bend",)
     varies = "gain_db"
     settles = "dark frames at the shortest exposure over all gains"
-    slope_dn: float = parameter(
-        0.0, "DN", -0.25, 0.25, source="engineering prior; refined on a real rig", of_full_scale=True
-    )
-
+    slope_dn: float = parameter(0.0, "DN", -0.25, 0.25, source=PRIOR, of_full_scale=True)
     from_db: float = parameter(0.0, "dB", 0.0, 100.0, source="cameras mix analog and digital gain")
-
     bend: float = parameter(0.0, "1", -1.0, 1.0, source="an amplifier's offset moves with its feedback")
 
     def offset(self, context: ExposureContext) -> Any:
         more = np.maximum(gain_of(context) / 10.0 ** (self.from_db / 20.0), 1.0) - 1.0
         return self.slope_dn * (more + self.bend * np.square(more))
-
-    def free(self) -> tuple[str, ...]:
-        return ("slope_dn", "bend") if self.bend else ("slope_dn",)
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:

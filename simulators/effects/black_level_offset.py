@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
+from simulators.effects.base import DIGITAL_NUMBER, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext
 
@@ -28,10 +28,7 @@ class BlackLevelOffset(Offset):
     fitted = ("offset_dn",)
     further = ({"tilt_x_dn": 0.02, "tilt_y_dn": 0.02},)
     settles = "dark frames at the shortest exposure at three gains"
-    offset_dn: float = parameter(
-        0.0, "DN", -1.0, 1.0, source="engineering prior; refined on a real rig", of_full_scale=True
-    )
-
+    offset_dn: float = parameter(0.0, "DN", -1.0, 1.0, source=PRIOR, of_full_scale=True)
     tilt_x_dn: float = parameter(0.0, "DN", -0.025, 0.025, source="amplifiers settle along a line", of_full_scale=True)
     tilt_y_dn: float = parameter(0.0, "DN", -0.025, 0.025, source="references sag along a frame", of_full_scale=True)
 

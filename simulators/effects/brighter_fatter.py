@@ -49,7 +49,6 @@ class BrighterFatter(KeepsMean, CatalogueEffect):
     settles = "neighbour correlation over a photon-transfer series"
     share: float = parameter(0.0, "1", 0.0, 0.1, source="at full well; below 1 % for small CMOS pixels")
     edge_fill: float = parameter(0.2, "1", 0.0, 1.0, source="fill on both sides of an edge over the brightest patch's")
-
     reach_px: float = parameter(1.0, "px", 1.0, 16.0, source="1 for the nearest borders alone; CCDs show lags of 4")
     height_x_px: float = parameter(_STARTING_PX, "px", 0.05, 3.0, source="two CCDs of 10 µm: 0.54 and 0.57")
     height_y_px: float = parameter(_STARTING_PX, "px", 0.05, 3.0, source="the same two: 0.44 and 0.47")

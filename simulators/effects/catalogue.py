@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from radiometer.data import CameraDescription
-from simulators.effects.base import ELECTRONS, KINDS_KEPT, Effect, KeepsMean, Stage, UnitSlope, parameter
+from simulators.effects.base import ELECTRONS, KINDS_KEPT, PRIOR, Effect, KeepsMean, Stage, UnitSlope, parameter
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
@@ -43,8 +43,9 @@ class CatalogueEffect(Effect):
         also: Further statistics that count as its evidence.
         trials: Sets of parameters from which the search starts, the likeliest first.
         fitted: Parameters that are fitted; the others keep their trial's value.
-        further: Sets of further parameters, with the values from which a more flexible form starts; all of them are
-            fitted where any differs from its default.
+        further: Sets of further parameters, with the values from which a more flexible form starts.
+        bends: Parameters that are fitted as well where any of them differs from its default; by default those of
+            `further`.
         varies: Setting that must differ between captures: `f_number`, `gain_db` or `temperature_C`.
         settles: The capture that separates the effect from its likenesses, as advice to the user.
         essential: Parameters without which it is not this effect, however well the others fit.
@@ -75,6 +76,7 @@ class CatalogueEffect(Effect):
     trials: ClassVar[tuple[Mapping[str, float], ...]]
     fitted: ClassVar[tuple[str, ...]]
     further: ClassVar[tuple[Mapping[str, float], ...]] = ()
+    bends: ClassVar[tuple[str, ...]] = ()
     varies: ClassVar[str] = ""
     settles: ClassVar[str] = ""
     essential: ClassVar[tuple[str, ...]] = ()
@@ -109,6 +111,11 @@ class CatalogueEffect(Effect):
         return self.with_parameters(
             **{self.heated: float(np.clip(size, bounds.low, bounds.high)), "reference_C": there_c}
         )
+
+    def warmed(self, context: ExposureContext) -> Any:
+        """Return by what factor a leak that is `heated` is larger than at the temperature that it is stated at."""
+        known: Any = self
+        return 2.0 ** (warmer_k(context, known.reference_C) / known.doubling_K)
 
     def resized(self, factor: float, about: float = 0.0) -> Self:
         """Return the effect with its first fitted parameter's distance from a value times a factor, within bounds."""
@@ -183,22 +190,17 @@ class CatalogueEffect(Effect):
         they share them: a parameter that was fitted and is then fixed would cost nothing.
         """
         if self.further:
-            return () if self.has_further else tuple(self.with_parameters(**form) for form in self.further)
+            is_plain = self.free() == self.fitted
+            return tuple(self.with_parameters(**form) for form in self.further) if is_plain else ()
         more = (cover for cover in self.covers(context) if len(cover.free()) > len(self.free()))
         shared = ((cover, (name for name in self.free() if "[" not in name and name in cover.free())) for cover in more)
         return tuple(cover.with_parameters(**{name: getattr(self, name) for name in names}) for cover, names in shared)
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit; `name[2]` is the third entry of a table."""
-        return (*self.fitted, *self.further[0]) if self.has_further else self.fitted
-
-    @property
-    def has_further(self) -> bool:
-        """Tell whether any of its further parameters differs from its default."""
-        if not self.further:
-            return False
-        started = self.further[0]
-        return any(known.name in started and getattr(self, known.name) != known.default for known in self.parameters())
+        bends = self.bends or (tuple(self.further[0]) if self.further else ())
+        is_bent = any(known.name in bends and getattr(self, known.name) != known.default for known in self.parameters())
+        return (*self.fitted, *bends) if is_bent else self.fitted
 
     def joined(self, other: CatalogueEffect) -> CatalogueEffect:
         """Return one effect that does what this and another of its kind do.
@@ -292,7 +294,7 @@ class FixedOffsets(KeepsMean, CatalogueEffect):
     fitted = ("sigma_e",)
     settles = "an average of many dark frames"
     lines: ClassVar[Literal["", "row", "column"]] = ""
-    sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="engineering prior; refined on a real rig")
+    sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source=PRIOR)
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         rows, columns = signal.shape

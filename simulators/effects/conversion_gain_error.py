@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import cast
 
 from radiometer.data import CameraDescription
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, PRIOR, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
@@ -37,7 +37,7 @@ class ConversionGainError(CatalogueEffect):
     )
     fitted = ("error_rel",)
     settles = "a photon-transfer series over 1.5 decades of signal"
-    error_rel: float = parameter(0.0, "1", -0.5, 2.0, source="engineering prior; refined on a real rig")
+    error_rel: float = parameter(0.0, "1", -0.5, 2.0, source=PRIOR)
     read_share: float = parameter(
         1.0, "1", 0.0, 1.0, source="1 where the read noise is stated in electrons, 0 where in DN"
     )

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
+from simulators.effects.base import ELECTRONS, PRIOR, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.pixel_mixing import exchange_between_neighbours, exchange_moments
@@ -31,9 +31,9 @@ class Crosstalk(KeepsMean, CatalogueEffect):
     block = "neighbour"
     trials = ({"share": 0.005}, {"share": 0.02})
     fitted = ("share",)
+    bends = ("further_down",)
     settles = "neighbour correlation at low and at high signal"
-    share: float = parameter(0.0, "1", 0.0, 0.2, source="engineering prior; refined on a real rig")
-
+    share: float = parameter(0.0, "1", 0.0, 0.2, source=PRIOR)
     further_down: float = parameter(0.0, "1", -0.1, 0.1, source="pixels and their wiring are not square")
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
@@ -46,6 +46,3 @@ class Crosstalk(KeepsMean, CatalogueEffect):
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return the exchange that differs between rows and columns."""
         return () if self.further_down else (self.with_parameters(further_down=self.share / 10.0),)
-
-    def free(self) -> tuple[str, ...]:
-        return ("share", "further_down") if self.further_down else ("share",)

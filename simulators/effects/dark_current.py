@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
-from simulators.effects.catalogue import Offset, warmer_k
+from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext
 
 
@@ -27,11 +27,7 @@ class DarkCurrent(Offset):
     where = "exposure_s"
     law_along = ("temperature_C",)  # what does not grow in proportion to the exposure is no current
     block = "mean"
-    trials = (
-        {"rate_e_per_s": 1.0, "doubling_K": 7.0},
-        {"rate_e_per_s": 10.0, "doubling_K": 7.0},
-        {"rate_e_per_s": 100.0, "doubling_K": 7.0},
-    )
+    trials = tuple({"rate_e_per_s": rate, "doubling_K": 7.0} for rate in (1.0, 10.0, 100.0))
     fitted = ("rate_e_per_s", "doubling_K")
     heated = "rate_e_per_s"
     settles = "dark frames from the shortest to the longest exposure at three temperatures"
@@ -49,5 +45,4 @@ class DarkCurrent(Offset):
 
     def electrons(self, context: ExposureContext) -> Any:
         """Return the expected thermal electrons per (binned) pixel."""
-        rate = self.rate_e_per_s * 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
-        return rate * context.settings.exposure_s * context.geometry.binning**2
+        return self.rate_e_per_s * self.warmed(context) * context.settings.exposure_s * context.geometry.binning**2

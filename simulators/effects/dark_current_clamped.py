@@ -7,8 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, UnitSlope, parameter
-from simulators.effects.catalogue import CatalogueEffect, warmer_k
+from simulators.effects.base import ELECTRONS, PRIOR, Stage, UnitSlope, parameter
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
 
@@ -33,10 +33,9 @@ class DarkCurrentClamped(UnitSlope, CatalogueEffect):
     further = ({"left_share": 0.01},)
     heated = "rate_e_per_s"
     settles = "dark frames from the shortest to the longest exposure"
-    rate_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 1000000.0, source="engineering prior; refined on a real rig")
+    rate_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 1000000.0, source=PRIOR)
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the rate holds at")  # noqa: N815
     doubling_K: float = parameter(7.0, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
-
     left_share: float = parameter(0.0, "1", -0.5, 0.9, source="masked rows are not quite as warm as the others")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
@@ -54,5 +53,4 @@ class DarkCurrentClamped(UnitSlope, CatalogueEffect):
 
     def electrons(self, context: ExposureContext) -> Any:
         """Return the thermal electrons that the sensor subtracts again."""
-        warmer = 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
-        return self.rate_e_per_s * warmer * context.settings.exposure_s
+        return self.rate_e_per_s * self.warmed(context) * context.settings.exposure_s

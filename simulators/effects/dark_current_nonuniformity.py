@@ -10,8 +10,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from simulators.chain.unsteady_pixels import share_unsteady
-from simulators.effects.base import ELECTRONS, Stage, UnitSlope, parameter
-from simulators.effects.catalogue import CatalogueEffect, dark_exposures_vary, dark_temperatures_c, warmer_k
+from simulators.effects.base import ELECTRONS, PRIOR, Stage, UnitSlope, parameter
+from simulators.effects.catalogue import CatalogueEffect, dark_exposures_vary, dark_temperatures_c
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
@@ -56,11 +56,10 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
     fitted = ("sigma_e_per_s", "shape")
     heated = "sigma_e_per_s"
     settles = "dark frames at two long exposures"
-    sigma_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 100000.0, source="engineering prior; refined on a real rig")
+    sigma_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 100000.0, source=PRIOR)
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the figure holds at")  # noqa: N815
     doubling_K: float = parameter(_USUAL_DOUBLING_K, "K", 2.0, 30.0, source="silicon: 4.5 to 8 K")  # noqa: N815
     shape: float = parameter(0.5, "1", 0.05, 1.2, source="standard deviation of the leak's logarithm; CMOS: 0.3 to 0.8")
-
     rise_x: float = parameter(0.0, "1", -10.0, 10.0, source="shares of the pattern; 0.05 in a KAF-1001E")
     rise_y: float = parameter(0.0, "1", -10.0, 10.0, source="the same from top to bottom")
     bend_x: float = parameter(0.0, "1", -10.0, 10.0, source="the same from the middle to both sides")
@@ -192,5 +191,4 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
 
     def electrons(self, context: ExposureContext) -> Any:
         """Return the pattern's standard deviation in electrons."""
-        warmer = 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
-        return self.sigma_e_per_s * warmer * context.settings.exposure_s
+        return self.sigma_e_per_s * self.warmed(context) * context.settings.exposure_s

@@ -28,16 +28,12 @@ class Defocus(UnitSlope, CatalogueEffect):
     unit_in = unit_out = IRRADIANCE
     where = "f_number"
     block = "edge"
-    trials = (
-        {"sigma_f1_px": 1.0}, {"sigma_f1_px": 0.6}, {"sigma_f1_px": 0.8}, {"sigma_f1_px": 1.4}, {"sigma_f1_px": 2.0},
-        {"sigma_f1_px": 3.0}, {"sigma_f1_px": 6.0},
-    )  # fmt: skip
+    trials = tuple({"sigma_f1_px": sigma} for sigma in (1.0, 0.6, 0.8, 1.4, 2.0, 3.0, 6.0))
     fitted = ("sigma_f1_px",)
     varies = "f_number"
     further = ({"evenness": 0.5},)
     settles = "an edge at several f-numbers"
     sigma_f1_px: float = parameter(0.0, "px", 0.0, 200.0, source="standard deviation that f/1 would have")
-
     evenness: float = parameter(0.0, "1", 0.0, 1.0, source="0 a Gaussian, 1 the disc of geometrical optics")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:

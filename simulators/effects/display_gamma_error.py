@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from simulators.effects.base import RADIANCE, Stage, parameter
+from simulators.effects.base import PRIOR, RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -30,9 +30,10 @@ class DisplayGammaError(Scaling):
     block = "mean"
     trials = ({"exponent": 0.01}, {"exponent": -0.01}, {"exponent": 0.1})
     fitted = ("exponent",)
+    bends = ("bend",)
     settles = "the same patches at another exposure"
     essential = ("exponent",)  # a bend alone is no power
-    exponent: float = parameter(0.0, "1", -3.0, 3.0, source="engineering prior; refined on a real rig")
+    exponent: float = parameter(0.0, "1", -3.0, 3.0, source=PRIOR)
     bend: float = parameter(0.0, "1", -0.5, 0.5, source="change of the exponent per ln(level)")
 
     def factor(self, context: ExposureContext) -> Any:
@@ -45,6 +46,3 @@ class DisplayGammaError(Scaling):
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return the form whose exponent changes with the level."""
         return (cls(0.01, 0.001),)
-
-    def free(self) -> tuple[str, ...]:
-        return ("exponent", "bend") if self.bend else ("exponent",)

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from simulators.effects.base import RADIANCE, Stage, parameter
+from simulators.effects.base import PRIOR, RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -30,11 +30,11 @@ class DisplayNonuniformity(Scaling):
     trials = ({"a": 0.02}, {"b": 0.02}, {"c": 0.02}, {"d": 0.02}, {"e": 0.02})
     fitted = ("a", "b", "c", "d", "e")
     settles = "the screen turned or shifted against the camera"
-    a: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")
-    b: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")
-    c: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")
-    d: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")
-    e: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")
+    a: float = parameter(0.0, "1", -2.0, 2.0, source=PRIOR)
+    b: float = parameter(0.0, "1", -2.0, 2.0, source=PRIOR)
+    c: float = parameter(0.0, "1", -2.0, 2.0, source=PRIOR)
+    d: float = parameter(0.0, "1", -2.0, 2.0, source=PRIOR)
+    e: float = parameter(0.0, "1", -2.0, 2.0, source=PRIOR)
     cubic: tuple[float, ...] = parameter((), "1", -2.0, 2.0, source="lamps of a backlight show as a slow wave")
     quartic: tuple[float, ...] = parameter((), "1", -2.0, 2.0, source="the same")
 

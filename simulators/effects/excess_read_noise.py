@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
+from simulators.effects.base import ELECTRONS, PRIOR, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
@@ -28,7 +28,7 @@ class ExcessReadNoise(KeepsMean, CatalogueEffect):
     trials = ({"excess_e": 1.0}, {"excess_e": 4.0})
     fitted = ("excess_e",)
     settles = "dark frames at the lowest and highest gain"
-    excess_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="engineering prior; refined on a real rig")
+    excess_e: float = parameter(0.0, "e-", 0.0, 1000.0, source=PRIOR)
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         return cast(Signal, signal + self.excess_e * rng.standard_normal(signal.shape, dtype=np.float32))

@@ -38,7 +38,6 @@ class ExposureLabelError(Scaling):
     settles = "neighbouring exposures, or the EXIF record"
     label_s: float = parameter(1.0, "s", 1e-09, 100000.0, source="the printed exposure time")
     ratio: float = parameter(1.0, "1", 0.001, 1000.0, source="real over printed")
-
     from_s: float = parameter(-_ALWAYS_S, "s", -_ALWAYS_S, _ALWAYS_S, source="time from which the label is wrong")
     to_s: float = parameter(_ALWAYS_S, "s", -_ALWAYS_S, _ALWAYS_S, source="time to which it is")
     further_s: tuple[float, ...] = parameter((), "s", 1e-09, 100000.0, source="further printed times that are wrong")

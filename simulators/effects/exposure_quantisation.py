@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.base import EXPOSURE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -34,7 +34,7 @@ class ExposureQuantisation(Scaling):
     trials = tuple({"quantum_s": float(q), "rounding": r} for r in (0.0, 0.5, 1.0) for q in _LINE_TIMES_S)
     fitted = ()
     settles = "four exposures within one line time of each other"
-    quantum_s: float = parameter(1e-09, "s", 1e-09, 0.01, source="engineering prior; refined on a real rig")
+    quantum_s: float = parameter(1e-09, "s", 1e-09, 0.01, source=PRIOR)
     rounding: float = parameter(0.0, "1", 0.0, 1.0, source="0 down, 0.5 nearest, 1 up")
 
     profiled = "quantum_s"

@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.base import EXPOSURE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -28,16 +28,11 @@ class ExposureTimeOffset(Scaling):
     unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
-    trials = (
-        {"offset_s": 2e-06},
-        {"offset_s": 1e-05},
-        {"offset_s": -2e-06},
-        {"offset_s": -1e-05},
-        {"offset_s": 0.0001},
-    )
+    trials = tuple({"offset_s": offset} for offset in (2e-06, 1e-05, -2e-06, -1e-05, 0.0001))
     fitted = ("offset_s",)
+    bends = ("further_s",)
     settles = "exposures down to ten times the offset at one source level"
-    offset_s: float = parameter(0.0, "s", -0.1, 0.1, source="engineering prior; refined on a real rig")
+    offset_s: float = parameter(0.0, "s", -0.1, 0.1, source=PRIOR)
     further_s: float = parameter(0.0, "s", -0.1, 0.1, source="change of the offset above a gain")
     above_db: float = parameter(0.0, "dB", -20.0, 100.0, source="that gain; between two of those in use")
 
@@ -55,6 +50,3 @@ class ExposureTimeOffset(Scaling):
             return ()
         between = (gains[1:] + gains[:-1]) / 2.0
         return tuple(self.with_parameters(further_s=self.offset_s / 10.0, above_db=g) for g in between.tolist())
-
-    def free(self) -> tuple[str, ...]:
-        return ("offset_s", "further_s") if self.further_s else ("offset_s",)

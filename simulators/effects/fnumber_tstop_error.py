@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -31,7 +31,7 @@ class FnumberTstopError(Scaling):
     fitted = ("error_per_stop",)
     varies = "f_number"
     settles = "pairs of f-numbers at one exposure"
-    error_per_stop: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
+    error_per_stop: float = parameter(0.0, "1", -0.5, 0.5, source=PRIOR)
     curvature: float = parameter(0.0, "1", -0.2, 0.2, source="change of the error from stop to stop")
     f_numbers: tuple[float, ...] = parameter((), "1", 0.1, 1000.0, source="f-numbers at which the table holds an error")
     errors_rel: tuple[float, ...] = parameter((), "1", -0.9, 3.0, source="relative error at these f-numbers")

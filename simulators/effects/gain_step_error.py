@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
+from simulators.effects.base import DIGITAL_NUMBER, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -31,7 +31,7 @@ class GainStepError(Scaling):
     fitted = ("error_rel",)
     varies = "gain_db"
     settles = "every gain step at two light levels, twice each"
-    error_rel: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
+    error_rel: float = parameter(0.0, "1", -0.5, 0.5, source=PRIOR)
     gains_db: tuple[float, ...] = parameter((), "dB", -20.0, 100.0, source="gains at which the table holds an error")
     errors_rel: tuple[float, ...] = parameter((), "1", -0.5, 0.5, source="relative error at these gains")
 

@@ -8,7 +8,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from simulators.chain.bent_normal import bent_normal
-from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
+from simulators.effects.base import DIGITAL_NUMBER, PRIOR, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
@@ -41,8 +41,7 @@ class GammaEnabled(CatalogueEffect):
     fitted = ("gamma",)
     further = tuple({"toe": toe} for toe in (0.03, 0.08, 0.2))
     settles = "the same digital number reached at two gains"
-    gamma: float = parameter(1.0, "1", 0.2, 5.0, source="engineering prior; refined on a real rig")
-
+    gamma: float = parameter(1.0, "1", 0.2, 5.0, source=PRIOR)
     toe: float = parameter(0.0, "1", 0.0, 0.9, source="Rec. 709: 0.018, sRGB: 0.0031; 0 for none")
 
     above_black: float = parameter(0.0, "1", 0.0, 1.0, source="1 where the black level is added after the curve")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
-from simulators.effects.base import IRRADIANCE, Stage, UnitSlope, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.surroundings import surroundings_of
@@ -27,7 +27,7 @@ class Ghost(UnitSlope, CatalogueEffect):
     fitted = ("share",)
     further = ({"blur": 0.03},)
     settles = "one bright patch moved across the picture"
-    share: float = parameter(0.0, "1", -0.02, 0.3, source="engineering prior; refined on a real rig")
+    share: float = parameter(0.0, "1", -0.02, 0.3, source=PRIOR)
     blur: float = parameter(0.0, "1", 0.0, 0.3, source="σ over the longer side: ghosts are seldom in focus")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:

@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 
 from simulators.chain.unsteady_pixels import EXPONENTIAL, EXPONENTIAL_SHARES, share_unsteady
-from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, gain_of, warmer_k, well_e
+from simulators.effects.base import ELECTRONS, PRIOR, KeepsMean, Stage, parameter
+from simulators.effects.catalogue import CatalogueEffect, gain_of, well_e
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
@@ -35,7 +35,7 @@ class HotPixels(KeepsMean, CatalogueEffect):
     fitted = ("share", "rate_e_per_s")
     heated = "rate_e_per_s"
     settles = "dark frames at the longest exposure, warm"
-    share: float = parameter(0.0, "1", 0.0, 0.2, source="engineering prior; refined on a real rig")
+    share: float = parameter(0.0, "1", 0.0, 0.2, source=PRIOR)
     rate_e_per_s: float = parameter(300.0, "e- s-1", 1.0, 10000000.0, source="mean rate of a hot pixel")
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the rate holds at")  # noqa: N815
     doubling_K: float = parameter(7.0, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
@@ -48,8 +48,7 @@ class HotPixels(KeepsMean, CatalogueEffect):
 
     def electrons(self, context: ExposureContext) -> Any:
         """Return the mean thermal electrons of a hot pixel."""
-        warmer = 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
-        return self.rate_e_per_s * warmer * context.settings.exposure_s
+        return self.rate_e_per_s * self.warmed(context) * context.settings.exposure_s
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the numbers of pixels that stand out (by 6 sigmas of a time mean), or are unsteady.

@@ -7,7 +7,7 @@ from typing import Any, Final, Self, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, UnitSlope, parameter
+from simulators.effects.base import ELECTRONS, PRIOR, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
@@ -42,7 +42,7 @@ class ImageLag(UnitSlope, CatalogueEffect):
     fitted = ("share",)
     looks_back = True
     settles = "a bright capture followed at once by dark frames"
-    share: float = parameter(0.0, "1", -0.2, 0.2, source="engineering prior; refined on a real rig")
+    share: float = parameter(0.0, "1", -0.2, 0.2, source=PRIOR)
     older_share: float = parameter(0.0, "1", -0.1, 0.1, source="traps empty over several frames")
     fullness_per_e: float = parameter(0.0, "e-1", 0.0, 10.0, source="1 over the electrons that the traps hold")
     power: float = parameter(1.0, "1", 0.2, 2.0, source="traps of many depths: below 1")

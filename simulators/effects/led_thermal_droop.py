@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from simulators.effects.base import RADIANCE, Stage, parameter
+from simulators.effects.base import PRIOR, RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -31,9 +31,8 @@ class LedThermalDroop(Scaling):
     trials = ({"droop_rel": 0.02, "curvature_rel": 0.0}, {"droop_rel": -0.02, "curvature_rel": 0.0})
     fitted = ("droop_rel",)
     settles = "several source levels at one exposure"
-    droop_rel: float = parameter(0.0, "1", -0.9, 0.9, source="engineering prior; refined on a real rig")
-    curvature_rel: float = parameter(0.0, "1", -0.9, 0.9, source="engineering prior; refined on a real rig")
-
+    droop_rel: float = parameter(0.0, "1", -0.9, 0.9, source=PRIOR)
+    curvature_rel: float = parameter(0.0, "1", -0.9, 0.9, source=PRIOR)
     bend_rel: float = parameter(0.0, "1", -0.9, 0.9, source="heat that is led off well until some drive")
     levels: tuple[float, ...] = parameter((), "1", 1e-9, 1e3, source="drives at which the table holds an error")
     errors_rel: tuple[float, ...] = parameter((), "1", -0.9, 3.0, source="relative error at these drives")

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from simulators.effects.base import IRRADIANCE, RADIANCE, Effect, Stage, parameter
+from simulators.effects.base import IRRADIANCE, RADIANCE, Proportional, Stage, parameter
 from simulators.effects.context import ExposureContext, Signal
 
 
 @dataclass(frozen=True)
-class Lens(Effect):
+class Lens(Proportional):
     """Images a scene onto the sensor: E = π·τ·L·cos⁴α / (4·N²·(1 + m/p)²).
 
     N is the frame's f-number. With `cos4` 0 the fall-off is left out (a lens corrected for it, or a base model
@@ -31,10 +31,6 @@ class Lens(Effect):
     pupil_magnification: float = parameter(1.0, "1", 0.1, 10.0, source="1 is a symmetric lens")
     focal_length_mm: float = parameter(16.0, "mm", 0.5, 5000.0, source="engraved on the lens; sets the field angle")
     cos4: float = parameter(0.0, "1", 0.0, 1.0, source="1 for the natural fall-off, 0 for none")
-
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return irradiance in W·m⁻² for radiance in W·sr⁻¹·m⁻²."""
-        return signal * self.slope(signal, context)
 
     def slope(self, signal: Signal, context: ExposureContext) -> Signal | float:
         """Return irradiance per radiance in sr. Raises ConfigurationError where the f-number is unknown."""

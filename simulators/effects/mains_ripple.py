@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from simulators.effects.base import parameter
+from simulators.effects.base import PRIOR, parameter
 from simulators.effects.flicker import Flicker
 
 
@@ -21,5 +21,5 @@ class MainsRipple(Flicker):
     trials = ({"modulation": 0.02, "frequency_hz": 100.0}, {"modulation": 0.02, "frequency_hz": 120.0})
     fitted = ("modulation",)
     settles = "exposures of 9, 10 and 11 ms"
-    modulation: float = parameter(0.0, "1", 0.0, 3.0, source="engineering prior; refined on a real rig")
+    modulation: float = parameter(0.0, "1", 0.0, 3.0, source=PRIOR)
     frequency_hz: float = parameter(100.0, "Hz", 20.0, 1000.0, source="100 or 120 Hz")

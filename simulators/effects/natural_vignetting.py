@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -33,9 +33,8 @@ class NaturalVignetting(Scaling):
     fitted = ("strength", "k4")
     settles = "the screen turned or shifted against the camera"
     essential = ("strength",)  # every lens has it; a fall-off towards the corners alone is cut off, not oblique
-    strength: float = parameter(0.0, "1", -0.3, 3.0, source="engineering prior; refined on a real rig")
-    k4: float = parameter(0.0, "1", -1.0, 1.0, source="engineering prior; refined on a real rig")
-
+    strength: float = parameter(0.0, "1", -0.3, 3.0, source=PRIOR)
+    k4: float = parameter(0.0, "1", -1.0, 1.0, source=PRIOR)
     axis_x: float = parameter(0.0, "1", -0.5, 0.5, source="lenses sit off the sensor's middle by up to a tenth")
     axis_y: float = parameter(0.0, "1", -0.5, 0.5, source="the same downwards")
 

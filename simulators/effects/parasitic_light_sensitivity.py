@@ -32,7 +32,6 @@ class ParasiticLightSensitivity(Scaling):
     further = ({"row_power": 1.05},)
     settles = "the gradient along image_y at the shortest exposure"
     leak_s: float = parameter(0.0, "s", 0.0, 0.01, source="1/PLS × readout time: 1/10000 × 10 ms = 1 µs")
-
     row_power: float = parameter(1.0, "1", 0.2, 5.0, source="shading of the storage nodes; 1 for none")
 
     def factor(self, context: ExposureContext) -> Any:

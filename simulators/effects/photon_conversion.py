@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from radiometer.errors import ConfigurationError
 from radiometer.units import photon_energy_j
-from simulators.effects.base import EXPOSURE, PHOTONS, Effect, Stage, parameter
+from simulators.effects.base import EXPOSURE, PHOTONS, Proportional, Stage, parameter
 from simulators.effects.context import ExposureContext, Signal
 
 
 @dataclass(frozen=True)
-class PhotonConversion(Effect):
+class PhotonConversion(Proportional):
     """Counts photons on the pixel's area: μ_p = H·A·λ/(h·c).
 
     Source: EMVA Standard 1288, release 4.0, equation (3).
@@ -22,9 +22,6 @@ class PhotonConversion(Effect):
     unit_in = EXPOSURE
     unit_out = PHOTONS
     fill_factor: float = parameter(1.0, "1", 0.01, 1.0, source="EMVA 1288 counts photons on the whole pixel area")
-
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        return signal * self.slope(signal, context)
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return photons per J·m⁻². Raises ConfigurationError where the pixel size is unknown."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -27,7 +27,7 @@ class Polarisation(Scaling):
     trials = ({"strength": 0.02, "axis_rad": 0.0}, {"strength": 0.02, "axis_rad": 0.8})
     fitted = ("strength", "axis_rad")
     settles = "the camera turned by 45 and by 90 degrees"
-    strength: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
+    strength: float = parameter(0.0, "1", -0.5, 0.5, source=PRIOR)
     axis_rad: float = parameter(0.0, "rad", -3.2, 3.2, source="angle of the largest response")
 
     def factor(self, context: ExposureContext) -> Any:

@@ -7,7 +7,7 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
+from simulators.effects.base import ELECTRONS, PRIOR, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
@@ -29,7 +29,7 @@ class Prnu(KeepsMean, CatalogueEffect):
     trials = ({"sigma_rel": 0.005}, {"sigma_rel": 0.02})
     fitted = ("sigma_rel",)
     settles = "an average of many bright frames of an even field"
-    sigma_rel: float = parameter(0.0, "1", 0.0, 0.5, source="engineering prior; refined on a real rig")
+    sigma_rel: float = parameter(0.0, "1", 0.0, 0.5, source=PRIOR)
 
     proportional: ClassVar[bool] = True  # the pattern grows with the light
 

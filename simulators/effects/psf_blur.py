@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, UnitSlope, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.pixel_mixing import blur_edge_share, blur_image
@@ -25,13 +25,10 @@ class PsfBlur(UnitSlope, CatalogueEffect):
     unit_in = unit_out = IRRADIANCE
     where = "image_x"
     block = "edge"
-    trials = (
-        {"sigma_px": 0.25}, {"sigma_px": 0.3}, {"sigma_px": 0.35}, {"sigma_px": 0.42}, {"sigma_px": 0.5},
-        {"sigma_px": 0.7}, {"sigma_px": 1.0},
-    )  # fmt: skip
+    trials = tuple({"sigma_px": sigma} for sigma in (0.25, 0.3, 0.35, 0.42, 0.5, 0.7, 1.0))
     fitted = ("sigma_px",)
     settles = "an edge at several f-numbers"
-    sigma_px: float = parameter(0.0, "px", 0.0, 50.0, source="engineering prior; refined on a real rig")
+    sigma_px: float = parameter(0.0, "px", 0.0, 50.0, source=PRIOR)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the blurred picture; tiles keep their distance from edges and stay as they are."""

@@ -7,7 +7,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from simulators.effects.base import parameter
+from simulators.effects.base import PRIOR, parameter
 from simulators.effects.context import ExposureContext
 from simulators.effects.flicker import Flicker
 
@@ -31,8 +31,8 @@ class PwmFlicker(Flicker):
     )
     fitted = ("modulation", "frequency_hz")
     settles = "many frames at the shortest exposures"
-    modulation: float = parameter(0.0, "1", 0.0, 3.0, source="engineering prior; refined on a real rig")
-    frequency_hz: float = parameter(200.0, "Hz", 20.0, 100000.0, source="engineering prior; refined on a real rig")
+    modulation: float = parameter(0.0, "1", 0.0, 3.0, source=PRIOR)
+    frequency_hz: float = parameter(200.0, "Hz", 20.0, 100000.0, source=PRIOR)
     duty: float = parameter(0.0, "1", 0.0, 0.95, source="0 for a sine")
 
     def between(self) -> tuple[Self, ...]:

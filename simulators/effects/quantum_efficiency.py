@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from simulators.effects.base import ELECTRONS, PHOTONS, Effect, Stage, parameter
+from simulators.effects.base import ELECTRONS, PHOTONS, Proportional, Stage, parameter
 from simulators.effects.context import ExposureContext, Signal
 
 
 @dataclass(frozen=True)
-class QuantumEfficiency(Effect):
+class QuantumEfficiency(Proportional):
     """Turns photons into electrons: μ_e = η·μ_p.
 
     The random part is in `shot_noise`: a binomial choice among Poisson photons is again Poisson.
@@ -22,9 +22,6 @@ class QuantumEfficiency(Effect):
     unit_in = PHOTONS
     unit_out = ELECTRONS
     quantum_efficiency: float = parameter(0.6, "1", 0.001, 1.0, source="datasheet, at the effective wavelength")
-
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        return signal * self.quantum_efficiency
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         return self.quantum_efficiency

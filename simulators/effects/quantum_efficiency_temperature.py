@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from simulators.effects.base import PHOTONS, Stage, parameter
+from simulators.effects.base import PHOTONS, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling, warmer_k
 from simulators.effects.context import ExposureContext
 
@@ -28,8 +28,7 @@ class QuantumEfficiencyTemperature(Scaling):
     varies = "temperature_C"
     further = ({"bend_per_K2": 1e-5},)
     settles = "lit captures at three temperatures in random order"
-    coefficient_per_K: float = parameter(0.0, "1/K", -0.02, 0.02, source="engineering prior; refined on a real rig")  # noqa: N815
-
+    coefficient_per_K: float = parameter(0.0, "1/K", -0.02, 0.02, source=PRIOR)  # noqa: N815
     bend_per_K2: float = parameter(0.0, "1/K²", -1e-3, 1e-3, source="the band edge moves with temperature")  # noqa: N815
 
     def factor(self, context: ExposureContext) -> Any:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
-from simulators.effects.catalogue import Offset, warmer_k
+from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext
 
 
@@ -28,12 +28,7 @@ class ReadoutDarkCharge(Offset):
     where = "image_y"
     block = "mean"
     also = ("slope",)
-    trials = (
-        {"charge_e": 3.0},
-        {"charge_e": 30.0},
-        {"charge_e": 3.0, "from_below": 1.0},
-        {"charge_e": 30.0, "from_below": 1.0},
-    )
+    trials = tuple({"charge_e": charge, "from_below": below} for below in (0.0, 1.0) for charge in (3.0, 30.0))
     fitted = ("charge_e", "doubling_K")
     further = ({"wait_share": 0.5},)
     heated = "charge_e"
@@ -50,9 +45,7 @@ class ReadoutDarkCharge(Offset):
         """Return the thermal electrons that gather in a row until it is read."""
         down = context.geometry.row_fraction()
         waited = 1.0 - down if self.from_below else down
-        return (
-            self.charge_e * 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K) * (waited + self.wait_share)
-        )
+        return self.charge_e * self.warmed(context) * (waited + self.wait_share)
 
     @property
     def drifts(self) -> bool:

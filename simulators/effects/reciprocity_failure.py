@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.base import EXPOSURE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -31,8 +31,9 @@ class ReciprocityFailure(Scaling):
     prior_reason = "silicon counts photons: nothing of the kind is expected of it"
     trials = ({"exponent": 0.005}, {"exponent": -0.005})
     fitted = ("exponent",)
+    bends = ("threshold_s",)
     settles = "one signal reached by exposure and by source level"
-    exponent: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
+    exponent: float = parameter(0.0, "1", -0.5, 0.5, source=PRIOR)
     threshold_s: float = parameter(_NO_THRESHOLD_S, "s", 1e-6, _NO_THRESHOLD_S, source="none by default")
 
     def factor(self, context: ExposureContext) -> Any:
@@ -45,6 +46,3 @@ class ReciprocityFailure(Scaling):
         if times.size < _FEWEST_EXPOSURES:
             return ()
         return tuple(cls(p, float(np.quantile(times, q))) for q in (0.3, 0.5, 0.7) for p in (0.005, -0.005))
-
-    def free(self) -> tuple[str, ...]:
-        return ("exponent", "threshold_s") if self.threshold_s < _NO_THRESHOLD_S else ("exponent",)

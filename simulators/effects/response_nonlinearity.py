@@ -7,7 +7,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, PRIOR, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, well_e
 from simulators.effects.context import ExposureContext, Signal
 
@@ -32,8 +32,8 @@ class ResponseNonlinearity(CatalogueEffect):
     trials = ({"a2": 0.01, "a3": 0.0}, {"a2": -0.01, "a3": 0.0}, {"a2": 0.0, "a3": 0.01}, {"a2": 0.0, "a3": -0.01})
     fitted = ("a2", "a3")
     settles = "one signal reached by different pairs of exposure and source level"
-    a2: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
-    a3: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
+    a2: float = parameter(0.0, "1", -0.5, 0.5, source=PRIOR)
+    a3: float = parameter(0.0, "1", -0.5, 0.5, source=PRIOR)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         well = well_e(context)

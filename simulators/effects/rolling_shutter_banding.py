@@ -7,7 +7,7 @@ from typing import Final, Self, cast
 
 import numpy as np
 
-from simulators.effects.base import RADIANCE, KeepsMean, Stage, parameter
+from simulators.effects.base import PRIOR, RADIANCE, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
@@ -41,8 +41,8 @@ class RollingShutterBanding(KeepsMean, CatalogueEffect):
     fitted = ("modulation", "frequency_hz", "row_time_s")
     settles = "frames at the shortest exposure in rolling mode"
     essential = ("row_time_s",)  # without it whole frames flicker, whatever shakes them
-    modulation: float = parameter(0.0, "1", 0.0, 3.0, source="engineering prior; refined on a real rig")
-    frequency_hz: float = parameter(100.0, "Hz", 20.0, 100000.0, source="engineering prior; refined on a real rig")
+    modulation: float = parameter(0.0, "1", 0.0, 3.0, source=PRIOR)
+    frequency_hz: float = parameter(100.0, "Hz", 20.0, 100000.0, source=PRIOR)
     row_time_s: float = parameter(2e-05, "s", 1e-07, 0.01, source="time from one row to the next")
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
+from simulators.effects.base import ELECTRONS, PRIOR, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
@@ -29,7 +29,7 @@ class RowTemporalNoise(KeepsMean, CatalogueEffect):
     trials = ({"sigma_e": 0.3}, {"sigma_e": 1.0})
     fitted = ("sigma_e",)
     settles = "many dark frames at the highest gain"
-    sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="engineering prior; refined on a real rig")
+    sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source=PRIOR)
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         rows = rng.standard_normal((signal.shape[0], 1), dtype=np.float32)

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.base import EXPOSURE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
@@ -33,8 +33,7 @@ class ShutterDeadTime(CatalogueEffect):
     fitted = ("dead_time_s",)
     further = ({"growth": 0.05},)
     settles = "single triggered frames and runs of frames at the shortest exposure"
-    dead_time_s: float = parameter(0.0, "s", -0.01, 0.01, source="engineering prior; refined on a real rig")
-
+    dead_time_s: float = parameter(0.0, "s", -0.01, 0.01, source=PRIOR)
     growth: float = parameter(0.0, "1", -1.0, 1.0, source="buffers fill up along a run")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:

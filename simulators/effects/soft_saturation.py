@@ -33,20 +33,15 @@ class SoftSaturation(CatalogueEffect):
     log_prior_odds = -3.0
     prior_reason = "its knees take fourteen forms"
     trials = (
-        {"knee": 0.8, "ceiling": 1.0, "hardness": 1.0},
-        {"knee": 0.8, "ceiling": 1.0, "hardness": 2.0},
-        {"knee": 0.7, "ceiling": 1.0, "hardness": 1.0},
-        {"knee": 0.7, "ceiling": 1.0, "hardness": 2.0},
-        {"knee": 0.6, "ceiling": 1.0, "hardness": 1.0},
-        {"knee": 0.6, "ceiling": 1.0, "hardness": 2.0},
-        {"knee": 0.6, "ceiling": 0.8, "hardness": 1.0},
-        {"knee": 0.6, "ceiling": 0.8, "hardness": 2.0},
-        {"knee": 0.85, "ceiling": 1.05, "hardness": 1.0},
-        {"knee": 0.85, "ceiling": 1.05, "hardness": 2.0},
-        {"knee": 0.8, "ceiling": 1.2, "charging": 1.0},
-        {"knee": 0.7, "ceiling": 1.2, "charging": 1.0},
-        {"knee": 0.6, "ceiling": 1.2, "charging": 1.0},
-        {"knee": 0.6, "ceiling": 2.0, "charging": 1.0},
+        *(
+            {"knee": knee, "ceiling": ceiling, "hardness": hardness}
+            for knee, ceiling in ((0.8, 1.0), (0.7, 1.0), (0.6, 1.0), (0.6, 0.8), (0.85, 1.05))
+            for hardness in _PLAIN
+        ),
+        *(
+            {"knee": knee, "ceiling": ceiling, "charging": 1.0}
+            for knee, ceiling in ((0.8, 1.2), (0.7, 1.2), (0.6, 1.2), (0.6, 2.0))
+        ),
     )
     fitted = ("knee", "ceiling")
     settles = "a ladder of exposures to 120 % of the full well"

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.special import gamma, gammainc
 
-from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.base import EXPOSURE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -33,20 +33,16 @@ class SourceNotProportionalToExposure(Scaling):
     block = "mean"
     log_prior_odds = -3.0
     prior_reason = "only sources that are lit for the exposure do this"
-    trials = (
-        {"droop_rel": 0.02, "tau_s": 0.0003},
-        {"droop_rel": -0.02, "tau_s": 0.0003},
-        {"droop_rel": 0.02, "tau_s": 0.001},
-        {"droop_rel": 0.02, "tau_s": 0.01},
-        {"droop_rel": 0.02, "tau_s": 0.1},
-        {"droop_rel": -0.02, "tau_s": 0.001},
-        {"droop_rel": -0.02, "tau_s": 0.01},
-        {"droop_rel": -0.02, "tau_s": 0.1},
+    trials = tuple(
+        {"droop_rel": droop, "tau_s": tau}
+        for taus in ((0.0003,), (0.001, 0.01, 0.1))
+        for droop in (0.02, -0.02)
+        for tau in taus
     )
     fitted = ("droop_rel", "tau_s")
     further = ({"stretch": _STRAIGHT}, {"stretch": _SLOW})
     settles = "one exposure at several source levels, or a photodiode on the source"
-    droop_rel: float = parameter(0.0, "1", -5.0, 0.95, source="engineering prior; refined on a real rig")
+    droop_rel: float = parameter(0.0, "1", -5.0, 0.95, source=PRIOR)
     tau_s: float = parameter(0.01, "s", 1e-06, 100.0, source="time constant of the droop")
     stretch: float = parameter(1.0, "1", 0.2, 5.0, source="1 is an exponential; heat that spreads gives a half")
 

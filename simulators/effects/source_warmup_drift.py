@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from simulators.effects.base import RADIANCE, Stage, parameter
+from simulators.effects.base import PRIOR, RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling, elapsed_s
 from simulators.effects.context import ExposureContext
 
@@ -24,17 +24,10 @@ class SourceWarmupDrift(Scaling):
     unit_in = unit_out = RADIANCE
     where = "timestamp_s"
     block = "mean"
-    trials = (
-        {"amplitude_rel": 0.01, "tau_s": 100.0},
-        {"amplitude_rel": 0.01, "tau_s": 300.0},
-        {"amplitude_rel": 0.01, "tau_s": 900.0},
-        {"amplitude_rel": -0.01, "tau_s": 100.0},
-        {"amplitude_rel": -0.01, "tau_s": 300.0},
-        {"amplitude_rel": -0.01, "tau_s": 900.0},
-    )
+    trials = tuple({"amplitude_rel": a, "tau_s": tau} for a in (0.01, -0.01) for tau in (100.0, 300.0, 900.0))
     fitted = ("amplitude_rel", "tau_s")
     settles = "one setting repeated over an hour in between the others"
-    amplitude_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
+    amplitude_rel: float = parameter(0.0, "1", -0.9, 5.0, source=PRIOR)
     tau_s: float = parameter(300.0, "s", 1.0, 100000.0, source="2 to 20 min")
     second_rel: float = parameter(0.0, "1", -0.9, 5.0, source="amplitude of a second, slower term")
     second_tau_s: float = parameter(1500.0, "s", 1.0, 1000000.0, source="its time constant")

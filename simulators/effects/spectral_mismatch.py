@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from simulators.effects.base import RADIANCE, Stage, parameter
+from simulators.effects.base import PRIOR, RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -28,17 +28,15 @@ class SpectralMismatch(Scaling):
     unit_in = unit_out = RADIANCE
     where = "pattern"
     block = "mean"
-    trials = (
-        {"red_rel": 0.02, "green_rel": 0.0, "blue_rel": -0.02},
-        {"red_rel": 0.02, "green_rel": 0.0, "blue_rel": 0.02},
-        {"red_rel": -0.02, "green_rel": 0.0, "blue_rel": 0.02},
-        {"red_rel": -0.02, "green_rel": 0.0, "blue_rel": -0.02},
+    trials = tuple(
+        {"red_rel": red, "green_rel": 0.0, "blue_rel": blue}
+        for red, blue in ((0.02, -0.02), (0.02, 0.02), (-0.02, 0.02), (-0.02, -0.02))
     )
     fitted = ("red_rel", "green_rel", "blue_rel")
     settles = "each channel of the source alone"
-    red_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
-    green_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
-    blue_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
+    red_rel: float = parameter(0.0, "1", -0.9, 5.0, source=PRIOR)
+    green_rel: float = parameter(0.0, "1", -0.9, 5.0, source=PRIOR)
+    blue_rel: float = parameter(0.0, "1", -0.9, 5.0, source=PRIOR)
 
     def factor(self, context: ExposureContext) -> Any:
         shown = np.asarray(context.settings.pattern)

@@ -7,7 +7,7 @@ from typing import Final, Self, cast
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.surroundings import surroundings_of
@@ -35,17 +35,11 @@ class StrayLightKernel(CatalogueEffect):
     unit_in = unit_out = IRRADIANCE
     where = "image_x"
     block = "mean"
-    trials = (
-        {"share": 0.01, "radius": 0.05},
-        {"share": 0.01, "radius": 0.08},
-        {"share": 0.01, "radius": 0.12},
-        {"share": 0.01, "radius": 0.2},
-        {"share": 0.01, "radius": 0.3},
-    )
+    trials = tuple({"share": 0.01, "radius": radius} for radius in (0.05, 0.08, 0.12, 0.2, 0.3))
     fitted = ("share", "radius", "edge_share")
     settles = "one bright patch with several sizes of surround"
     essential = ("radius",)  # a kernel of any width is any glare
-    share: float = parameter(0.0, "1", -0.05, _MOST, source="engineering prior; refined on a real rig")
+    share: float = parameter(0.0, "1", -0.05, _MOST, source=PRIOR)
     radius: float = parameter(0.1, "1", 0.02, 1.0, source="sigma as a fraction of the longer side")
     edge_share: float = parameter(
         0.05, "1", 0.0, 0.4, source="part of the kernel in the last line before an edge, over the patch's own mean"

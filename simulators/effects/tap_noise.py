@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
+from simulators.effects.base import ELECTRONS, PRIOR, KeepsMean, Stage, parameter
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.quarters import OfTaps, trials
 
@@ -33,9 +33,9 @@ class TapNoise(KeepsMean, OfTaps):
     table_start = 4.0
     first_fitted = 0
     settles = "many frames of no exposure"
-    across_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source="engineering prior; refined on a real rig")
-    along_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source="engineering prior; refined on a real rig")
-    corner_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source="engineering prior; refined on a real rig")
+    across_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source=PRIOR)
+    along_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source=PRIOR)
+    corner_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source=PRIOR)
     taps_e2: tuple[float, ...] = parameter((), "e-2", -100000.0, 100000.0, source="of every tap")
 
     def reach(self, parameter: str, full_scale_dn: float) -> tuple[float, float]:

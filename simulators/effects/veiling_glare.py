@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, parameter
+from simulators.effects.base import IRRADIANCE, PRIOR, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.surroundings import surroundings_of
@@ -31,7 +31,7 @@ class VeilingGlare(CatalogueEffect):
     fitted = ("share",)
     further = ({"tilt_x": 0.01, "tilt_y": 0.01, "bowl": 0.01},)
     settles = "the same patches with a bright and with a dark surround"
-    share: float = parameter(0.0, "1", -0.05, 0.5, source="engineering prior; refined on a real rig")
+    share: float = parameter(0.0, "1", -0.05, 0.5, source=PRIOR)
     tilt_x: float = parameter(0.0, "1", -1.0, 1.0, source="reflections in the barrel are brighter on one side")
     tilt_y: float = parameter(0.0, "1", -1.0, 1.0, source="the same downwards")
     bowl: float = parameter(0.0, "1", -1.0, 1.0, source="change from middle to corner; ISO 9358 asks for it")

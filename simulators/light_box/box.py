@@ -16,14 +16,18 @@ from typing import Final, NamedTuple
 from zlib import crc32
 
 from simulators.light_box.channel import (
+    AMBIENT_C,
     CHANNELS_OF_VERSION,
     PARTNERS,
     REFERENCE_CHANNELS,
+    REFERENCE_LEDS,
     Channel,
     ChannelLimits,
+    Emission,
+    LedParameters,
+    LedState,
     steps_of,
 )
-from simulators.light_box.led_physics import AMBIENT_C, REFERENCE_LEDS, Emission, LedParameters, LedState
 
 DEADMAN_MS: Final = 1000  # as the firmware
 HELD_OFF_MS: Final = 3000  # as the firmware: a button held for 3 s darkens the box

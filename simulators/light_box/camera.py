@@ -12,7 +12,7 @@ from simulators.cameras.simulated_camera import SimulatedCamera
 from simulators.chain.camera_model import CameraModel
 from simulators.clock import SimulatedClock
 from simulators.light_box.box import SimulatedLightBox
-from simulators.scenes.uniform import UniformScene
+from simulators.scenes.kinds import UniformScene
 
 WHITE_EFFECTIVE_NM: Final = 555.0  # peak of V(λ)
 

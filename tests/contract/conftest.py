@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from drivers.cameras.aravis_camera import load_library, open_camera
-from drivers.cameras.gige_ping import answers
+from drivers.cameras.camera_opening import answers
 from drivers.cameras.pi_link import PiLink
 from drivers.cameras.plain_camera import PlainCamera
 from drivers.cameras.tethered_link import TetheredLink
@@ -21,11 +21,10 @@ from radiometer.data import LensDescription
 from radiometer.devices import Camera, CameraIdentity, CameraPreset, Roi
 from radiometer.errors import MissingLibrary
 from simulators.cameras.blackfly_awkward import AwkwardBlackfly
-from simulators.cameras.blackfly_gige import BlackflyGige
-from simulators.cameras.blackfly_pictures import ForwardModelSource
+from simulators.cameras.blackfly_gige import BlackflyGige, ForwardModelSource
 from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
 from simulators.chain.camera_model import CameraModel
-from simulators.scenes.factory import scene_from_mapping
+from simulators.scenes.kinds import scene_from_mapping
 from testing.edge_devices import SimulatedPiCamera, SimulatedTether, SimulatedWebcam
 from testing.patience import ENDS_WITH_US, within
 from testing.wire import PORT_LOCK

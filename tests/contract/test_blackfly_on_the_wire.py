@@ -12,15 +12,12 @@ import numpy as np
 import pytest
 
 from drivers.cameras.aravis_camera import AravisCamera, open_camera
-from drivers.cameras.camera_checks import check_features
 from radiometer.data import LensDescription
 from radiometer.data.mosaic import COLOURS, plane_of
-from radiometer.devices import CameraIdentity, CameraPreset, CameraSettings, Health, Roi
+from radiometer.devices import CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
-from simulators.cameras.blackfly_gige import BlackflyGige
-from simulators.cameras.blackfly_pictures import ForwardModelSource
-from simulators.cameras.colour_filters import ColourFilters
-from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
+from simulators.cameras.blackfly_gige import BlackflyGige, ForwardModelSource
+from simulators.cameras.simulated_camera import ColourFilters, SimulatedCamera, default_limits
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
 from testing.patience import ENDS_WITH_US, within
@@ -36,13 +33,6 @@ PHOTON_J = 6.62607015e-34 * 299_792_458 / WAVELENGTH_M
 
 def opened():
     return open_camera(LOOPBACK, lens=LensDescription(focal_length_mm=16, f_number=4.0))
-
-
-def position_code(request):
-    """Return a picture in which every pixel says where it is."""
-    columns = np.arange(request.x, request.x + request.width)
-    rows = np.arange(request.y, request.y + request.height)
-    return (columns[None, :] + 20 * rows[:, None]).astype(np.uint16)
 
 
 def assert_brightness(frame, in_force):
@@ -69,47 +59,6 @@ def test_what_falsifies_as_shipped_is_switched_off(blackfly):
         switched = {f.feature.name for f in camera.session.hygiene if f.state == "switched_off"}
         assert {"ExposureAuto", "GainAuto", "GammaEnable", "SharpeningEnable"} <= switched
         assert not [f for f in camera.session.hygiene if f.state == "still_on"]
-
-
-def test_gamma_left_on_bends_the_signal(blackfly):
-    """With GammaEnable on, twice the exposure is not twice the signal: the feature is no dummy."""
-    with opened() as camera:
-        camera.configure(replace(SETTINGS, black_level_dn=0))
-        camera.session.features.write("GammaEnable", True)
-        camera.session.features.write("Gamma", 0.5)
-        single = np.mean(camera.capture(1)[0].dn)
-        camera.configure(replace(SETTINGS, black_level_dn=0, exposure_s=0.008))
-        assert np.mean(camera.capture(1)[0].dn) / single == pytest.approx(2**0.5, rel=0.01)
-
-
-def test_a_region_is_cut_from_the_same_place(aravis_installed, gige_port):
-    """A region shows the pixels that the whole frame has there."""
-    limits = replace(default_limits(), width=160, height=120, has_shutter=False)
-    with BlackflyGige(position_code, limits, serial="22500077"), opened() as camera:
-        camera.configure(SETTINGS)
-        whole = camera.capture(1)[0].dn
-        camera.configure(replace(SETTINGS, roi=Roi(40, 20, 32, 16)))
-        part = camera.capture(1)[0].dn
-    np.testing.assert_array_equal(part, whole[20:36, 40:72])
-
-
-@pytest.mark.parametrize("triggered", [False, True], ids=["free running", "software trigger"])
-def test_a_change_of_settings_is_never_mixed_into_a_frame(blackfly, triggered):
-    """Over random changes of exposure, gain and black level, every frame has the brightness of its own settings."""
-    rng = np.random.default_rng(11)
-    with opened() as camera:
-        for _ in range(12):
-            expected = replace(
-                SETTINGS,
-                exposure_s=float(np.exp(rng.uniform(np.log(1e-4), np.log(8e-3)))),
-                gain_db=float(rng.uniform(0, 6)),
-                black_level_dn=float(rng.integers(20, 200)),
-                software_trigger=triggered,
-            )
-            in_force = camera.configure(expected)
-            for frame in camera.capture(2):
-                assert_brightness(frame, in_force)
-                assert frame.settings.temperature_c == pytest.approx(40.0)
 
 
 def test_lost_packets_are_retried_and_no_damaged_frame_is_passed_on(blackfly):
@@ -210,16 +159,6 @@ def test_other_genicam_programs_see_it(blackfly):
     )
     assert "ExposureTime = 2500 us" in done.stdout
     assert "DeviceSerialNumber = 22500077" in done.stdout
-
-
-def test_automatic_exposure_steers_while_it_is_left_on(blackfly):
-    """With ExposureAuto on, the exposure time moves towards half of full scale by itself: the feature is no dummy."""
-    with opened() as camera:
-        camera.configure(SETTINGS)
-        camera.session.features.write("ExposureAuto", "Continuous")
-        first, *_, last = (camera.capture(1)[0] for _ in range(8))
-        assert last.dn.mean() > 2 * first.dn.mean()
-        assert camera.session.access.read().exposure_s > 2 * SETTINGS.exposure_s
 
 
 def test_requests_are_answered_while_a_picture_is_made(aravis_installed, gige_port):
@@ -373,37 +312,6 @@ def test_the_shortest_exposure_is_not_taken_for_another_one(awkward):
         assert camera.capture(1)[0].settings.exposure_s == pytest.approx(11e-6)
         camera.configure(replace(PACKED, exposure_s=12e-6))
         assert camera.capture(1)[0].settings.exposure_s == pytest.approx(12e-6)
-
-
-def test_running_numbers_rise_over_their_sixteen_bits(serve_awkward):
-    """Frames 65533 to 65535 are followed by 65536 and so on, in order and none counted as missed."""
-    serve_awkward(first_frame_id=65530)
-    with opened() as camera:
-        camera.configure(PACKED)
-        stream = camera.stream()
-        ids = [frame.frame_id for frame in itertools.islice(stream, 12)]
-        stream.close()
-        assert all(b > a for a, b in itertools.pairwise(ids))
-        assert ids[0] < 65536 < ids[-1]
-        assert ids[-1] - ids[0] - 11 == camera.counts.extra["missed_frames"] + camera.counts.incomplete
-
-
-def test_a_locked_frame_rate_is_a_note_of_the_doctor(awkward):
-    """The camera refuses to have it off: it opens all the same, and `doctor` says so."""
-    with opened() as camera:
-        found = check_features(camera)
-    (note,) = [f for f in found if "AcquisitionFrameRateEnable" in f.message]
-    assert note.health is Health.NOTE
-    assert "stays at True" in note.message
-
-
-def test_its_test_pattern_is_switched_off(awkward):
-    """It arrives with a pattern behind the second selector entry, which hides the light altogether."""
-    with opened() as camera:
-        states = [f.state for f in camera.session.hygiene if f.feature.name == "TestPattern"]
-        assert states == ["off", "switched_off"]
-        camera.configure(replace(PACKED, black_level_dn=0))
-        assert camera.capture(1)[0].dn.std() < 0.1 * SIGNAL_DN
 
 
 def test_nothing_is_dropped_on_a_link_that_carries_little_less_than_it_should(awkward):

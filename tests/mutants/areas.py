@@ -2,98 +2,57 @@
 
 from __future__ import annotations
 
+
+def _of(folder: str, names: str = "*") -> tuple[str, ...]:
+    """Return the patterns of Python files in a folder, of which the names are stated without their ending."""
+    return tuple(f"{folder}/{name}.py" for name in names.split())
+
+
 AREAS: dict[str, tuple[str, ...]] = {
-    "merge": ("radiometer/analysis/merge/*.py",),
-    "patch_and_budget": ("radiometer/analysis/reading/*.py", "radiometer/statistics/*.py"),
-    "response": (
-        "radiometer/analysis/response/*.py",
-        "radiometer/data/response_curve.py",
-    ),
-    "absolute_scale": (
-        "radiometer/analysis/calibration/*.py",
-        "radiometer/data/calibration*.py",
-        "radiometer/data/guards.py",
-    ),
-    "signal_and_photometry": ("radiometer/analysis/signal/*.py", "radiometer/analysis/photometry/*.py"),
-    "flicker_and_regions": ("radiometer/analysis/flicker.py", "radiometer/analysis/regions.py"),
-    "colour": ("radiometer/analysis/colour/*.py", "radiometer/data/mosaic.py"),
-    "flux": ("radiometer/analysis/flux/*.py",),
-    "emva": ("radiometer/analysis/characterise/*.py",),
-    "planning": (
-        "radiometer/acquire/*.py",
-        "radiometer/units.py",
-    ),
-    "journal": (
-        "radiometer/daemon/journal*.py",
-        "radiometer/daemon/clock_watch.py",
-        "radiometer/daemon/timestamps.py",
-    ),
-    "scpi": ("radiometer/daemon/scpi/*.py",),
-    "http": (
-        "radiometer/daemon/http/*.py",
-        "radiometer/daemon/limits.py",
-    ),
+    "merge": _of("radiometer/analysis/merge"),
+    "patch_and_budget": (*_of("radiometer/analysis/reading"), *_of("radiometer/statistics")),
+    "response": (*_of("radiometer/analysis/response"), *_of("radiometer/data", "response_curve")),
+    "absolute_scale": (*_of("radiometer/analysis/calibration"), *_of("radiometer/data", "calibration* guards")),
+    "signal_and_photometry": _of("radiometer/analysis", "signal/* photometry/*"),
+    "flicker_and_regions": _of("radiometer/analysis", "flicker regions"),
+    "colour": (*_of("radiometer/analysis/colour"), *_of("radiometer/data", "mosaic")),
+    "flux": _of("radiometer/analysis/flux"),
+    "emva": _of("radiometer/analysis/characterise"),
+    "planning": (*_of("radiometer/acquire"), *_of("radiometer", "units")),
+    "journal": _of("radiometer/daemon", "journal* timestamps"),
+    "scpi": _of("radiometer/daemon/scpi"),
+    "http": _of("radiometer/daemon", "http/* limits"),
     "daemon": (
-        "radiometer/daemon/keeper.py",
-        "radiometer/daemon/station.py",
-        "radiometer/daemon/service.py",
-        "radiometer/daemon/acquisition.py",
-        "radiometer/daemon/bench_instrument.py",
-        "radiometer/daemon/patches.py",
-        "radiometer/bench/doctor.py",
-        "radiometer/bench/reopening.py",
-        "radiometer/bench/box_holder.py",
+        *_of("radiometer/daemon", "keeper station service acquisition bench_instrument patches"),
+        *_of("radiometer/bench", "doctor reopening box_holder"),
     ),
     "light_box": (
-        "drivers/light_box/*.py",
-        "radiometer/devices/retinal_safety.py",
-        "radiometer/devices/exposure_ledger.py",
-        "radiometer/data/light_calibration.py",
-        "simulators/light_box/*.py",
+        *_of("drivers/light_box"),
+        *_of("radiometer/devices", "retinal_safety exposure_ledger"),
+        *_of("radiometer/data", "light_calibration"),
+        *_of("simulators/light_box"),
         "drivers/firmware/light_box/*.c",
         "drivers/firmware/light_box/config.h",
     ),
-    "adaptation": ("radiometer/adaptation/*.py",),
+    "adaptation": _of("radiometer/adaptation"),
     "reconcile": (
-        "radiometer/reconciliation/fit/*.py",
-        "radiometer/reconciliation/repeatability.py",
-        "radiometer/reconciliation/shared_errors.py",
-        "radiometer/reconciliation/verdict.py",
-        "radiometer/reconciliation/statistics.py",
-        "radiometer/reconciliation/search/*.py",
+        *_of("radiometer/reconciliation", "comparison descent linear nuisances state localise screening search"),
+        *_of("radiometer/reconciliation", "repeatability shared_errors statistics verdict"),
     ),
-    "sensor_effects": ("simulators/effects/*.py",),
-    "files": ("radiometer/data/*.py", "radiometer/importing/*.py"),
-    "photographs_and_screen": (
-        "radiometer/photographs/*.py",
-        "radiometer/screen/*.py",
-        "radiometer/screen/exports/*.py",
-        "radiometer/screen/report.py",
-    ),
-    "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
-    "reconcile_rooms": (
-        "radiometer/reconciliation/*.py",
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("inputs", "measure", "propose")),
-    ),
+    "sensor_effects": _of("simulators/effects"),
+    "files": _of("radiometer", "data/* importing/*"),
+    "photographs_and_screen": _of("radiometer", "photographs/* screen/*"),
+    "archive_and_bench": _of("radiometer", "archive/* bench/* devices/*"),
+    "reconcile_rooms": _of("radiometer/reconciliation", "* propose/*"),
     "alarms_and_networks": (
-        "radiometer/adapters/*.py",
-        *(
-            f"radiometer/daemon/{name}*.py"
-            for name in ("alarm", "descr", "epics", "hub", "lateness", "light", "log", "mqtt")
-        ),
-        *(
-            f"radiometer/daemon/{name}*.py"
-            for name in ("bench", "instr", "mem", "metrics", "patch_book", "places", "s")
-        ),
+        *_of("radiometer/adapters"),
+        *_of("radiometer/daemon", "alarm* epics* hub* light* log* mqtt*"),
+        *_of("radiometer/daemon", "bench* instr* metrics* resources* patch_book* s*"),
     ),
-    "faces": ("radiometer/*.py", "radiometer/api/*.py", "radiometer/cli/*.py", "radiometer/cli/*/*.py"),
+    "faces": _of("radiometer", "* api/* cli/* cli/*/*"),
     "cameras_and_worlds": (
-        "drivers/cameras/*.py",
-        "simulators/*.py",
-        *(f"simulators/{room}/*.py" for room in ("cameras", "chain", "displays", "observers", "scenes")),
+        *_of("drivers/cameras"),
+        *_of("simulators", "* cameras/* chain/* displays/* observers/* scenes/*"),
     ),
-    "quality_and_exports": (
-        *(f"radiometer/analysis/{room}/*.py" for room in ("exports", "quality")),
-        "radiometer/reporting/*.py",
-    ),
+    "quality_and_exports": (*_of("radiometer/analysis", "exports/* quality/*"), *_of("radiometer/reporting")),
 }

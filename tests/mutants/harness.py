@@ -23,18 +23,8 @@ import pytest
 from testing.patience import within
 
 ROOT = Path(__file__).resolve().parents[2]
-COPIED = (
-    "radiometer",
-    "drivers",
-    "simulators",
-    "configs",
-    "testing",
-    "tests",
-    "docs",
-    "benchmarks",
-    "pyproject.toml",
-    "README.md",
-)
+COPIED = ("radiometer", "drivers", "simulators", "configs", "testing", "tests", "docs", "benchmarks")
+COPIED += ("pyproject.toml", "README.md")
 SECONDS = 60  # of the processor for the tests of one mutant; a mutant that never ends is noticed as well
 IDLE, LONGEST = 20.0, 120.0  # s without work, and in all on a quiet machine, after which one waits for ever
 QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")  # of plugins imported beforehand
@@ -42,18 +32,8 @@ FAST = "not slow and not long and not bench and not soak and not hardware"
 PASSED = (0, 5)  # 5: nothing was left to run
 COMPILED = "@compiled"  # marks the functions that numba compiles
 _OWN_TIMES = itertools.count(1_000_000_000)  # of files with a mistake, in s: compiled code of another is not theirs
-OTHERS = (
-    "aiohttp.web",
-    "cv2",
-    "hypothesis",
-    "matplotlib.figure",
-    "numba",
-    "numpy",
-    "pydantic",
-    "pytest",
-    "scipy.optimize",
-)
-OTHERS += ("scipy.special", "scipy.stats", "structlog", "typer.testing", "yaml")
+OTHERS = ("aiohttp.web", "cv2", "hypothesis", "matplotlib.figure", "numba", "numpy", "pydantic", "pytest")
+OTHERS += ("scipy.optimize", "scipy.special", "scipy.stats", "structlog", "typer.testing", "yaml")
 
 
 def fate_of_text(text: str, file: str, tests: tuple[str, ...], copy: Path, plugins: tuple[object, ...] = ()) -> str:
@@ -117,11 +97,7 @@ def code_of(
 
 
 def run_tests(
-    tests: tuple[str, ...],
-    copy: Path,
-    environment: dict[str, str],
-    plugins: tuple[object, ...],
-    words: tuple[str, ...],
+    tests: tuple[str, ...], copy: Path, environment: dict[str, str], plugins: tuple[object, ...], words: tuple[str, ...]
 ) -> int:
     """Run the tests in this process, whose project is the copy; return how pytest ended."""
     nowhere = os.open(os.environ.get("MUTANT_LOG", os.devnull), os.O_RDWR | os.O_CREAT | os.O_APPEND)

@@ -1,15 +1,12 @@
 """A simulated subject's thresholds, fitted: what went in comes out."""
 
-import math
-
 import numpy as np
 import pytest
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from simulators.observers.eye_kinetics import Eye, eye_after_bleach, scotopic_per_photopic
+from simulators.observers.eye_kinetics import Eye, eye_after_bleach
 from simulators.observers.observer import Observer
-from testing.drawn_eyes import drawn_eye
 
 QUICK = FitRequest(bootstrap_draws=0)
 STEP_LOG10 = 0.1
@@ -49,42 +46,6 @@ def test_blue_light_shows_the_break_where_it_is():
     estimate = found.estimates["break_min"]
     assert abs(estimate.value - eye.break_min(453.0)) < 3 * estimate.u + 0.1
     assert found.estimates["s2_slope_per_min"].value == pytest.approx(-0.24, abs=0.03)
-
-
-def cohort_coverage(subjects: int, seed: int) -> tuple[dict[str, list[bool]], list[float]]:
-    """Return for every parameter whether its 95 % interval held the truth, and the errors of the break in min."""
-    rng = np.random.default_rng(seed)
-    times = np.arange(0.5, 35.0, 0.5)
-    held: dict[str, list[bool]] = {}
-    errors = []
-    for _ in range(subjects):
-        eye = drawn_eye(rng)
-        thresholds = np.array([eye.threshold_log10(time, 453.0) for time in times]) + rng.normal(0, 0.1, times.size)
-        found = fit_adaptation(ThresholdSeries(times, thresholds), QUICK, rng)
-        truth = {
-            "plateau": eye.cone_plateau_log10 + math.log10(scotopic_per_photopic(453.0)),
-            "amplitude": eye.cone_amplitude,
-            "tau_min": eye.cone_tau_min,
-            "break_min": eye.break_min(453.0),
-            "s2_slope_per_min": eye.s2_slope_per_min,
-            "rod_rod_break_min": eye.rod_rod_break_min,
-            "s3_slope_per_min": eye.s3_slope_per_min,
-        }
-        for name, value in truth.items():
-            estimate = found.estimates.get(name)
-            held.setdefault(name, []).append(estimate is not None and estimate.profile.holds(value))
-        errors.append(found.chosen.values.get("break_min", math.nan) - truth["break_min"])
-    return held, errors
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_small_cohort_is_covered():
-    """Of 16 subjects and 7 parameters at least 87 % of the 95 % intervals hold the truth (3 binomial sigma of 112)."""
-    held, errors = cohort_coverage(16, seed=11)
-    share = np.mean([hit for hits in held.values() for hit in hits])
-    assert share >= 0.95 - 3 * math.sqrt(0.95 * 0.05 / 112)
-    assert abs(np.mean(errors)) < 3 * np.std(errors) / math.sqrt(16) + 0.1
 
 
 @pytest.mark.slow

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.descent import accepted, converged_fit, first_state, fitted_parameters, refit
-from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.design import Design, rough_share, tile_groups
-from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.descent import accepted, converged_fit, first_state, fitted_parameters, refit
+from radiometer.reconciliation.design import Design, rough_share, tile_groups
+from radiometer.reconciliation.reduce import reduce_frames
+from radiometer.reconciliation.state import FitState, with_effects
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from simulators.effects.row_temporal_noise import RowTemporalNoise

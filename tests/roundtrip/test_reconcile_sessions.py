@@ -10,7 +10,6 @@ import warnings
 import pytest
 
 from benchmarks.reconcile_limits import FIRST_SEED, answer_at, is_named
-from benchmarks.reconcile_next_capture import asked, captures_needed
 from radiometer.data import TapDescription
 from radiometer.reconciliation.result import Limit, ReconcileResult
 from testing.generator.other_laws import OTHER_LAWS, session_of
@@ -254,20 +253,6 @@ def test_chopped_light_is_a_flicker_and_every_fifth_frame_is_none():
     (found,) = by_other_law("fifth").effects
     assert (found.name, found.where) == ("unnamed", "frame")
     assert found.parameters["period_frames"].value == 5.0
-
-
-def test_stray_light_in_a_plain_bracket_has_all_its_names():
-    """One scene at one level and darks: a veil, light from the room and a black that glows stand together."""
-    (found,) = by_other_law("veil", plan="bracket").effects
-    assert {found.name, *found.alternatives} >= {"veiling_glare", "ambient_light_leak", "display_black_leak"}
-
-
-@pytest.mark.parametrize("name", ["veiling_glare", "display_black_leak", "gain_step_error"])
-def test_two_captures_more_settle_a_plain_bracket(name):
-    """Stray light needs another surround and the source off; a gain error a gain, and a second setting at it."""
-    number, text = captures_needed(name, 40_000, asked, most=2)
-    assert number is not None, text
-    assert number > 0, "a bracket alone cannot tell"
 
 
 # Brackets of a scene of which no patches are stated: borders of patches run through the tiles.

@@ -8,18 +8,18 @@ import pytest
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.box_setup import open_box_stage
-from radiometer.adaptation.journal import RunJournal
+from radiometer.adaptation.outcome import RunJournal
 from radiometer.adaptation.protocol import FlashBleach, SteadyBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 from radiometer.errors import RadiometerError
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, recovery_min, scotopic_lm_per_w
-from simulators.observers.observer_at_box import WHITE_LM_PER_W
+from simulators.observers.observer import BOX_WHITE_LM_PER_W
 
 # Radiance for 750 cd/m² by the protocol's white LED (316.9 lm/W), as the simulated eye sees it.
-BLEACH_CD_M2 = 750.0 / 316.9 * WHITE_LM_PER_W
+BLEACH_CD_M2 = 750.0 / 316.9 * BOX_WHITE_LM_PER_W
 
 
 @pytest.fixture(autouse=True)

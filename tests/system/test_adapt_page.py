@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.live_page import LivePage
-from radiometer.adaptation.outcome import Verdict
+from radiometer.adaptation.live import LivePage
+from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.request import Controls
 from radiometer.adaptation.run import run_test
-from radiometer.adaptation.simulated_stage import simulated_stage
+from radiometer.adaptation.session import simulated_stage
 from testing.chromium import headless
 from testing.scripted_adaptation import SubjectCurve
 
@@ -129,31 +128,6 @@ async def test_every_prompt_has_tones_of_its_own(served, browser):
         crossings[name] = int(np.sum((wave[:-1] <= 0) & (wave[1:] > 0)))
     assert crossings["threshold"] == pytest.approx(392 * 0.12, abs=2)
     assert len(set(crossings.values())) == len(crossings)
-
-
-@pytest.mark.slow
-async def test_buttons_reach_the_run_and_a_browser_may_go(served, browser):
-    """Pause, resume and, on the second press, stop; the page may be left meanwhile."""
-    page, controls = served
-    await browser.command("Page.navigate", url=page.url)
-    await browser.wait_for("!document.getElementById('pause').disabled")
-    await browser.evaluate("document.getElementById('pause').click()")
-    await _wait_for_text(browser, "pause", "Resume")
-    assert controls.paused_by == "page"
-    await browser.evaluate("document.getElementById('pause').click()")
-    await _wait_for_text(browser, "pause", "Pause")
-    assert controls.paused_by is None
-    await browser.command("Page.navigate", url="about:blank")
-    _tell_trials(page, 0, 3)
-    await browser.command("Page.navigate", url=page.url)
-    await _wait_for_text(browser, "found", "3")
-    sentence = "document.getElementById('stop').click(); document.getElementById('say').textContent"
-    assert "once more" in await browser.evaluate(sentence)
-    assert controls.stopped_by is None
-    # The first of these stops, or arms anew where the machine was too slow, and then the second stops.
-    await browser.evaluate("document.getElementById('stop').click(); document.getElementById('stop').click()")
-    await _wait_for_text(browser, "say", "stopping …")
-    assert controls.stopped_by == "page"
 
 
 @pytest.mark.slow

@@ -8,17 +8,15 @@ import os
 import queue
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
 
-from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.outcome import Verdict
+from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
-from radiometer.adaptation.screen_setup import ScreenStage, SpotLevels, open_screen_stage, within_reach
+from radiometer.adaptation.screen_setup import open_screen_stage
 from radiometer.bench.screen import lights, open_screen_bench
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, UsageError
 from radiometer.screen.browser_page import BrowserStimulus
@@ -223,33 +221,3 @@ async def test_browser_blinks_and_records_the_key(shown):
     await browser.key("keyUp")
     assert held.hold.lasted_s > 0.5
     assert held.hold.began_ago_s >= held.hold.lasted_s
-
-
-@pytest.mark.slow
-async def test_short_run_in_a_browser_is_journalled_with_its_presses(oled, tmp_path, shown):
-    """Three seconds of blinks after a short bleach, the space bar tapped all the while: events and real presses."""
-    screen, browser = shown
-    text = (
-        "{name: brief, bleach: {kind: steady, luminance_cd_m2: 50, duration_s: 0.3}, method: {kind: limits}, "
-        "spot: {device: screen, channel: blue, peak_nm: 450, on_s: 0.1, off_s: 0.15, lowest_log10: -4}, "
-        "end: {duration_min: 0.05}, watch: {pause_between_s: 0.1}, viewing: {distance_mm: 300}}"
-    )
-    (tmp_path / "brief.yaml").write_text(text)
-    known = ScreenCalibration.read(oled)
-    protocol = within_reach(read_protocol(tmp_path / "brief.yaml"), SpotLevels.of(known, "blue"))
-    stage = ScreenStage(screen, known, protocol, VIEWING, time.monotonic, wall_clock=time.time)
-
-    def run():
-        with RunJournal(tmp_path / "j") as journal:
-            return run_test(protocol, stage, journal, subject="S1")
-
-    tapping = asyncio.create_task(_tapping(browser))
-    outcome = await asyncio.to_thread(run)
-    tapping.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await tapping
-    with RunJournal(tmp_path / "j") as journal:
-        assert [event["kind"] for event in journal.events[:5]] == ["start", "stage", "bleach", "dark", "blink"]
-        assert journal.events[-1]["verdict"] == outcome.verdict
-        assert any(blink["presses_s"] for blink in journal.of_kind("blink"))
-        assert journal.events[1]["pixel_mm"] == VIEWING.pixel_mm

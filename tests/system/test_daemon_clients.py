@@ -1,11 +1,9 @@
 """The daemon in a process of its own, used by real clients: PyVISA, lxi, curl, a browser."""
 
 import asyncio
-import http.server
 import json
 import shutil
 import subprocess
-import threading
 
 import pytest
 
@@ -144,41 +142,3 @@ async def test_the_red_theme_lights_the_red_channel_only(daemon, browser):
     pixels = await browser.picture()
     assert pixels[..., 0].max() > 200
     assert pixels[..., 1:].max() == 0
-
-
-@pytest.fixture
-def foreign_page():
-    """Return the address of an empty page of another origin."""
-
-    class Page(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html")
-            self.end_headers()
-            self.wfile.write(b"<title>foreign</title>")
-
-        def log_message(self, *_):
-            """Say nothing."""
-
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
-        serving = threading.Thread(target=server.serve_forever)
-        serving.start()
-        yield f"http://127.0.0.1:{server.server_port}/"
-        server.shutdown()
-        serving.join()
-
-
-async def test_a_web_page_cannot_drive_the_scpi_port(daemon, browser, foreign_page):
-    """A browser's POST with commands in its body, sent to the SCPI port, lights and changes nothing."""
-    await browser.command("Page.navigate", url=foreign_page)
-    await browser.wait_for("document.title === 'foreign'")
-    body = "\\nSOUR:LED1:LEV 0.1\\nSENS:GAIN 7\\nINIT:CONT OFF\\n"
-    for extra in ("", "SOUR:LED1:LEV%200.1"):
-        answer = await browser.evaluate(
-            f'fetch("http://127.0.0.1:{daemon.scpi_port}/{extra}", {{method: "POST", mode: "no-cors", body: "{body}",'
-            ' signal: AbortSignal.timeout(1500)}).then(() => "answered", (error) => error.name)'
-        )
-        assert answer == "TypeError"  # the connection ended; a server that went on reading would run into the time-out
-    status = daemon.get("/status")
-    assert (set(status["light"].values()), status["settings"]["gain_db"], status["every_s"]) == ({0.0}, 0.0, 0.2)
-    assert any("http or tls" in line for line in daemon.lines)

@@ -56,27 +56,6 @@ def test_box_is_found_by_its_serial_number_and_set_leaves_it_dark(served, capsys
         assert opened.box.read_channel("spot").drive.level == 0
 
 
-@pytest.mark.parametrize(
-    ("words", "counted"),
-    [
-        ([], {"box CLI00001", "any eye"}),
-        (["--subject", "S07", "--eye", "left"], {"box CLI00001", "eye s07 left"}),
-        (["--no-eye"], {"box CLI00001"}),
-    ],
-)
-def test_light_counts_for_the_box_and_for_whose_eye_looks(served, capsys, words, counted):
-    """Whoever looks, the box's account holds the light; and that of the named eye, or else of every eye."""
-    light = ["field", "--level", "30000", "--box", "CLI00001", *words]
-    assert run(["light", "pulse", *light, "--duration", "200ms"]) == 0
-    assert run(["light", "set", *light, "--for", "200ms"]) == 0
-    assert run(["light", "blink", *light, "--on", "100ms", "--off", "100ms", "--count", "2"]) == 0
-    capsys.readouterr()
-    assert run(["light", "account", "--json"]) == 0
-    given = {entry["name"]: entry["blue_light"] for entry in json.loads(capsys.readouterr().out)}
-    assert set(given) == counted
-    assert len(set(given.values())) == 1
-
-
 def test_button_is_watched(served, capsys):
     """Presses are printed one JSON object per line, with their uncertainty."""
     assert run(["light", "watch-buttons", "--box", served, "--count", "2", "--json"]) == 0
@@ -100,24 +79,6 @@ def test_calibrate_then_set_by_radiance(surroundings, capsys, tmp_path):
     assert 0.009 < radiance["u"] < 0.012  # the correction for the spectrum: 10 %
     assert run(["light", "set", "bleach", "--radiance", "1000", "--box", "sim"]) == 1
     assert "allowed is" in capsys.readouterr().err
-
-
-def test_light_of_separate_commands_adds_up_until_it_is_refused(served, capsys, tmp_path):
-    """0.62 % of the limit is allowed, each command gives 0.24 %: the third is refused, and `light off` is not."""
-    preset = tmp_path / "bright.yaml"
-    preset.write_text(
-        "allowed_fraction: 0.0062\n"
-        "channels:\n  field: {peak_nm: null, subtense_deg: 1, radiance_bound_W_per_sr_m2: 6500}\n",
-        encoding="utf-8",
-    )
-    light = ["--level", "30000", "--duration", "2s", "--preset", str(preset), "--box", served]
-    pulse = ["light", "pulse", "field", *light]
-    assert [run(pulse) for _ in range(3)] == [0, 0, 1]
-    assert "of the blue-light exposure limit" in capsys.readouterr().err
-    assert run(["light", "off"]) == 0
-    assert run(["light", "account", "--box", "CLI00001", "--json"]) == 0
-    (report,) = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert report["blue_light"] == pytest.approx(2 * 0.406 * 6500 * 30000 / 65535 * 2.0 / 1e6, rel=0.05)
 
 
 @pytest.mark.parametrize("allowed", ["0.101", "1", "true", "0", "-0.1", ".nan"])

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from radiometer.cli.main import run
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 
 SCENE = yaml.safe_load(shipped_config("bench-simulated.yaml").read_text())["scene"]
 LIT = [patch for patch in SCENE["patches"] if patch["drive"] > 0]
@@ -29,21 +29,3 @@ def test_every_patch_of_the_shipped_bench_reads_its_radiance(patch, capsys):
     assert reading["radiance"]["value"] == pytest.approx(true, abs=2 * reading["radiance"]["u"])
     # The simulated reference source is exactly as stated, so noise alone is left.
     assert reading["radiance"]["value"] == pytest.approx(true, rel=0.002)
-
-
-def test_a_black_patch_is_reported_to_be_below_the_noise(capsys):
-    """No light gives no NaN and no claim, but a flag."""
-    black = next(patch for patch in SCENE["patches"] if patch["drive"] == 0)
-    assert run(["measure", "--json", "--patch", middle_of(black)]) == 0
-    reading = json.loads(capsys.readouterr().out)
-    assert reading["flags"] == ["below_noise"]
-    assert abs(reading["radiance"]["value"]) <= 3 * reading["radiance"]["u"]
-
-
-def test_without_a_calibration_values_are_relative_and_flagged(capsys):
-    """No one may take a relative value for a radiance."""
-    assert run(["measure", "--json", "--uncalibrated"]) == 0
-    reading = json.loads(capsys.readouterr().out)
-    assert reading["flags"] == ["uncalibrated"]
-    assert reading["radiance"]["unit"] == "relative"
-    assert reading["luminance"] is None

@@ -7,8 +7,8 @@ import numpy as np
 
 import radiometer as rm
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
+from radiometer.adaptation.intervals import InterceptRule
 from radiometer.adaptation.report import report_html
-from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import visits_html
 from radiometer.analysis.characterise import characterise, read_subject
@@ -21,7 +21,7 @@ from radiometer.data import CameraDescription, FrameSettings, LensDescription, P
 from radiometer.data.reading import Contribution, Flag, Patch, Quantity, Reading
 from radiometer.reporting.reading_page import ReadingRecord, reading_html
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
-from radiometer.screen.exports.report_page import to_page
+from radiometer.screen.exports import to_page
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
 from testing.report_checks import HOSTILE, assert_reports_hold

@@ -218,8 +218,6 @@ def unscaled_calibration(
     """Return a calibration that still lacks its scale (it is 1).
 
     Args:
-        camera: The camera.
-        lens: The lens it is used with.
         response: Response curve; None takes the sensor as linear above black.
         spectrum_name: Spectrum that the scale will hold for.
         black_dn: Black level in DN; None takes the camera description's, or what the response was recovered with.
@@ -254,10 +252,7 @@ def scale_by_source(
     """Return the scale from frames of a source of known radiance.
 
     Args:
-        base: Unscaled calibration.
         frames: Bracket of the source; its dark frames give the dark level.
-        patch: Where the source is.
-        source: What is known of its radiance.
 
     Raises:
         MeasurementError: If the patch is clipped, below the noise or not uniform.
@@ -341,11 +336,7 @@ def scaled_calibration(
     """Return the calibration with its scale and the record of how it was made.
 
     Args:
-        base: Unscaled calibration.
-        scale: The scale to use.
-        inputs: Names of what went in.
         other: A second scale that was found and not used.
-        further: What else was assumed.
     """
     doubt = base.uncertainties.efficacy_u_rel
     assumptions = list[str]()

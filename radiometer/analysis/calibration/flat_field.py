@@ -37,12 +37,7 @@ class _Tiles:
 
 
 def fit_flat_field(
-    even: RadianceMap,
-    camera: CameraDescription,
-    lens: LensDescription,
-    *,
-    source_u_rel: float = 0.0,
-    fit_centre: bool = True,
+    even: RadianceMap, camera: CameraDescription, lens: LensDescription, *, source_u_rel: float = 0.0
 ) -> FlatField:
     """Return the sensitivity over the picture from a map of an evenly bright source.
 
@@ -55,7 +50,6 @@ def fit_flat_field(
         camera: Pixel pitch or spacing in µm.
         lens: Focal length in mm, f-number, principal point where known.
         source_u_rel: Relative standard uncertainty of the source's evenness over the picture.
-        fit_centre: Fit the principal point as well; otherwise the lens's, or the middle, is taken.
 
     Raises:
         MeasurementError: If too little of the picture is usable, or its falloff is no falloff of a lens.
@@ -66,7 +60,7 @@ def fit_flat_field(
     radius = math.hypot(*even.shape) / 2.0
     focal = _focal_length_px(camera, lens)
     tiles = _without_outliers(tiles, start, radius, focal)
-    best = min((_fit(tiles, start, radius, focal, order, fit_centre) for order in range(4)), key=lambda found: found[0])
+    best = min((_fit(tiles, start, radius, focal, order) for order in range(4)), key=lambda found: found[0])
     _, centre, coefficients, left_over = best
     k = np.zeros(3)
     k[: coefficients.size - 1] = coefficients[1:] / coefficients[0]
@@ -85,11 +79,9 @@ def fit_flat_field(
 
 def _focal_length_px(camera: CameraDescription, lens: LensDescription) -> float | None:
     pitch_um = camera.pixel_spacing_um or camera.pixel_pitch_um
-    return (
-        None
-        if lens.focal_length_mm is None or pitch_um is None
-        else lens.extension * lens.focal_length_mm * 1e3 / pitch_um
-    )
+    if lens.focal_length_mm is None or pitch_um is None:
+        return None
+    return lens.extension * lens.focal_length_mm * 1e3 / pitch_um
 
 
 def _tiles(even: RadianceMap) -> _Tiles:
@@ -134,11 +126,11 @@ def _solve(tiles: _Tiles, centre: Array, radius: float, focal: float | None, ord
 
 
 def _fit(
-    tiles: _Tiles, start: Array, radius: float, focal: float | None, order: int, fit_centre: bool
+    tiles: _Tiles, start: Array, radius: float, focal: float | None, order: int
 ) -> tuple[float, Array, Array, float]:
     """Return (Akaike's criterion, principal point, coefficients, relative uncertainty of the falloff at a tile)."""
     centre, free = start, order + 1
-    if fit_centre and (order > 0 or focal is not None):
+    if order > 0 or focal is not None:
 
         def residuals(place: Array) -> Array:
             return _solve(tiles, place, radius, focal, order)[1]

@@ -1,8 +1,7 @@
 """Quantities that a calibration and a reading must share, and the action where they do not: one table for all.
 
 A quantity is equal on both sides, different, or not stated by one of them. For each pair of states, `TABLE` gives the
-action: the reading is left as it is, corrected, made more uncertain, or refused. Every stage asks `handling_of` or
-`settle`.
+action: the reading is left as it is, corrected, made more uncertain, or refused. Every stage asks `settle`.
 """
 
 from __future__ import annotations
@@ -13,8 +12,7 @@ from enum import StrEnum
 from typing import Final, Protocol
 
 from radiometer.data import Calibration, CameraDescription, Frame, LensDescription, ResponseCurve
-from radiometer.data.capture_header import AUTOMATIC
-from radiometer.data.serials import same_serial
+from radiometer.data.capture_header import AUTOMATIC, same_serial
 from radiometer.errors import CalibrationError, RadiometerError, UsageError
 
 # A zoom's rings, the tags of EXIF, drivers and data sheets round lengths and gains to this.
@@ -65,6 +63,12 @@ class Rule:
 _KEPT = Rule(Handling.KEPT, "both are the same")
 _AS_CALIBRATED = Rule(Handling.KEPT, "the reading is taken with what was calibrated")
 _NOT_COMPARED = Rule(Handling.KEPT, "nothing to compare")
+_UNLESS_DIFFERENT: Final[Mapping[State, Rule]] = {
+    State.EQUAL: _KEPT,
+    State.READING_SILENT: _AS_CALIBRATED,
+    State.CALIBRATION_SILENT: _AS_CALIBRATED,
+    State.BOTH_SILENT: _NOT_COMPARED,
+}
 
 
 def _refused(reason: str, error: type[RadiometerError] = CalibrationError) -> Rule:
@@ -73,16 +77,11 @@ def _refused(reason: str, error: type[RadiometerError] = CalibrationError) -> Ru
 
 def _of_device(name: str) -> dict[State, Rule]:
     """Return the rules of a mark of the camera, which is the same camera or another."""
-    return {
-        State.EQUAL: _KEPT,
-        State.DIFFERENT: _refused(
-            f"the {{what}} is of another camera: its {name} is {{there}}, the camera's is {{here}}; use this camera's "
-            "own, or make one"
-        ),
-        State.READING_SILENT: _AS_CALIBRATED,
-        State.CALIBRATION_SILENT: _AS_CALIBRATED,
-        State.BOTH_SILENT: _NOT_COMPARED,
-    }
+    different = _refused(
+        f"the {{what}} is of another camera: its {name} is {{there}}, the camera's is {{here}}; use this camera's own, "
+        "or make one"
+    )
+    return {**_UNLESS_DIFFERENT, State.DIFFERENT: different}
 
 
 def _of_settings(name: str, unit: str = "") -> dict[State, Rule]:
@@ -139,14 +138,11 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     "conversion gain": _of_settings("conversion gain", " e⁻/DN")
     | dict.fromkeys((State.READING_SILENT, State.CALIBRATION_SILENT), _AS_CALIBRATED),
     "focal length": {
-        State.EQUAL: _KEPT,
+        **_UNLESS_DIFFERENT,
         State.DIFFERENT: _refused(
             "the calibration was made with a lens of {there} mm, the one in use has {here} mm; "
             "calibrate with the lens in use"
         ),
-        State.READING_SILENT: _AS_CALIBRATED,
-        State.CALIBRATION_SILENT: _AS_CALIBRATED,
-        State.BOTH_SILENT: _NOT_COMPARED,
     },
     # Of a flat field alone: the rest of the optics is corrected for them.
     "focus of a flat field": {
@@ -157,14 +153,11 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
         ),
     },
     "place of a flat field": {
-        State.EQUAL: _KEPT,
+        **_UNLESS_DIFFERENT,
         State.DIFFERENT: _refused(
             "the flat field holds for frames whose optical axis is at {there} px, these have it at {here} px: another "
             "part of the sensor; read the same part, calibrate with it, or correct lens.principal_point_px"
         ),
-        State.READING_SILENT: _AS_CALIBRATED,
-        State.CALIBRATION_SILENT: _AS_CALIBRATED,
-        State.BOTH_SILENT: _NOT_COMPARED,
     },
     "f-number": {
         State.EQUAL: _KEPT,
@@ -220,13 +213,8 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
         ),
         State.READING_SILENT: Rule(Handling.WIDENED, "the spread over kinds of light counts", "spectral assumption"),
     },
-    "temperature": {
-        State.EQUAL: _KEPT,
-        State.DIFFERENT: Rule(Handling.WIDENED, "by the distance", "temperature"),
-        State.READING_SILENT: Rule(Handling.WIDENED, "by a room's", "temperature"),
-        State.CALIBRATION_SILENT: Rule(Handling.WIDENED, "by a room's", "temperature"),
-        State.BOTH_SILENT: Rule(Handling.WIDENED, "by a room's", "temperature"),
-    },
+    "temperature": dict.fromkeys(State, Rule(Handling.WIDENED, "by a room's", "temperature"))
+    | {State.EQUAL: _KEPT, State.DIFFERENT: Rule(Handling.WIDENED, "by the distance", "temperature")},
     # Equal: inside the numbers that the curve has data for. Different: outside. A reading there is flagged.
     "response support": {
         State.EQUAL: _KEPT,
@@ -406,7 +394,6 @@ def require_photograph(calibration: Calibration, frame: Frame) -> str | None:
 
     Args:
         calibration: The calibration; of a relative one the colour alone counts.
-        frame: One of the photographs, with what is stated of it.
 
     Raises:
         CalibrationError: If the calibration does not state its ISO speed, and the photograph does.

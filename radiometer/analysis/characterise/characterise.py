@@ -25,12 +25,7 @@ from radiometer.analysis.characterise.partial import (
     scattered,
     stated_gain_doubt,
 )
-from radiometer.analysis.characterise.photon_transfer import (
-    CLIPPED_SHARE,
-    FewSteps,
-    PhotonTransfer,
-    photon_transfer,
-)
+from radiometer.analysis.characterise.photon_transfer import CLIPPED_SHARE, FewSteps, PhotonTransfer, photon_transfer
 from radiometer.analysis.characterise.result import PLAUSIBLE_ETA_PERCENT, Characterisation
 from radiometer.analysis.characterise.sensitivity import (
     Saturation,

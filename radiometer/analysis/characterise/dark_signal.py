@@ -52,7 +52,6 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
 
     Args:
         dark: The groups; at least one of them with two frames or more.
-        step_dn: Distance between codes in DN.
 
     Source: EMVA Standard 1288, release 4.0, sections 6.7 and 7.
     """
@@ -83,7 +82,6 @@ def level_at_0_s(dark: Sequence[GroupStatistics], step_dn: int = 1) -> tuple[Qua
 
     Args:
         dark: Groups of one gain, region and temperature; frames may be one each.
-        step_dn: Distance between codes in DN.
     """
     if len({d.settings.exposure_s for d in dark}) > 1:
         line = _mean_line(dark, [d.mean_dn for d in dark], step_dn)
@@ -114,7 +112,6 @@ def open_current_u_dn(dark: Sequence[GroupStatistics], K: Quantity | None, camer
     Args:
         dark: Groups of one gain, region and temperature.
         K: Overall system gain in DN/e-; None takes the stated one; without any all may be dark signal.
-        camera: What is believed of the camera.
     """
     one = dark[0]
     if len({d.settings.exposure_s for d in dark}) > 1:
@@ -177,10 +174,6 @@ def determined(
     """Return the figures that dark frames determine where noise is cut off at 0 or rounding hides it; a note says why.
 
     Args:
-        figures: Figures of the camera by symbol.
-        dark: Dark groups that they come from.
-        notes: Where the note goes.
-        step_dn: Distance between codes in DN.
         is_hidden: Rounding hides the temporal noise of the dark frames.
     """
     if is_cut_off(dark):
@@ -358,7 +351,6 @@ def typical_rates(dark: Sequence[GroupStatistics], step_dn: int = 1) -> list[tup
 
     Args:
         dark: Dark groups of one gain and region.
-        step_dn: Distance between codes in DN.
     """
     found = []
     for plateau in by_temperature(dark):
@@ -384,7 +376,6 @@ def typical_dark_current(
         dark: Dark groups of one gain and region.
         temperature_c: Temperature of the bright frames in °C; None for the warmest.
         K: Overall system gain in DN/e-.
-        step_dn: Distance between codes in DN.
     """
     rates = typical_rates(dark, step_dn)
     if not rates:

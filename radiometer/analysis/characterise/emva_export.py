@@ -27,7 +27,6 @@ def export_descriptor(subject: Subject, result: Characterisation, path: Path) ->
 
     Args:
         subject: The frames, whose photons must be known.
-        result: Their characterisation.
 
     Raises:
         InputError: If the photons are unknown, or the quantum efficiency that follows is not plausible.

@@ -86,7 +86,6 @@ def split_spatial_variance(average: NDArray[np.float64], noise: NoiseLeft) -> Sp
 
     Args:
         average: Mean picture of at least 2 × 2 pixels.
-        noise: Temporal variance that is left in it.
 
     Source: EMVA Standard 1288, release 4.0, section 8.2, solved with the degrees of freedom of an analysis of variance
     (the standard's factors differ from it by 1/(MN)).
@@ -190,10 +189,8 @@ def statistics_of_group(
 
     Args:
         frames: Frames of one size; one alone has no temporal variance.
-        settings: Their setting.
         regions: Where to look; None for the whole frame.
         saturated_dn: Digital number from which pixels are saturated.
-        photons: Mean photons per pixel where known.
 
     Raises:
         MeasurementError: If there is no frame or a region is outside them.

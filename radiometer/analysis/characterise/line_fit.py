@@ -39,7 +39,6 @@ def fit_line(x: ArrayLike, y: ArrayLike, u_y: ArrayLike, *, through_origin: bool
 
     Args:
         x: Abscissae, shape (n,), taken as exact.
-        y: Ordinates, shape (n,).
         u_y: Standard uncertainties of y, above 0.
 
     Raises:
@@ -78,11 +77,6 @@ def is_bent(x: ArrayLike, y: ArrayLike, u_y: ArrayLike, *, through_origin: bool 
     A term in x² is fitted as well. The points bend where it lowers χ² by more than 9 and explains more than half of
     what the straight line leaves above its degrees of freedom. The uncertainties are used as given: scatter of few
     points about the wrong curve would otherwise hide the bend.
-
-    Args:
-        x: Abscissae, shape (n,).
-        y: Ordinates, shape (n,).
-        u_y: Standard uncertainties of y, above 0.
     """
     xs, ys, u = (np.asarray(v, dtype=np.float64) for v in (x, y, u_y))
     columns = [xs, xs**2] if through_origin else [np.ones_like(xs), xs, xs**2]

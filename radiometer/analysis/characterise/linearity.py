@@ -36,7 +36,6 @@ def linearity(steps: Sequence[SignalStep], saturation_dn: float) -> Linearity | 
 
     Args:
         steps: Steps of one region.
-        saturation_dn: Signal at saturation in DN.
 
     Source: EMVA Standard 1288, release 4.0, section 6.8, equations (21) to (24).
     """

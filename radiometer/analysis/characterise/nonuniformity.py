@@ -28,7 +28,6 @@ def prnu(bright: GroupStatistics, dark: Sequence[GroupStatistics], signal_dn: fl
     Unevenness of the light itself counts in it, as in the standard.
 
     Args:
-        bright: Bright group.
         dark: Dark groups of its temperature.
         signal_dn: Signal of the bright group above the dark signal of its exposure in DN.
 

@@ -48,7 +48,6 @@ def partial_characterisation(
     Args:
         bright: Bright groups, single frames included.
         lit: Bright groups of two frames or more that do not contradict the others.
-        dark: Dark groups.
 
     Raises:
         MeasurementError: If no figure can be had.

@@ -62,9 +62,7 @@ def photon_transfer(
 
     Args:
         steps: Bright steps, of any number of regions.
-        saturation_dn: Signal at saturation in DN.
         free: The line is not tied to the origin: there are no dark frames, so that the signal holds the black level.
-        step_dn: Distance between codes in DN.
 
     Raises:
         FewSteps: If fewer than three steps are in the range.

@@ -11,6 +11,7 @@ from radiometer.analysis.characterise.linearity import Linearity
 from radiometer.analysis.characterise.photon_transfer import PhotonTransfer
 from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import CameraDescription, Provenance, Quantity
+from radiometer.data.json_text import finite_or_null
 from radiometer.numbers import below, rounded
 from radiometer.numbers import upper_limit as upper_limit_95
 from radiometer.units import gain_factor
@@ -72,7 +73,6 @@ def upper_limit(name: str, figure: Quantity) -> float | None:
 
     Args:
         name: Key of the figure in `SYMBOLS`.
-        figure: Its value and standard uncertainty.
     """
     if name in _SIGNED or not math.isfinite(figure.u) or abs(figure.value) > 2 * figure.u:
         return None
@@ -142,7 +142,7 @@ class Characterisation:
                 "standard": "4.0 (linear)",
                 "gain_db": self.gain_db,
                 "figures": {name: _figure(name, q) for name, q in self.figures.items()},
-                "K_by_gain": [{"gain_db": g, "K": _finite(q)} for g, q in self.gains.items()],
+                "K_by_gain": [{"gain_db": g, "K": finite_or_null(q)} for g, q in self.gains.items()],
                 "saturation_limited_by": self.limited_by,
                 "notes": list(self.notes),
                 "steps": [_step(step, self.figures.get("K")) for step in self.steps],
@@ -173,15 +173,7 @@ class Characterisation:
 def _figure(name: str, quantity: Quantity) -> dict[str, Any]:
     """Return a figure as a mapping; `below` is its upper limit where its U (k = 2) exceeds 100 %."""
     limit = upper_limit(name, quantity)
-    return _finite(quantity) | ({} if limit is None else {"below": limit})
-
-
-def _finite(quantity: Quantity) -> dict[str, Any]:
-    return {
-        "value": quantity.value if math.isfinite(quantity.value) else None,
-        "u": quantity.u if math.isfinite(quantity.u) else None,
-        "unit": quantity.unit,
-    }
+    return {**finite_or_null(quantity), **({} if limit is None else {"below": limit})}
 
 
 def _step(step: SignalStep, K: Quantity | None) -> dict[str, float | None]:

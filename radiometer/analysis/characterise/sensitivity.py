@@ -117,13 +117,10 @@ def responsivity(steps: Sequence[SignalStep], saturation: Saturation, photons_u_
 
     Args:
         steps: Steps of one region whose light is photons per pixel.
-        saturation: Its saturation point.
-        photons_u_rel: Relative standard uncertainty of the photon numbers.
 
     Source: EMVA Standard 1288, release 4.0, section 6.6, equation (13).
     """
-    used = [s for s in saturation.rising(steps) if 0 < s.signal_dn <= 0.7 * saturation.signal_dn]
-    slope, u_slope = _slope(used)
+    slope, u_slope = _slope(_below(saturation.rising(steps), saturation.signal_dn))
     return Quantity(slope, math.hypot(u_slope, slope * photons_u_rel), "DN/photon")
 
 

@@ -66,8 +66,6 @@ def make_steps(
 
     Args:
         bright: Bright groups of one gain.
-        dark: Dark groups of that gain.
-        step_dn: Distance between codes in DN.
 
     Raises:
         MeasurementError: If a bright group has no matching dark group.

@@ -33,7 +33,7 @@ from radiometer.data.white_level import WhiteLevel, white_level_notes
 from radiometer.errors import CaptureError, MeasurementError, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME, EmvaListing, find_descriptor
-from radiometer.importing.record import record_in
+from radiometer.importing.found import record_in
 from radiometer.units import photon_energy_j
 
 _MEASURED_REL: Final = 1e-4  # by which measured exposures of one setting differ; steps of a ladder do by per cents
@@ -134,12 +134,9 @@ def photon_flux(
     """Return the photon flux on the pixels of a patch of known radiance: μ̇_p = L·(E/L)·A·λ/(h·c).
 
     Args:
-        patch: The patch with its radiance.
-        pattern: Displayed pattern.
         camera: Gives the pixel pitch.
         lens: Gives transmittance, magnification and fall-off.
         source: Gives the wavelength.
-        f_number: Of the frames.
         shape: (height, width) of the frames.
 
     Returns:
@@ -414,7 +411,6 @@ def with_known_radiance(
         header: Camera, lens, light and f-number of the capture set.
         shape: (height, width) of its frames.
         radiance: Radiance of the regions in W·sr⁻¹·m⁻².
-        u_rel: Its relative standard uncertainty.
 
     Raises:
         UsageError: If pixel pitch, f-number or wavelength are not known.

@@ -54,7 +54,6 @@ def taps_as_stated(how: str | None, subject: Subject, shape: tuple[int, int]) ->
     Args:
         how: "2x2" for columns × rows of equal taps, "find" for borders that the frames show, None for what the camera
             description states.
-        subject: The frames.
         shape: (height, width) of the frames.
 
     Raises:
@@ -91,7 +90,6 @@ def characterise_taps(subject: Subject, taps: Sequence[TapDescription]) -> tuple
 
     Args:
         subject: The frames; its photon fluxes are not used.
-        taps: Their rectangles.
 
     Raises:
         MeasurementError: If a rectangle is not on the frames.
@@ -127,7 +125,6 @@ def camera_with_taps(capture: CaptureSet, how: str | None) -> CameraDescription:
     """Return the camera of a capture set with the taps that a user states.
 
     Args:
-        capture: The capture set.
         how: As for `taps_as_stated`.
 
     Raises:

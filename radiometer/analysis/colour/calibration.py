@@ -325,7 +325,6 @@ def errors_of_other_lights(
 
     Args:
         matrix: Shape (3, channels).
-        training: Lights that it was fitted to.
         powers: Their powers over the grid of plausible lights. None takes the plausible lights that are nearest in
             chromaticity and readings, of the kinds of the training where these are plausible ones.
         responsivities: The camera's, up to a common factor. None takes plausible colour cameras, each with a matrix

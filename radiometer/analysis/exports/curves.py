@@ -35,7 +35,6 @@ def write_curves(path: Path, curves: Mapping[str, ResponseCurve]) -> None:
 
     Args:
         path: File to write, ending in .m or .rsp.
-        curves: By channel.
 
     Raises:
         UsageError: If the ending is another, or channels are missing.
@@ -58,7 +57,6 @@ def read_curves(path: Path, bit_depth: int = 8) -> dict[str, ResponseCurve]:
     channel that its name ends in (`curve-red.csv`), else of "mono".
 
     Args:
-        path: The file.
         bit_depth: Bits per digital number of a polynomial (.rsp), which does not say.
 
     Raises:

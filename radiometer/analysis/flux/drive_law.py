@@ -59,7 +59,6 @@ class DriveLaw:
         }
 
     def __str__(self) -> str:
-        """Return the parameters and the misfit in one line."""
         known = self.parameters
         onset = f"onset {known['onset'].scaled(100.0, '%').text()}, " if self.onset else ""
         half = known["deviation_at_half_drive"].scaled(100.0, "%").text()

@@ -34,12 +34,12 @@ def intensity_exponent(half_angle_deg: float) -> float:
             angle" 2θ½); above 0, below 90. 60° is a Lambertian emitter, m = 1.
 
     Raises:
-        ValueError: If the angle is outside that range.
+        UsageError: If the angle is outside that range.
 
     Source: Moreno and Sun (2008), equation (1).
     """
     if not 0 < half_angle_deg < 90:
-        raise ValueError(f"half angle {half_angle_deg:g}° is out of range; allowed is above 0° and below 90°")
+        raise UsageError(f"half angle {half_angle_deg:g}° is out of range; allowed is above 0° and below 90°")
     return -math.log(2.0) / math.log(math.cos(math.radians(half_angle_deg)))
 
 
@@ -112,7 +112,6 @@ def led_flux(
             length and magnification count.
         emitter: The diode; without it only the flux on the sensor can be given.
         region: Where the diode and its glow are; None for the whole frame.
-        f_number_u_rel: Relative standard uncertainty of the effective f-number.
 
     Raises:
         MeasurementError: If no frame shows the diode, or it clips everywhere.
@@ -120,8 +119,7 @@ def led_flux(
     """
     measured = sensor_flux(frames, scale, region)
     f_number = frames[0].settings.f_number or scale.lens.f_number
-    _refuse_other_distance(emitter, scale.lens)
-    ways = _Ways(measured, scale, scale.lens, f_number, f_number_u_rel, emitter)
+    ways = _Ways(measured, scale, scale.lens, f_number, f_number_u_rel, emitter, _distance(emitter, scale.lens))
     emitted = ways.emitted()
     steps = ways.steps(emitted)
     thesis_exposure, thesis_w, left_out = _typical(measured)
@@ -142,28 +140,23 @@ def led_flux(
     )
 
 
-def _thin_lens_mm(lens: LensDescription) -> float | None:
-    """Return the distance f·(1 + 1/m) of what a thin lens shows sharply; None where focus or lens is not stated."""
-    if lens.focal_length_mm is None or lens.magnification <= 0:
-        return None
-    return lens.focal_length_mm * (1.0 + 1.0 / lens.magnification)
+def _distance(emitter: Emitter | None, lens: LensDescription) -> Quantity | None:
+    """Return the distance from emitter to pupil, measured or f·(1 + 1/m) of a thin lens; None where it is not known.
 
-
-def _refuse_other_distance(emitter: Emitter | None, lens: LensDescription) -> None:
-    """Refuse a distance that focal length and magnification exclude, such as one in cm.
-
-    Raises:
-        UsageError: If it is farther off than a lens is thick.
+    Raises UsageError for one that focal length and magnification exclude, such as one in cm.
     """
-    focused = _thin_lens_mm(lens)
-    if emitter is None or emitter.distance_mm is None or focused is None:
-        return
+    if emitter is None or lens.focal_length_mm is None or lens.magnification <= 0:
+        return None if emitter is None else emitter.distance_mm
+    focused = lens.focal_length_mm * (1.0 + 1.0 / lens.magnification)
+    if emitter.distance_mm is None:
+        return Quantity(focused, 0.01 * focused, "mm")
     stated = emitter.distance_mm.value
     if abs(stated / focused - 1.0) > _MOST_OFF_REL:
         raise UsageError(
             f"--distance {stated:g} mm: f = {lens.focal_length_mm:g} mm at a magnification of {lens.magnification:g}, "
             f"as the lens is stated, belong to {focused:.4g} mm; correct the distance, or lens.magnification"
         )
+    return emitter.distance_mm
 
 
 def _typical(measured: SensorFlux) -> tuple[float, float, float]:
@@ -190,6 +183,7 @@ class _Ways:
     f_number: float | None
     f_number_u_rel: float
     emitter: Emitter | None
+    distance: Quantity | None  # from emitter to pupil
 
     def on_sensor(self) -> Quantity:
         m = self.measured
@@ -200,10 +194,10 @@ class _Ways:
         emitter = self.emitter
         if emitter is None or self.f_number is None:
             return found
-        if self._distance() is not None and self.lens.focal_length_mm is not None:
-            found["fraction_through_pupil"] = self._through_pupil()
+        if self.distance is not None and self.lens.focal_length_mm is not None:
+            found["fraction_through_pupil"] = self._through_pupil(emitter.half_angle, self.distance)
         if emitter.diameter_mm is not None and self._is_in_focus():
-            found["radiance_times_area"] = self._radiance_times_area()
+            found["radiance_times_area"] = self._radiance_times_area(emitter.half_angle, emitter.diameter_mm)
         return found
 
     def steps(self, emitted: dict[str, Quantity]) -> list[tuple[str, Quantity, str]]:
@@ -213,12 +207,12 @@ class _Ways:
             ("clipped pixels from shorter exposures", merged, f"{m.clipped_everywhere} pixels clip in every frame"),
             ("background light taken off", self.on_sensor(), m.background_source),
         ]
-        if "fraction_through_pupil" in emitted:
+        if self.emitter is not None and self.distance is not None and "fraction_through_pupil" in emitted:
             tau = Quantity(self.lens.transmittance or 1.0, 0.0, "1")
             through = as_quantity(self.on_sensor().value / tau.value, self.scale, self._noise_w() / tau.value)
             u = math.hypot(through.u, through.value * (self.lens.transmittance_u_rel or 0.0))
             steps.append(("light lost in the lens", Quantity(through.value, u, "W"), f"transmittance {tau.value:g}"))
-            share = self._fraction(self._half_angle().value, self._distance_value(), 1.0)
+            share = self._fraction(self.emitter.half_angle.value, self.distance.value, 1.0)
             note = f"the pupil takes in {100 * share:.3g} % of the pattern"
             steps.append(("light that missed the lens", emitted["fraction_through_pupil"], note))
         elif "radiance_times_area" in emitted:
@@ -227,9 +221,9 @@ class _Ways:
 
     def assumptions(self) -> tuple[str, ...]:
         notes = []
-        if self.emitter is not None and self.emitter.distance_mm is None and self._distance() is not None:
-            notes.append(f"distance {self._distance_value():.4g} mm from focal length and magnification (thin lens)")
         if self.emitter is not None:
+            if self.emitter.distance_mm is None and self.distance is not None:
+                notes.append(f"distance {self.distance.value:.4g} mm from focal length and magnification (thin lens)")
             notes.append("intensity falls as a power of the cosine, the diode faces the lens")
             notes.append(f"a Lambertian part of 0 ± {100 * PEDESTAL_U:g} % of the axial intensity (k = 1)")
         return tuple(notes)
@@ -237,34 +231,15 @@ class _Ways:
     def _noise_w(self) -> float:
         return math.hypot(self.measured.u_noise_w, self.measured.u_background_w)
 
-    def _half_angle(self) -> Quantity:
-        assert self.emitter is not None
-        return self.emitter.half_angle
-
-    def _distance(self) -> Quantity | None:
-        """Return the distance from emitter to pupil: measured, or f·(1 + 1/m) of a thin lens."""
-        assert self.emitter is not None
-        if self.emitter.distance_mm is not None:
-            return self.emitter.distance_mm
-        distance = _thin_lens_mm(self.lens)
-        return None if distance is None else Quantity(distance, 0.01 * distance, "mm")
-
-    def _distance_value(self) -> float:
-        distance = self._distance()
-        assert distance is not None
-        return distance.value
-
     def _pupil_angle(self, distance_mm: float, f_number_factor: float) -> float:
         assert self.f_number is not None
         assert self.lens.focal_length_mm is not None
         return pupil_half_angle_rad(self.lens.focal_length_mm / (self.f_number * f_number_factor), distance_mm)
 
     def _fraction(self, half_angle_deg: float, distance_mm: float, f_number_factor: float) -> float:
-        return captured_fraction(_exponent(half_angle_deg), self._pupil_angle(distance_mm, f_number_factor))
+        return captured_fraction(intensity_exponent(half_angle_deg), self._pupil_angle(distance_mm, f_number_factor))
 
-    def _through_pupil(self) -> Quantity:
-        distance = self._distance()
-        assert distance is not None
+    def _through_pupil(self, half_angle: Quantity, distance: Quantity) -> Quantity:
         tau = Quantity(self.lens.transmittance or 1.0, 0.0, "1")
         u_tau = tau.value * (self.lens.transmittance_u_rel or 0.0)
         return propagated(
@@ -272,12 +247,12 @@ class _Ways:
                 flux
                 / transmittance
                 / self._fraction(angle, away, stop)
-                * spread_by_pedestal(_exponent(angle), pedestal)
+                * spread_by_pedestal(intensity_exponent(angle), pedestal)
             ),
             "W",
             self.on_sensor(),
             Quantity(tau.value, u_tau, "1"),
-            self._half_angle(),
+            half_angle,
             distance,
             Quantity(1.0, self.f_number_u_rel, "1"),
             Quantity(0.0, PEDESTAL_U, "1"),
@@ -299,9 +274,7 @@ class _Ways:
     def _area(self) -> float:
         return self.measured.irradiance.size * self.scale.pixel_area_m2
 
-    def _radiance_times_area(self) -> Quantity:
-        assert self.emitter is not None
-        assert self.emitter.diameter_mm is not None
+    def _radiance_times_area(self, half_angle: Quantity, diameter_mm: Quantity) -> Quantity:
         light = self.light()
         plateau = light[_inside(light)]
         irradiance = float(plateau.mean())
@@ -311,9 +284,9 @@ class _Ways:
             self._from_radiance,
             "W",
             Quantity(irradiance, math.hypot(scale_u, irradiance * tau_u), "W m-2"),
-            self._half_angle(),
-            self.emitter.diameter_mm,
-            self._distance() or Quantity(math.inf, 0.0, "mm"),
+            half_angle,
+            diameter_mm,
+            self.distance or Quantity(math.inf, 0.0, "mm"),
             Quantity(1.0, self.f_number_u_rel, "1"),
             Quantity(0.0, PEDESTAL_U, "1"),
         )
@@ -329,7 +302,7 @@ class _Ways:
     ) -> float:
         assert self.f_number is not None
         radiance = irradiance / lens_factor_sr(self.lens, self.f_number * stop)
-        exponent = _exponent(half_angle)
+        exponent = intensity_exponent(half_angle)
         if math.isfinite(distance_mm) and self.lens.focal_length_mm is not None:
             radiance *= mean_to_axial_radiance(exponent, self._pupil_angle(distance_mm, stop))
         flux = flux_of_radiance(radiance, math.pi * (0.5e-3 * diameter_mm) ** 2, exponent)
@@ -350,10 +323,3 @@ def _reaches_the_edge(light: NDArray[np.float64]) -> bool:
 
 def _lit(light: NDArray[np.float64]) -> NDArray[np.uint8]:
     return (light > _PLATEAU_SHARE * float(np.percentile(light, 99.9))).astype(np.uint8)
-
-
-def _exponent(half_angle_deg: float) -> float:
-    try:
-        return intensity_exponent(half_angle_deg)
-    except ValueError as error:
-        raise UsageError(str(error)) from error

@@ -20,15 +20,7 @@ from radiometer.analysis.signal.model import (
     temperature_factor,
 )
 from radiometer.analysis.signal.situation import situation_of
-from radiometer.data import (
-    BlackLevel,
-    Frame,
-    FrameSettings,
-    LensDescription,
-    Patch,
-    Quantity,
-    SensorNoise,
-)
+from radiometer.data import BlackLevel, Frame, FrameSettings, LensDescription, Patch, Quantity, SensorNoise
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 from radiometer.units import photon_energy_j
@@ -73,7 +65,6 @@ def flux_scale(
     Without a calibration H = x·c·h·c₀/(λ·η·A): conversion gain c, quantum efficiency η, pixel area A, wavelength λ.
 
     Args:
-        setup: Camera, lens, calibration and light.
         settings: Of the light frames, which a calibration is compared with as for a radiance.
         responsivity_u_rel: Relative standard uncertainty of η/c where it was measured; None takes 3 %.
 
@@ -134,7 +125,6 @@ def sensor_flux(frames: Sequence[Frame], scale: FluxScale, region: Patch | None 
 
     Args:
         frames: Light frames of the lit source, frames with source level 0, and dark frames, in any order.
-        scale: From digital numbers to exposure.
         region: Where the source and all its glow are; None for the whole frame.
 
     Raises:

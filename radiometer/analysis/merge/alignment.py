@@ -247,7 +247,6 @@ class Alignment:
         """Return what was found in a sentence.
 
         Args:
-            names: Of the frames, in their order.
             moved: Whether the frames are moved even where they hardly need it.
         """
         lost = [name for name, one in zip(names, self.movements, strict=True) if not one.known]

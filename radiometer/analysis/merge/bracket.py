@@ -13,23 +13,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.merge.displaced import (
-    MeanDisplacement,
-    excess_scatter,
-    find_strays,
-    relative_shift,
-    with_shift,
-)
+from radiometer.analysis.merge.displaced import excess_scatter, find_strays, relative_shift, with_shift
 from radiometer.analysis.merge.finish import CENSORED_SIGMA, AtLevels, MergeTables, finish, finish_moved, merge_tables
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_excess, with_own_ends, with_taps
-from radiometer.analysis.merge.sums import (
-    MANY,
-    Images,
-    MergeSample,
-    MergeSums,
-    ScratchSums,
-    merge_passes,
-)
+from radiometer.analysis.merge.sums import MANY, Images, MergeSample, MergeSums, ScratchSums, merge_passes
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import UNKNOWN_FALLOFF, common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.reading.estimate import FLICKER_FLOOR_REL, doubted_gains, fluctuation
@@ -46,20 +33,14 @@ from radiometer.analysis.signal.model import (
     corrected_settings,
     darkest_signal,
     refuse_brighter_darks,
+    refuse_other_format,
     some_lit_pixels,
     temperature_factor,
     with_found_code_step,
 )
 from radiometer.analysis.signal.situation import flat_field_for, situation_of
 from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
-from radiometer.data import (
-    Bracket,
-    FoundEffects,
-    Frame,
-    PixelMask,
-    Provenance,
-    RadianceMap,
-)
+from radiometer.data import Bracket, FoundEffects, Frame, PixelMask, Provenance, RadianceMap
 from radiometer.data.frame import Copies
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
@@ -155,7 +136,6 @@ def finish_sums(
 
     Args:
         sums: Of a run of pixels; they make room for the result.
-        terms: Of all frames, in the order of their bits.
         kept: As of `MergeTables.kept`.
         tables: Of these frames.
         factor: Radiance per rate, of every pixel or of all (size 1), float32.
@@ -185,8 +165,6 @@ def repair_defects(
 
     Args:
         radiance: Radiance, shape (height, width), still owned by the merge.
-        u_radiance: Its standard uncertainty.
-        mask: PixelMask bits.
         defects: Positions (x, y); those outside the picture are left out.
     """
     height, width = radiance.shape
@@ -394,13 +372,8 @@ class StreamingMerge:
     ) -> RadianceMap:
         """Return the radiance map of a bracket in memory, every pixel's sums made and used up at once.
 
-        Args:
-            absent: Where each light frame shows nothing, shape (height, width) each; empty where all show everything.
-            without_ghosts: Leave out of every pixel the frames that contradict the others there.
-            displacement_px: Standard deviation of a frame's displacement along any direction in pixels.
-
         Raises:
-            MeasurementError: If frames do not belong together.
+            MeasurementError: As `merge`, which has the arguments.
         """
         for dark in bracket.dark:
             self.add(dark)
@@ -420,8 +393,8 @@ class StreamingMerge:
             self._leave_out_strays(batch, images, absent, excused.shift)
         if displacement_px:
             shift = self._shift(images, displacement_px)
-            mean = MeanDisplacement.of(merge_tables(self._terms, self._model))
-            with_shift(images[0], images[1], shift, self._factor(0, shift.size), mean)
+            levels = merge_tables(self._terms, self._model).at_levels()
+            with_shift(images[0], images[1], shift, self._factor(0, shift.size), levels)
             images[1][excused.pixels] *= np.sqrt(np.maximum(excused.excess, 1.0)).astype(np.float32)
         found = self._map(images)
         return replace(found, provenance=_with_displacement(found, displacement_px)) if displacement_px else found
@@ -577,16 +550,7 @@ class StreamingMerge:
         if self._shape is None:
             self._situation = situation_of(self._situation.setup, frame)
             self._shape, self._taps = frame.shape, ReadOut.of(self._situation.setup, frame.shape)
-        if frame.shape != self._shape:
-            raise MeasurementError(
-                f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and "
-                f"{self._shape[1]} × {self._shape[0]} pixels)"
-            )
-        if frame.full_scale_dn != self._situation.model.full_scale_dn:
-            raise MeasurementError(
-                f"a frame has {frame.bit_depth} bits per pixel, the camera's description says full scale "
-                f"{self._situation.model.full_scale_dn}; use the description of this pixel format"
-            )
+        refuse_other_format(frame, self._shape, self._situation.model)
 
     def _known_shape(self) -> tuple[int, int]:
         if self._shape is None or not self._terms:
@@ -669,7 +633,7 @@ class StreamingMerge:
         own exposures share a part.
         """
         levels, calibration = merge_tables(self._terms, self._model).at_levels(), self._calibration
-        u_rel = np.hypot(levels.u_rel, self._wander_rel * np.sqrt((levels.weights**2).sum(axis=0)))
+        u_rel = np.hypot(levels.u_rel, self._wander_rel * levels.root_sum_square)
         # One dark frame scatters as the lights do, and all lights of its exposure share it.
         single = [(one.settings.exposure_s, one.settings.gain_db) for one in self._terms if one.has_single_dark]
         for key in set(single):

@@ -25,6 +25,7 @@ from radiometer.analysis.merge.finish import (
     AGREEMENT_SIGMA,
     CONTRADICTION_SIGMA,
     PER_FOLD,
+    AtLevels,
     MergeTables,
     scatter_limit,
 )
@@ -174,24 +175,6 @@ def _agreement(
     return agree | (high & short), exposure**2 / variance
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MeanDisplacement:
-    """√Σp² of the weights p of the frames, by the level of a pixel."""
-
-    lowest: float  # ln of the lowest rate that it is given for
-    factors: Array  # at steps of 1/`PER_FOLD` from there, float64
-
-    @classmethod
-    def of(cls, tables: MergeTables) -> MeanDisplacement:
-        """Return it for the maximum-likelihood weights of the frames that do not clip at each level.
-
-        Args:
-            tables: As the last step of the merge uses them, for all frames.
-        """
-        levels = tables.at_levels()
-        return cls(levels.lowest, np.sqrt((levels.weights**2).sum(axis=0)))
-
-
 def relative_shift(radiance: NDArray[np.float32], u_radiance: NDArray[np.float32], px: float) -> NDArray[np.float32]:
     """Return by how much a displacement of one frame changes its value at every pixel, δ·|∇ln L|, float32.
 
@@ -242,7 +225,7 @@ def with_shift(
     u_radiance: NDArray[np.float32],
     shift: NDArray[np.float32],
     per_unit: NDArray[np.float32],
-    mean: MeanDisplacement,
+    levels: AtLevels,
 ) -> None:
     """Add to the uncertainty of every pixel, in place, what displacement makes of the mean of its frames.
 
@@ -251,9 +234,9 @@ def with_shift(
         u_radiance: Its standard uncertainty, flat; overwritten.
         shift: As of `relative_shift`, flat.
         per_unit: Radiance per rate, of every pixel or of all (size 1).
-        mean: What the weights of the frames leave of it.
+        levels: Weights of the frames.
     """
-    _add_shift(radiance, u_radiance, shift, per_unit, mean.lowest, mean.factors)
+    _add_shift(radiance, u_radiance, shift, per_unit, levels.lowest, levels.root_sum_square)
 
 
 @compiled

@@ -284,6 +284,11 @@ class AtLevels:
     u_rel: Array  # relative standard uncertainty of the value, which pixels of one level share: of the curve
     dark_u: Array  # standard uncertainty of the rate that the frames' common dark level brings
 
+    @property
+    def root_sum_square(self) -> Array:
+        """Return √Σp² of the weights p, shape (levels,): what independent errors of the frames leave in their mean."""
+        return np.asarray(np.sqrt((self.weights**2).sum(axis=0)))
+
     def add(
         self,
         radiance: NDArray[np.float32],
@@ -392,10 +397,6 @@ class MergeTables:
 
 def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables:
     """Return the tables for a set of light frames.
-
-    Args:
-        terms: The frames in the order of their bits; exposures are counted in units of the first.
-        model: Signal model of the camera.
 
     Raises:
         MeasurementError: If the dark signal of every frame fills it.

@@ -58,7 +58,6 @@ def frame_terms(
     """Return the constants of a light frame.
 
     Args:
-        situation: What the merge rests on.
         dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
         through_lens: Whether the exposure carries the lens factor of the frame's f-number.
         masked_dn: What masked pixels of the frame read in DN; None where it is not stated.

@@ -167,7 +167,6 @@ def mean_weight(light: Spectrum, above: Weighting, below: Weighting | None = Non
     These are bounds, taken as rectangles.
 
     Args:
-        light: The light.
         above: Wavelengths and values of a.
         below: Those of b; None is 1 over the band of the light.
     """
@@ -410,7 +409,6 @@ def luminous_efficacy_lm_per_w(spectrum: Spectrum, observer: Observer = "photopi
     """Return the luminous efficacy of radiation in lm/W: K·∫S·V dλ / ∫S dλ over the spectrum's band.
 
     Args:
-        spectrum: Relative spectrum of the source.
         observer: Whose efficiency; K is 683 lm/W photopic, 1700.05 lm/W scotopic.
 
     Raises:
@@ -462,27 +460,9 @@ def radiance_thesis_w_sr_m2_um(luminance_cd_m2: float) -> float:
 
     It divides by ∫V dλ in µm, so its result is the radiance per µm of an equal-energy spectrum, not a radiance.
 
-    Args:
-        luminance_cd_m2: Luminance in cd·m⁻².
-
     Source: thesis equation (2.10), L_e = L_v/(683·0.1068).
     """
     return luminance_cd_m2 / (KM_LM_PER_W * 0.1068)
-
-
-def retinal_illuminance_td(luminance_cd_m2: float, pupil_diameter_mm: float) -> float:
-    """Return the retinal illuminance in trolands: luminance × pupil area in mm².
-
-    Args:
-        luminance_cd_m2: Luminance (photopic or scotopic, and so the trolands) in cd·m⁻².
-        pupil_diameter_mm: Diameter of the eye's pupil in mm, 1 to 10.
-
-    Raises:
-        InputError: If the pupil is outside 1 to 10 mm.
-    """
-    if not 1.0 <= pupil_diameter_mm <= 10.0:
-        raise InputError(f"pupil diameter {pupil_diameter_mm:g} mm is out of range; allowed is 1 to 10 mm")
-    return luminance_cd_m2 * math.pi / 4.0 * pupil_diameter_mm**2
 
 
 def spectral_mismatch_factor(

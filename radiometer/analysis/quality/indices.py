@@ -44,8 +44,6 @@ def worst_deviation(signals: Sequence[StepSignal], reference: StepSignal, source
 
     Args:
         signals: Readings, the reference among them or not.
-        reference: The one that they are compared with.
-        source_u_rel: Relative standard uncertainty that the source gives to each reading.
 
     Raises:
         MeasurementError: If there is no other step, or the reference reads no light.
@@ -65,7 +63,6 @@ def linearity(signals: Mapping[float, StepSignal], exposure_u_rel: float, source
     Args:
         signals: Readings made from the frames of one exposure time each, by that time in s.
         exposure_u_rel: Relative standard uncertainty of the ratio of two exposure times.
-        source_u_rel: Of the source's steadiness.
 
     Raises:
         MeasurementError: If fewer than three exposure times are left.

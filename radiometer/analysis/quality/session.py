@@ -53,14 +53,8 @@ class Index:
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping for programs."""
         one = self.procedure
-        content: dict[str, Any] = {
-            "index": one.name,
-            "symbol": one.symbol,
-            "title": one.title,
-            "definition": one.definition,
-            "source": one.source,
-            "measured": self.figure is not None,
-        }
+        stated = {name: getattr(one, name) for name in ("symbol", "title", "definition", "source")}
+        content: dict[str, Any] = {"index": one.name, **stated, "measured": self.figure is not None}
         if self.figure is None:
             return {**content, "reason": self.reason}
         found, k = self.figure, coverage_factor(self.figure.degrees_of_freedom)
@@ -107,8 +101,6 @@ def evaluate(session: Path, how: Evaluation, progress: Callable[[str], None] | N
 
     Args:
         session: Folder with a folder per procedure and in it one per step, each a capture set.
-        how: Calibration and patch to read with.
-        progress: Called with the name of each procedure.
 
     Raises:
         InputError: If the folder is missing or holds no capture of any procedure, and no spectral response is known.

@@ -69,9 +69,6 @@ def step_signal(
     """Return what the instrument reads in the patch of a capture.
 
     Args:
-        name: Of the step.
-        capture: The capture set.
-        patch: Where to read.
         calibration: The instrument's calibration, whose corrections are part of it; None reads relative values.
         frames: Some of the capture's frames; None for all.
 
@@ -121,9 +118,6 @@ def deviation(one: StepSignal, reference: StepSignal, source_u_rel: float, label
     """Return Y/Y_reference − 1 with what the two readings do not share.
 
     Args:
-        one: The reading.
-        reference: The reading it is compared with.
-        source_u_rel: Relative standard uncertainty that the source's steadiness gives to each.
         label: Of the deviation; the reading's name by default.
 
     Raises:

@@ -153,7 +153,6 @@ def smear(frames: RadianceMap, patch: Patch) -> Figure:
 
     Args:
         frames: Merged from exposures that show the source unclipped and others that show its surround.
-        patch: Holds the source.
 
     Raises:
         MeasurementError: If the source reaches the picture's edges, or clips in all frames.

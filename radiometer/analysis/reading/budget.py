@@ -143,7 +143,6 @@ def covariance(first: Reading, second: Reading) -> float:
     curve's error is shared only by readings of nearly the same radiance: elsewhere other parts of the curve serve.
 
     Args:
-        first: A reading.
         second: Another reading made with the same calibration.
 
     Source: JCGM 100:2008, section F.1.2.3.
@@ -163,7 +162,6 @@ def propagated_u(readings: Sequence[Reading], gradient: Sequence[float] | NDArra
     """Return the standard uncertainty of a function of readings made with one calibration.
 
     Args:
-        readings: The readings.
         gradient: Derivative of the function by each radiance, shape (readings,).
 
     Source: JCGM 100:2008, equation (13).
@@ -237,7 +235,6 @@ def conditions_of(
 
     Args:
         shares: Part of every frame in the value, shape (frames,); they sum to 1.
-        settings: Of the frames.
         level: Signal as a part of full scale.
         sensitivity: At the patch, relative to the axis.
         field: Distance of the patch from the axis over that of a corner.
@@ -271,9 +268,6 @@ def outside_terms(
     """Return the contributions of what differs between a reading and its calibration, stray light excepted.
 
     Args:
-        value: The radiance.
-        here: Conditions of the reading.
-        calibration: The calibration, with the conditions of its scale.
         falloff: What is known of the sensitivity over the picture.
         linear: Whether the sensor is taken as linear.
         now: Time of the reading, with time zone.
@@ -308,9 +302,6 @@ def frame_u_rel(
 
     Args:
         setup: With what the frames were taken; without a calibration it is 0.
-        lens: The lens in use.
-        numbers: f-numbers of the frames.
-        settings: Of the frames.
     """
     if (calibration := setup.calibration) is None:
         return 0.0
@@ -337,7 +328,6 @@ def carried(setup: Setup, settings: Sequence[FrameSettings]) -> tuple[float, flo
     It holds what differs of lens, f-number, focus and ISO speed. u is relative, and holds gain, temperature and age.
 
     Args:
-        setup: Camera, lens and calibration.
         settings: Of the light frames, the first that of the merge.
 
     Raises:
@@ -361,7 +351,6 @@ def stray_light(value: float, surround: float, calibration: Calibration) -> Term
     """Return the contribution of light that the lens spreads from the surround, and from the patch itself.
 
     Args:
-        value: The radiance of the patch.
         surround: Mean radiance of the picture.
         calibration: The calibration, whose source had a surround too.
 
@@ -804,7 +793,6 @@ def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties, *, spe
     counts. It also bounds the uncertainty from a known response, because nearly alike spectra depend little on it.
 
     Args:
-        calibration: The calibration, with the spectrum that the light is taken to have.
         stated: What is stated of the spectrum, and of its efficacy.
         spectrum_stated: Whether the spectrum of the light is stated. Where it is not, and no figure is stated, all
             kinds of light count.
@@ -824,7 +812,6 @@ def unstated_u_rel(calibration: Calibration, stated: StatedUncertainties, observ
     """Return the relative standard uncertainty of light of unknown spectrum: as stated, or of all kinds of light.
 
     Args:
-        calibration: The calibration, with the spectrum that the light is taken to have.
         stated: A figure of `spectral_u_rel` above 0 replaces it.
         observer: For a luminance, the observer; None for a radiance.
     """
@@ -843,13 +830,7 @@ def _colours(calibration: Calibration) -> tuple[str, ...]:
 def f_number_u_rel(
     calibration: Calibration | None, stated: StatedUncertainties, numbers: set[float | None]
 ) -> tuple[float, str]:
-    """Return the relative standard uncertainty that the f-number brings, and why.
-
-    Args:
-        calibration: The calibration; its scale knows the f-number it was got at.
-        stated: Stated uncertainty of an f-number.
-        numbers: f-numbers of the frames.
-    """
+    """Return the relative standard uncertainty that the f-number brings, and why."""
     reference = calibration.scale.f_number if calibration else None
     if reference is None or all(n is not None and settle("f-number", reference, n) is Handling.KEPT for n in numbers):
         return 0.0, "same as at calibration, so it drops out"
@@ -857,12 +838,7 @@ def f_number_u_rel(
 
 
 def transmittance_u_rel(calibration: Calibration | None, lens: LensDescription) -> tuple[float, str]:
-    """Return the relative standard uncertainty that the lens's transmittance brings, and why.
-
-    Args:
-        calibration: The calibration, with the lens that its scale was got through.
-        lens: The lens in use, with the transmittance that is reckoned with.
-    """
+    """Return the relative standard uncertainty that the lens's transmittance brings, and why."""
     if calibration is None:
         return 0.0, "no scale"
     if calibration.scale.method == "datasheet":
@@ -880,12 +856,7 @@ def _transmittance_u_rel(lens: LensDescription) -> float:
 
 
 def magnification_u_rel(calibration: Calibration | None, lens: LensDescription) -> tuple[float, str]:
-    """Return the relative standard uncertainty that another focus than at calibration brings, and why.
-
-    Args:
-        calibration: The calibration, with the lens as it was focused.
-        lens: The lens in use.
-    """
+    """Return the relative standard uncertainty that another focus than at calibration brings, and why."""
     if calibration is None:
         return 0.0, "no scale"
     here, there = (one.magnification / one.pupil_magnification for one in (lens, calibration.lens))

@@ -61,7 +61,6 @@ def estimate_patch(
 
     Args:
         frames: Usable frames, at least one.
-        dark: Dark level of each.
         exposures: Exposure time of each in s, times the lens factor in sr where requested.
         good: Pixels to use, shape of the patch.
 
@@ -145,7 +144,6 @@ def doubted_gains(
     Args:
         rates: Signal of each frame over its exposure and its stated gain, shape (frames,).
         variance: Of each from its known causes.
-        gains_db: Stated gain of each frame in dB.
     """
     gains = np.round(gains_db, 6)
     found = {gain: _mean_rate(rates[gains == gain], variance[gains == gain]) for gain in np.unique(gains).tolist()}

@@ -84,12 +84,10 @@ def read_patch(
 
     Args:
         frames: A bracket, or any frames of one unmoving scene; frames with the shutter closed give the dark level.
-        patch: Where to read.
         setup: Camera, lens and calibration in use, and the light. Without a calibration values are relative and the
             flag `uncalibrated` is set; without a stated spectrum the kinds of light that there are count, and the
             reading is flagged so.
         now: Time that the calibration's age is counted to, with time zone; None for when the frames were taken.
-        sequence: Running number of the reading.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
@@ -110,7 +108,6 @@ def patch_situation(
 
     Args:
         frames: As for `read_patch`.
-        patch: Where to read.
         setup: As for `read_patch`.
         now: Time of the reading, with time zone; None for when the frames were taken.
 

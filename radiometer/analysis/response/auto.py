@@ -21,7 +21,7 @@ from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import Choices, FittedResponse, error_of_quadrants, fit_with, refit, settle
 from radiometer.analysis.response.shutter_offset import Exposures, find_exposures, with_offset
 from radiometer.analysis.response.wrong_labels import WrongLabel, thinned
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread
@@ -75,7 +75,6 @@ def judge_by_prediction(
     """Return the fit whose λ predicts left-out quadrants and frames best, and what predicts them as well.
 
     Args:
-        samples: The rows, with their quadrants.
         start: A first estimate of g at every digital number.
         found: The fit with the λ of the restricted likelihood.
         labels: Wrong labels that it has freed; frames that may be wrong in their place make rivals too.

@@ -144,7 +144,6 @@ def unseen_factor(coefficients: Array, covariance: Array, basis: ValueBasis, val
     Args:
         coefficients: Of the curve, shape (basis.size,).
         covariance: Their posterior covariance, shape (basis.size, basis.size).
-        basis: The basis.
         valid_dn: Lowest and highest digital number that data supported.
     """
     inner = inner_range(valid_dn)

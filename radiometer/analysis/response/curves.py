@@ -44,7 +44,6 @@ def finished_curve(
         u_log_exposure: Its standard uncertainty relative to the gauge point.
         valid_dn: Lowest and highest digital number that data supported.
         black_dn: Digital number of no light.
-        assumptions: What was assumed, for the provenance.
     """
     inside = rising(log_exposure, u_log_exposure, valid_dn, black_dn)
     # Where the fit fell and had to be levelled, it is no better known than by how much.

@@ -13,7 +13,7 @@ from radiometer.analysis.response.estimate import ResponseEstimate, compare_thir
 from radiometer.analysis.response.fit import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
 from radiometer.analysis.response.noise import ASSUMPTION, mean_exposure_dn
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread
@@ -52,12 +52,11 @@ def recover_response_debevec1997(brackets: Bracket | Sequence[Bracket]) -> Respo
     curve, normal, solution = _solve(samples, None)
     parts = [samples.third(k) for k in range(3)] if samples.group_count >= 60 else []
     thirds = [_solve(part, solution.smoothing, of_pixels=True)[0] for part in parts]
-    residual = normal.residuals(solution.coefficients)
     return ResponseEstimate.of(
         samples,
         curve,
         METHOD,
-        residual_rms_log=float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum())),
+        residual_rms_log=normal.rms(solution.coefficients),
         smoothing=solution.smoothing,
         stability=compare_thirds(thirds, curve) if thirds else None,
         details={"effective_parameters": solution.effective_parameters},
@@ -94,14 +93,11 @@ def _solve(
     every = basis.all_values()
     middle = basis.values_at(basis.anchor_dn)
     solution = solve_penalised(normal, basis.roughness(), middle, smoothing)
-    meat = normal.robust_meat(solution.coefficients)
-    covariance = solution.inverse @ meat @ solution.inverse
-    if not of_pixels:
-        # Bayesian share of the penalty: what smoothing may have bent. Parts of the pixels share it.
-        bend = solution.inverse - solution.inverse @ normal.matrix @ solution.inverse
+    covariance = normal.covariance(solution.coefficients, solution.inverse)
+    if not of_pixels:  # parts of the pixels share what smoothing bent
         posterior = solution.residual_variance * solution.inverse
         factor = unseen_factor(solution.coefficients, posterior, basis, supported_range(samples))
-        covariance = covariance + factor**2 * solution.residual_variance * bend
+        covariance = covariance + factor**2 * solution.residual_variance * normal.smoothness(solution.inverse)
     if not np.all(np.isfinite(covariance)):
         raise MeasurementError(
             "the frames hold too few different pixel values for a response; photograph a scene with more tones"

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.response.noise import LogNoise
 from radiometer.analysis.response.pixel_noise import SinglePixels, finite, fit_terms, log_noise
-from radiometer.data.bracket import Bracket
-from radiometer.data.frame import Frame
+from radiometer.data.frame import Bracket, Frame
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.typing import Array
 

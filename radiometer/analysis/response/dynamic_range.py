@@ -73,7 +73,6 @@ def dynamic_range(
     at both numbers and of reading them.
 
     Args:
-        curve: Relative curve g.
         points: The regions, at least one; best one near black and one near white.
         reference_s: Exposure time t of the reference photograph in s, above 0.
         reference_dn: Reference value M_ref.
@@ -118,10 +117,6 @@ def with_dynamic_range(curve: ResponseCurve, found: DynamicRange) -> ResponseCur
 
     Inside the range that data support, ln H = γ·g. Outside it, towards a region, the curve runs to that region's
     measured exposure on a line over ln M, and what the region moved it by counts as uncertain on the way.
-
-    Args:
-        curve: Relative curve.
-        found: What the regions say of it.
     """
     middle = curve.mid_dn
     g = found.exponent * curve.log_exposure

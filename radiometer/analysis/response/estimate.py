@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -74,7 +74,6 @@ class ResponseEstimate:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the diagnostics (not the curve's values) as plain values for JSON."""
-        stability = self.stability
         return {
             "method": self.method,
             "channel": self.curve.channel,
@@ -86,19 +85,8 @@ class ResponseEstimate:
             "residual_rms_log": self.residual_rms_log,
             "smoothing": self.smoothing,
             "median_u_log_exposure": median_uncertainty(self.curve),
-            "stability": None
-            if stability is None
-            else {
-                "rms_log": stability.rms_log,
-                "largest_log": stability.largest_log,
-                "reduced_chi2": stability.reduced_chi2,
-            },
-            "agreement": None
-            if self.agreement is None
-            else {
-                "quadrants_rms_log": self.agreement.quadrants_rms_log,
-                "frames_rms_log": self.agreement.frames_rms_log,
-            },
+            "stability": None if self.stability is None else asdict(self.stability),
+            "agreement": None if self.agreement is None else asdict(self.agreement),
             "exposure_ratios": [float(r) for r in self.exposure_ratios],
             "u_exposure_ratios": [float(u) for u in self.u_exposure_ratios],
             "gauge": self.gauge,
@@ -135,7 +123,6 @@ def compare_thirds(curves: list[ResponseCurve], whole: ResponseCurve) -> Stabili
 
     Args:
         curves: Curves from disjoint pixels, at least two.
-        whole: The curve of all pixels.
     """
     ranges = [curve.valid_dn for curve in (*curves, whole) if curve.valid_dn]
     if len(ranges) < 3:
@@ -159,7 +146,6 @@ def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
     """Refuse a curve without information: no range, or not known to a factor of e. A narrow range becomes a note.
 
     Args:
-        estimate: As recovered.
         where: Where the frames came from; "" where it is unknown.
 
     Raises:

@@ -51,13 +51,21 @@ class NormalEquations:
         """Return y − X·c + e of every row at a solution, each group's e at its best value."""
         return self.target - self.centred @ solution
 
-    def robust_meat(self, solution: Array) -> Array:
-        """Return Σ_g s_g·s_gᵀ of the groups' scores: the covariance of q with no noise model assumed."""
+    def rms(self, solution: Array) -> float:
+        """Return the weighted root mean square of the residuals."""
+        return float(np.sqrt(self.weight @ self.residuals(solution) ** 2 / self.weight.sum()))
+
+    def covariance(self, solution: Array, inverse: Array) -> Array:
+        """Return the covariance of a solution from the scatter of whole groups' scores, with no noise model assumed."""
         starts = np.flatnonzero(np.diff(self.group, prepend=-1))
         weighted = self.centred * (self.weight * self.residuals(solution))[:, None]
         scores = np.add.reduceat(weighted, starts, axis=0)
         groups = max(scores.shape[0], 2)
-        return np.asarray(scores.T @ scores * (groups / (groups - 1.0)))
+        return np.asarray(inverse @ (scores.T @ scores * (groups / (groups - 1.0))) @ inverse)
+
+    def smoothness(self, inverse: Array) -> Array:
+        """Return the part of the posterior covariance that the penalty decides: what it may have bent."""
+        return np.asarray(inverse - inverse @ self.matrix @ inverse)
 
 
 def eliminate_groups(design: sp.csr_array, target: Array, weight: Array, group: NDArray[np.intp]) -> NormalEquations:
@@ -111,7 +119,6 @@ def solve_penalised(
     """Return the penalised solution; λ by restricted maximum likelihood where none is given.
 
     Args:
-        normal: The normal equations.
         penalty: P, positive semi-definite, shape (k, k).
         gauge: b; the solution obeys b·c = 0, which the equations themselves leave open.
         smoothing: λ at or above 0; None to choose it.
@@ -130,10 +137,7 @@ def solve_penalised(
     grid = np.logspace(-12, 7, 39)
     scores = [_restricted_deviance(normal, penalty, fixed, value * scale, order) for value in grid]
     if not np.isfinite(np.min(scores)):
-        raise MeasurementError(
-            "the frames do not determine a response: too few values overlap between exposures; "
-            "take exposures about one stop apart of a scene with many brightnesses"
-        )
+        raise MeasurementError(_UNDETERMINED)
     best = float(grid[int(np.argmin(scores))])
     return _finish(normal, penalty, fixed, best * scale, best)
 
@@ -192,17 +196,14 @@ class ResponseFit:
         return np.concatenate([self.coefficients, self.time_modes])
 
     def covariance(self) -> Array:
-        """Return the covariance of the solution, from the scatter of whole groups, with no noise model assumed."""
-        return np.asarray(self.inverse @ self.normal.robust_meat(self.solution) @ self.inverse)
+        """Return the covariance of the solution."""
+        return self.normal.covariance(self.solution, self.inverse)
 
     def frame_covariance(self, frame: NDArray[np.intp]) -> Array:
         """Return the covariance of the solution that whole frames make that are each off in their own way.
 
         Every frame's score counts as one draw, because its residuals share flare, tone or shutter. The part that the
         fit absorbed is restored: with leverage H, a frame's residual is (I − H)^½ of its error.
-
-        Args:
-            frame: Frame of every row.
 
         Source: R. M. Bell, D. F. McCaffrey 2002, Survey Methodology 28, 169–181 (the estimator named CR2).
         """
@@ -223,7 +224,7 @@ class ResponseFit:
 
     def smoothness_covariance(self) -> Array:
         """Return the part of the posterior covariance that the smoothness (and the prior of the times) decides."""
-        return np.asarray(self.inverse - self.inverse @ self.normal.matrix @ self.inverse)
+        return self.normal.smoothness(self.inverse)
 
     def leverage(self) -> Array:
         """Return the part of each row's own noise that curve and group took up, 0 to 0.95."""

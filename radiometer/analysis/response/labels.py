@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.errors import CaptureError
 
 # Less than this part of full scale is drift, fog or noise, not a wrong label.
@@ -29,7 +29,7 @@ def reject_inconsistent_exposures(bracket: Bracket) -> None:
     """
     if np.ptp(bracket.effective_exposures_s) == 0.0:
         return  # one exposure says nothing of its label
-    _refuse_equal_frames(bracket)
+    _refuse_alike(bracket, _alike(bracket)[1])
     rise = _pairwise_rise(bracket)
     consistent = _longest_rise(rise)
     inconsistent = [index for index in range(len(bracket.light)) if index not in consistent]
@@ -45,10 +45,7 @@ def reject_inconsistent_exposures(bracket: Bracket) -> None:
 
 
 def refuse_falling_brightness(bracket: Bracket) -> None:
-    """Refuse a bracket whose pictures get darker throughout as the stated exposure grows.
-
-    Args:
-        bracket: Frames sorted by their stated exposure.
+    """Refuse a bracket, sorted by stated exposure, whose pictures get darker throughout as it grows.
 
     Raises:
         CaptureError: If hardly any frame is brighter than one of a shorter stated exposure.
@@ -67,20 +64,12 @@ def _refuse_falling(where: str, rising: int, count: int) -> None:
 def refuse_equal_throughout(bracket: Bracket) -> None:
     """Refuse a bracket of equal pictures under different labels: none of them shows which label is wrong.
 
-    Args:
-        bracket: Frames sorted by their stated exposure.
-
     Raises:
         CaptureError: If no frame is brighter than the one before it; names them.
     """
     apart, alike = _alike(bracket)
     if apart == len(alike):
         _refuse_alike(bracket, alike)
-
-
-def _refuse_equal_frames(bracket: Bracket) -> None:
-    """Refuse neighbouring frames that are alike in their middle tones though their labels are not."""
-    _refuse_alike(bracket, _alike(bracket)[1])
 
 
 def _alike(bracket: Bracket) -> tuple[int, list[str]]:

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.signal.model import mean_darks, unexposed_dn, whole_darks
-from radiometer.data.bracket import Bracket
-from radiometer.data.frame import Frame
+from radiometer.data.frame import Bracket, Frame
 from radiometer.data.pile_up import with_white_levels
 from radiometer.errors import MeasurementError
 
@@ -153,10 +152,6 @@ def growth_power(bracket: Bracket, black_dn: float = 0.0) -> float | None:
 
     The median over pairs of neighbouring frames of Δln(M − black) / Δln(exposure), each that of its pixels' median, so
     that one wrong time in four or more says nothing. Behind a gamma of 1/2.2 it is 0.45.
-
-    Args:
-        bracket: Frames of one unmoving scene.
-        black_dn: Black level in DN.
     """
     try:
         span = find_limits([bracket]).saturated_dn - black_dn

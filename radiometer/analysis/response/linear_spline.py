@@ -14,7 +14,7 @@ from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds, inner_range
 from radiometer.analysis.response.fit import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.typing import Array
@@ -54,14 +54,13 @@ def recover_response_linear_spline(brackets: Bracket | Sequence[Bracket]) -> Res
     curve, normal, solution = _solve(samples, black, finer=finer)
     misfit = _misfit(curve.log_exposure, finer, supported_range(samples))[inner_range(supported_range(samples))]
     thirds = [_solve(samples.third(k), black, solution.smoothing)[0] for k in range(3)]
-    residual = normal.residuals(solution.coefficients)
     deviation = _spline(samples, np.arange(1 << samples.bit_depth, dtype=np.float64)) @ solution.coefficients
     low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
     return ResponseEstimate.of(
         samples,
         curve,
         METHOD,
-        residual_rms_log=float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum())),
+        residual_rms_log=normal.rms(solution.coefficients),
         smoothing=solution.smoothing,
         stability=compare_thirds(thirds, curve),
         notes=_notes(float(np.sqrt(np.mean(misfit**2)))),
@@ -137,13 +136,10 @@ def _solve(
     middle = np.asarray(basis[[every.size // 2], :].toarray())[0]
     bent = np.diff(np.eye(_PIECES + 3), axis=0)
     solution = solve_penalised(normal, bent.T @ bent, middle, smoothing, order=1)
-    meat = normal.robust_meat(solution.coefficients)
     from_middle = basis.toarray() - middle
-    covariance = solution.inverse @ meat @ solution.inverse
-    if finer is not None:
-        # Bayesian share of the penalty: what smoothing may have bent. Parts of the pixels share it.
-        bend = solution.inverse - solution.inverse @ normal.matrix @ solution.inverse
-        covariance = covariance + solution.residual_variance * bend
+    covariance = normal.covariance(solution.coefficients, solution.inverse)
+    if finer is not None:  # parts of the pixels share what smoothing bent
+        covariance = covariance + solution.residual_variance * normal.smoothness(solution.inverse)
     u = np.sqrt(np.maximum(np.einsum("ij,ij->i", from_middle @ covariance, from_middle), 0.0))
     g = np.log(np.maximum(every - black, 0.25)) + basis @ solution.coefficients
     if finer is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +14,7 @@ from radiometer.analysis.response import linear_spline as response_linear_spline
 from radiometer.analysis.response import mitsunaga1999 as response_mitsunaga1999
 from radiometer.analysis.response import robertson1999 as response_robertson1999
 from radiometer.analysis.response.estimate import ResponseEstimate, inner_range
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.errors import UsageError
 
 ResponseMethod = Callable[[Sequence[Bracket]], ResponseEstimate]
@@ -57,13 +57,8 @@ class Disagreement:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping for JSON."""
-        return {
-            "methods": [self.first, self.second],
-            "channel": self.channel,
-            "rms_log": self.rms_log,
-            "largest_sigma": self.largest_sigma,
-            "at_dn": self.at_dn,
-        }
+        figures = asdict(self)
+        return {"methods": [figures.pop("first"), figures.pop("second")], **figures}
 
 
 def compare_methods(estimates: Sequence[ResponseEstimate]) -> list[Disagreement]:

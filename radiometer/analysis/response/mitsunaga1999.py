@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -15,7 +16,7 @@ from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds
 from radiometer.analysis.response.noise import ASSUMPTION, mean_exposure_dn, noise_of, row_variance, value_at
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples, u_by_groups
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.one_thread import on_one_blas_thread
@@ -85,14 +86,8 @@ class Pairs:
 
     def part(self, keep: NDArray[np.bool_]) -> Pairs:
         """Return the rows to keep."""
-        return replace(
-            self,
-            shorter=self.shorter[keep],
-            longer=self.longer[keep],
-            pair=self.pair[keep],
-            sigma=self.sigma[keep],
-            group=self.group[keep],
-        )
+        rows: dict[str, Any] = {n: getattr(self, n)[keep] for n in ("shorter", "longer", "pair", "sigma", "group")}
+        return replace(self, **rows)
 
     def log_ratios(self, log_exposure: Array) -> Array:
         """Return ln of the exposure ratio of every pair as a curve g has it; the stated one where it has no rows."""
@@ -195,7 +190,6 @@ def fit_polynomial(pairs: Pairs, argument: Array, order: int, gauge: Gauge, star
     brought to 1 by the sum of all ln ratios, which is held.
 
     Args:
-        pairs: The pairs.
         argument: x at every digital number, rising from 0 to 1.
         order: Order of the polynomial.
         gauge: What fixes the exponent.

@@ -112,7 +112,6 @@ def mean_exposure_dn(dn: Array, variance_dn2: Array, log_exposure: Array, limits
 
     Args:
         dn: Mean digital number of each group, any shape.
-        variance_dn2: Variance of the group's pixels in DN², same shape.
         log_exposure: A first estimate of g at every digital number.
         limits: Black and saturation level.
 

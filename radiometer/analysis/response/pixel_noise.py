@@ -14,7 +14,7 @@ from radiometer.analysis.response.basis import hat_weight
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.noise import LogNoise, group_deviation, slope_at, value_at
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.errors import MeasurementError
@@ -86,23 +86,6 @@ class TermsFit:
         return np.asarray(inverse @ (sums.T @ sums) @ inverse)
 
 
-def pixel_noise(bracket: Bracket, curve: ResponseCurve) -> LogNoise:
-    """Return the noise of one pixel: shot, read, and what arises behind the curve, as the frames themselves show it.
-
-    Some thousand pixels, evenly over the picture, represent all. The exposure of each is the mean over its frames,
-    weighted by the noise so far. The amplitudes follow from the residuals.
-
-    Args:
-        bracket: Frames of one unmoving scene.
-        curve: Their response.
-
-    Raises:
-        MeasurementError: If hardly a pixel is unclipped in two frames.
-    """
-    pixels = SinglePixels.of(bracket, curve)
-    return log_noise(fit_terms(pixels, pixels.noise_terms()).amplitudes)
-
-
 def log_noise(amplitudes: Array) -> LogNoise:
     """Return the noise of amplitudes in the order of `SinglePixels.noise_terms`; further ones are left out."""
     return LogNoise(float(amplitudes[0]), float(amplitudes[1]), float(amplitudes[2]), 0.0)
@@ -112,7 +95,6 @@ def fit_terms(pixels: SinglePixels, terms: Array) -> TermsFit:
     """Return the amplitudes of terms of the variance of ln H of single pixels.
 
     Args:
-        pixels: The pixels.
         terms: What a unit amplitude of each makes of the variance of every row; the third is noise in DN².
     """
     samples = pixels.samples
@@ -224,9 +206,7 @@ def sensor_noise(noise: LogNoise, curve: ResponseCurve, black_dn: float = 0.0) -
     x = exp g has the variance a·x + b + d·(dx/dM)², so that 1/a is the number of electrons at x = 1.
 
     Args:
-        noise: Of one pixel.
         curve: The response that it holds for.
-        black_dn: Black level in DN.
     """
     _, high = curve.valid_dn or (1, curve.log_exposure.size - 2)
     top = float(np.exp(curve.log_exposure[high]))

@@ -10,7 +10,7 @@ from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.debevec1997 import curve_debevec1997, without_noise_shift
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples, u_by_groups
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.typing import Array

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.response.labels import exposure_labels
 from radiometer.analysis.response.limits import ValueLimits, find_limits
-from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Bracket
 from radiometer.errors import InputError, MeasurementError
 from radiometer.statistics.scale import jackknife_u
 from radiometer.typing import Array
@@ -32,6 +33,7 @@ _NEIGHBOUR_PX = 2
 # over groups and frames) do not see one thing in all frames. Noise alone makes it 1.0 to 1.1.
 _EDGES_DIFFER = 1.5
 _FEWEST_PIXELS_FOR_VARIANCE = 20
+_OF_ROWS = ("dn", "log_time", "frame", "pixels", "variance")
 # A pixel that falls by more than this part of full scale under a longer exposure did not look at one thing.
 _TOLERATED_FALL = 0.1
 # Nor did one in the middle tones (parts of white) that stays within this part of full scale in all frames while the
@@ -374,23 +376,10 @@ def _unmoved(bracket: Bracket, limits: ValueLimits) -> NDArray[np.bool_]:
 
 
 def _joined(parts: Sequence[ResponseSamples]) -> ResponseSamples:
-    first = parts[0]
-    return ResponseSamples(
-        dn=np.concatenate([p.dn for p in parts]),
-        log_time=np.concatenate([p.log_time for p in parts]),
-        group=np.concatenate([p.group for p in parts]),
-        frame=np.concatenate([p.frame for p in parts]),
-        pixels=np.concatenate([p.pixels for p in parts]),
-        variance=np.concatenate([p.variance for p in parts]),
-        bit_depth=first.bit_depth,
-        limits=first.limits,
-        frame_log_time=np.concatenate([p.frame_log_time for p in parts]),
-        frame_bracket=np.concatenate([p.frame_bracket for p in parts]),
-        pixel_count=sum(p.pixel_count for p in parts),
-        channel=first.channel,
-        edge_scatter=max(p.edge_scatter for p in parts),
-        frame_log_gain=np.concatenate([p.frame_log_gain for p in parts]),
-    )
+    names = (*_OF_ROWS, "group", "frame_log_time", "frame_bracket", "frame_log_gain")
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    count, edge_scatter = sum(part.pixel_count for part in parts), max(part.edge_scatter for part in parts)
+    return replace(parts[0], **joined, pixel_count=count, edge_scatter=edge_scatter)
 
 
 def _nothing_usable(samples: ResponseSamples) -> str:
@@ -403,19 +392,6 @@ def _nothing_usable(samples: ResponseSamples) -> str:
 
 def _select(samples: ResponseSamples, keep: NDArray[np.bool_]) -> ResponseSamples:
     group = np.unique(samples.group[keep], return_inverse=True)[1].astype(np.intp)
-    return ResponseSamples(
-        dn=samples.dn[keep],
-        log_time=samples.log_time[keep],
-        group=group,
-        frame=samples.frame[keep],
-        pixels=samples.pixels[keep],
-        variance=samples.variance[keep],
-        bit_depth=samples.bit_depth,
-        limits=samples.limits,
-        frame_log_time=samples.frame_log_time,
-        frame_bracket=samples.frame_bracket,
-        pixel_count=samples.pixel_count,
-        channel=samples.channel,
-        edge_scatter=samples.edge_scatter,
-        frame_log_gain=samples.frame_log_gain,
-    )
+    kept: dict[str, Any] = {name: getattr(samples, name)[keep] for name in _OF_ROWS}
+    uncut: dict[str, Any] = dict.fromkeys(("without_quadrant", "quadrants", "without_share", "shares"), ())
+    return replace(samples, **kept, group=group, frame_labels=(), **uncut)

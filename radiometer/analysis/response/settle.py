@@ -163,9 +163,7 @@ class FittedResponse:
     @property
     def residual_rms_log(self) -> float:
         """Return the root mean square of ln H residuals, weighted."""
-        normal = self.fit.normal
-        residual = normal.residuals(self.fit.solution)
-        return float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum()))
+        return self.fit.normal.rms(self.fit.solution)
 
 
 def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> FittedResponse:
@@ -173,7 +171,6 @@ def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> Fitted
 
     Args:
         start: A first estimate of g at every digital number, rising.
-        choices: What to take as given.
     """
     samples = _above_black(samples, start)
     limits = samples.limits
@@ -216,7 +213,6 @@ def settle(
     """Return the fit whose smoothness counts tones and places, not groups of pixels, as independent.
 
     Args:
-        samples: The rows, with their quadrants.
         start: A first estimate of g at every digital number, rising.
         free: Frames whose exposure is not taken from their label.
         time_spread: Relative standard deviation of the exposure times; None to choose it.
@@ -260,7 +256,6 @@ def error_of_quadrants(samples: ResponseSamples, fitted: FittedResponse, frame: 
     """Return the mean size of the prediction error in DN of every quadrant, fitted without it.
 
     Args:
-        samples: The rows, with their quadrants.
         fitted: A fit to all of them.
         frame: The frame whose rows are predicted; None for all. NaN where a quadrant has none.
     """

@@ -24,7 +24,7 @@ from radiometer.analysis.response.wrong_labels import (
     WrongLabel,
     find_wrong_labels,
     most_wrong_labels,
-    thinned,
+    settled_thin,
 )
 from radiometer.errors import MeasurementError
 from radiometer.typing import Array
@@ -147,25 +147,12 @@ def find_offset(planes: Sequence[Plane], wrong: Sequence[int] = ()) -> ShutterOf
     short = short[~np.isin(short, list(wrong))]
     if short.size < _FEWEST_MOVED or not most_wrong_labels(planes):
         return None
-    thin = [pair for plane in planes for pair in _settled(plane, wrong)]
+    thin = [pair for plane in planes for pair in settled_thin(plane, without=wrong)]
     try:
         evidence = _Evidence.of([plane for plane, _ in thin], [fitted for _, fitted in thin])
         return evidence.offset(short) if evidence is not None else None
     except MeasurementError:
         return None
-
-
-def _settled(plane: Plane, wrong: Sequence[int]) -> list[tuple[Plane, FittedResponse]]:
-    """Return a plane with fewer groups and without some frames, and its fit; nothing where it is too dark or small."""
-    if not plane.samples.shares:
-        return []
-    try:
-        samples = thinned(plane.samples)
-        if len(wrong):
-            samples = samples.changed(lambda one: one.kept(~np.isin(one.frame, list(wrong))))
-        return [(replace(plane, samples=samples), settle(samples, plane.start))]
-    except MeasurementError:
-        return []
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -79,7 +79,7 @@ def find_wrong_labels(planes: Sequence[Plane], shutter_s: float = UNSTATED_OFFSE
         shutter_s: Time in s by which all exposures may differ from their labels, as in `smallest_label_error`.
     """
     most = most_wrong_labels(planes)
-    settled = [pair for one in planes for pair in _settled(one)] if most else []
+    settled = [pair for one in planes for pair in settled_thin(one)] if most else []
     if not settled:
         return ()
     thin = [plane for plane, _ in settled]
@@ -107,7 +107,7 @@ def freed_one_by_one(planes: Sequence[Plane], wrong: tuple[int, ...] = ()) -> li
     Args:
         planes: Colours of the same photographs, as for `find_wrong_labels`.
     """
-    settled = [pair for one in planes for pair in _settled(one, wrong)]
+    settled = [pair for one in planes for pair in settled_thin(one, wrong)]
     frames = planes[0].samples.frame_log_time.size
     if not settled:
         return [(0.0, math.inf)] * frames
@@ -148,13 +148,17 @@ def most_wrong_labels(planes: Sequence[Plane]) -> int:
     return max((frames - 1) // 3, 1) if frames > 3 else 0
 
 
-def _settled(plane: Plane, free: tuple[int, ...] = ()) -> list[tuple[Plane, FittedResponse]]:
-    """Return a plane's thinned samples with their fit; nothing where the plane is too dark or too small for one."""
+def settled_thin(
+    plane: Plane, free: tuple[int, ...] = (), without: Sequence[int] = ()
+) -> list[tuple[Plane, FittedResponse]]:
+    """Return a plane's thinned samples without some frames, and their fit; nothing where it is too dark or small."""
     if not plane.samples.shares:
         return []
-    thin = replace(plane, samples=thinned(plane.samples))
     try:
-        return [(thin, settle(thin.samples, thin.start, free))]
+        samples = thinned(plane.samples)
+        if without:
+            samples = samples.changed(lambda one: one.kept(~np.isin(one.frame, list(without))))
+        return [(replace(plane, samples=samples), settle(samples, plane.start, free))]
     except MeasurementError:
         return []
 

@@ -57,10 +57,6 @@ def borders_of_grid(
 
     What is above another tap may step the other way. So rows are looked for in the columns of each tap by themselves,
     and columns in its rows, until no further ones are found.
-
-    Args:
-        pictures: As for `borders`.
-        variance: As for `borders`.
     """
     columns, rows = borders(pictures, variance), list[int]()
     turned, turned_variance = [picture.T for picture in pictures], None if variance is None else variance.T

@@ -75,8 +75,6 @@ def flat_doubt(calibration: Calibration, lens: LensDescription, numbers: Collect
 
     Args:
         calibration: With a flat field.
-        lens: The lens in use.
-        numbers: f-numbers of the frames.
     """
     flat = calibration.flat_field
     assert flat is not None
@@ -120,8 +118,6 @@ def relative_sensitivity(
         lens: Focal length in mm, principal point in pixels (the middle of the frame where unknown).
         flat_field: Measured sensitivity.
         shape: (height, width) of the frame.
-        x_px: Columns.
-        y_px: Rows.
     """
     x, y = np.broadcast_arrays(np.asarray(x_px, np.float64), np.asarray(y_px, np.float64))
     if flat_field is not None:

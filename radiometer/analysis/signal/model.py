@@ -157,10 +157,7 @@ def signal_model(
     on as the straight line to zero at the black level. Without that a dark patch would be read too bright.
 
     Args:
-        camera: The camera.
         response: Its response curve; None takes the sensor as linear above black.
-        noise: Its noise model.
-        black_dn: Black level in DN.
         linearity_u_rel: Relative standard uncertainty of a signal where the sensor is taken as linear.
 
     Raises:
@@ -259,9 +256,6 @@ def dark_levels(
     off at 0 the mean is the most that the dark signal can be.
 
     Args:
-        settings: Of the light frames.
-        dark_frames: Frames with the shutter closed.
-        black: Black level of the calibration, with its uncertainty.
         masked_dn: What masked pixels read in every light frame in DN, where known.
         darkest: Signal x of the darkest pixels of every light frame: no dark signal is above it.
     """
@@ -315,10 +309,8 @@ def refuse_brighter_darks(
     """Refuse dark frames that are brighter than a light frame: their dark signal is not that of its exposure.
 
     Args:
-        settings: Of the light frame.
         middle: Its signal in the middle of its pixels.
         dark: Dark signal that the dark frames show for it.
-        u_dark: Standard uncertainty of that.
 
     Raises:
         MeasurementError: If they are.
@@ -462,9 +454,6 @@ def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: Sign
     """Return what rounding to whole codes leaves in light less dark, in x: an error that all pixels and frames share.
 
     Args:
-        settings: Of the light frame.
-        frames: Dark frames.
-        model: Signal model of the camera.
         least: Signal x of the least light of the frame, whose shot noise spreads the pixels over the codes; inf where
             it is not known.
     """
@@ -485,7 +474,6 @@ def with_found_code_step(model: SignalModel, light: Iterable[DigitalNumbers]) ->
     It is a power of two, as of padded low bits, and most numbers that occur are neighbours at that distance.
 
     Args:
-        model: Signal model of the camera.
         light: Digital numbers of pixels of light frames, any shape.
     """
     if model.camera.code_step_dn is not None:
@@ -605,7 +593,6 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
 
     Args:
         dark_frames: Frames with the shutter closed; those of the lowest gain are used.
-        calibration: Its noise model and the uncertainty of its black level.
     """
     own, noise, used = calibration.black_level, calibration.noise, whole_darks(dark_frames)
     if not used:
@@ -634,8 +621,6 @@ def _unknown_dark_u(settings: FrameSettings, model: SignalModel, darkest: float)
     """Return the standard uncertainty of the signal x of a dark current that nothing states: k = 2 covers the most.
 
     Args:
-        settings: Of the light frame.
-        model: Signal model of the camera.
         darkest: Signal x of the frame's darkest pixels; inf where it is not known.
     """
     most = _most_dark(settings, model)
@@ -649,7 +634,6 @@ def signal_of(frame: Frame, model: SignalModel, settings: FrameSettings | None =
 
     Args:
         frame: Where its pixels have black levels of their taps, these count with its own settings.
-        model: Signal model of the camera.
         settings: Those of a light frame that a dark frame is compared with; the frame's by default.
     """
     if frame.black_offset_dn is None:
@@ -667,7 +651,6 @@ def some_lit_pixels(frame: Frame, lit: NDArray[np.bool_] | None = None) -> Frame
     """Return some thousand pixels evenly over a frame, in one row: overscan gathers no light and is left out.
 
     Args:
-        frame: The frame.
         lit: Its pixels that gather light, shape (height, width); None for all.
     """
     step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
@@ -681,7 +664,6 @@ def picked(frame: Frame, where: NDArray[np.bool_]) -> Frame:
     """Return some pixels of a frame in one row.
 
     Args:
-        frame: The frame.
         where: True at the pixels, shape (height, width).
     """
     offset = frame.black_offset_dn
@@ -697,8 +679,6 @@ def corrected_settings(settings: FrameSettings, found: FoundEffects, black_dn: f
     """Return the settings that a frame was really taken with.
 
     Args:
-        settings: As stated.
-        found: What was found of the camera.
         black_dn: Black level in DN of a frame that does not state its own.
     """
     black = black_dn if settings.black_level_dn is None else settings.black_level_dn
@@ -727,8 +707,6 @@ def straightened(signal: ArrayLike, found: FoundEffects, electrons_per_unit: flo
 
     Args:
         signal: x above black at 0 dB, as it came through the bend.
-        found: What was found of the camera.
-        electrons_per_unit: Electrons per unit of x.
     """
     seen = np.asarray(signal, dtype=np.float64)
     straight = seen
@@ -747,7 +725,6 @@ def corrected_frames(
 
     Args:
         frames: As stated; a bracket stays one.
-        found: What was found of the camera.
         black_dn: Black level in DN of frames that do not state their own.
     """
     if found == FoundEffects():
@@ -766,9 +743,7 @@ def temperature_factor(found: FoundEffects, here_c: float | None, there_c: float
     """Return what a reading is multiplied by for the warmth of the sensor: responsivity at calibration over now.
 
     Args:
-        found: What was found of the camera.
         here_c: Temperature at the reading in °C; None where unknown.
-        there_c: At calibration.
     """
     if here_c is None or there_c is None:
         return 1.0
@@ -824,8 +799,6 @@ def crop_frames(
 
     Args:
         frames: Frames in any order; each is released after its patch is cut out.
-        patch: Where to read.
-        model: Signal model of the camera.
         lit: Pixels that gather light, shape (height, width); None for all.
         defects: Defective pixels of the camera (x, y).
 
@@ -900,6 +873,11 @@ def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: Si
             f"the patch {patch} is not inside the frame of {frame.shape[1]} × {frame.shape[0]} pixels; "
             "give X,Y,W,H within it"
         )
+    refuse_other_format(frame, shape, model)
+
+
+def refuse_other_format(frame: Frame, shape: tuple[int, int], model: SignalModel) -> None:
+    """Raise MeasurementError if a frame has not the shape of the others, or not the camera's depth."""
     if frame.shape != shape:
         raise MeasurementError(
             f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and {shape[1]} × {shape[0]} pixels)"

@@ -69,7 +69,6 @@ def rounding_u_of_mean(variance_dn2: float, step_dn: int = 1) -> float:
 
     Args:
         variance_dn2: Variance after rounding in DN², of pixels and frames together.
-        step_dn: Distance between codes in DN.
 
     Returns:
         That of a place anywhere between two codes. Where a part p of the pixels has the upper of two codes, these vary
@@ -86,7 +85,6 @@ def rounding_u_of_light(dark_variance_dn2: float, shot_dn2: float, step_dn: int 
     Args:
         dark_variance_dn2: Variance of dark frames after rounding in DN², of pixels and frames together.
         shot_dn2: Variance of the light's shot noise in DN².
-        step_dn: Distance between codes in DN.
     """
     steps = dark_variance_dn2 / step_dn**2
     least = 0.0  # noise that may have made that variance: midway between two codes, a quarter needs none

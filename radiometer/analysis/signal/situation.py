@@ -14,21 +14,10 @@ from radiometer.analysis.calibration.shared import (
     require_place,
     require_response,
 )
-from radiometer.analysis.photometry.photometry import (
-    spectral_mismatch_factor,
-    spectrum,
-)
+from radiometer.analysis.photometry.photometry import spectral_mismatch_factor, spectrum
 from radiometer.analysis.signal.lens import lens_in_use
 from radiometer.analysis.signal.model import SignalModel, signal_model
-from radiometer.data import (
-    BlackLevel,
-    Calibration,
-    FlatField,
-    Frame,
-    LensDescription,
-    SensorNoise,
-    StatedUncertainties,
-)
+from radiometer.data import BlackLevel, Calibration, FlatField, Frame, LensDescription, SensorNoise, StatedUncertainties
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, InputError
 

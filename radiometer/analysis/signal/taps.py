@@ -178,10 +178,6 @@ def levelled_frames(
 ) -> tuple[Bracket | Iterable[Frame], ReadOut | None]:
     """Return frames with the black levels of their taps, and the taps; the same frames where none are described.
 
-    Args:
-        frames: In any order.
-        setup: Camera and calibration, which describe the taps.
-
     Raises:
         MeasurementError: If a tap is not on the frames.
     """

@@ -5,13 +5,12 @@ from __future__ import annotations
 import typer
 
 import radiometer as rm
-from radiometer.cli.console import console, note
+from radiometer.cli.console import note, show_lines
 from radiometer.cli.function import command_of
 
 
 def _show(found: rm.Devices) -> None:
-    for line in found.lines():
-        console().print(line)
+    show_lines(found)
     for port in found.ports_in_use:
         note(f"{port} is held by another program")
     if not found.cameras:

@@ -37,11 +37,12 @@ def command(
     """
     which = _answer("camera", camera)
     length = _number("--focal-length", _answer("focal_length", focal_length))
-    number = parse_f_number(_answer("f_number", f_number) or None, "--f-number") if length else None
+    number = _answer("f_number", f_number) if length else ""
     chosen, region = _answer("calibration", calibration), _answer("patch", patch)
     rm.new_bench(
-        output, which, focal_length_mm=length, f_number=number, calibration=chosen or None, patch=parse_patch(region)
-    )
+        output, which, focal_length_mm=length, f_number=parse_f_number(number, "--f-number") if number else None,
+        calibration=chosen or None, patch=parse_patch(region) if region else None,
+    )  # fmt: skip
     note(f"written: {output}")
     note(f"next: radiometer doctor --bench {output} --camera {which}")
 

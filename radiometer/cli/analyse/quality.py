@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 import radiometer as rm
-from radiometer.cli.console import console, note
+from radiometer.cli.console import console, note, show_table
 from radiometer.cli.function import command_of
 from radiometer.cli.options import command_group
 
@@ -38,14 +38,7 @@ def _show_taken(written: list[Path]) -> None:
 
 
 def _show(found: rm.QualityReport) -> None:
-    from rich.table import Table
-
-    table = Table(title="quality indices (± at 95.45 %)", title_justify="left")
-    for heading in ("index", "of", "value", "±"):
-        table.add_column(heading, justify="right" if heading in ("value", "±") else "left")
-    for row in found.rows:
-        table.add_row(*row)
-    console().print(table)
+    show_table("quality indices (± at 95.45 %)", ("index", "of", "value", "±"), found.rows, words=(0, 1))
     for one in found.datasheet.indices:
         if one.figure is None:
             note(f"not measured: {one.procedure.called}: {one.reason}")

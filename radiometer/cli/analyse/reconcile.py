@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 import radiometer as rm
-from radiometer.cli.console import console, note, progress
+from radiometer.cli.console import console, note, progress, show_table
 from radiometer.cli.outputs import writes
 from radiometer.numbers import rounded, unit_text, with_u
 
@@ -207,35 +207,27 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
 
 
 def _show_covariates(result: ReconcileResult) -> None:
-    if not result.covariates:
-        return
-    from rich.table import Table
-
-    table = Table(title="largest trend along each covariate (χ² per degree of freedom)", title_justify="left", box=None)
-    for heading in ("covariate", "before", "after"):
-        table.add_column(heading, justify="left" if heading == "covariate" else "right")
-    for name, gap in sorted(result.covariates.items(), key=lambda item: -item[1].before):
-        table.add_row(name, f"{gap.before:.1f}", f"{gap.after:.1f}")
-    console().print()
-    console().print(table)
+    ordered = sorted(result.covariates.items(), key=lambda item: -item[1].before)
+    rows = [(name, f"{gap.before:.1f}", f"{gap.after:.1f}") for name, gap in ordered]
+    if rows:
+        console().print()
+        title = "largest trend along each covariate (χ² per degree of freedom)"
+        show_table(title, ("covariate", "before", "after"), rows, bare=True)
 
 
 def _show_limits(result: ReconcileResult) -> None:
     if not result.limits:
         return
-    from rich.table import Table
-
-    table = Table(title="what these data would have detected at 5 sigma", title_justify="left", box=None)
-    for heading in ("effect", "from", "parameter"):
-        table.add_column(heading, justify="right" if heading == "from" else "left")
+    rows = []
     for name, limit in result.limits.items():
         if limit.amplitude is not None:
             unit = unit_text(limit.unit)
             at = "" if limit.temperature_c is None else f" at {limit.temperature_c:g} °C"
-            table.add_row(name, rounded(limit.amplitude, limit.amplitude)[0], f"{unit} ({limit.parameter}{at})")
+            rows.append((name, rounded(limit.amplitude, limit.amplitude)[0], f"{unit} ({limit.parameter}{at})"))
     console().print()
-    if table.row_count:
-        console().print(table)
+    if rows:
+        title = "what these data would have detected at 5 sigma"
+        show_table(title, ("effect", "from", "parameter"), rows, words=(0, 2), bare=True)
     blind = [name for name, limit in result.limits.items() if limit.amplitude is None]
     if blind:
         console().print(f"cannot detect: {', '.join(blind)}")

@@ -2,42 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import typer
 
 import radiometer as rm
-from radiometer.cli.console import console
+from radiometer.cli.console import console, show_table
 from radiometer.cli.function import command_of
 from radiometer.numbers import with_u
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
-
-def _of_taps(found: rm.Sensor) -> Table:
-    from rich.table import Table
-
-    table = Table(title="Taps (± is U, k = 2)", title_justify="left")
-    for heading in found.TAP_HEADINGS:
-        table.add_column(heading)
-    for row in found.tap_rows():
-        table.add_row(*row)
-    return table
-
 
 def _show(found: rm.Sensor) -> None:
-    from rich.table import Table
-
     out, result = console(), found.characterisation
-    table = Table(title=f"EMVA 1288 figures at {result.gain_db:g} dB", title_justify="left")
-    for heading in ("symbol", "figure", "value", "U (k = 2)", "unit"):
-        table.add_column(heading, justify="right" if heading in ("value", "U (k = 2)") else "left")
-    for row in found.rows():
-        table.add_row(*row)
-    out.print(table)
+    title, head = f"EMVA 1288 figures at {result.gain_db:g} dB", ("symbol", "figure", "value", "U (k = 2)", "unit")
+    show_table(title, head, found.rows(), words=(0, 1, 4))
     if found.taps:
-        out.print(_of_taps(found))
+        show_table("Taps (± is U, k = 2)", found.TAP_HEADINGS, found.tap_rows(), words=range(len(found.TAP_HEADINGS)))
     for one in found.crosstalk:
         share = with_u(100 * one.share.value, 200 * one.share.u, "%", k=2)
         out.print(f"tap {one.into} reads {share} of the signal of tap {one.of}")

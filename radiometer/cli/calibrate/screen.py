@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from radiometer.cli.arguments import parse_numbers
-from radiometer.cli.console import console, note
+from radiometer.cli.console import console, note, show_lines
 from radiometer.cli.function import command_of
 from radiometer.cli.options import PrimariesOption, command_group, words
 from radiometer.errors import UsageError
 from radiometer.numbers import below, rounded, upper_limit, with_u
 
 if TYPE_CHECKING:
-    from radiometer import CalibratedScreen, DisplayReport, ScreenLevel, VerifiedScreen
+    from radiometer import CalibratedScreen, ScreenLevel
 
 app = command_group("Calibrate a screen as a light source, and use the calibration.")
 _ARGYLL = Annotated[bool, typer.Option("--argyll", help="Print spotread's line for every level measured.")]
@@ -30,11 +30,6 @@ def _show_calibration(found: CalibratedScreen, argyll: bool) -> None:
         line = f"{check:<10} {finding}"
         console().print(f"[yellow]{line}[/yellow]" if check == "flicker" else line)
     _print_assumptions(found)
-
-
-def _show_lines(found: DisplayReport | VerifiedScreen) -> None:
-    for line in found.lines():
-        console().print(line)
 
 
 def _show_level(found: ScreenLevel) -> None:
@@ -97,7 +92,7 @@ for _name, _made in {
         shown={"argyll": (False, _ARGYLL)},
     ),
     "report": command_of(
-        "screen_report", _show_lines, files=("out",), methods=typer.Option(parser=words, metavar="NAME,NAME,…"),
+        "screen_report", show_lines, files=("out",), methods=typer.Option(parser=words, metavar="NAME,NAME,…"),
         angles=typer.Option(
             parser=lambda text: parse_numbers(text, "--angles", "degrees such as -30,30"), metavar="DEG,DEG,…"
         ),
@@ -105,7 +100,7 @@ for _name, _made in {
         defaults={"checkers": "4x4", "display": "browser"}, primaries=PrimariesOption,
     ),
     "verify": command_of(
-        "screen_verify", _show_lines, defaults={"display": "browser"}, code=lambda found: int(not found.holds)
+        "screen_verify", show_lines, defaults={"display": "browser"}, code=lambda found: int(not found.holds)
     ),
     "level": command_of("screen_level", _show_level),
     "export": command_of(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from radiometer.cli.console import console, note
+from radiometer.cli.console import console, note, show_table
 from radiometer.cli.function import command_of
 from radiometer.cli.options import CameraOption
 from radiometer.errors import UsageError
@@ -76,17 +76,13 @@ _ENDLESS: Final = 1e5  # degrees of freedom: Student's t is the normal distribut
 
 
 def _show_budget(reading: Reading) -> None:
-    from rich.table import Table
-
-    total = sum(entry.u_rel**2 for entry in reading.budget) or 1.0
-    table = Table(title="uncertainty budget (k = 1)", title_justify="left")
-    for heading in ("contribution", "u rel. %", "share %", "type", "dof", "from"):
-        table.add_column(heading, justify="right" if "%" in heading or heading == "dof" else "left")
+    total, rows = sum(entry.u_rel**2 for entry in reading.budget) or 1.0, []
     for entry in sorted(reading.budget, key=lambda contribution: -contribution.u_rel):
         dof = f"{entry.degrees_of_freedom:.0f}" if entry.degrees_of_freedom < _ENDLESS else "∞"
         share = 100 * entry.u_rel**2 / total
-        table.add_row(entry.name, f"{100 * entry.u_rel:.3f}", f"{share:.1f}", entry.kind, dof, entry.note)
-    console().print(table)
+        rows.append((entry.name, f"{100 * entry.u_rel:.3f}", f"{share:.1f}", entry.kind, dof, entry.note))
+    head = ("contribution", "u rel. %", "share %", "type", "dof", "from")
+    show_table("uncertainty budget (k = 1)", head, rows, words=(0, 3, 5))
 
 
 def _show_of_photographs(reading: Reading, *, budget: bool) -> None:
@@ -99,7 +95,7 @@ def _show_of_photographs(reading: Reading, *, budget: bool) -> None:
 
 _BUDGET: Final = {"budget": (False, Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")])}
 _OF_CAMERA: Final = command_of(
-    "readings", _show, files=("report",), serves=_served, shown=_BUDGET, like="measure", camera=CameraOption,
+    "readings", _show, files=("report",), serves=_served, shown=_BUDGET, camera=CameraOption,
     patch=typer.Option(),
 )  # fmt: skip
 _OF_PHOTOGRAPHS: Final = command_of(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import typer
 
 import radiometer as rm
-from radiometer.cli.console import console, note
+from radiometer.cli.console import console, note, show_lines
 from radiometer.cli.function import command_of
 from radiometer.cli.options import command_group
 
@@ -43,8 +43,7 @@ def _while_it_runs(json: bool, **_: Any) -> dict[str, Any]:
 
 
 def _show_run(done: rm.AdaptationRun) -> None:
-    for line in done.lines():
-        console().print(line)
+    show_lines(done)
     if done.outcome.can_be_fitted:
         note(f"fit with: radiometer adapt fit {done.table}{done.fit_options}")
 
@@ -102,8 +101,7 @@ def _show_bleach(found: rm.Bleach) -> None:
 def _show_fit(found: rm.AdaptationCurve) -> None:
     for verdict in found.verdicts():
         console().print(f"[bold]{verdict}[/bold]")
-    for line in found.lines():
-        console().print(line)
+    show_lines(found)
     chosen = found.fit.chosen
     note(f"levels in log₁₀ of: {found.series.level_name}")
     note(f"model {chosen.model.name}; scatter of a threshold {chosen.sigma:.3f} log₁₀ units")
@@ -113,11 +111,6 @@ def _show_fit(found: rm.AdaptationCurve) -> None:
 
 def _show_instructions(found: rm.Instructions) -> None:
     print("\n\n".join(found.lines()))
-
-
-def _show_visits(found: rm.Visits) -> None:
-    for line in found.lines():
-        console().print(line)
 
 
 def _show_retest(found: rm.Retest) -> None:
@@ -138,8 +131,8 @@ for name, made in {
     "bleach": command_of("adapt_bleach", _show_bleach),
     "fit": command_of("adapt_fit", _show_fit, results=("report", "csv"), criterion=typer.Option()),
     "instructions": command_of("adapt_instructions", _show_instructions),
-    "visits": command_of("adapt_visits", _show_visits, files=("report",), visits=typer.Argument(metavar="FILES")),
-    "retest": command_of("adapt_retest", _show_retest, like="adapt_fit"),
+    "visits": command_of("adapt_visits", show_lines, files=("report",), visits=typer.Argument(metavar="FILES")),
+    "retest": command_of("adapt_retest", _show_retest),
 }.items():  # fmt: skip
     app.command(name)(made)
 

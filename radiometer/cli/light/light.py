@@ -7,7 +7,7 @@ from typing import Any
 import typer
 
 import radiometer as rm
-from radiometer.cli.console import console, note
+from radiometer.cli.console import console, note, show_lines
 from radiometer.cli.function import command_of
 from radiometer.cli.options import command_group, time_option
 from radiometer.numbers import with_u
@@ -72,13 +72,12 @@ def _show_account(found: rm.ExposureAccount) -> None:
 
 
 def _show_law(found: rm.EngineLaws) -> None:
-    for line in found.lines():
-        console().print(line)
+    show_lines(found)
     for taken in found.table.taken:
         note(f"taken: {taken}")
 
 
-_LIT: Any = {"reports": "lit", "like": "light_set"}
+_LIT: Any = {"reports": "lit"}
 for name, made in {
     "set": command_of("light_set", _show_lit, **_LIT, hold_s=time_option("--for")),
     "pulse": command_of("light_pulse", _show_lit, **_LIT, duration_s=time_option("--duration")),

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from pydantic import Field
 
-from radiometer.daemon.http.requests import Asked, Switch, read_query
-from radiometer.daemon.http.route import STATION, Route
+from radiometer.daemon.http.requests import STATION, Asked, Route, Switch, read_query
 from radiometer.daemon.instrument import Measurement
 from radiometer.data import Frame, ResponseCurve
 

@@ -5,9 +5,19 @@ from __future__ import annotations
 from itertools import groupby
 
 from radiometer.daemon.scpi import status
-from radiometer.daemon.scpi.command import Command, CommandTable
+from radiometer.daemon.scpi.commands import (
+    CALIBRATION,
+    COMMON,
+    MEASURING,
+    SENSE,
+    SOURCE,
+    STATUS,
+    SYSTEM,
+    TRACE,
+    command_table,
+)
 from radiometer.daemon.scpi.errors import MESSAGES
-from radiometer.daemon.scpi.table import command_table
+from radiometer.daemon.scpi.language import Command, CommandTable
 
 _INTRODUCTION = """\
 # SCPI
@@ -86,16 +96,7 @@ def manual(table: CommandTable | None = None) -> str:
     return "".join(parts)
 
 
-_ORDER = (
-    "Measuring",
-    "Settings of the camera (shared by all clients)",
-    "Calibration",
-    "Light source",
-    "Pictures, curves and history",
-    "Status",
-    "System",
-    "Common commands",
-)
+_ORDER = (MEASURING, SENSE, CALIBRATION, SOURCE, TRACE, STATUS, SYSTEM, COMMON)
 
 
 def _entry(command: Command) -> str:

@@ -127,7 +127,6 @@ def _rested(signal: Any, context: ExposureContext) -> Any:
 
 
 def _placed(name: str) -> Callable[[Any, ExposureContext], Any]:
-    """Return what gives a place in shares of the picture's longer side."""
     return lambda signal, context: (
         getattr(context.geometry, name) / max(context.geometry.sensor_width, context.geometry.sensor_height)
     )

@@ -21,7 +21,7 @@ from radiometer.reconciliation.propose.grammar import (
     Term,
     formula,
 )
-from simulators.chain.law_stages import LINKS, Link
+from simulators.chain.stages import LINKS, Link
 from simulators.effects import base
 from simulators.effects.base import Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, over_frames

@@ -13,13 +13,13 @@ import numpy as np
 
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import OutputError
-from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.next_capture import FORMAT as PLAN_FORMAT
 from radiometer.reconciliation.next_capture import FRAMES, CapturePool
 from radiometer.reconciliation.propose.grammar import COVARIATES, FORMS
 from radiometer.reconciliation.propose.law import Law, acted, context_at, round_to
 from radiometer.reconciliation.result import FittedParameter
-from simulators.chain.law_stages import LINKS
+from radiometer.reconciliation.state import FitState
+from simulators.chain.stages import LINKS
 
 _WIDTH: Final = 116
 
@@ -216,12 +216,8 @@ _CAPTURES: Final = 3
 _SHOWS_CHI2: Final = 9.0
 
 
-def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return frames for `radiometer bracket --plan`, and for each what the law predicts there.
-
-    New settings come first, those where the camera with the law and the one without it differ most. Where the rig has
-    no new settings, those in use are repeated.
-    """
+def _refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return frames for `radiometer bracket --plan`, and for each what the law predicts there."""
     pool = CapturePool.of(proposal.after)
     with_law, without = pool.predicted(proposal.after), pool.predicted(proposal.before)
     worth = np.nan_to_num(pool.separation(with_law, without))
@@ -257,7 +253,7 @@ def write_files(proposal: Proposal, folder: Path, origin: str) -> tuple[Path, ..
         raise OutputError(f"cannot make the folder {folder}: {error.strerror or error}; name another") from error
     name = proposal.name
     effect, test, plan = folder / f"{name}.py", folder / f"test_{name}.py", folder / "plan.yaml"
-    frames, reasons = refuting_frames(proposal)
+    frames, reasons = _refuting_frames(proposal)
     write_text_atomic(effect, proposal.source(origin))
     write_text_atomic(test, _test(proposal, effect.name))
     write_yaml_atomic(plan, {"format": PLAN_FORMAT, "reasons": reasons, "frames": frames})

@@ -22,20 +22,28 @@ from scipy.special import ndtr
 
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.descent import UnfitError, fitted_parameters, included, scatter_of
-from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.descent import (
+    Candidate,
+    FittedCandidate,
+    UnfitError,
+    fit_candidate,
+    fitted_parameters,
+    included,
+    judged_gain,
+    scatter_of,
+)
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
-from radiometer.reconciliation.search.screening import best_start
-from radiometer.reconciliation.search.search import Contender, Search, Step, contenders_of, worth
+from radiometer.reconciliation.screening import best_start
+from radiometer.reconciliation.search import Contender, Search, Step, contenders_of, worth
+from radiometer.reconciliation.state import FitState
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconciliation.tile_model import from_grid, rise_of
 from radiometer.reconciliation.verdict import doubts_of, leaves_structure, posterior
 from radiometer.typing import Array
-from simulators.chain.law_stages import LINKS
+from simulators.chain.stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 from simulators.effects.surroundings import column_light, picture_mean
@@ -79,11 +87,7 @@ class _Values:
 
     @classmethod
     def of(cls, values: Array, frames: Array) -> _Values:
-        """Return those of a law's values.
-
-        Args:
-            frames: (captures, 1, 1) number of frames.
-        """
+        """Return those of a law's values."""
         first, others = np.nan_to_num(values[[0, -1]])
         alike = values.shape[0] == 1
         average = first if alike else (first + (frames - 1.0) * others) / frames
@@ -127,7 +131,6 @@ class _Look:
         return found
 
     def _changes(self, block: str, columns: Sequence[tuple[_Values, Mapping[str, Array]]]) -> Array:
-        """Return what columns change of a statistic, (columns, captures, tiles)."""
         found = np.zeros((len(columns), *columns[0][1]["mean"].shape))
         for own, (values, response) in zip(found, columns, strict=True):
             if block == "first":
@@ -141,11 +144,8 @@ class _Look:
         return found
 
 
-def known_values(state: FitState) -> dict[str, Array]:
-    """Return the covariates that vary within a capture set, by name, each broadcasting to captures × tiles × points.
-
-    What differs between the first frame of a series and the others has an axis in front: first, others.
-    """
+def _known_values(state: FitState) -> dict[str, Array]:
+    """Return the covariates that vary within a capture set, by name, each broadcasting to captures × tiles × points."""
     context, design = state.model.context, state.design
     side = max(design.shape)
     settings: Any = context.settings
@@ -201,13 +201,12 @@ class _Terms:
     """The values of laws in one state; what those at several places of the chain share is worked out once."""
 
     def __init__(self, state: FitState) -> None:
-        self._state, self._known = state, known_values(state)
+        self._state, self._known = state, _known_values(state)
         self._frames = state.design.frame_count[:, None, None]
         self._found: dict[tuple[object, ...], Array] = {}
         self._shown: dict[tuple[object, ...], _Values] = {}
 
     def of_law(self, law: Law) -> list[_Values]:
-        """Return the values of a law of amplitude 1, and of a wave those of a quarter period later too."""
         found = [self._product(law.terms)]
         if any("phase" in term.values for term in law.terms):
             found.append(self._product([_ahead(term) for term in law.terms]))
@@ -219,7 +218,7 @@ class _Terms:
             product: Array = np.ones((1, 1, 1, 1))
             for key, term in zip(keys, terms, strict=True):
                 if key not in self._found:
-                    self._found[key] = values_of(self._state, term, self._known)
+                    self._found[key] = _values_of(self._state, term, self._known)
                 product = product * self._found[key]
             self._shown[keys] = _Values.of(product, self._frames)
         return self._shown[keys]
@@ -230,11 +229,8 @@ def _ahead(term: Term) -> Term:
     return replace(term, values={**term.values, **later})
 
 
-def values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:
-    """Return a term's values, broadcasting to frames × captures × tiles × points.
-
-    Frames are the first of each capture and the others where these differ, else one for all.
-    """
+def _values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:
+    """Return a term's values, broadcasting to frames × captures × tiles × points."""
     own = {name: known[name] for name in term.covariates}
     if term.form == "step" and term.covariate in ("signal", "value"):
         noise = np.sqrt(state.prediction.variance) / (
@@ -316,7 +312,7 @@ def propose_law(state: FitState, along: Collection[str] = ()) -> Proposal | None
 
 # ---- which laws are looked at ------------------------------------------------------------------------------
 def _singles(state: FitState) -> Iterator[Law]:
-    known = known_values(state)
+    known = _known_values(state)
     terms = {name: tuple(terms_of(name, known)) for name in known}
     for link in (link for link in LINKS.values() if not link.is_noise):
         if "f_number" in link.goes_with and "f_number" not in known:
@@ -333,8 +329,7 @@ def _singles(state: FitState) -> Iterator[Law]:
 
 
 def _noises(state: FitState, along: Collection[str]) -> list[Screened]:
-    """Return the laws of noise with the χ² that each would explain, the likeliest start of each alone."""
-    known, found = known_values(state), list[Screened]()
+    known, found = _known_values(state), list[Screened]()
     for link in (link for link in LINKS.values() if link.is_noise):
         terms = [term for name in link.covariates if name in known for term in terms_of(name, known)]
         laws = [Law(link.key, (term,)) for term in terms if term.form in _OF_NOISE]
@@ -349,7 +344,7 @@ def _noises(state: FitState, along: Collection[str]) -> list[Screened]:
 
 def _finer(state: FitState, singles: Sequence[Screened], forms: Collection[str]) -> Iterator[Law]:
     """Yield the laws whose place the fit leaves where it is, between the places at which they were looked at."""
-    known, sharp = known_values(state), [entry.law for entry in sorted(singles, key=lambda e: -e.score)]
+    known, sharp = _known_values(state), [entry.law for entry in sorted(singles, key=lambda e: -e.score)]
     sharp = [law for law in sharp if _is_sharp(law) and law.terms[0].form in forms]
     for law in sharp[:_FINER]:
         alike = [other.terms[0].values["at"] for other in sharp if other.name == law.name]
@@ -357,12 +352,11 @@ def _finer(state: FitState, singles: Sequence[Screened], forms: Collection[str])
 
 
 def _is_sharp(law: Law) -> bool:
-    """Return whether it has a single term whose only place the fit leaves where it is."""
     return [term.form for term in law.terms] in (["step"], ["border"])
 
 
 def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
-    known = known_values(state)
+    known = _known_values(state)
     for place in PLACES if "source_level" in known else ():
         tilts = [term for term in terms_of(place, known) if term.form in ("ramp", "bow")]
         levels = [term for term in terms_of("source_level", known) if term.form in ("power", "step")]
@@ -411,7 +405,6 @@ _JudgedLaw = tuple[Law, Contender]
 
 
 def _judged(state: FitState, chosen: list[Screened]) -> list[_JudgedLaw]:
-    """Return the best laws fitted to all statistics, then in full."""
     laws, rated = dict[int, Law](), list[tuple[float, FittedCandidate]]()
     for entry in chosen:
         effect = _started(entry)
@@ -444,7 +437,6 @@ def _holds(law: Law, other: Law) -> bool:
 
 
 def _score(entry: _JudgedLaw) -> float:
-    """Return the nats of a law less what its parameters cost, and what a second factor does."""
     law, fitted = entry
     return fitted.nats - PARAMETER_NATS * law.size - NAMED_NATS * (len(law.terms) - 1)
 
@@ -481,9 +473,9 @@ def held_to_laws(
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
     remark = f"{law.name}, a law outside the catalogue, predicts better than {named}"
     say(remark)
-    if lead <= NAMED_NATS or brings_most(outcome, law):
+    if lead <= NAMED_NATS or _brings_most(outcome, law):
         return replace(outcome, remarks=(*outcome.remarks, remark))
-    return without_names(outcome, law, f"{remark} (gap {law.after.gap:.3g}), which is therefore not named")
+    return _without_names(outcome, law, f"{remark} (gap {law.after.gap:.3g}), which is therefore not named")
 
 
 def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
@@ -495,22 +487,17 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def brings_most(outcome: Search, law: Proposal) -> bool:
-    """Return whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
-
-    Their own equations need to bring most of what the law brings and to leave nothing, unless the law depends on the
-    covariate of the only name.
-    """
+def _brings_most(outcome: Search, law: Proposal) -> bool:
+    """Return whether names stand though a law predicts better: it is their own law, by an equation unlike theirs."""
     base = worth(outcome.start)
-    if worth(by_own_equations(outcome)) - base < SMOOTH_SHARE * (worth(law.after) - base):
+    if worth(_by_own_equations(outcome)) - base < SMOOTH_SHARE * (worth(law.after) - base):
         return False
     effects = outcome.state.effects
     own = len(effects) == 1 and set(law.law.covariates) <= set(own_covariates(effects[0]))
     return own or not leaves_structure(outcome)
 
 
-def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
-    """Return an effect by its own equation, at the parameters that it shares with the form that it took."""
+def _own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
     own = effect.own if isinstance(effect, FreeLaw) else effect
     plain = min(type(own).starts(outcome.start.model.context), key=lambda start: len(start.free()))
     if set(own.free()) <= set(plain.free()):
@@ -519,10 +506,10 @@ def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
     return plain.with_parameters(**{name: getattr(own, name) for name in shared})
 
 
-def by_own_equations(outcome: Search) -> FitState:
+def _by_own_equations(outcome: Search) -> FitState:
     """Return the model with the names by their own equations, fitted anew, without any unnamed curve."""
     state = outcome.state
-    own = [own_equation(effect, outcome) for effect in state.effects]
+    own = [_own_equation(effect, outcome) for effect in state.effects]
     if all(map(operator.is_, own, state.effects)) and not any(term.is_smooth for term in state.terms):
         return state
     plain = outcome.start
@@ -534,8 +521,7 @@ def by_own_equations(outcome: Search) -> FitState:
     return plain
 
 
-def without_names(outcome: Search, law: Proposal, remark: str) -> Search:
-    """Return the outcome in which all that disagrees is one entry without a name, placed as the law is."""
+def _without_names(outcome: Search, law: Proposal, remark: str) -> Search:
     named = [step for step in outcome.steps if step.name != "unnamed"]
     nearest = max(named, key=lambda step: step.gain_nats)
     step = Step(

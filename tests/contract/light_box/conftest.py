@@ -15,7 +15,7 @@ from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import MissingLibrary
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import SimulatedLightBox
-from simulators.light_box.pty_line import PtyServer, WiredLightBox
+from simulators.light_box.lines import PtyServer, WiredLightBox
 from testing.firmware_board import built_for_avr
 from testing.patience import within
 

@@ -19,7 +19,7 @@ from radiometer.errors import MeasurementError, UsageError
 from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
-from simulators.scenes.factory import scene_from_mapping
+from simulators.scenes.kinds import scene_from_mapping
 
 CAMERA = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.4, full_well_e=10500)
 

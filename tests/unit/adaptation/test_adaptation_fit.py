@@ -1,6 +1,5 @@
 """Fits of dark adaptation: branches, the break between them, the report, and bleach by worked numbers."""
 
-import json
 import math
 import re
 from dataclasses import replace
@@ -20,24 +19,21 @@ from radiometer.adaptation.adaptation_fit import (
     earliest_visible_break,
     fit_adaptation,
 )
-from radiometer.adaptation.bleach import (
+from radiometer.adaptation.branch_fit import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH, BranchFit, fit_model, project
+from radiometer.adaptation.intervals import InterceptRule, Interval, percentile_interval, profile_interval
+from radiometer.adaptation.protocol import (
     KINETICS,
     bleached_fraction,
     bleached_range,
     pupil_diameter_mm,
     retinal_illuminance_td,
 )
-from radiometer.adaptation.branch_fit import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH, BranchFit, fit_model, project
-from radiometer.adaptation.intervals import Interval, percentile_interval, profile_interval
 from radiometer.adaptation.report import curve_csv, report_html, short
-from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.cli.main import run
 from radiometer.data.bleaching_constants import CONE_HALF_BLEACH, CONE_REGENERATION, CONSTANTS
-from radiometer.errors import InputError, MeasurementError, UsageError
+from radiometer.errors import MeasurementError, UsageError
 from simulators.observers import eye_kinetics
 from testing.golden.dark_adaptation import DARK_THETA, dark_p7
-from testing.report_checks import HOSTILE
 
 TIMES = np.arange(0.5, 30.0, 0.5)
 
@@ -179,32 +175,6 @@ def test_a_criterion_stands_beside_the_rod_intercept_of_the_protocol(tmp_path):
     leaning = replace(fit.estimates["break_min"], value=9.0, profile=Interval(8.0, 9.5))
     assert short(replace(fit, estimates={"break_min": leaning}), "break_min") == "9.00 +0.50 -1.00"
     assert short(replace(fit, estimates={"break_min": replace(leaning, value=8.7)}), "break_min") == "8.70 ± 0.75"
-
-
-@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "time_min,log10_threshold\n1,x\n", "1\n2\n"])
-def test_wrong_csv_is_named(tmp_path, text):
-    """A file of another form is refused with its name."""
-    file = tmp_path / "run.csv"
-    file.write_text(text)
-    with pytest.raises(InputError, match=r"run\.csv"):
-        ThresholdSeries.read(file)
-
-
-@pytest.mark.slow
-def test_command_writes_json_page_and_csv(tmp_path, capsys):
-    """`adapt fit` prints one JSON object and writes what it is asked for."""
-    data = series(0.08)
-    file = tmp_path / "run.csv"
-    rows = [f"{t},{y}" for t, y in zip(data.time_min, data.log_threshold, strict=True)]
-    file.write_text("time_min,log10_threshold\n" + "\n".join(rows))
-    page, table = tmp_path / "r.html", tmp_path / "r.csv"
-    words = ["adapt", "fit", str(file), "--json", "--bootstrap", "20", "--report", str(page), "--csv", str(table)]
-    assert run(words) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert report["model"] == "cone+S2"
-    assert report["estimates"]["break_min"]["value"] == pytest.approx(9.0, abs=0.6)
-    assert "Rod–cone break" in page.read_text(encoding="utf-8")
-    assert table.read_text().splitlines()[0] == "time_min,log10_threshold,fitted,residual,weight"
 
 
 EYE = {
@@ -551,14 +521,6 @@ def test_flags_and_assumptions_stand_before_the_tables(broken):
     assert page.index("minutes were taken from seconds") < page.index("<h2>Estimates")
     assert "No uncertainty of the stimulus" in page
     assert "No uncertainty of the stimulus" not in report_html(_fit(stimulus_u_log10=0.05), "eye")
-
-
-@pytest.mark.slow
-def test_no_name_of_a_subject_is_markup():
-    """A hostile file name and a hostile subject are shown as they are written."""
-    page = report_html(_fit(facts={"subject": HOSTILE}), HOSTILE)
-    assert "<script" not in page
-    assert page.count("&lt;script&gt;") == 4
 
 
 # Bleach: kinetics, pupil, trolands against worked numbers.

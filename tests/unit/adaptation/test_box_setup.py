@@ -11,10 +11,10 @@ from radiometer.adaptation.checks import judge_age, judge_room
 from radiometer.adaptation.protocol import SHIPPED, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.bench.boxes import open_light_box
-from radiometer.bench.served_box import served_box
-from radiometer.data.config_files import shipped_config
+from radiometer.bench.served import served_box
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.provenance import utc_now
+from radiometer.data.storage import shipped_config
 from radiometer.errors import (
     CalibrationError,
     ConfigurationError,

@@ -9,12 +9,10 @@ import aiohttp
 import numpy as np
 import pytest
 
-from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.live import LiveState, running_fit
-from radiometer.adaptation.live_page import LivePage, replayed
-from radiometer.adaptation.live_text import LiveText, event_line, live_lines
+from radiometer.adaptation.live import LivePage, LiveState, LiveText, event_line, live_lines, replayed, running_fit
+from radiometer.adaptation.outcome import RunJournal
 from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.request import Controls
 from radiometer.adaptation.session import Prompter, prompts_after
 from radiometer.errors import DeviceInUse, DeviceTimeout
 from radiometer.reporting.terminal_chart import TerminalChart

@@ -10,9 +10,8 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
-from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.methods import Ascent, QuestPlusSearch, Staircase, begin
-from radiometer.adaptation.outcome import Verdict
+from radiometer.adaptation.intervals import InterceptRule, rod_intercept
+from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import (
     AdaptationProtocol,
     DownUpMethod,
@@ -22,8 +21,7 @@ from radiometer.adaptation.protocol import (
     StaircaseMethod,
     read_protocol,
 )
-from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
-from radiometer.adaptation.run import run_test
+from radiometer.adaptation.run import Ascent, QuestPlusSearch, Staircase, begin, run_test
 from radiometer.adaptation.run_facts import facts_of, intercept_of, method_bias
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.data.validation import validate

@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import beta
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
-from radiometer.adaptation.reliability import Count, Reliability
-from radiometer.adaptation.retest import Compared, compare_visits, limits_of_agreement
-from radiometer.adaptation.rod_intercept import InterceptRule
+from radiometer.adaptation.intervals import InterceptRule
+from radiometer.adaptation.outcome import Count, Reliability
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.adaptation.visits import Compared, compare_visits, limits_of_agreement
 
 
 def test_limits_are_mean_and_196_standard_deviations():

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.checks import Finding, judge_room
-from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.outcome import Verdict
+from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.request import Controls
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.session import prompts_after
@@ -342,23 +341,6 @@ def test_operators_wishes_are_lived_through_again(tmp_path, stage, stopped):
     with RunJournal(tmp_path / "cut", relive=True) as journal:
         run_test(again.protocol, again, journal, subject="A1", seed=3)
     assert (tmp_path / "cut").read_bytes() == whole
-
-
-@pytest.mark.slow
-def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path, stage):
-    """Whoever starts the program again wants to go on, in simulated time too."""
-    controls = Controls()
-    stage.at = {301.3: controls.pause, 362.2: controls.resume}
-    _run(tmp_path / "whole", stage, controls)
-    whole = (tmp_path / "whole").read_bytes()
-    cut = whole[: whole.index(b"\n", whole.index(b'"pause"')) + 1]
-    (tmp_path / "cut").write_bytes(cut)
-    again = ScriptedStage(eye, stage.protocol)
-    with RunJournal(tmp_path / "cut", relive=True) as journal:
-        outcome = run_test(again.protocol, again, journal, subject="A1", seed=3)
-    assert outcome.verdict is Verdict.COMPLETE
-    assert (tmp_path / "cut").read_bytes().startswith(cut)
-    assert journal.of_kind("resume")[0]["paused_s"] == 0.0
 
 
 class StageWithBlindSpot(ScriptedStage):

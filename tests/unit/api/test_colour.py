@@ -20,7 +20,7 @@ from radiometer.cli.main import run
 from radiometer.data import CaptureSet, CaptureSetWriter
 from radiometer.data.mosaic import COLOURS
 from radiometer.errors import CalibrationError, InputError, RadiometerError, UsageError
-from simulators.cameras.colour_filters import ColourFilters
+from simulators.cameras.simulated_camera import ColourFilters
 from testing.colour_bench import (
     GRID_NM,
     LIGHTS,

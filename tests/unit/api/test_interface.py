@@ -15,7 +15,7 @@ import pytest
 import radiometer as rm
 from drivers.cameras.aravis_camera import load_library
 from radiometer.data import Calibration, CaptureSetWriter
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 from radiometer.devices.exposure_account import NO_EYE
 from radiometer.errors import CalibrationError, CaptureError, DeviceLost, MissingLibrary, UsageError
 

@@ -9,7 +9,7 @@ import pytest
 
 import radiometer as rm
 from radiometer.data import Calibration
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 from radiometer.errors import UsageError
 
 

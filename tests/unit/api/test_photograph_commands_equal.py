@@ -82,8 +82,7 @@ SEARCH = "--plan-only"  # takes as long as all others together
 
 
 @pytest.mark.parametrize(
-    "case",
-    [pytest.param(one, marks=[pytest.mark.long] * (SEARCH in one.words), id=one.words[:50]) for one in CASES],
+    "case", [pytest.param(one, marks=[pytest.mark.long] * (SEARCH in one.words), id=one.words[:50]) for one in CASES]
 )
 def test_the_command_prints_what_the_function_returns(case, desk, tmp_path, monkeypatch, capsys):
     """Every key and every number; then the result prints in one line and as HTML."""

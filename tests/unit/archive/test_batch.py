@@ -154,11 +154,7 @@ def test_a_journal_of_something_else_is_kept(make_archive, tmp_path):
         batch(make_archive(1), table)
     assert journal.read_text() == "precious"
     journal.unlink()
-    with (
-        ResultJournal(table),
-        pytest.raises(OutputRefused, match="another program adds to"),
-        ResultJournal(table),
-    ):
+    with ResultJournal(table), pytest.raises(OutputRefused, match="another program adds to"), ResultJournal(table):
         pass
 
 

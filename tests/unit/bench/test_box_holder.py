@@ -12,18 +12,18 @@ from pathlib import Path
 
 import pytest
 
-from drivers.light_box.frames import request_line
+from drivers.light_box.link import request_line
 from drivers.light_box.serial_line import SerialPort
 from radiometer.bench import boxes
 from radiometer.bench.box_holder import darken_held, held_boxes, holding, is_ours, own_folder
 from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box, simulated_port_folder
-from radiometer.bench.served_box import served_box
+from radiometer.bench.served import served_box
 from radiometer.cli.main import run
 from radiometer.daemon.bench_instrument import bench_light
 from radiometer.devices.exposure_account import Account, FileStore, Moment
 from radiometer.devices.light_box import DriveLevel
 from radiometer.errors import DeviceError, DeviceInUse, DeviceNotFound, OutputError
-from simulators.light_box.virtual_line import LineFaults
+from simulators.light_box.lines import LineFaults
 from testing.patience import within
 
 

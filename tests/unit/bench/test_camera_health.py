@@ -1,5 +1,6 @@
 """Health of a camera and the frames that an instrument takes."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -67,8 +68,12 @@ def test_the_dark_level_is_measured_with_the_shutter_closed():
     """Where there is a shutter the dark level is that of closed frames, to the noise of their mean."""
     with camera(radiance=10.0) as lit:
         lit.configure(CameraSettings(0.01, black_level_dn=64))
-        _, level_dn = check_dark_level(lit)
-    assert level_dn == pytest.approx(64.0, abs=5 * 0.95 / np.sqrt(2 * 80 * 60) + 0.01)
+        found, level_dn = check_dark_level(lit)
+    noise_dn = np.sqrt(SensorNoise.of(lit.description).variance_dn2(0.0, 0.0))
+    assert level_dn == pytest.approx(64.0, abs=5 * noise_dn / np.sqrt(2 * 80 * 60) + 0.01)
+    told = re.search(r"noise ([\d.]+) DN", found.message)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(noise_dn, rel=5 / np.sqrt(2 * 80 * 60))
 
 
 LENS = LensDescription(focal_length_mm=16, f_number=4.0, transmittance=0.95, vignetting="cos4")

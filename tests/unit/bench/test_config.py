@@ -11,7 +11,7 @@ from drivers.cameras.aravis_camera import load_library
 from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.bench.cameras import list_cameras, make_camera, open_camera
 from radiometer.bench.config import read_bench
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 from radiometer.errors import ConfigurationError, MissingLibrary
 
 

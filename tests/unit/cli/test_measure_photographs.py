@@ -33,22 +33,6 @@ def _read(folder, field, *words):
     return run([*command, "--json", *words])
 
 
-@pytest.mark.slow
-def test_the_response_of_photographs_is_recovered_for_a_patch(chart, capsys):
-    """A field 3.1 times as bright as another reads so to k = 2 of what both state; taken as linear it reads 1.76."""
-    found = []
-    for field in (6, 8):
-        assert _read(chart, field) == 0
-        found.append(json.loads(capsys.readouterr().out))
-    value, u = ([one["radiance"][name] for one in found] for name in ("value", "u"))
-    u_ratio = math.hypot(u[0] / value[0], u[1] / value[1])
-    assert value[1] / value[0] == pytest.approx(LIGHT[8] / LIGHT[6], rel=2.0 * u_ratio)
-    assert u_ratio < 0.2
-    for one in found:
-        assert "uncalibrated" in one["flags"]
-        assert "flicker" not in one["flags"]
-
-
 def test_one_photograph_holds_no_response(chart, capsys):
     """One exposure of an unknown response is refused; --linear takes the numbers as they are, a root apart."""
     (chart / "exposures.txt").write_text("p2.png 0.025\n")

@@ -139,22 +139,6 @@ def test_jpeg_files_that_cannot_tell_are_reported(tmp_path, capsys):
     assert "cameras write JPEG through a curve" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_raw_files_are_filled_in_for_pictures(tmp_path, capsys):
-    """--demosaic gives the map at full size, in proportion to the light of each colour."""
-    pytest.importorskip("rawpy")
-    rng = np.random.default_rng(4)
-    tint = np.tile([[0.5, 1.0], [1.0, 0.7]], (30, 40))
-    files = (dng_bytes(_mosaic(rng, 0.8 * tint, seconds), BLACK) for seconds in TIMES)
-    folder = write_photographs(tmp_path / "raw", files, TIMES, ".dng")
-    assert run(["merge", "--force", str(folder), "--demosaic", "-o", str(tmp_path / "map.tiff")]) == 0
-    capsys.readouterr()
-    value = tifffile.imread(tmp_path / "map.tiff", key=0).astype(float)
-    assert value.shape == (60, 80, 3)
-    means = value[5:-5, 5:-5].mean(axis=(0, 1))
-    assert means / means[1] == pytest.approx([0.5, 1.0, 0.7], rel=5e-3)
-
-
 def test_an_amplified_photograph_clips_where_the_others_do():
     """12 bits in files of 16, one of them at four times the ISO speed: all of it clips at 4095, and nothing moved."""
     rng = np.random.default_rng(31)

@@ -12,16 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiometer.daemon.alarms import KINDS, Alarms
-from radiometer.daemon.descriptors import Descriptors
+from radiometer.daemon.alarms import KINDS, Alarms, Lateness
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.instrument import DeviceReport
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader
 from radiometer.daemon.keeper import DeviceState
-from radiometer.daemon.lateness import Lateness
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.patches import PatchLimits
+from radiometer.daemon.resources import Descriptors
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from radiometer.data import Patch, Quantity

@@ -21,11 +21,10 @@ from hypothesis import settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.clock_watch import Jump
 from radiometer.daemon.journal import SCHEMA_VERSION, Journal, JournalError, JournalSizeError, default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.journal_writer import JournalWriter
-from radiometer.daemon.timestamps import iso_time, now_us, parse_moment
+from radiometer.daemon.timestamps import Jump, iso_time, now_us, parse_moment
 from radiometer.data import Contribution, Flag, Patch, Quantity
 from radiometer.errors import InputError, OutputError, UsageError
 from testing.journal_machine import JournalMachine

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 
 import radiometer as rm
 from radiometer.cli.main import run
-from radiometer.daemon.http.patches import trend_columns
+from radiometer.daemon.http.resources import trend_columns
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.log import log
 from radiometer.daemon.mqtt import topic_level
 from radiometer.daemon.patches import PatchLimits, PatchWatch, check_name
-from radiometer.daemon.serving import LogThrottle
+from radiometer.daemon.service import LogThrottle
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import iso_time, microseconds
 from radiometer.data import Flag, Patch, Quantity

@@ -10,9 +10,9 @@ import structlog
 from hypothesis.stateful import run_state_machine_as_test
 
 from radiometer.daemon.limits import Limits
+from radiometer.daemon.scpi.commands import command_table
 from radiometer.daemon.scpi.document import manual
 from radiometer.daemon.scpi.server import ScpiServer, is_other_protocol
-from radiometer.daemon.scpi.table import command_table
 from radiometer.errors import OutputError
 from testing.scpi_machine import ScpiMachine, machine_settings
 
@@ -93,20 +93,6 @@ async def test_init_overlaps_and_opc_reports_when_it_is_over(client, instrument)
     assert await client.ask("*OPC?") == "1"
     assert int(await client.ask("STAT:OPER:COND?")) & 16 == 0
     assert len((await client.ask("FETC?")).split(",")) == 2
-
-
-async def test_opc_sets_its_bit_and_esr_clears_itself(client):
-    """*OPC sets bit 0 when nothing is pending; reading the register clears it."""
-    await client.send("*ESR?;*OPC")
-    await client.reader.readline()
-    assert await client.ask("*ESR?") == "1"
-    assert await client.ask("*ESR?") == "0"
-
-
-async def test_status_byte_sums_up_errors_and_events(client):
-    """An error sets bit 2, through *ESE bit 5, through *SRE bit 6."""
-    await client.send("*ESE 32;*SRE 32;NO:SUCH")
-    assert int(await client.ask("*STB?")) == 4 + 32 + 64
 
 
 async def test_a_lost_camera_reaches_the_error_queue_and_the_status(connect, instrument, eventually, station):

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.light import Asker
-from radiometer.daemon.limits import Limits, TokenBucket, parse_networks
-from radiometer.daemon.places import Places
+from radiometer.daemon.limits import Limits, Places, TokenBucket, parse_networks
 from radiometer.daemon.scpi import server as module
 from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
 from radiometer.daemon.scpi.status import Status

@@ -16,14 +16,21 @@ from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.limits import TokenBucket
 from radiometer.daemon.scpi import formats
+from radiometer.daemon.scpi.commands import ELEMENTS, command_table
 from radiometer.daemon.scpi.errors import MESSAGES, ScpiError, scpi_error
 from radiometer.daemon.scpi.formats import reading_elements
-from radiometer.daemon.scpi.lexer import Argument, Kind, split_message
-from radiometer.daemon.scpi.measure_commands import ELEMENTS
-from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, Text
+from radiometer.daemon.scpi.language import (
+    Argument,
+    Boolean,
+    Choice,
+    Kind,
+    Number,
+    ParameterLimits,
+    Text,
+    split_message,
+)
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.status import QUEUE_LENGTH, Register, Status
-from radiometer.daemon.scpi.table import command_table
 from radiometer.data import Flag, Patch, Quantity, ResponseCurve
 from radiometer.errors import (
     CalibrationError,

@@ -21,18 +21,17 @@ import pytest
 from radiometer.bench.doctor import check_daemon
 from radiometer.daemon import journal_writer
 from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.clock_watch import ClockWatch, Jump, RetentionClock
-from radiometer.daemon.descriptors import Descriptors, listen
 from radiometer.daemon.epics import PvaOptions
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.limits import parse_networks
+from radiometer.daemon.resources import Descriptors, listen
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station
-from radiometer.daemon.timestamps import iso_time, microseconds
+from radiometer.daemon.timestamps import ClockWatch, Jump, RetentionClock, iso_time, microseconds
 from radiometer.devices import Health
 from radiometer.errors import CalibrationError, OutputError, RadiometerError
 from testing.fake_station import QUICK, FakeBox, FakeInstrument
@@ -468,29 +467,6 @@ def test_the_age_is_counted_by_a_clock_that_cannot_be_set():
     assert retention.now_us() == START_US + HOUR_US + 10 * DAY_US
     clocks.wall = START_US - DAY_US
     assert retention.now_us() == START_US - DAY_US
-
-
-async def kept_after_start(path, keep_days, young):
-    """Run a writer with a retention over a journal, and return the numbers that are left but for its own two."""
-    writer = JournalWriter(Journal(path), Alarms(lambda *_: None), lambda *_: None, keep_days=keep_days)
-    await writer.open()
-    running = asyncio.create_task(writer.run())
-    for _ in range(2):  # what is old goes between the first commit and the second
-        await writer.submit(young)
-    running.cancel()
-    await writer.close()
-    return [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())][:-2]
-
-
-async def test_keep_days_deletes_what_is_older_and_nothing_else(tmp_path, make_reading, monkeypatch):
-    """Seven days: a reading of eight days goes, one of six stays; with the clock ten days ahead all stay."""
-    path = tmp_path / "j.sqlite"
-    with Journal(path) as journal:
-        journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (9, 8, 6, 1, 0)])
-    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (lambda: START_US + 10 * DAY_US, lambda: 0))
-    young = make_reading(time=iso_time(START_US + 10 * DAY_US))
-    assert await kept_after_start(path, 7.0, young) == [3, 4, 5]
-    assert await kept_after_start(path, 0.5, young) == [5, 6, 7]
 
 
 @pytest.mark.parametrize(("keep_days", "expected_s"), [(30.0, [0.0, 3600.0, 7300.0]), (None, [])])

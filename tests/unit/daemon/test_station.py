@@ -16,8 +16,7 @@ from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.patches import PatchLimits
-from radiometer.daemon.state import identity_mapping
-from radiometer.daemon.station import Station
+from radiometer.daemon.station import Station, identity_mapping
 from radiometer.data import Flag, Patch
 from radiometer.devices import CameraIdentity
 from radiometer.errors import (
@@ -271,14 +270,6 @@ async def test_every_change_is_reported_once_with_the_state_after_it(station, wh
     assert look(station.status()) == expected
 
 
-async def test_light_that_is_set_is_reported(station):
-    """The new level is in the state that the subscriber gets."""
-    subscription = station.hub.subscribe()
-    assert await station.light.set_level("red", 0.25) == 0.25
-    event = await subscription.next()
-    assert json.loads(event.line)["light"] == {"white": 0.0, "red": 0.25}
-
-
 @pytest.mark.parametrize(
     ("field", "low", "high", "further"),
     [("gain_db", 0.0, 48.0, {}), ("exposure_s", 1e-5, 30.0, {"auto_exposure": False})],
@@ -299,15 +290,6 @@ async def test_what_is_at_a_limit_is_allowed_and_what_is_beyond_is_not(station, 
     assert station.settings == before
     if further:
         assert station.configure(exposure_s=2 * high, auto_exposure=True).auto_exposure
-
-
-async def test_levels_are_0_to_1(station, box):
-    """Full and dark are levels; what is beyond is refused before it reaches the box."""
-    assert [await station.light.set_level("red", level) for level in (1.0, 0.0)] == [1.0, 0.0]
-    for level in (-0.01, 1.01):
-        with pytest.raises(SettingOutOfRange):
-            await station.light.set_level("red", level)
-    assert box.levels["red"] == 0.0
 
 
 async def test_settings_as_at_first_forget_a_reading_of_another_patch_only(station):
@@ -370,26 +352,6 @@ async def test_a_one_off_enters_no_shared_interface(station, connect, eventually
     assert b'radiometer_radiance{unit="W sr-1 m-2"} 8.0' in station.metrics.render()
     history = await client.ask("TRAC:DATA? HIST,5")
     assert struct.unpack(">3d", history[4:28].encode("latin-1")) == (1.0, 1.0 + ALL_X, 0.01)
-
-
-async def test_a_one_off_stays_out_of_history_and_stream_of_http(http, station):
-    """GET /readings and the stream's replay leave it out unless asked for; the journal says whose it is."""
-    await station.acquisition.measure()
-    body = {"patch": {"x": OTHER_X, "y": 1, "width": 2, "height": 3}}
-    own = (await http.post("/measure", json=body)).json()
-    await station.acquisition.measure()
-
-    async def numbers(query):
-        return [reading["sequence"] for reading in (await http.get(f"/readings{query}")).json()]
-
-    assert (await numbers(""), await numbers("?stream=own")) == ([1, 3], [2])
-    assert await numbers("?stream=all") == [1, 2, 3]
-    assert (await http.get("/readings?stream=mine")).status == 400
-    async with http.session.get("/readings/stream?after=0&format=jsonl") as reply:
-        replayed = [json.loads(await reply.content.readline())["sequence"] for _ in range(2)]
-    assert replayed == [1, 3]
-    assert own["session"].startswith("http-")
-    assert not {"name", "session"} & (await http.get("/readings")).json()[0].keys()
 
 
 async def test_two_that_ask_for_one_patch_share_the_measurement(station, instrument):

@@ -317,10 +317,7 @@ def test_safety_bound_is_above_the_radiance():
 
 
 @pytest.mark.parametrize("dip", range(1, 4))
-@pytest.mark.parametrize(
-    ("place", "reason"),
-    [((0, 1.0), "must rise"), ((0, 0.9), "must rise"), ((1, 1.01), "twice")],
-)
+@pytest.mark.parametrize(("place", "reason"), [((0, 1.0), "must rise"), ((0, 0.9), "must rise"), ((1, 1.01), "twice")])
 def test_levels_that_were_not_measured_well_are_refused(dip, place, reason):
     """Wherever it lies: one that gives no more light than the one below, and one that was measured twice."""
     steps, radiances = [16, 64, 256, 1024], [16.0, 64.0, 256.0, 1024.0]
@@ -384,8 +381,7 @@ def test_what_is_brighter_at_its_start_stays_below_that(start_rel, bound):
 
 
 @pytest.mark.parametrize(
-    ("days", "stale"),
-    [(-1.01, True), (-1.0, False), (0.0, False), (30.0, False), (30.001, True), (400.0, True)],
+    ("days", "stale"), [(-1.01, True), (-1.0, False), (0.0, False), (30.0, False), (30.001, True), (400.0, True)]
 )
 def test_a_calibration_is_stale_after_its_validity_and_not_before(days, stale):
     """Thirty days from when it was made, in whatever time zone one asks; one from the future is not valid either."""

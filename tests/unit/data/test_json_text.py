@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from radiometer.data.decoding import decoded
 from radiometer.data.event_journal import read_events
 from radiometer.data.json_text import RepeatedKey, json_text, parsed_json
+from radiometer.data.tiff_pixels import decoded
 from radiometer.errors import RadiometerError
 from radiometer.importing.statistics_table import read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from radiometer.data import Bracket, Contribution, Flag, Frame, FrameSettings, Patch, Quantity, Reading
+from radiometer.data.capture_header import other_notation, same_serial, serial_shown
 from radiometer.data.provenance import Provenance, source_hash
-from radiometer.data.serials import other_notation, same_serial, serial_shown
 from radiometer.errors import InputError
 
 

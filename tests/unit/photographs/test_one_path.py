@@ -260,24 +260,6 @@ def test_a_light_meter_s_scale_counts_the_ratio_of_speeds(tmp_path, curve):
     assert values == pytest.approx([values[0]] * 3, rel=1e-4)
 
 
-def test_a_metered_radiance_carries_the_doubt_of_the_efficacy(curve):
-    """Without a stated spectrum its efficacy is known to 43 %: so is the radiance, the luminance to 21 %."""
-    words = {"response": curve, "luminance_meter_k": 12.5, "f_number": 8.0, "exposure_s": 1 / 128, "iso": 100}
-    for spectrum, least in ((None, 0.43), ("equal_energy", 0.0)):
-        metered = rm.calibrate(**words, spectrum=spectrum).to_mapping()["metered"]
-        own, seen = (metered[name]["u"] / metered[name]["value"] for name in ("radiance", "luminance"))
-        assert own == pytest.approx(np.hypot(seen, least))
-
-
-def test_a_reference_value_where_the_curve_has_no_data_is_refused(curve):
-    """Supported from 4 to 252 DN: 2 DN and 254 DN are refused with the range, 128 DN is taken."""
-    words = {"response": curve, "luminance_meter_k": 12.5, "f_number": 8.0, "exposure_s": 1 / 128, "iso": 100}
-    for dn in (2.0, 254.0):
-        with pytest.raises(UsageError, match="supported from 4 to 252 DN"):
-            rm.calibrate(**words, reference_dn=dn)
-    assert rm.calibrate(**words, reference_dn=128.0).scale.value > 0
-
-
 def test_flags_of_a_relative_reading_of_photographs(tmp_path):
     """Two patches of a gamma curve, recovered: their ratio is that of the light; values are relative."""
     light = scene()

@@ -5,12 +5,12 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.data.thermometer import regulated, uncertainty_of_readings
-from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.fit.state import reweighted, with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.descent import first_state
+from radiometer.reconciliation.design import Design
+from radiometer.reconciliation.reduce import reduce_frames
 from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.shared_errors import errors_of_darkness
+from radiometer.reconciliation.state import reweighted, with_effects
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.prnu import Prnu
 

@@ -1,6 +1,7 @@
 """Tables of light engines: the drive law is fitted, and what is not proportional gets its name."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,9 @@ def test_the_law_s_uncertainty_holds_an_onset_that_noise_hides():
         found = law.light_over(0.3, 0.9)
         inside += abs(found.value - 0.29 / 0.89) <= 2.0 * found.u
     assert inside >= 91
+    moved = [replace(law, **{name: getattr(law, name) + 1e-7}) for name in ("exponent", "droop", "onset")]
+    slope = np.array([one.light_over(0.3, 0.9).value - found.value for one in moved]) / 1e-7
+    assert found.u == pytest.approx(np.sqrt(slope @ law.covariance @ slope), rel=1e-4)
 
 
 def test_both_are_named(tmp_path):

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, rankdata
 
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.linear import Groups, LinearFit, RowBlock, cholesky, leave_one_group_out
-from radiometer.reconciliation.fit.state import EffectParameters, inverse, prior_residual
-from radiometer.reconciliation.search.localise import Covariate
+from radiometer.reconciliation.linear import Groups, LinearFit, RowBlock, cholesky, leave_one_group_out
+from radiometer.reconciliation.localise import Covariate
+from radiometer.reconciliation.state import EffectParameters, inverse, prior_residual
 from radiometer.statistics.chances import (
     chi2_beyond,
     chi2_quantile,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
+from radiometer.reconciliation.design import Design, group_captures
 from radiometer.reconciliation.engine import examine, jumps
-from radiometer.reconciliation.measure.design import Design, group_captures
-from radiometer.reconciliation.measure.frame_order import FrameLight, periodic
+from radiometer.reconciliation.frame_order import FrameLight, periodic
 from testing.reconciled import reconcile
 
 EXPOSURES = [{"t": float(t)} for t in np.geomspace(2e-4, 5e-3, 7)]

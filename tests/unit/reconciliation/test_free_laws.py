@@ -3,13 +3,20 @@
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
-from radiometer.reconciliation.fit.descent import converged_fit, fitted_parameters, included, refit, scatter_of
-from radiometer.reconciliation.fit.state import with_effects
+from radiometer.reconciliation.descent import (
+    Candidate,
+    converged_fit,
+    fit_candidate,
+    fitted_parameters,
+    included,
+    refit,
+    scatter_of,
+)
+from radiometer.reconciliation.localise import departing, localise, significant
 from radiometer.reconciliation.result import FittedParameter, LawCurve
-from radiometer.reconciliation.search.localise import departing, localise, significant
-from radiometer.reconciliation.search.screening import best_start
-from radiometer.reconciliation.search.search import Search, Step, free_forms, loosened, swapped, worth
+from radiometer.reconciliation.screening import best_start
+from radiometer.reconciliation.search import Search, Step, free_forms, loosened, swapped, worth
+from radiometer.reconciliation.state import with_effects
 from radiometer.reconciliation.verdict import Verdict, rest_of, sizes_by_own_law, verdict_of, with_other_functional_form
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.black_level_offset import BlackLevelOffset

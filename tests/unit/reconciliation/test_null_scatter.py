@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import kstest
 
 from radiometer.data import Frame, FrameSettings
-from radiometer.reconciliation.fit.descent import converged_fit
-from radiometer.reconciliation.fit.state import with_effects
-from radiometer.reconciliation.measure.design import COMB_PERIODS
-from radiometer.reconciliation.search.localise import global_p_value, localise
+from radiometer.reconciliation.descent import converged_fit
+from radiometer.reconciliation.design import COMB_PERIODS
+from radiometer.reconciliation.localise import global_p_value, localise
+from radiometer.reconciliation.state import with_effects
 from radiometer.reconciliation.statistics import STATISTICS, honest_comb
 from simulators.effects.registry import make_effect
 from testing.reduced import start_of, taken

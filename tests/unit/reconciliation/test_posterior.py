@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from radiometer.reconciliation import thresholds
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.state import ModelFit
+from radiometer.reconciliation.localise import Disagreement, departing
 from radiometer.reconciliation.result import FittedParameter, FoundEffect
-from radiometer.reconciliation.search.localise import Disagreement, departing
+from radiometer.reconciliation.state import ModelFit
 from radiometer.reconciliation.thresholds import TABLE
 from radiometer.reconciliation.verdict import UNNAMED, posterior, pseudo_bma, uncertain, without_essential
 from simulators.effects.angle_dependence import AngleDependence

@@ -67,14 +67,6 @@ def test_constant_offset_without_its_entry_is_no_other_entry(make_capture):
     assert any("digital_constant" in line for line in result.assumptions)
 
 
-def test_power_of_time_without_its_entry_is_no_settling_lamp(make_capture):
-    """A lamp that settles within the exposure imitates t^p with a parameter more: its name is never a confident one."""
-    captured = make_capture(seed=17, exposure=lambda t: t * (t / 1e-3) ** 0.006)
-    result = reconcile(captured.header, captured.frames, without=("reciprocity_failure",), with_limits=False)
-    assert result.verdict in (Verdict.UNNAMED, Verdict.INCOMPLETE)
-    assert "exposure_s" in [effect.where for effect in result.effects]
-
-
 @pytest.mark.usefixtures("laws_left_out")
 def test_uneven_leak_moves_whole_patches_and_nothing_else_is_named(make_capture):
     """Few pixels leak much: the patches that hold them differ in mean and spread, and that belongs to the one name."""
@@ -111,28 +103,6 @@ def test_command_writes_json_model_and_report(commanded):
     loaded = CameraModel.read(model)
     assert loaded.effect("black_level_offset").values()["offset_dn"] == pytest.approx(1.5, abs=0.02)
     assert "data:image/svg+xml;base64," in report.read_text(encoding="utf-8")
-
-
-def test_found_model_as_start_agrees(commanded, make_capture, tmp_path):
-    """Starting from the model with the effect in it, a fresh capture of the same camera agrees."""
-    from radiometer.reconciliation.engine import reconcile_capture
-
-    fresh = _write(make_capture(seed=16, extra_dn=lambda s: 1.5), tmp_path / "fresh")
-    again = reconcile_capture(fresh, CameraModel.read(commanded[0])).result
-    assert again.verdict is Verdict.AGREES
-    assert again.gap_before == pytest.approx(1.0, abs=0.05)
-
-
-def test_unfinished_capture_is_one_line_and_exit_code_1(tmp_path, capsys):
-    """A folder without capture.yaml is refused with the reason."""
-    (tmp_path / "empty").mkdir()
-    assert run(["reconcile", str(tmp_path / "empty")]) == 1
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
-
-
-def test_unknown_entry_is_misuse(tmp_path):
-    """`--without` an entry that does not exist is exit code 2."""
-    assert run(["reconcile", str(tmp_path), "--without", "phlogiston"]) == 2
 
 
 # Limits and next captures are advice: whatever happens to them, the answer stands.

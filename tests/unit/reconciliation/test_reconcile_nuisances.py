@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, PatchDescription
-from radiometer.reconciliation.fit.descent import effect_covariance, fitted_parameters, is_misfit, refit
-from radiometer.reconciliation.fit.nuisances import NuisanceLayout, dark_current_is_free
-from radiometer.reconciliation.fit.state import reweighted, with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.descent import effect_covariance, fitted_parameters, is_misfit, refit
+from radiometer.reconciliation.design import Design
+from radiometer.reconciliation.nuisances import NuisanceLayout, dark_current_is_free
+from radiometer.reconciliation.reduce import reduce_frames
 from radiometer.reconciliation.repeatability import steady_wander2
 from radiometer.reconciliation.separability import limits
+from radiometer.reconciliation.state import reweighted, with_effects
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.exposure_time_offset import ExposureTimeOffset

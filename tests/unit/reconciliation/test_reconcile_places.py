@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings
-from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.design import Design
+from radiometer.reconciliation.localise import axis_of, global_p_value, localise, places
 from radiometer.reconciliation.repeatability import estimate_tau, repeats_of
-from radiometer.reconciliation.search.localise import axis_of, global_p_value, localise, places
 from radiometer.reconciliation.thresholds import SIGNIFICANCE
 from testing.reduced import start_of
 

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.descent import is_misfit
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.lines import RowBins, TileBands, wave_power
-from radiometer.reconciliation.measure.reduce import reduce_frames
-from radiometer.reconciliation.search.localise import localise, significant
+from radiometer.reconciliation.descent import is_misfit
+from radiometer.reconciliation.design import Design
+from radiometer.reconciliation.lines import RowBins, TileBands, wave_power
+from radiometer.reconciliation.localise import localise, significant
+from radiometer.reconciliation.reduce import reduce_frames
 from radiometer.reconciliation.verdict import place_of_scatter
 from testing.reduced import start_of, statistics_of
 

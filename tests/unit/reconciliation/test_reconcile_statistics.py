@@ -7,14 +7,14 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.errors import CaptureError
-from radiometer.reconciliation.fit.descent import converged_fit, first_state, fitted_parameters, refit
-from radiometer.reconciliation.fit.state import LinearTerm, with_effects
-from radiometer.reconciliation.measure.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
-from radiometer.reconciliation.measure.lines import RowBins, edge_shares
-from radiometer.reconciliation.measure.reduce import CaptureSums, add_tiles, coarse_cells, reduce_frames
-from radiometer.reconciliation.search.localise import localise, significant
+from radiometer.reconciliation.descent import converged_fit, first_state, fitted_parameters, refit
+from radiometer.reconciliation.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
+from radiometer.reconciliation.lines import RowBins, edge_shares
+from radiometer.reconciliation.localise import localise, significant
+from radiometer.reconciliation.reduce import CaptureSums, add_tiles, coarse_cells, reduce_frames
 from radiometer.reconciliation.separability import limits
 from radiometer.reconciliation.shared_errors import fixed_errors
+from radiometer.reconciliation.state import LinearTerm, with_effects
 from radiometer.reconciliation.statistics import usable_entries
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.black_level_offset import BlackLevelOffset
@@ -232,13 +232,6 @@ def test_frames_of_another_size_are_refused(make_capture):
 def test_repeatability_is_found(declared):
     """τ comes out at the 0.1 % that the lamp has, within the 99 % interval of 50 captures."""
     assert declared.tau == pytest.approx(1e-3, rel=0.3)
-
-
-@pytest.mark.long
-def test_null_tests_are_calibrated(make_capture):
-    """Under the null the share of p < 0.05 over four seeds is 0.05 (about 50 independent tests in each)."""
-    p = [test.p_value for seed in range(4) for test in localise(start_of(make_capture(seed=seed)))]
-    assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 200))
 
 
 def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture):

@@ -7,9 +7,9 @@ import pytest
 
 from radiometer.numbers import rounded
 from radiometer.reconciliation.engine import examine, whole_catalogue
-from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.report_page import along, axis_label, outcome, plot_along, report_html, seen_in
 from radiometer.reconciliation.result import FoundEffect, Verdict
+from radiometer.reconciliation.state import with_effects
 from radiometer.reporting.origin import Origin
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.crosstalk import Crosstalk

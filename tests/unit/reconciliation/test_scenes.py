@@ -6,9 +6,9 @@ from scipy.ndimage import gaussian_filter
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
 from radiometer.errors import CaptureError
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.frame_order import FineStructure, scenes_of
-from radiometer.reconciliation.measure.reduce import with_even_tiles
+from radiometer.reconciliation.design import Design
+from radiometer.reconciliation.frame_order import FineStructure, scenes_of
+from radiometer.reconciliation.reduce import with_even_tiles
 from testing.reconciled import reconcile
 
 BLACK, E_PER_DN, READ_E, FULL = 100.0, 2.0, 4.0, 4095

@@ -9,10 +9,8 @@ import pytest
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
 from radiometer.reconciliation import engine
+from radiometer.reconciliation.descent import Candidate, refit
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.candidate_fit import Candidate
-from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.separability import (
     ConfusablePair,
     Directions,
@@ -21,6 +19,7 @@ from radiometer.reconciliation.separability import (
     noiseless,
     separability,
 )
+from radiometer.reconciliation.state import with_effects
 from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
 from simulators.effects.exposure_time_offset import ExposureTimeOffset

@@ -8,13 +8,13 @@ import pytest
 from scipy.ndimage import convolve
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings, PatchDescription
-from radiometer.reconciliation.fit.descent import UnfitError, included
-from radiometer.reconciliation.measure.design import CaptureStatistics, Design
-from radiometer.reconciliation.measure.lines import RowBins, TileBands
-from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.descent import UnfitError, included
+from radiometer.reconciliation.design import CaptureStatistics, Design
+from radiometer.reconciliation.lines import RowBins, TileBands
+from radiometer.reconciliation.localise import Covariate
+from radiometer.reconciliation.reduce import reduce_frames
 from radiometer.reconciliation.repeatability import capture_scale
-from radiometer.reconciliation.search.localise import Covariate
-from radiometer.reconciliation.search.screening import StartPool, of_seen_codes
+from radiometer.reconciliation.screening import StartPool, of_seen_codes
 from radiometer.reconciliation.shared_errors import (
     Part,
     Repeatability,

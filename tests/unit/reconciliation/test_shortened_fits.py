@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import TapDescription
-from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.descent import (
+from radiometer.reconciliation.descent import (
     UnfitError,
     coarse_fit,
     converged_fit,
@@ -18,10 +17,11 @@ from radiometer.reconciliation.fit.descent import (
     refit,
     refit_with,
 )
-from radiometer.reconciliation.fit.nuisances import NuisanceLayout
-from radiometer.reconciliation.fit.state import reweighted, with_effects
-from radiometer.reconciliation.measure.design import Design, slope_lengths, tile_groups
-from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.design import Design, slope_lengths, tile_groups
+from radiometer.reconciliation.engine import whole_catalogue
+from radiometer.reconciliation.nuisances import NuisanceLayout
+from radiometer.reconciliation.reduce import reduce_frames
+from radiometer.reconciliation.state import reweighted, with_effects
 from radiometer.reconciliation.tile_model import predict_several
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.brighter_fatter import BrighterFatter

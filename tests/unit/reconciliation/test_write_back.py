@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.engine import examine, whole_catalogue
-from radiometer.reconciliation.inputs.sources import reconciled_model
 from radiometer.reconciliation.result import Verdict
+from radiometer.reconciliation.sources import reconciled_model
 from simulators.chain.camera_model import CameraModel
 
 PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 9)] + [{"t": t, "shutter": "closed"} for t in (1e-4, 1.0)]

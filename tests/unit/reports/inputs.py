@@ -65,22 +65,6 @@ def stack(folder: Path, name: str = "s.tif") -> Path:
     return tiff(folder / name, [flat(256 + 2e4 * s) for s in SECONDS], [[exposure_tag(s)] for s in SECONDS])
 
 
-def ome(path: Path, unit: str, per_ms: float, places: Sequence[tuple[int, int]], sizes: tuple[int, int]) -> Path:
-    """Write an OME-TIFF of 5, 10, 20, 40 ms: 2 DN per ms above 100 DN; pages are where TiffData states them."""
-    data, planes = "", ""
-    for page, ((c, t), ms) in enumerate(zip(places, (5, 10, 20, 40), strict=True)):
-        data += f'<TiffData FirstC="{c}" FirstT="{t}" FirstZ="0" IFD="{page}" PlaneCount="1"/>'
-        planes += f'<Plane TheZ="0" TheC="{c}" TheT="{t}" ExposureTime="{ms * per_ms}" ExposureTimeUnit="{unit}"/>'
-    xml = (
-        '<?xml version="1.0" encoding="UTF-8"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">'
-        '<Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="64" SizeY="48" '
-        f'SizeZ="1" SizeC="{sizes[0]}" SizeT="{sizes[1]}">{data}{planes}</Pixels></Image></OME>'
-    )
-    pages = np.stack([flat(100 + 2 * ms) for ms in (5, 10, 20, 40)]).astype(np.uint16)
-    tifffile.imwrite(path, pages, description=xml.encode(), metadata=None, photometric="minisblack")
-    return path
-
-
 def screen(path: Path, heading: str, row: Callable[[int, int, float], str], *, comma: bool = False) -> Path:
     """Write a table of a screen of 0.2 + 230·(level/255)^2.2 cd/m² in steps of 15 levels."""
     lines = [row(i, n, 0.2 + 230 * (n / 255) ** 2.2) for i, n in enumerate(range(0, 256, 15), 1)]

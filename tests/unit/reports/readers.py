@@ -8,10 +8,10 @@ import numpy as np
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.importing import import_sources, open_capture, statistics_of
+from radiometer.importing.found import record_in
 from radiometer.importing.log_table import read_log
 from radiometer.importing.photograph_times import read_list
-from radiometer.importing.record import record_in
-from radiometer.reconciliation.inputs.tables import reconcile_meter_table
+from radiometer.reconciliation.tables import reconcile_meter_table
 from radiometer.screen.measured_elsewhere import read_screen_readings
 
 Read = tuple[dict[str, Any], str]

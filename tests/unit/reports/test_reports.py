@@ -7,7 +7,6 @@ import json
 import re
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -18,30 +17,11 @@ from radiometer.data import CaptureSet, ResponseCurve
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 from tests.unit.reports import inputs
 
-SERIES, CHANNELS_FIRST = [(0, t) for t in range(4)], [(0, 0), (0, 1), (1, 0), (1, 1)]
-
 
 def imported(source: Path, out: Path, *words: str) -> CaptureSet:
     """Return what `radiometer import` writes of a source."""
     assert run(["import", str(source), "-o", str(out), *words]) == 0
     return CaptureSet.read(out)
-
-
-@pytest.mark.parametrize(
-    ("unit", "per_ms", "places", "sizes"),
-    [
-        ("\u00b5s", 1e3, SERIES, (1, 4)),
-        ("\u03bcs", 1e3, SERIES, (1, 4)),  # jkroso/parse-duration/issues/13, dustin/go-humanize/pull/144
-        ("ns", 1e6, SERIES, (1, 4)),  # ome/bioformats/issues/3560
-        ("ms", 1, CHANNELS_FIRST, (2, 2)),  # ome/ZarrReader/pull/31
-    ],
-)
-def test_exposures_of_ome_planes_are_those_of_their_pages(unit, per_ms, places, sizes, tmp_path):
-    """Page n has 100 DN + 2 DN per ms of its exposure."""
-    found = imported(inputs.ome(tmp_path / "a.ome.tif", unit, per_ms, places, sizes), tmp_path / "out")
-    for index, entry in enumerate(found.header.frames):
-        level = float(found.read_frame(index).dn.mean())
-        assert entry.exposure_s == pytest.approx((level - 100.0) / 2000.0, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -81,36 +61,12 @@ def test_raw_photographs_with_exif_in_the_first_directory(photometric, tmp_path)
     assert run(["merge", str(folder), "-o", str(tmp_path / "o.tiff")]) == 0
 
 
-def test_lzw_compression_is_read(tmp_path):
-    """OpenCV packs TIFF by LZW unless asked not to; the pixels are the same."""
-    picture = inputs.flat(900.0).astype(np.uint16)
-    path = tmp_path / "exp10ms.tif"
-    cv2.imwrite(str(path), picture)
-    found = imported(path, tmp_path / "out")
-    assert np.array_equal(found.read_frame(0).dn, picture)
-    assert found.header.frames[0].exposure_s == pytest.approx(0.01)
-
-
 def test_a_stack_among_photographs_is_not_read_by_its_first_page(tmp_path, capsys):
     """Its pages may have other exposures (haraldk/TwelveMonkeys/issues/412): the command that reads all is named."""
     for n in range(2):
         inputs.stack(tmp_path / "p", f"{n}.tif")
     assert run(["merge", str(tmp_path / "p"), "-o", str(tmp_path / "o.tiff")]) == 1
     assert "radiometer import" in capsys.readouterr().err
-
-
-def test_the_picture_of_a_raw_file_may_be_within_another_directory(tmp_path):
-    """A small colour picture comes first, with EXIF; the sensor's picture is in a directory of it."""
-    colour = np.zeros((24, 32, 3), np.uint8)
-    with tifffile.TiffWriter(tmp_path / "a.dng.tif") as writer:
-        exposure = [inputs.exposure_tag(0.04)]
-        writer.write(colour, photometric="rgb", subfiletype=1, subifds=1, metadata=None, extratags=exposure)
-        raw = inputs.flat(900.0).astype(np.uint16)
-        black = [(50714, "H", 1, 256, True)]
-        writer.write(raw, photometric="minisblack", subfiletype=0, metadata=None, extratags=black)
-    found = imported(tmp_path / "a.dng.tif", tmp_path / "out")
-    assert np.array_equal(found.read_frame(0).dn, raw)
-    assert (found.header.frames[0].exposure_s, found.header.frames[0].black_level_dn) == (0.04, 256.0)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])

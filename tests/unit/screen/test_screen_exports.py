@@ -11,10 +11,7 @@ from PIL import ImageCms
 import radiometer as rm
 from radiometer.errors import CalibrationError, UsageError
 from radiometer.screen.calibration import LUMINANCE
-from radiometer.screen.exports import EXPORTS, write_export
-from radiometer.screen.exports.chromaticity import argyll_line
-from radiometer.screen.exports.tables import to_csv, to_inverse_csv
-from radiometer.screen.exports.video_lut import correction
+from radiometer.screen.exports import EXPORTS, argyll_line, correction, to_csv, to_inverse_csv, write_export
 
 # ITU-R BT.709 and D65, the chromaticities of sRGB.
 SRGB = {"grey": (0.3127, 0.3290), "red": (0.64, 0.33), "green": (0.30, 0.60), "blue": (0.15, 0.06)}

@@ -17,6 +17,7 @@ from radiometer.statistics.scale import (
     jackknife_u,
     neighbour_sigma,
     robust_sigma,
+    spread_beyond_noise,
 )
 
 
@@ -34,6 +35,15 @@ def test_outliers_do_not_move_the_robust_scale():
     assert neighbour_sigma(np.diff(values + np.linspace(0.0, 500.0, values.size))) == pytest.approx(2.0, rel=0.05)
     values[:1000] = 1e6
     assert robust_sigma(values) == pytest.approx(2.0, rel=0.2)
+
+
+def test_the_spread_beyond_noise_is_as_uncertain_as_its_square():
+    """By u(S²) = √((4S²σ² + 2σ⁴)/n): 2 u reach down to the least S, and u is u(S²)/2S, or its root, where that is 0."""
+    value, u = spread_beyond_noise(8.0, 3.0, 40, may_vary=0.5)
+    least = math.sqrt(5.0 - 0.5 - 2.0 * math.sqrt((20.0 + 7.0) * 3.5 / 40.0))
+    assert (value, u) == pytest.approx((math.sqrt(5.0), (math.sqrt(5.0) - least) / 2.0))
+    assert spread_beyond_noise(2.1, 2.0, 220) == pytest.approx((math.sqrt(0.1), 0.2 / (2.0 * math.sqrt(0.1))))
+    assert spread_beyond_noise(1.0, 2.0, 32) == pytest.approx((0.0, math.sqrt(0.5)))
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():

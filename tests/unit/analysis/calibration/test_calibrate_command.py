@@ -86,24 +86,6 @@ def test_printed_settings_are_reported_with_the_stops_behind_them(curve, tmp_pat
     assert "is 60 s meant, or 1/60 s?" in capsys.readouterr().err
 
 
-def test_the_stated_uncertainty_of_the_constant_counts(curve, tmp_path, capsys):
-    """K known to 3 %: next to the meter's sixth of a stop and the curve's 0.5 %, in the scale and in the luminance."""
-    command = ["calibrate", "--response", str(curve), *METER, "--k-u-rel", "0.03", "--reference-dn", "127", "--json"]
-    assert run([*command, "-o", str(tmp_path / "cal.yaml")]) == 0
-    meter = math.log(2) / 6 / math.sqrt(3)
-    scale = Calibration.read(tmp_path / "cal.yaml").scale
-    assert scale.u_rel == pytest.approx(math.hypot(meter, 0.03, 0.005), rel=1e-3)
-    luminance = json.loads(capsys.readouterr().out)["metered"]["luminance"]
-    assert luminance["u"] / luminance["value"] == pytest.approx(math.hypot(meter, 0.03), rel=1e-6)
-
-
-def test_settings_are_read_as_exact_stops(curve, tmp_path, capsys):
-    """1/125 s runs as 2⁻⁷ s: the luminance is 128/125 of that at face value."""
-    assert run(["calibrate", "--response", str(curve), *METER, "--json", "-o", str(tmp_path / "cal.yaml")]) == 0
-    luminance = json.loads(capsys.readouterr().out)["metered"]["luminance"]["value"]
-    assert luminance == pytest.approx(3882.3529 * 128 / 125, rel=1e-6)
-
-
 def test_both_ways_give_a_ratio_and_the_better_scale(capture, tmp_path, capsys):
     """With meter and source the ratio is printed with its uncertainty, and the source's scale is kept."""
     folder, _ = capture
@@ -124,44 +106,32 @@ def test_a_known_luminance_goes_through_the_spectrum(capture, tmp_path):
     assert run([*common, "--luminance", str(683 * radiance), "-o", str(tmp_path / "a.yaml")]) == 0
     assert run([*common, "--radiance", str(radiance), "-o", str(tmp_path / "b.yaml")]) == 0
     scales = [Calibration.read(tmp_path / name).scale.value for name in ("a.yaml", "b.yaml")]
-    assert scales[0] == pytest.approx(scales[1], rel=1e-6)
+    assert scales[0] == pytest.approx(scales[1], rel=1e-6, abs=0.0)
 
 
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        ([], 2, "Missing option '--out'"),
         (["-o", "{out}"], 2, "--radiance"),
         (["-o", "{out}", *METER], 2, "--response"),
         (["-o", "{out}", "--luminance-meter-k", "16.5"], 2, "--f-number"),
         (["-o", "{out}", "--radiance", "1", "--u-rel", "0.1"], 2, "capture set"),
-        (["{capture}", "-o", "{out}", "--patch", "hole"], 2, "port"),
         (["{capture}", "-o", "{out}", "--patch", "0,0,99,99", "--radiance", "1", "--u-rel", "0.1"], 1, "99"),
         (["{capture}", "-o", "{out}", "--patch", "1,1,9,9", "--radiance", "1"], 2, "--u-rel"),
-        (["{capture}", "-o", "{out}", "--radiance", "-1", "--u-rel", "0.1", "--patch", "1,1,9,9"], 2, "from 1e-18"),
         (["{capture}", "-o", "{out}", "--spectrum", "moon"], 1, "equal_energy"),
         (["{capture}", "-o", "{out}", "--response", "{curve}"], 1, "8 bits"),
-        (["{capture}", "-o", "/nowhere/cal.yaml"], 2, "/nowhere/cal.yaml"),
         (["{capture}", "-o", "{out}", *METER, "--reference-dn", "5000"], 2, "5000"),
         (["{capture}", "-o", "{out}", *METER, "--reference-dn", "4095"], 2, "4095"),
         (["{capture}", "-o", "{out}", *METER, "--reference-dn", "64"], 2, "above 64 and below 4095 DN"),
-        (["no-such-folder", "-o", "{out}"], 1, "no-such-folder"),
         (["{capture}", "-o", "{out}", "--camera", "sim"], 2, "not both"),
         (["{capture}", "-o", "{out}", "--radiance", "1", "--luminance", "1", "--u-rel", "0.1"], 2, "exclude"),
         (["{capture}", "-o", "{out}", "--f-number", "8"], 2, "f/4"),
-        (["{capture}", "-o", "{out}", "--patch", "1,1,20"], 2, "X,Y,W,H"),
-        (["{capture}", "-o", "{out}", "--patch", "1,1,0,9", "--radiance", "1", "--u-rel", "0.1"], 2, "at least 1"),
         (["{capture}", "-o", "{out}", "--stated", "glare_u"], 2, "NAME=U"),
         (["{capture}", "-o", "{out}", "--stated", "glare_u=-0.1"], 2, "0 or more"),
-        (["{capture}", "-o", "{out}", "--stated", "glare_u=inf"], 2, "finite"),
         (["{capture}", "-o", "{out}", "--stated", "glare_u=1e300"], 2, "stated is"),
         (["{capture}", "-o", "{out}", "--dynamic-range", "254,1/2000"], 2, "--response"),
-        (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "254"], 2, "M,TIME"),
         (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "254,1/2000,1,2"], 2, "M,TIME"),
         (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "a,1/2000"], 2, "M,TIME"),
-        (["-o", "{out}", "--response", "{curve}", *meter(f_number="-16")], 2, "--f-number"),
-        (["-o", "{out}", "--response", "{curve}", *meter(exposure="0")], 2, "above 0"),
-        (["-o", "{out}", "--response", "{curve}", *meter(exposure="fast")], 2, "1/125"),
         (["-o", "{out}", "--response", "{curve}", *meter(exposure="9999999999s")], 2, "exposure_s is 9999999999"),
         (["{capture}", "-o", "{out}", "--flat", "{curve}"], 1, "curve.csv"),
         (

@@ -25,7 +25,7 @@ from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.data.mosaic import COLOURS
 from radiometer.errors import CalibrationError, UsageError
 from radiometer.typing import Array
-from simulators.cameras.colour_filters import ColourFilters
+from simulators.cameras.simulated_camera import ColourFilters
 
 NOISE_REL = 0.002
 LIGHTS = ("cie_d65", "cie_a", "white_led", "led_b5", "cie_fl11")
@@ -184,6 +184,11 @@ def test_responsivities_give_chromaticities_and_known_lights_the_scale(reflectan
     absolute = train_on_responsivities(camera, one, per_kind=False, u_rel=0.01)
     assert (relative.unit, absolute.unit) == ("relative", "cd m-2")
     assert absolute.u_rel > 0.01
+    noisy = replace(one, u_signal=0.1 * one.signal)
+    found = train_on_responsivities(camera, noisy, per_kind=False, u_rel=0.01)
+    row = found.matrices["all"].matrix[1]
+    more = np.sum((row * noisy.u_signal) ** 2 - (row * one.u_signal) ** 2) / (row @ one.signal[0]) ** 2
+    assert found.u_rel**2 - absolute.u_rel**2 == pytest.approx(more)
     off, _, _ = deviations(absolute, lights, "surfaces")
     assert np.mean(np.abs(off) < 2.0) >= 0.93
     xyz, _ = relative.convert(lights.signal, np.zeros((3, 3)), None)

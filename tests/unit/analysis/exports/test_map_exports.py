@@ -189,12 +189,10 @@ def test_the_command_merges_a_capture_set(capture, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["{capture}"], 2, "Missing option '--out'"),
         (["{capture}", "-o", "{dir}/a.bmp"], 2, ".bmp"),
         (["{capture}", "-o", "{dir}/a.exr", "--luminance"], 2, "calibration"),
         (["{capture}", "-o", "{dir}/a.png", "--scale", "5"], 2, "LOW,HIGH"),
         (["{capture}", "-o", "{dir}/a.exr", "--pattern", "stripes"], 1, "stripes"),
-        (["{dir}/none", "-o", "{dir}/a.exr"], 1, "does not exist"),
         (["{dir}", "-o", "{dir}/a.exr"], 1, "nor photographs"),
         (["{capture}", "-o", "{dir}/a.exr", "--response", "{curve}"], 1, "8 bits"),
     ],

@@ -22,8 +22,7 @@ from radiometer.analysis.flux.sensor import flux_scale, sensor_flux
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.data import setup as measuring
 from radiometer.errors import CalibrationError, MeasurementError, UsageError
-from simulators.chain.camera_model import CameraModel
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import CameraModel, VirtualSensor
 from simulators.scenes import LedScene
 
 CAMERA = CameraDescription(
@@ -301,7 +300,7 @@ def test_pupil_angle_is_that_of_a_right_triangle() -> None:
 @pytest.mark.parametrize("half_angle", [0.0, 90.0, -5.0])
 def test_impossible_half_angles_are_refused(half_angle: float) -> None:
     """The message gives the value and the limits."""
-    with pytest.raises(ValueError, match=r"half angle .* is out of range"):
+    with pytest.raises(UsageError, match=r"half angle .* is out of range"):
         intensity_exponent(half_angle)
 
 

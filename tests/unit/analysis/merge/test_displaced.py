@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.merge.bracket import merge
-from radiometer.analysis.merge.displaced import MeanDisplacement, relative_shift, with_shift
+from radiometer.analysis.merge.displaced import relative_shift, with_shift
+from radiometer.analysis.merge.finish import AtLevels
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -125,5 +126,5 @@ def test_each_level_has_the_weights_of_its_own(of_each, pixels):
     unit = np.linspace(1.0, 2.0, pixels) if of_each else np.array([2.0])
     value = (unit * np.exp(np.log(5.0) + steps[:pixels] / 16.0)).astype(np.float32)
     u, shift = 0.01 * value, np.full(pixels, 0.1, np.float32)
-    with_shift(value, u, shift, unit.astype(np.float32), MeanDisplacement(float(np.log(5.0)), factors))
+    with_shift(value, u, shift, unit.astype(np.float32), AtLevels(float(np.log(5.0)), factors[None], factors, factors))
     assert u / value == pytest.approx(np.hypot(0.01, 0.1 * expected), rel=1e-4)

@@ -13,12 +13,8 @@ from scipy.stats import norm
 from radiometer.analysis.merge import bracket
 from radiometer.analysis.merge.alignment import Alignment, Climb, Movement, aligned, find_alignment
 from radiometer.analysis.merge.bracket import repair_defects
-from radiometer.analysis.merge.displaced import MeanDisplacement, relative_shift
-from radiometer.analysis.merge.finish import (
-    MergeTables,
-    merge_tables,
-    with_censored,
-)
+from radiometer.analysis.merge.displaced import relative_shift
+from radiometer.analysis.merge.finish import MergeTables, merge_tables, with_censored
 from radiometer.analysis.merge.frames import frame_terms
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
@@ -46,15 +42,15 @@ def tables(exposures, *, variance=25.0, kappa=0.0, slack=0.01, clips_at=4000.0, 
 
 def test_weights_of_displaced_frames_are_those_of_their_information():
     """t²/v of 1 and 9: √(0.1² + 0.9²); where the longer clips the shorter has all; where nothing is known, one."""
-    found = MeanDisplacement.of(tables([1.0, 3.0], clips_at=300.0, bounds=(300.0, 1.0)))
-    rates = np.exp(found.lowest + np.arange(found.factors.size) / 16.0)
+    found = tables([1.0, 3.0], clips_at=300.0, bounds=(300.0, 1.0)).at_levels()
+    rates = np.exp(found.lowest + np.arange(found.root_sum_square.size) / 16.0)
     both, one = rates < 100.0, (rates > 100.0) & (rates < 300.0)
     assert found.lowest == pytest.approx(0.0)
-    assert found.factors[both] == pytest.approx(math.hypot(0.1, 0.9))
-    assert found.factors[one] == pytest.approx(1.0)
+    assert found.root_sum_square[both] == pytest.approx(math.hypot(0.1, 0.9))
+    assert found.root_sum_square[one] == pytest.approx(1.0)
     assert rates[-1] >= 300.0
-    shot = MeanDisplacement.of(tables([1.0, 3.0], variance=1e-9, kappa=1.0))
-    assert shot.factors[4] == pytest.approx(math.hypot(1.0, 3.0) / 4.0)  # of photons alone the weights go as t
+    shot = tables([1.0, 3.0], variance=1e-9, kappa=1.0).at_levels()
+    assert shot.root_sum_square[4] == pytest.approx(math.hypot(1.0, 3.0) / 4.0)  # of photons alone the weights go as t
 
 
 def test_a_shift_at_the_border_is_that_of_one_step():

@@ -2,7 +2,6 @@
 
 import json
 import math
-import warnings
 from dataclasses import replace
 from functools import cache
 
@@ -51,7 +50,7 @@ def test_the_observers_are_the_published_tables(nm):
     wavelength, photopic = photometry.luminous_efficiency("photopic")
     _, scotopic = photometry.luminous_efficiency("scotopic")
     assert np.interp(nm, wavelength, photopic) == pytest.approx(v, rel=1e-6)
-    assert np.interp(nm, wavelength, scotopic) == pytest.approx(v_dark, rel=1e-6)
+    assert np.interp(nm, wavelength, scotopic) == pytest.approx(v_dark, rel=1e-6, abs=0.0)
     assert photometry.luminous_efficacy_lm_per_w(line) == pytest.approx(cie.KM_LM_PER_W * v, rel=1e-6)
     found = photometry.luminous_efficacy_lm_per_w(line, "scotopic")
     assert found == pytest.approx(cie.KM_SCOTOPIC_LM_PER_W * v_dark, rel=1e-6)
@@ -77,24 +76,6 @@ def test_units_there_and_back(name, observer, radiance):
         constant = {"photopic": cie.KM_LM_PER_W, "scotopic": cie.KM_SCOTOPIC_LM_PER_W}[observer]
         expected = constant * (power * efficiency).sum() / power.sum()
         assert luminance / radiance == pytest.approx(expected, rel=3e-3)
-
-
-@given(st.floats(2.0, 8.0), positive)
-def test_trolands_are_luminance_times_pupil_in_square_millimetres(diameter, luminance):
-    """π·d²/4."""
-    assert photometry.retinal_illuminance_td(luminance, diameter) == pytest.approx(
-        luminance * math.pi * diameter**2 / 4
-    )
-
-
-@pytest.mark.parametrize(("pupil", "taken"), [(0.99, False), (1.0, True), (10.0, True), (10.1, False)])
-def test_pupils_of_eyes(pupil, taken):
-    """1 to 10 mm."""
-    if taken:
-        assert photometry.retinal_illuminance_td(1.0, pupil) > 0.0
-    else:
-        with pytest.raises(InputError, match="1 to 10 mm"):
-            photometry.retinal_illuminance_td(1.0, pupil)
 
 
 @settings(max_examples=30, deadline=None)
@@ -158,7 +139,7 @@ def test_a_scale_by_a_meter(meter_k, u_of_k, u_signal, signal):
     assert found.value == relatively(luminance / 683.0 * 0.02 / 60 / signal, rel=1e-6)
     parts = (math.log(2) / 6 / math.sqrt(3), u_of_k, u_signal)
     assert found.u_rel == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
-    assert sorted(found.budget.values()) == pytest.approx(sorted(parts))
+    assert sorted(found.budget.values()) == pytest.approx(sorted(parts), rel=1e-6, abs=0.0)
     assert (found.quantity, found.f_number, found.method) == ("luminance", 5.6, "light_meter_k")
     unknown = scale_from_meter(meter_k, setting, signal, green, 0.02)
     assert unknown.budget["constant K"] == pytest.approx(0.06736, rel=1e-3)
@@ -169,7 +150,7 @@ def test_a_scale_by_a_known_source(radiance, u_source, rate, u_rate):
     """Radiance over reading; u of both in squares, each named."""
     found = scale_from_radiance(radiance, u_source, rate, u_rate, 4.0)
     assert found.value == pytest.approx(radiance / rate)
-    assert found.u_rel == pytest.approx(math.hypot(u_source, u_rate))
+    assert found.u_rel == pytest.approx(math.hypot(u_source, u_rate), rel=1e-6, abs=0.0)
     assert found.budget == {"reference source": u_source, "reading": u_rate}
     lines = {"noise": 0.3, "dark": 0.4}
     assert scale_from_radiance(radiance, 0.1, rate, 0.5, None, reading_budget=lines).budget == {
@@ -298,30 +279,6 @@ def test_invisible_light_has_no_luminance():
     """An infrared line is refused rather than divided by zero."""
     with pytest.raises(InputError, match="no visible light"):
         photometry.radiance_w_sr_m2(1.0, spectrum("line:940"))
-
-
-@pytest.fixture
-def colour_science():
-    """Return the package that the tables come from; it warns of optional parts when imported."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import colour
-    return colour
-
-
-def test_tables_equal_the_library_they_come_from(colour_science):
-    """V(λ) as packed equals that of colour-science."""
-    theirs = colour_science.SDS_LEFS["CIE 1924 Photopic Standard Observer"].values
-    _, columns = table("luminous_efficiency.csv")
-    np.testing.assert_allclose(columns["photopic_cie1924"], theirs, rtol=1e-6)
-
-
-@pytest.mark.parametrize(("ours", "illuminant"), [("cie_d65", "D65"), ("planck:2856", "A"), ("white_led", "LED-B3")])
-def test_efficacies_are_those_of_the_library(colour_science, ours, illuminant):
-    """CIE illuminants over 380–780 nm, to the difference between two rules of integration."""
-    lamp = colour_science.SDS_ILLUMINANTS[illuminant].copy().align(colour_science.SpectralShape(380, 780, 1))
-    theirs = colour_science.luminous_efficacy(lamp)
-    assert photometry.luminous_efficacy_lm_per_w(spectrum(ours)) == pytest.approx(theirs, rel=3e-3)
 
 
 def _table(*points):
@@ -690,16 +647,19 @@ def test_the_efficacies_of_common_lights_are_those_of_a_peer(name, efficacies):
 
 
 def test_a_line_excites_by_its_action_spectrum():
-    """A line excites by its action spectrum."""
+    """A line excites by its action spectrum; its u is the slope at the line by the wavelength's u."""
     wavelength, columns = table("alpha_opic.csv")
     at_490 = columns["melanopic"][wavelength == 490.0][0]
     found = rm.alpha_opic(3.0, "W/m2", spectrum="line:490")["melanopic"]
     assert found.quantity.value == pytest.approx(3.0 * at_490)
     assert at_490 == pytest.approx(1.0, abs=1e-3)  # its peak is at 490 nm
+    sloping = rm.alpha_opic(3.0, "W/m2", spectrum="line:520", wavelength_u_nm=2.0)["melanopic"].quantity
+    ends = np.interp([518.0, 522.0], wavelength, columns["melanopic"])
+    assert sloping.u == pytest.approx(3.0 * (ends[0] - ends[1]) / 2.0)
     for receptor, column in columns.items():
         last = np.flatnonzero(column)[-1]
         found = rm.alpha_opic(1.0, "W/m2", spectrum=f"line:{wavelength[last]:g}")[receptor]
-        assert found.quantity.value == pytest.approx(column[last]), receptor
+        assert found.quantity.value == pytest.approx(column[last], rel=1e-6, abs=0.0), receptor
 
 
 def test_radiance_and_luminance_of_one_light_give_the_same():

@@ -254,27 +254,11 @@ def lensed(rig, **lens):
     return replace(rig.calibration(), lens=made)
 
 
-def test_an_unknown_f_number_is_refused_and_asked_for(rig, seen):
-    """Frames that do not state it are not read or merged as if they had the calibration's."""
-    frames, setup = without_f_number(seen[0]), Setup(rig.description, LensDescription(), rig.calibration())
-    for use in (lambda: read_patch(frames, PATCH, setup), lambda: merge(frames, setup)):
-        with pytest.raises(CalibrationError, match="--f-number"):
-            use()
-
-
 def test_a_lens_that_states_its_f_number_speaks_for_frames_that_do_not(rig, seen):
     """At f/8 behind a calibration at f/4 the same frames mean four times the radiance."""
     frames, truth = without_f_number(seen[0]), seen[1]
     found = read_patch(frames, PATCH, Setup(rig.description, LensDescription(f_number=8.0), rig.calibration()))
     assert found.radiance.value == pytest.approx(4.0 * truth, rel=5e-3)
-
-
-def test_a_scale_without_an_f_number_is_refused(rig, seen):
-    """A calibration that does not say at which aperture it holds serves at none."""
-    base = rig.calibration()
-    unknown = replace(base, scale=base.scale.model_copy(update={"f_number": None}))
-    with pytest.raises(CalibrationError, match=r"scale\.f_number"):
-        read_patch(seen[0], PATCH, Setup(rig.description, rig.lens, unknown))
 
 
 def test_relative_values_need_no_f_number(rig, seen):

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from radiometer.analysis.response.pixel_noise import pixel_noise, sensor_noise
+from radiometer.analysis.response.displacement import find_displacement
+from radiometer.analysis.response.pixel_noise import sensor_noise
 from radiometer.cli.main import run
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
@@ -37,7 +38,7 @@ def test_noise_before_the_curve_comes_back(electrons, read):
 
     Behind a gamma shot noise is nearly even in digital numbers: what of it is called which may differ.
     """
-    found = pixel_noise(_bracket(np.random.default_rng(1), electrons=electrons, read=read), _curve())
+    found = find_displacement(_bracket(np.random.default_rng(1), electrons=electrons, read=read), _curve()).noise
     for dn in (80.0, 128.0, 200.0):
         exposure = (dn / 255.0) ** (1.0 / POWER)
         expected = (1.0 / (electrons * exposure) if electrons else 0.0) + (read / exposure) ** 2
@@ -50,7 +51,7 @@ def test_noise_before_the_curve_comes_back(electrons, read):
 @pytest.mark.parametrize("dn_noise", [1.0, 3.0])
 def test_noise_behind_the_curve_comes_back(dn_noise):
     """Its variance in DN² within 15 %, nothing of it taken for electrons' noise."""
-    found = pixel_noise(_bracket(np.random.default_rng(2), dn_noise=dn_noise), _curve())
+    found = find_displacement(_bracket(np.random.default_rng(2), dn_noise=dn_noise), _curve()).noise
     assert found.digital == pytest.approx(dn_noise**2, rel=0.15)
     middle = found.shot + found.read  # variance of ln H at H of the middle value
     slope = 1.0 / (128.0 * POWER)

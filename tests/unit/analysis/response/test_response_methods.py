@@ -110,14 +110,6 @@ def test_mitsunaga_follows_a_film_with_a_long_toe(make_stack, true_log_exposure)
     assert estimate.stability.rms_log < 0.01
 
 
-@pytest.mark.slow
-def test_mitsunaga_says_how_the_exponent_is_fixed(make_stack):
-    """Without a known ratio the product of the stated times fixes γ, and the result says so."""
-    estimate = recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))
-    assert "product of the stated exposure times" in estimate.gauge
-    assert np.prod(estimate.exposure_ratios) == pytest.approx(2.0**8, rel=1e-6)
-
-
 @pytest.mark.parametrize("method", ["auto", "debevec1997"])
 def test_a_camera_that_is_full_below_the_middle_number_gives_its_response(make_stack, method):
     """No frame shows M_mid of a sensor that stops at 1500 of 4095 DN; its numbers are proportional to light to 3 %."""
@@ -162,23 +154,6 @@ def test_a_polynomial_that_explains_nothing_is_refused(make_stack, monkeypatch):
         recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))
 
 
-@pytest.mark.slow
-def test_a_polynomial_off_the_first_estimate_owns_up_to_it(make_stack, monkeypatch):
-    """Bent by a fifth against Debevec and Malik's curve, its u holds most of that fifth."""
-    from radiometer.analysis.response.mitsunaga1999 import Polynomial
-
-    plain = Polynomial.log_curve
-
-    def bent(self):
-        g = plain(self)
-        return g + 0.2 * np.sin(np.pi * np.arange(g.size) / 128.0)
-
-    monkeypatch.setattr(Polynomial, "log_curve", bent)
-    curve = recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8)).curve
-    assert curve.u_log_exposure[64] > 0.15
-    assert curve.u_log_exposure[192] > 0.15
-
-
 @pytest.mark.parametrize(
     ("response", "bits"),
     [("gamma", 12), ("linear", 12), ("sigmoid", 12), ("gamma", 8), ("gamma", 10),
@@ -213,16 +188,6 @@ def test_values_beyond_the_data_are_flagged_and_uncertain(make_stack):
     assert curve.u_log_exposure[4000] >= curve.log_exposure[4000] - curve.log_exposure[3000] - 1e-9
 
 
-@pytest.mark.slow
-def test_several_brackets_are_fitted_jointly(make_stack, inner_error):
-    """Two brackets of different scenes give one curve, nearer the truth than the worse of the two alone."""
-    pair = [make_stack("gamma", seed=seed) for seed in (3, 4)]
-    alone = [np.std(inner_error(recover_response_debevec1997(b).curve, "gamma")) for b in pair]
-    together = recover_response_debevec1997(pair)
-    assert together.pixel_count == 2 * 192 * 256
-    assert np.std(inner_error(together.curve, "gamma")) < max(alone)
-
-
 def test_brackets_of_different_bit_depths_are_refused(make_stack):
     """One curve belongs to one pixel format."""
     with pytest.raises(InputError, match="bit depth"):
@@ -253,23 +218,6 @@ def stretched(make_stack):
         for index, frame in enumerate(make_stack("gamma", bit_depth=8).light)
     ]
     return recover_response_mitsunaga1999(Bracket.from_frames(frames)).curve
-
-
-def test_white_and_black_regions_put_the_exponent_right(stretched):
-    """Times stated 2.3-fold for 2-fold stretch ln H by ln 2.3/ln 2; M=1 and M=254 take that out, within 2 u.
-
-    The uncertainty is under a tenth of what was to be taken out.
-    """
-    found = dynamic_range(stretched, [point(1), point(254)], REFERENCE_S, REFERENCE_DN)
-    assert abs(found.exponent - math.log(2.0) / math.log(2.3)) < 2 * found.u_exponent
-    assert found.u_exponent < 0.1 * (1.0 - math.log(2.0) / math.log(2.3))
-    wrong, right = (
-        np.array([curve.log_exposure[dn] - curve.log_exposure[127] for dn in (30, 60, 200, 254)])
-        for curve in (stretched, with_dynamic_range(stretched, found))
-    )
-    truth = np.array([math.log(exposure_of(dn) / exposure_of(127)) for dn in (30, 60, 200, 254)])
-    assert np.max(np.abs(right - truth)) < 0.02
-    assert np.min(np.abs(wrong - truth)) > 0.1
 
 
 @pytest.mark.slow
@@ -693,7 +641,9 @@ def test_eliminating_a_group_is_solving_for_it(seed):
         sum(normal.centred[i] * weight[i] * normal.residuals(solution)[i] for i in np.flatnonzero(group == g))
         for g in range(6)
     ]
-    assert normal.robust_meat(solution) == pytest.approx(sum(np.outer(s, s) for s in scores) * 6 / 5)
+    assert normal.covariance(solution, np.eye(solution.size)) == pytest.approx(
+        sum(np.outer(s, s) for s in scores) * 6 / 5
+    )
 
 
 @quick

@@ -9,6 +9,7 @@ import pytest
 from radiometer.analysis.response import debevec1997 as debevec
 from radiometer.analysis.response.basis import ValueBasis, unseen_factor
 from radiometer.analysis.response.curves import rising
+from radiometer.analysis.response.displacement import find_displacement
 from radiometer.analysis.response.dynamic_range import RangePoint, dynamic_range, with_dynamic_range
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds
 from radiometer.analysis.response.fit import time_error_modes
@@ -24,7 +25,7 @@ from radiometer.analysis.response.noise import (
     slope_at,
     value_at,
 )
-from radiometer.analysis.response.pixel_noise import finite, pixel_noise, sensor_noise
+from radiometer.analysis.response.pixel_noise import finite, sensor_noise
 from radiometer.analysis.response.samples import gather_samples, u_by_groups
 from radiometer.analysis.response.settle import places_as_one, tones_as_one
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
@@ -63,7 +64,7 @@ def test_white_that_is_noisy_does_not_pass_for_the_noise_of_pixels():
     limits = find_limits([bracket])
     g = np.log(np.maximum(np.arange(256) / 255.0 + 0.01, 1e-9))
     curve = ResponseCurve(g, np.zeros(256), valid_dn=(limits.black_dn + 3, limits.saturated_dn - 1))
-    assert pixel_noise(bracket, curve).digital == pytest.approx(0.36, rel=0.1)
+    assert find_displacement(bracket, curve).noise.digital == pytest.approx(0.36, rel=0.1)
 
 
 def test_every_pixel_counts_once_per_frame_where_it_does_not_clip(make_stack):

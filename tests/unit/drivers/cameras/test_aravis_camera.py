@@ -7,11 +7,10 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.cameras import aravis_camera
+from drivers.cameras.aravis_camera import assemble
 from drivers.cameras.camera_opening import find_camera
 from drivers.cameras.camera_quirks import quirks_for
-from drivers.cameras.chunk_data import holds_other_settings
-from drivers.cameras.frame_stream import RawFrame
-from drivers.cameras.fresh_frames import assemble
+from drivers.cameras.frame_stream import RawFrame, holds_other_settings
 from radiometer.data import LensDescription
 from radiometer.devices import CameraIdentity, CameraSettings
 from radiometer.errors import DeviceError, DeviceNotFound, MissingLibrary

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.cameras.aravis_camera import load_library, open_camera
-from drivers.cameras.background_release import drop_in_background
-from drivers.cameras.call_thread import CallThread
+from drivers.cameras.call_thread import CallThread, drop_in_background
 from drivers.cameras.feature_access import FeatureAccess
 from drivers.cameras.frame_stream import FrameStream, Tally
 from radiometer.errors import DeviceError, DeviceLost, MissingLibrary

@@ -11,17 +11,21 @@ from drivers.cameras.aravis_camera import AravisCamera
 from drivers.cameras.camera_checks import USB3_BYTES_S, check_features
 from drivers.cameras.camera_opening import open_session
 from drivers.cameras.camera_quirks import CameraMatch, load_preset, quirks_for
-from drivers.cameras.chunk_data import changed_chunks, switch_on_chunks
-from drivers.cameras.feature_access import FeatureAccess, Refusal, translated
-from drivers.cameras.feature_hygiene import (
+from drivers.cameras.feature_access import (
     FALSIFYING_FEATURES,
+    LIMIT,
+    SPEED,
     FalsifyingFeature,
+    FeatureAccess,
     HygieneFinding,
+    Refusal,
+    choose_throughput,
     switch_off_falsifiers,
+    translated,
 )
-from drivers.cameras.link_throughput import LIMIT, SPEED, choose_throughput
+from drivers.cameras.frame_stream import changed_chunks, switch_on_chunks
 from drivers.cameras.settings_access import SettingsAccess
-from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import shipped_config
 from radiometer.devices import CameraIdentity, CameraSettings, Health, Roi
 from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, DeviceLost, SettingOutOfRange
 

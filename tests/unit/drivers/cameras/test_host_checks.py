@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.cameras import host_checks
-from drivers.cameras.gige_ping import answers, is_controlled, name_at
+from drivers.cameras.camera_opening import answers, is_controlled, name_at
 from radiometer.devices import Health
 from radiometer.errors import MissingLibrary
 

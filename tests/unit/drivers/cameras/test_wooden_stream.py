@@ -8,7 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.cameras import fresh_frames
+from drivers.cameras import aravis_camera
+from drivers.cameras.aravis_camera import FreshFrames
 from drivers.cameras.camera_quirks import quirks_for
 from drivers.cameras.feature_access import FeatureAccess
 from drivers.cameras.frame_stream import (
@@ -20,7 +21,6 @@ from drivers.cameras.frame_stream import (
     Tally,
     missed_between,
 )
-from drivers.cameras.fresh_frames import FreshFrames
 from radiometer.data import LensDescription
 from radiometer.devices import CameraSettings
 from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout
@@ -263,7 +263,7 @@ def fresh(monkeypatch):
 
     def make(frames: list[RawFrame], discard: int, *, shown: bool = False):
         tally = Tally()
-        monkeypatch.setattr(fresh_frames, "FrameStream", Scripted([frame(0, NEW)] * shown * (discard + 1) + frames))
+        monkeypatch.setattr(aravis_camera, "FrameStream", Scripted([frame(0, NEW)] * shown * (discard + 1) + frames))
         made = FreshFrames(SimpleNamespace(), wooden_session(discard), LensDescription(), tally, 0.1)
         if shown:
             assert made.next().frame_id == 0
@@ -330,7 +330,7 @@ def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
 def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(monkeypatch):
     """After 30 s a short exposure's deadline is that of the frame still in the sensor, until the first fresh one."""
     acquisition = Scripted([frame(n, NEW) for n in (1, 2, 3)])
-    monkeypatch.setattr(fresh_frames, "FrameStream", acquisition)
+    monkeypatch.setattr(aravis_camera, "FrameStream", acquisition)
     frames = FreshFrames(SimpleNamespace(), wooden_session(0), LensDescription(), Tally(), 0.1)
     frames.next()
     frames.settings_changed(CameraSettings(exposure_s=30.0, pixel_format="Mono8"))
@@ -345,7 +345,7 @@ def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(monkey
 def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, starts):
     """Each time that no frame comes whole it is slowed down and started anew, at its slowest once more."""
     lossy = Scripted([*[LossyLink("camera W1: 40 frames in a row came incomplete")] * 3, frame(1, NEW)])
-    monkeypatch.setattr(fresh_frames, "FrameStream", lossy)
+    monkeypatch.setattr(aravis_camera, "FrameStream", lossy)
     session, tally = wooden_session(0), Tally()
     frames = FreshFrames(SimpleNamespace(), session, LensDescription(), tally, 0.05)
     left = iter([True] * possible)
@@ -377,7 +377,7 @@ def test_an_acquisition_without_frames_is_restarted_where_the_camera_answers(
     monkeypatch, answers, error, message, restarts
 ):
     """Twice, then it is a timeout with the deadline; a camera that does not answer is lost at once."""
-    monkeypatch.setattr(fresh_frames, "FrameStream", Scripted([]))
+    monkeypatch.setattr(aravis_camera, "FrameStream", Scripted([]))
     tally = Tally()
     frames = FreshFrames(SimpleNamespace(), wooden_session(0, answers), LensDescription(), tally, 0.05)
     with pytest.raises(error, match=message):

@@ -8,15 +8,14 @@ from dataclasses import replace
 import pytest
 
 from drivers.light_box.box import SerialLightBox
-from drivers.light_box.frames import request_line
-from drivers.light_box.link import BoxLink
+from drivers.light_box.link import BoxLink, request_line
 from radiometer.devices.exposure_account import FileStore, Moment
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout, UnsafeStimulus
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.virtual_line import LineFaults, VirtualLine
+from simulators.light_box.lines import LineFaults, VirtualLine
 from testing.eye_world import PROMISED, Eye, live_through
 
 BRIGHT = 5950.0  # W·sr⁻¹·m⁻²: twelve times 40 s of its white light are 116 % of the blue-light limit

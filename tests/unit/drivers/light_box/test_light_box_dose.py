@@ -9,7 +9,7 @@ from radiometer.devices import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import SettingOutOfRange, UnsafeStimulus, UsageError
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.virtual_line import VirtualLine
+from simulators.light_box.lines import VirtualLine
 from testing.box_on_a_line import driver_on, pass_time
 
 # B = 1 over the whole line: L·t = 10⁶ J·sr⁻¹·m⁻² is the blue-light limit, and 10⁵ what is allowed of it.

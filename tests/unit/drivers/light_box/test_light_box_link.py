@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.light_box.box import read_capabilities, read_flash, read_identity, read_state, read_status
-from drivers.light_box.frames import Event, parse_times
-from drivers.light_box.link import BoxClock, BoxLink, BoxRefusal, ClockSample, EventInbox
+from drivers.light_box.link import BoxClock, BoxLink, BoxRefusal, ClockSample, Event, EventInbox, parse_times
 from drivers.light_box.serial_line import ReceivedLine
 from radiometer.devices.light_box import (
     ChannelCapabilities,
@@ -33,7 +32,7 @@ from radiometer.errors import (
     UsageError,
 )
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.virtual_line import VirtualLine
+from simulators.light_box.lines import VirtualLine
 from testing.box_on_a_line import driver_on, pass_time, sealed
 
 

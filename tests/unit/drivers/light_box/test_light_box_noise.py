@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.light_box.box import SerialLightBox
-from drivers.light_box.frames import Event, Reply, parse_event_fields, parse_line, parse_times, request_line
+from drivers.light_box.link import Event, Reply, parse_event_fields, parse_line, parse_times, request_line
 from drivers.light_box.serial_line import ReceivedLine
 from radiometer.devices import DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, DeviceLost
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.virtual_line import LineFaults, VirtualLine
+from simulators.light_box.lines import LineFaults, VirtualLine
 from testing.box_on_a_line import driver_on, sealed
 
 CHANNELS = ("bleach", "spot", "spot_red", "fixation")

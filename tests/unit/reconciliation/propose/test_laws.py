@@ -14,7 +14,7 @@ from radiometer.reconciliation.propose.grammar import FORMS, Term, finer, formul
 from radiometer.reconciliation.propose.law import Law, acted, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import effect_source, source_of_test
 from radiometer.reconciliation.tile_model import TileContext
-from simulators.chain.law_stages import LINKS
+from simulators.chain.stages import LINKS
 from simulators.effects import registry
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.tile_moments import Moments, TileMoments

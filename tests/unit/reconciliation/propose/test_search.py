@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from radiometer.data import CaptureSet
-from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.descent import first_state
+from radiometer.reconciliation.design import Design
 from radiometer.reconciliation.propose import propose_law, search
 from radiometer.reconciliation.propose.grammar import Term
 from radiometer.reconciliation.propose.law import Law, effect_of
 from radiometer.reconciliation.propose.search import own_covariates
-from radiometer.reconciliation.result import Verdict
+from radiometer.reconciliation.reduce import reduce_frames
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.display_nonuniformity import DisplayNonuniformity
 from simulators.effects.led_thermal_droop import LedThermalDroop
@@ -110,18 +109,6 @@ def test_the_law_holds_in_another_session(glow, tmp_path):
     assert after.gap - 1.0 < 0.1 * (before.gap - 1.0)
 
 
-@pytest.mark.long
-def test_two_amplifiers_are_distinguished_from_shading_by_their_noise(tmp_path):
-    """A step of the gain at a row scales charge and its noise: the stage is the readout, not the optics."""
-    state, session = state_of(tmp_path / "set", 2, "row_gain_step", "bracket")
-    proposal = propose_law(state)
-    assert (proposal.stage, proposal.stages_alike) == ("readout", ())
-    assert proposal.covariates == ("image_y",)
-    side = session.frames[0].shape[1]
-    row = session.secret.drawn["row_px"]
-    assert proposal.parameters["at_y"].value * side == pytest.approx(row, abs=5.0)  # between patches nothing is seen
-
-
 @pytest.mark.slow
 def test_what_a_rest_does_to_the_black_level_is_seen(tmp_path):
     """The time since the last frame is a covariate, though no header says so."""
@@ -180,14 +167,3 @@ def test_the_time_since_the_last_frame_is_reported_of_first_and_other_frames(glo
 def test_the_covariates_of_laws_for_what_an_entry_goes_with(effect, along):
     """The charge and what the amplifier makes of it are one; a radius or a place of the screen is of the picture."""
     assert set(own_covariates(effect)) == along
-
-
-@pytest.mark.long
-def test_the_glow_of_an_amplifier_is_no_dark_current(tmp_path):
-    """A Gaussian from a corner in proportion to the exposure is named as glow, not as dark current."""
-    from radiometer.reconciliation.engine import reconcile_capture
-
-    session = two.make(11, HIDDEN["corner_glow"], "darks")
-    result = reconcile_capture(session.write(tmp_path / "set")).result
-    assert result.verdict is Verdict.EFFECTS_FOUND
-    assert [effect.name for effect in result.effects] == ["amplifier_glow"]

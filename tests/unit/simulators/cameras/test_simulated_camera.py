@@ -12,16 +12,19 @@ from radiometer.data import CaptureSet, FrameSettings, LensDescription
 from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings, Roi
 from radiometer.errors import ConfigurationError, DeviceError, SettingOutOfRange
 from simulators.cameras.blackfly_awkward import CHUNK_IDS, awkward_features
-from simulators.cameras.blackfly_features import blackfly_features
-from simulators.cameras.blackfly_pictures import ForwardModelSource, PictureRequest, PooledSource
-from simulators.cameras.blackfly_registers import gamma_corrected, sharpened, steered
-from simulators.cameras.genicam_document import genicam_xml
-from simulators.cameras.pixel_packing import WIRE_FORMATS, pack_pixels
+from simulators.cameras.blackfly_features import WIRE_FORMATS, blackfly_features, genicam_xml, pack_pixels
+from simulators.cameras.blackfly_gige import (
+    ForwardModelSource,
+    PictureRequest,
+    PooledSource,
+    gamma_corrected,
+    sharpened,
+    steered,
+)
 from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
-from simulators.chain.camera_model import CameraModel
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import CameraModel, VirtualSensor
 from simulators.scenes import StepChartScene, Steps, UniformScene
-from simulators.scenes.factory import scene_from_mapping
+from simulators.scenes.kinds import scene_from_mapping
 from testing.patience import within
 from testing.simulated_capture import simulate_capture
 

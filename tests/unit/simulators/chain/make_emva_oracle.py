@@ -48,8 +48,7 @@ def make_frames(folder: Path) -> None:
     import cv2
 
     from radiometer.data import CameraDescription, FrameSettings, LensDescription
-    from simulators.chain.camera_model import CameraModel
-    from simulators.chain.virtual_sensor import VirtualSensor
+    from simulators.chain.camera_model import CameraModel, VirtualSensor
     from simulators.scenes import UniformScene
 
     model = CameraModel.ideal(CameraDescription(**CAMERA), LensDescription(**LENS), WAVELENGTH_NM)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
-from simulators.chain.camera_model import CameraModel
-from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.chain.camera_model import CameraModel, VirtualSensor
 from simulators.effects.context import FrameGeometry
 from simulators.scenes import UniformScene
 

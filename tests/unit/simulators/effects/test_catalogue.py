@@ -23,7 +23,6 @@ from simulators.effects.excess_read_noise import ExcessReadNoise
 from simulators.effects.exposure_label_error import ExposureLabelError
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.free_law import axis_values, freed
-from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.image_lag import ImageLag
 from simulators.effects.mechanical_vignetting import MechanicalVignetting, common_area
@@ -138,23 +137,6 @@ def test_barrel_spares_a_circle_that_grows_with_the_f_number():
     assert np.all(factor[~whole] < 1.0)
     open_wide = replace(context, settings=replace(context.settings, f_number=4.0))
     assert np.all(np.asarray(effect.factor(open_wide))[~whole] < factor[~whole])
-
-
-@pytest.mark.parametrize("mean_e", [9300.0, 9450.0, 9700.0])
-def test_uneven_wells_leave_the_moments_of_pixels_that_differ(mean_e):
-    """Pixels with wells of their own, drawn one by one: mean, noise and fixed pattern are those that are predicted."""
-    rng, pixels, frames = np.random.default_rng(3), 20_000, 12
-    wells = 9450.0 * (1.0 + 0.01 * rng.standard_normal(pixels))
-    seen = np.minimum(mean_e + np.sqrt(mean_e) * rng.standard_normal((frames, pixels)), wells)
-    nothing = np.zeros(1)
-    before = Moments(np.array([mean_e]), np.array([mean_e]), nothing, nothing)
-    expected = FullWellSaturation(9450.0, 0.01).moments(before, effect_context())
-    of_pixels, noise = seen.mean(axis=0), seen.var(axis=0, ddof=1)
-    assert float(of_pixels.mean()) == pytest.approx(float(expected.mean[0]), abs=5 * of_pixels.std() / pixels**0.5)
-    assert float(noise.mean()) == pytest.approx(float(expected.variance[0]), abs=5 * noise.std() / pixels**0.5)
-    scatter = np.square(of_pixels - of_pixels.mean()) - noise / frames
-    fixed = float(np.asarray(expected.spatial_variance)[0])
-    assert float(scatter.mean()) == pytest.approx(fixed, abs=5 * scatter.std() / pixels**0.5)
 
 
 @pytest.mark.parametrize(("step", "kept", "added"), [(4, 1, 0), (4, 1, 2), (5, 1, 2), (4, 3, 0), (16, 15, 0)])
@@ -375,12 +357,6 @@ def test_what_acts_by_its_square_scatters_by_the_root():
     drawn = free.sample(signal, _context(), np.random.default_rng(6))
     assert np.var(drawn) == pytest.approx(36.0, rel=0.02)
     assert np.max(free.moments(Moments.exactly(signal), _context()).variance) == pytest.approx(36.0)
-
-
-def test_a_signal_counts_from_black():
-    """Digital numbers along which a law is free begin at the black level, a thousandth of the range added."""
-    values = axis_values(GammaEnabled(1.2), "signal", np.array([100.0, 1100.0]), _context())
-    assert values == pytest.approx([4.095, 1004.095])
 
 
 def test_model_files_hold_the_law():

@@ -8,11 +8,10 @@ from zlib import crc32
 import numpy as np
 import pytest
 
-from drivers.light_box.frames import request_line
+from drivers.light_box.link import request_line
 from simulators.light_box.box import Commands, SimulatedLightBox
-from simulators.light_box.channel import REFERENCE_CHANNELS, ChannelLimits
-from simulators.light_box.led_physics import REFERENCE_LEDS, LedState, effective_duty
-from simulators.light_box.pty_line import LAG_S, PtyServer, WiredLightBox
+from simulators.light_box.channel import REFERENCE_CHANNELS, REFERENCE_LEDS, ChannelLimits, LedState, effective_duty
+from simulators.light_box.lines import LAG_S, PtyServer, WiredLightBox
 
 FIRMWARE = Path(__file__).resolve().parents[4] / "drivers" / "firmware" / "light_box"
 

@@ -15,8 +15,7 @@ from simulators.observers.eye_kinetics import (
     recovery_min,
     scotopic_per_photopic,
 )
-from simulators.observers.observer import Habits, Observer
-from simulators.observers.observer_at_box import ObserverAtBox
+from simulators.observers.observer import Habits, Observer, ObserverAtBox
 from testing.drawn_eyes import drawn_eye
 
 

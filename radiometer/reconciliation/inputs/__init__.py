@@ -1,1 +1,0 @@
-"""Takes whatever a user names (capture set, photographs, light-meter table) and reconciles it."""

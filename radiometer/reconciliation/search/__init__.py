@@ -1,1 +1,0 @@
-"""Finds the missing effects: places of disagreement, candidates, names, rivals."""
