@@ -99,7 +99,7 @@ def find_white_levels(frames: Iterable[Frame], parts: Sequence[Patch] = ()) -> d
 
     Args:
         frames: Dark frames are left out. Frames state their white level in their settings where a file does.
-        parts: Of taps, each with a black level of its own: they are looked at singly, and the lowest end counts.
+        parts: Of taps, whose black levels differ: they are looked at singly, and the lowest end counts.
     """
     light = [frame for frame in frames if not frame.settings.is_dark]
     if light and parts and all(part.fits(light[0].shape) for part in parts):
