@@ -199,7 +199,7 @@ def _likeness(one: str, other: str) -> float:
 
 
 def _place(model: type[BaseModel], path: tuple[Any, ...]) -> tuple[str, type[BaseModel]]:
-    """Return a place in a file in words, and the section there; pydantic adds what tells one kind of it from others."""
+    """Return a place in a file in words, and the section there; pydantic adds the tag of a kind of section."""
     names, inside, kinds = list[str](), model, list[type[BaseModel]]()
     for part in path:
         tagged = [kind for kind in kinds if any(part in get_args(f.annotation) for f in kind.model_fields.values())]

@@ -137,7 +137,7 @@ def test_dark_frames_of_the_exposure_show_the_dark_signal():
     (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
     assert (level.signal, level.source) == (pytest.approx(11.0), "dark frames")
     assert level.u_common == pytest.approx(WARMTH * math.hypot(11.0, 0.5))
-    shot = (11.0 - 2.5) / 2.0  # of what is beyond the modelled dark signal, at 2 e⁻/DN
+    shot = (11.0 - 2.0 * 0.5 - 2.5) / 2.0  # of what neither black level nor modelled dark signal explain, at 2 e⁻/DN
     assert level.u_independent == pytest.approx(math.sqrt((float(LINEAR.variance(0.0, LIGHT)) + shot) / 200))
     (scattered,) = dark_levels([LIGHT], [dark_frame(110, 0.1), dark_frame(112, 0.1005)], LINEAR, DOUBT)
     assert scattered.u_independent == pytest.approx(13.97 / 2.0, rel=0.05)
