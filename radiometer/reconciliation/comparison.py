@@ -249,15 +249,21 @@ class Comparison:
             two, np.square(np.sum(weight * np.where(known, prediction.first, 0.0), axis=-1) / whole) / 2.0, 0.0
         )
 
-    def deviances_of_flicker(self, flicker2: Array, row_variance: Array) -> Array:
-        """Return −2·ln of the exact likelihood of the frame-common fluctuation, (…, captures), but for a constant.
+    def common_deviance(self, prediction: Prediction) -> float:
+        """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
+        return float(np.sum(self.deviances_of_flicker(self.flicker_of(prediction), prediction.row_variance)))
 
-        Args:
-            flicker2: (…, captures) relative variance of the light.
-            row_variance: (captures,) row noise in DN².
-        """
+    def deviances_of_flicker(self, flicker2: Array, row_variance: Array) -> Array:
+        """Return the same for a relative variance of the light, (…, captures), with row noise in DN², (captures,)."""
         expected = self._expected_common(flicker2, row_variance)
         return deviances(self.seen.common, expected, self._common_freedom, self.usable["common"])
+
+    def band_deviance(self, prediction: Prediction) -> float:
+        """Return the same of the bands."""
+        steady = 1.0 + prediction.row_variance[..., None] * self.seen.bands_of_rows
+        steady = steady + (mixing_of_bands(prediction, self.design) if prediction.mixes else 0.0)
+        expected = steady + self.band_power(relative_bands(prediction), prediction.band_frequency)
+        return float(np.sum(deviances(self.seen.bands, expected, self.band_freedom, self.usable["bands"])))
 
     @cached_property
     def _bins(self) -> RowBins:

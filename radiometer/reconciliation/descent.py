@@ -8,7 +8,7 @@ A⁻¹ + A⁻¹·Jᵀ·X·J·A⁻¹.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -319,6 +319,7 @@ class FittedCandidate:
     evidence: float  # χ² that it explains in the statistics that must show it
     residual: Array  # whitened residual with the effect, nuisances where they were; prior rows included
     columns: Array  # −d(residual)/d(scaled parameter of the effect), prior rows included
+    overrated: float  # nats that the scores of few frames' variances promise beyond their exact likelihood
     forms: tuple[CatalogueEffect, ...] = ()  # the best of each variant: where to begin with another model
 
     @property
@@ -426,7 +427,17 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
     evidence = sum(before.get(block, 0.0) - after.get(block, 0.0) for block in shown)
     if "mean" in shown:  # what the means say against the stated radiances stands in the prior rows
         evidence += stated
-    return FittedCandidate(best.effect, candidate, gain, evidence, best.residual, columns)
+    more = _overrated(state, best.effect, {name: before[name] - after[name] for name in ("common", "bands")})
+    gain, evidence = gain - 2.0 * more, evidence - 2.0 * more
+    return FittedCandidate(best.effect, candidate, gain, evidence, best.residual, columns, more)
+
+
+def _overrated(state: FitState, effect: CatalogueEffect, promised: Mapping[str, float]) -> float:
+    """Return by how many nats the normal scores of few frames' variances flatter a variance fitted to them."""
+    predicted = state.predicted_with((*state.effects, effect))
+    exact = {"common": state.comparison.common_deviance, "bands": state.comparison.band_deviance}
+    gains = {n: exact[n](state.prediction) - exact[n](predicted) for n, gain in promised.items() if gain > 0}
+    return sum(max(promised[name] - gain, 0.0) for name, gain in gains.items()) / 2.0
 
 
 def _off_bounds(state: FitState, effect: CatalogueEffect, columns: Array) -> Array:
@@ -446,8 +457,8 @@ def _family_chi2(state: FitState, residual: Array) -> dict[str, float]:
 
 def judged_gain(state: FitState, fitted: FittedCandidate) -> float:
     """Return by how many nats a fitted effect improves the prediction of held-out settings; its model is recorded."""
-    effects = (*state.effects, fitted.effect)
-    return _recorded_gain(state, effects, fitted.residual, fitted.columns, 0, fitted.start.parameters)
+    effects, size = (*state.effects, fitted.effect), fitted.start.parameters
+    return _recorded_gain(state, effects, fitted.residual, fitted.columns, 0, size, fitted.overrated)
 
 
 def curve_gain(state: FitState, columns: Array) -> float:
@@ -457,11 +468,13 @@ def curve_gain(state: FitState, columns: Array) -> float:
 
 
 def _recorded_gain(
-    state: FitState, effects: tuple[CatalogueEffect, ...], residual: Array, columns: Array, curves: int, parameters: int
-) -> float:
+    state: FitState, effects: tuple[CatalogueEffect, ...], residual: Array, columns: Array,
+    curves: int, parameters: int, overrated: float = 0.0,
+) -> float:  # fmt: skip
     """Return by how many nats further columns improve the prediction of held-out groups, and record the model."""
     gains = leave_one_group_out(state.fit.extended(columns, residual), state.groups).log_density
     gains = gains - state.held_out.log_density
+    gains[: state.settings] -= overrated / state.settings
     density, own = state.log_density + gains[: state.log_density.size], state.parameters.size + state.curves
     state.models.append(ModelFit(effects, state.curves + curves, density, own + parameters))
     return float(np.sum(gains))

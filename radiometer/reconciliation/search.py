@@ -138,7 +138,10 @@ def contenders_of(state: FitState, candidates: Sequence[FittedCandidate]) -> lis
     for fitted in candidates:
         with contextlib.suppress(UnfitError):
             with_it = included(state, fitted.effect)
-            found.append(Contender(fitted, with_it, with_it.evidence - state.evidence))
+            fairly = with_it.models[-1].log_density.copy()
+            fairly[: state.settings] -= fitted.overrated / state.settings
+            with_it.models[-1] = replace(with_it.models[-1], log_density=fairly)
+            found.append(Contender(fitted, with_it, with_it.evidence - state.evidence - fitted.overrated))
     return found
 
 
