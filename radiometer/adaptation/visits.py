@@ -234,7 +234,7 @@ def _new(journal: Path, request: RunRequest, now: dt.datetime, remarks: tuple[st
 
 def _taken_up(journal: Path, request: RunRequest, start: Event) -> Visit:
     """Return a visit that goes on: date, age and pupil are those that its journal states."""
-    begun = {name: start.get(name) for name in ("visit", "age_years", "pupil_mm")}
+    begun: dict[str, Any] = {name: start.get(name) for name in ("visit", "age_years", "pupil_mm")}
     remarks = [
         f"{option} {asked:g} is not used: {journal} was begun with {known if known is not None else 'none'}"
         for option, asked, known in (

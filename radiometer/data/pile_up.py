@@ -103,7 +103,7 @@ def find_white_levels(frames: Iterable[Frame], parts: Sequence[Patch] = ()) -> d
     """
     light = [frame for frame in frames if not frame.settings.is_dark]
     if light and parts and all(part.fits(light[0].shape) for part in parts):
-        cut = [[replace(one, dn=np.ascontiguousarray(one.dn[part.slices])) for one in light] for part in parts]
+        cut = [[replace(one, dn=one.dn[part.slices].copy()) for one in light] for part in parts]
         each = [find_white_levels(some) for some in cut]
         return {gain_db: _lowest(one[gain_db] for one in each) for gain_db in each[0]}
     ranked = [_Ranks(frame) for frame in light]
