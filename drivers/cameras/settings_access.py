@@ -51,10 +51,8 @@ class SettingsAccess:
 
     def check(self, settings: CameraSettings) -> None:
         """Raise SettingOutOfRange or DeviceError for what the camera cannot do; nothing is written."""
-        if (
-            settings.pixel_format
-            not in (limits := self.capabilities(self._usable(settings.pixel_format))).pixel_formats
-        ):
+        limits = self.capabilities(self._usable(settings.pixel_format))
+        if settings.pixel_format not in limits.pixel_formats:
             raise DeviceError(
                 f"{self.name}: pixel format {settings.pixel_format} is not offered; "
                 f"choose one of {', '.join(limits.pixel_formats)}"

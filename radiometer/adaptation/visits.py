@@ -234,8 +234,16 @@ def _new(journal: Path, request: RunRequest, now: dt.datetime, remarks: tuple[st
 
 def _taken_up(journal: Path, request: RunRequest, start: Event) -> Visit:
     """Return a visit that goes on: date, age and pupil are those that its journal states."""
-    same = replace(request, visit=start.get("visit"), age_years=start.get("age_years"), pupil_mm=start.get("pupil_mm"))
-    return Visit(journal, same, resumed=True)
+    begun: dict[str, Any] = {name: start.get(name) for name in ("visit", "age_years", "pupil_mm")}
+    remarks = [
+        f"{option} {asked:g} is not used: {journal} was begun with {known if known is not None else 'none'}"
+        for option, asked, known in (
+            ("--age", request.age_years, begun["age_years"]),
+            ("--pupil", request.pupil_mm, begun["pupil_mm"]),
+        )
+        if asked not in (None, known)
+    ]
+    return Visit(journal, replace(request, **begun), resumed=True, remarks=tuple(remarks))
 
 
 def _same_run(start: Event, request: RunRequest) -> bool:

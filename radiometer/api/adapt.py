@@ -263,7 +263,7 @@ def adapt_run(
 
 
 def _at(url: str) -> str:
-    return f"the running test, dim and red, is at\n  {url}"
+    return f"the running test, dim and red, is at {url}"
 
 
 def _all_of(watchers: Sequence[Watcher], slow_s: float) -> Watcher:

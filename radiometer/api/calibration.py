@@ -528,6 +528,10 @@ def _base(
     base = replace(base, camera=camera.model_copy(update=as_stated))
     if stated is not None or camera.black_level_dn is not None:
         return base, ()
+    taps = ReadOut.of(Setup(base.camera, base.lens, base), seen.bracket.shape)
+    if taps is not None and taps.has_overscan:  # the note of the taps says so
+        by_overscan_dn = taps.levelled(seen.bracket.light[0]).settings.black_level_dn
+        return replace(base, black_level=base.black_level.model_copy(update={"dn": by_overscan_dn})), ()
     measured = black_from_darks(seen.bracket.dark, base)
     if measured is not None:
         return replace(base, black_level=measured), (f"black level by {len(seen.bracket.dark)} dark frames",)

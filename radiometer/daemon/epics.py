@@ -15,9 +15,8 @@ from typing import Any, Final
 import structlog
 
 from radiometer.daemon.alarms import READING
-from radiometer.daemon.hub import Subscription
 from radiometer.daemon.patches import MAIN
-from radiometer.daemon.station import Station
+from radiometer.daemon.station import Station, Subscription
 from radiometer.data import Reading
 from radiometer.errors import MissingLibrary, UsageError
 from radiometer.moments import moment_of

@@ -13,9 +13,8 @@ from urllib.parse import quote
 
 import structlog
 
-from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.patches import MAIN
-from radiometer.daemon.station import Station
+from radiometer.daemon.station import Event, Station, Subscription
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.errors import UsageError, required_library
 

@@ -114,6 +114,11 @@ class CameraDescription(FileSection):
         return " ".join(word for word in (self.vendor, self.model, self.serial) if word)
 
     @property
+    def tap_parts(self) -> tuple[Patch, ...]:
+        """Return the rectangles that its taps read; none where they are not described."""
+        return tuple(tap.patch for tap in self.taps or ())
+
+    @property
     def full_scale_dn(self) -> int:
         """Return the highest digital number, 2**bit_depth − 1."""
         return (1 << self.bit_depth) - 1

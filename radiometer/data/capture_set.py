@@ -284,7 +284,8 @@ class CaptureSet:
             CaptureError: As `read_frame`.
         """
         settings = [self.header.frames[index].settings for index in indices]
-        return streamed_with_white_levels(settings, lambda place: self.read_frame(indices[place]))
+        parts = self.header.camera.tap_parts
+        return streamed_with_white_levels(settings, lambda place: self.read_frame(indices[place]), parts)
 
     def read_numbers(self, file: str) -> DigitalNumbers:
         """Return the digital numbers of the frame that the header lists under a name; of a mosaic those of `colour`.

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.frame import DigitalNumbers, Frame, FrameSettings
+from radiometer.data.reading import Patch
 from radiometer.data.white_level import EDGE_SIGMAS, Basis, WhiteLevel
 
 # A quartile range of n values scatters by 1.17/sqrt(n) of itself (normal distribution), the ratio of two by sqrt(2)
@@ -89,7 +90,7 @@ def histogram(dn: DigitalNumbers, full_scale_dn: int) -> NDArray[np.int64]:
     return np.asarray(counts.ravel(), dtype=np.float64).astype(np.int64)
 
 
-def find_white_levels(frames: Iterable[Frame]) -> dict[float, WhiteLevel]:
+def find_white_levels(frames: Iterable[Frame], parts: Sequence[Patch] = ()) -> dict[float, WhiteLevel]:
     """Return the white level of every gain in dB among frames of one camera and pixel format.
 
     Frames are compared where pattern and drive of the source are the same. Where the frames of a gain show no pile,
@@ -98,8 +99,14 @@ def find_white_levels(frames: Iterable[Frame]) -> dict[float, WhiteLevel]:
 
     Args:
         frames: Dark frames are left out. Frames state their white level in their settings where a file does.
+        parts: Of taps, whose black levels differ: they are looked at singly, and the lowest end counts.
     """
-    ranked = [_Ranks(frame) for frame in frames if not frame.settings.is_dark]
+    light = [frame for frame in frames if not frame.settings.is_dark]
+    if light and parts and all(part.fits(light[0].shape) for part in parts):
+        cut = [[replace(one, dn=one.dn[part.slices].copy()) for one in light] for part in parts]
+        each = [find_white_levels(some) for some in cut]
+        return {gain_db: _lowest(one[gain_db] for one in each) for gain_db in each[0]}
+    ranked = [_Ranks(frame) for frame in light]
     if not ranked:
         return {}
     gains = sorted({one.settings.gain_db for one in ranked})
@@ -118,6 +125,11 @@ def find_white_levels(frames: Iterable[Frame]) -> dict[float, WhiteLevel]:
     return found
 
 
+def _lowest(levels: Iterable[WhiteLevel]) -> WhiteLevel:
+    """Return the lowest of the levels that are measured, or of all where none is."""
+    return min(levels, key=lambda one: (one.basis != "measured", one.saturated_dn))
+
+
 def with_white_levels(frames: Sequence[Frame]) -> list[Frame]:
     """Return frames of one camera and pixel format with the white level that all of them show together.
 
@@ -128,25 +140,31 @@ def with_white_levels(frames: Sequence[Frame]) -> list[Frame]:
     return list(streamed_with_white_levels([frame.settings for frame in frames], frames.__getitem__))
 
 
-def white_levels_of(settings: Sequence[FrameSettings], read: Callable[[int], Frame]) -> dict[float, WhiteLevel]:
+def white_levels_of(
+    settings: Sequence[FrameSettings], read: Callable[[int], Frame], parts: Sequence[Patch] = ()
+) -> dict[float, WhiteLevel]:
     """Return the white level of every gain in dB among frames of one capture, of which a few are read.
 
     Args:
         settings: Of every frame.
         read: Returns the frame at a place of that order.
+        parts: As for `find_white_levels`.
     """
-    return find_white_levels(read(index) for index in _looked_at(settings))
+    return find_white_levels((read(index) for index in _looked_at(settings)), parts)
 
 
-def streamed_with_white_levels(settings: Sequence[FrameSettings], read: Callable[[int], Frame]) -> Iterator[Frame]:
+def streamed_with_white_levels(
+    settings: Sequence[FrameSettings], read: Callable[[int], Frame], parts: Sequence[Patch] = ()
+) -> Iterator[Frame]:
     """Yield frames with the white level that they show together; a few of each gain are held in memory.
 
     Args:
         settings: Of every frame, in the order in which they are yielded.
         read: Returns the frame at a place of that order.
+        parts: As for `find_white_levels`.
     """
     kept = {index: read(index) for index in _looked_at(settings)}
-    levels = find_white_levels(kept.values())
+    levels = find_white_levels(kept.values(), parts)
     for index in range(len(settings)):
         frame = kept.pop(index, None) or read(index)
         level = None if frame.settings.is_dark else levels.get(frame.settings.gain_db)

@@ -24,10 +24,12 @@ _MOST_DARK_A_PER_M2 = 1e-5
 _HALF_GAP_K = 1.12 * ELEMENTARY_CHARGE_C / (2.0 * BOLTZMANN_J_K)
 _LARGEST_PITCH_UM = 24.0  # of the pixels of scientific CCDs; counts where the pitch is not stated either
 _MOST_DARK_REFERENCE_C = 25.0
-_DARK_DOUBLING_K, _U_DOUBLING_K = 7.0, 1.0  # silicon: 6 to 8 K near room temperature
+# Silicon near room temperature: 9 K where states in the middle of the band gap generate the current, 4.3 K where it
+# diffuses from beyond (n_i and n_i², Janesick as below). One that is stated was measured to some ±1 K.
+_DARK_DOUBLING_K, _FASTEST_DOUBLING_K, _U_STATED_DOUBLING_K = 7.0, 4.3, 1.0
 _U_THERMOMETER_K = 0.5 / math.sqrt(6.0)  # of the difference of two readings in steps of 0.5 K
-# Up to 3 K within a session, at 6 K per doubling, where a temperature is not stated: a rectangle.
-U_UNKNOWN_WARMTH_REL: float = (2.0 ** (3.0 / 6.0) - 1.0) / math.sqrt(3.0)
+# Up to 3 K within a session where a temperature is not stated: the fastest law is within k = 2.
+U_UNKNOWN_WARMTH_REL: float = (2.0 ** (3.0 / _FASTEST_DOUBLING_K) - 1.0) / 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,8 +134,10 @@ def u_warmth_rel(here_c: float | None, there_c: Sequence[float | None], doubling
     known = [one for one in there_c if one is not None]
     if here_c is None or len(known) < len(there_c):
         return U_UNKNOWN_WARMTH_REL
-    doublings = abs(here_c - float(np.mean(known))) / doubling_k
-    return math.log(2.0) * math.hypot(_U_THERMOMETER_K, doublings * _U_DOUBLING_K) / doubling_k
+    fastest_k = _FASTEST_DOUBLING_K if doubling_k == _DARK_DOUBLING_K else doubling_k - _U_STATED_DOUBLING_K
+    kelvin = here_c - float(np.mean(known))
+    of_law = abs(2.0 ** (kelvin / fastest_k - kelvin / doubling_k) - 1.0) / 2.0
+    return math.hypot(of_law, math.log(2.0) * _U_THERMOMETER_K / doubling_k)
 
 
 def most_dark_e_per_s(camera: CameraDescription, temperature_c: float | None) -> float:

@@ -157,11 +157,11 @@ def _unknown(key: str, known: Collection[str]) -> str:
 
 
 def _line(entry: Mapping[str, Any], model: type[BaseModel]) -> str:
-    key = ".".join(str(part) for part in entry["loc"])
+    key, _ = _place(model, entry["loc"])
     if entry["type"] == "missing":
         return f"key {key!r} is missing"
     if entry["type"] == "extra_forbidden":
-        return _unknown(key, _keys_at(model, entry["loc"][:-1]))
+        return _unknown(key, list(_place(model, entry["loc"][:-1])[1].model_fields))
     message = entry["msg"].removeprefix("Value error, ")
     if isinstance(entry.get("input"), Mapping) and entry["type"] == "value_error":  # of a whole section, which names it
         return ": ".join(filter(None, (key, message)))
@@ -198,16 +198,20 @@ def _likeness(one: str, other: str) -> float:
     return SequenceMatcher(None, one, other, autojunk=False).ratio()
 
 
-def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
+def _place(model: type[BaseModel], path: tuple[Any, ...]) -> tuple[str, type[BaseModel]]:
+    """Return a place in a file in words, and the section there; pydantic adds the tag of a kind of section."""
+    names, inside, kinds = list[str](), model, list[type[BaseModel]]()
     for part in path:
-        field = model.model_fields.get(part) if isinstance(part, str) else None
-        if field is None:
+        tagged = [kind for kind in kinds if any(part in get_args(f.annotation) for f in kind.model_fields.values())]
+        if tagged:
+            inside, kinds = tagged[0], []
             continue
-        inner = [t for t in (field.annotation, *getattr(field.annotation, "__args__", ())) if _is_model(t)]
-        if not inner:
-            return []
-        model = inner[0]
-    return list(model.model_fields)
+        names.append(str(part))
+        field = inside.model_fields.get(part) if isinstance(part, str) else None
+        if field is not None:
+            kinds = [t for t in (field.annotation, *get_args(field.annotation)) if _is_model(t)]
+            inside = kinds[0] if kinds else BaseModel
+    return ".".join(names), inside
 
 
 def _numbers_of(value: Any) -> Iterator[float]:

@@ -243,7 +243,8 @@ def levels_of_brightest(header: CaptureHeader, read: FrameReader) -> dict[float,
     settings = [entry.settings for entry in header.frames]
     gains = sorted({one.gain_db for one in settings if not one.is_dark})[:_GAINS_LOOKED_AT]
     places = [place for place, one in enumerate(settings) if one.gain_db in gains and not one.is_dark]
-    return white_levels_of([settings[place] for place in places], lambda number: read(places[number]))
+    chosen, parts = [settings[place] for place in places], header.camera.tap_parts
+    return white_levels_of(chosen, lambda number: read(places[number]), parts)
 
 
 def shown_well(state: FitState, levels: Mapping[float, WhiteLevel]) -> ShownWell | None:

@@ -191,16 +191,8 @@ def _chunks() -> list[Feature]:
                 locked_by="ChunkEnableLocked"),
         *words,
         *(
-            Feature(
-                f"Chunk{name}",
-                category,
-                "chunk",
-                0,
-                unit=_CHUNK_FORMULAS[name][1],
-                formula=_CHUNK_FORMULAS[name][0],
-                chunk_id=f"{number:08X}",
-            )
-            for name, number in CHUNK_IDS.items()
+            Feature(f"Chunk{name}", category, "chunk", 0, unit=unit, formula=formula, chunk_id=f"{CHUNK_IDS[name]:08X}")
+            for name, (formula, unit) in _CHUNK_FORMULAS.items()
         ),
     ]  # fmt: skip
 
@@ -282,16 +274,9 @@ class AwkwardBlackfly(BlackflyGige):
               device.read_word(STREAM_PORT) & 0xFFFF)  # fmt: skip
         if sender is None or to[1] == 0:
             return
-        sent = WirePicture(
-            wire.code,
-            made_under.width,
-            made_under.height,
-            made_under.x,
-            made_under.y,
-            picture.payload,
-            _chunk_values(device, made_under),
-            time.monotonic_ns(),
-        )
+        place = (made_under.width, made_under.height, made_under.x, made_under.y)
+        chunks = _chunk_values(device, made_under)
+        sent = WirePicture(wire.code, *place, picture.payload, chunks, time.monotonic_ns())
         too_fast = device.read_word(THROUGHPUT_LIMIT) > self._link_bytes_s
         self.frames_sent += 1  # before it arrives: whoever gets it may look at once
         self.frames_cut += too_fast

@@ -346,16 +346,8 @@ def _image_format_control(limits: CameraCapabilities) -> list[Feature]:
 
 
 def _extent(name: str, address: int, step: int, *, lowest: int, initial: int) -> Feature:
-    return Feature(
-        name,
-        "ImageFormatControl",
-        "integer",
-        address,
-        minimum=lowest,
-        maximum=f"{name}Room",
-        increment=step,
-        initial=initial,
-    )
+    category, room = "ImageFormatControl", f"{name}Room"
+    return Feature(name, category, "integer", address, minimum=lowest, maximum=room, increment=step, initial=initial)
 
 
 def _acquisition_control(limits: CameraCapabilities) -> list[Feature]:
@@ -386,23 +378,16 @@ def _acquisition_control(limits: CameraCapabilities) -> list[Feature]:
 def _analog_control(limits: CameraCapabilities, native_bit_depth: int) -> list[Feature]:
     category, percent_per_dn = "AnalogControl", 100.0 / ((1 << native_bit_depth) - 1)
     low, high = (value * percent_per_dn for value in limits.black_level_dn)
+    least_db, most_db = limits.gain_db
     return [
         Feature("GainAuto", category, "enumeration", GAIN_AUTO, entries=AUTO, initial=AUTO["Continuous"]),
-        Feature(
-            "Gain",
-            category,
-            "float",
-            GAIN_DB,
-            unit="dB",
-            minimum=limits.gain_db[0],
-            maximum=limits.gain_db[1],
-            initial=max(0.0, limits.gain_db[0]),
-        ),
+        Feature("Gain", category, "float", GAIN_DB, unit="dB", minimum=least_db, maximum=most_db,
+                initial=max(0.0, least_db)),
         Feature("BlackLevel", category, "float", BLACK_LEVEL_PERCENT, unit="%", minimum=low, maximum=high, initial=low),
         Feature("BlackLevelClampingEnable", category, "boolean", BLACK_CLAMP, initial=1),
         Feature("GammaEnable", category, "boolean", GAMMA_ENABLE, initial=1),
         Feature("Gamma", category, "float", GAMMA, minimum=0.25, maximum=4.0, initial=0.8),
-    ]
+    ]  # fmt: skip
 
 
 def _processing_control() -> list[Feature]:

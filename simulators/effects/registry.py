@@ -174,17 +174,25 @@ def _naming(function: Callable[..., Any], kind: type[Effect], where: str) -> Cal
             found = function(*args, **kwargs)
         except RadiometerError:
             raise
-        except Exception as error:  # whatever code from outside does
+        except (Exception, SystemExit) as error:  # whatever code from outside does
             reason = " ".join(str(error).split())[:200]
             raise ConfigurationError(f"{what} fails: {type(error).__name__}: {reason}; correct it there") from error
         context = next((one for one in args if isinstance(one, ExposureContext)), None)
-        if context is not None and isinstance(found, np.ndarray) and not _fits(found.shape, context):
-            raise ConfigurationError(
-                f"{what} gives an array of shape {found.shape}, which does not fit the frames; count axes from the last"
-            )
+        if context is not None and isinstance(found, (float, complex, np.ndarray)):
+            _refuse_numbers(np.asarray(found), context, what)
         return found
 
     return named
+
+
+def _refuse_numbers(found: Any, context: ExposureContext, what: str) -> None:
+    """Refuse an array of another shape than the frames, and numbers that are complex, NaN or infinite."""
+    if not _fits(found.shape, context):
+        raise ConfigurationError(
+            f"{what} gives an array of shape {found.shape}, which does not fit the frames; count axes from the last"
+        )
+    if np.iscomplexobj(found) or not (found.dtype.kind != "f" or np.isfinite(found).all()):
+        raise ConfigurationError(f"{what} gives numbers that are complex, NaN or infinite; correct it there")
 
 
 def _fits(shape: tuple[int, ...], context: ExposureContext) -> bool:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import heapq
 import math
 import re
-import zlib
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -40,6 +39,8 @@ REFILL_MS: Final = 75_000  # as the firmware
 _NUMBER: Final = re.compile(r"[0-9]{1,10}")
 LONGEST_MS: Final = 600_000  # as the firmware
 LONGEST_BLINK_MS: Final = 60_000  # as the firmware
+# Commands that light a channel: mode, and how many words they have.
+_LIGHTING: Final = {"SL": ("S", 3), "RA": ("R", 4), "PU": ("P", 4), "BL": ("B", 6)}
 
 
 class Refused(Exception):
@@ -54,7 +55,7 @@ def checked(line: bytes) -> bytes | None:
     body, star, checksum = line[:-9], line[-9:-8], line[-8:]
     if len(body) < 6 or star != b"*" or not re.fullmatch(rb"#[0-9A-F]{2} .+", body, re.DOTALL):
         return None
-    if not re.fullmatch(rb"[0-9A-F]{8}", checksum) or int(checksum, 16) != zlib.crc32(body):
+    if not re.fullmatch(rb"[0-9A-F]{8}", checksum) or int(checksum, 16) != crc32(body):
         return None
     return body
 
@@ -72,9 +73,12 @@ class Commands:
             if len(words) > 7 or not all(words):
                 raise Refused(3)
             action = getattr(self, f"_do_{words[0].lower()}", None) if words[0].isupper() else None
-            if action is None:
+            if words[0] in _LIGHTING:
+                fields = self._shine(*_LIGHTING[words[0]], words[1:])
+            elif action is not None:
+                fields = action(words[1:])
+            else:
                 raise Refused(2)
-            fields = action(words[1:])
         except Refused as refused:
             return f"ER {refused.code:02d}"
         return " ".join(["OK", *(str(field) for field in fields)])
@@ -120,18 +124,6 @@ class Commands:
         low, high = limits.low_limit, limits.high_limit
         return [limits.name, limits.peak_nm, limits.steps, 1953, low, high, limits.bucket, limits.refill]
 
-    def _do_sl(self, words: list[str]) -> list[object]:
-        return self._shine("S", words, 3)
-
-    def _do_ra(self, words: list[str]) -> list[object]:
-        return self._shine("R", words, 4)
-
-    def _do_pu(self, words: list[str]) -> list[object]:
-        return self._shine("P", words, 4)
-
-    def _do_bl(self, words: list[str]) -> list[object]:
-        return self._shine("B", words, 6)
-
     def _do_of(self, words: list[str]) -> list[object]:
         if words == ["*"]:
             self.box.darken_all()
@@ -173,7 +165,7 @@ class Commands:
             raise Refused(10)
         return [event]
 
-    def _shine(self, mode: str, words: list[str], count: int) -> list[object]:
+    def _shine(self, mode: str, count: int, words: list[str]) -> list[object]:
         channel = self._channel(words)
         if len(words) != count or words[1] not in ("L", "H"):
             raise Refused(3)
@@ -335,7 +327,7 @@ class SimulatedLightBox:
         """
         for channel in self.channels:
             channel.restart()
-        self._drive_leds()
+        self.lit()
         self.session, self.reset_cause = False, cause
         self.flash.reset(self._ms)
         self.bad_lines = self.darkened = self.latest_event = self._ms = self._silent_since_ms = 0
@@ -405,11 +397,7 @@ class SimulatedLightBox:
         """Switch every channel off."""
         for channel in self.channels:
             channel.darken()
-        self._drive_leds()
-
-    def lit(self) -> None:
-        """Pass on to the LEDs what the channels do now."""
-        self._drive_leds()
+        self.lit()
 
     def add_event(self, kind: str, argument: str, when_ms: float) -> None:
         """Number an event, keep it and send it."""
@@ -449,15 +437,13 @@ class SimulatedLightBox:
             self._account(ms - 1)
             ms = 1
         if silent:
-            self._go_silent()
+            self._darken_for("D" if self.session else "")
+            self.session = False
         if held:
-            for channel in self.channels:
-                channel.darken()
-            self.darkened += 1
-            self.add_event("DK", "B", self._ms)
+            self._darken_for("B")
         self._account(ms)
         if before != [(channel.driven_level, channel.high) for channel in self.channels]:
-            self._drive_leds()
+            self.lit()
 
     def _account(self, ms: int) -> None:
         """Let the channels go on for so long; report those whose energy is used up."""
@@ -466,15 +452,16 @@ class SimulatedLightBox:
                 self.darkened += 1
                 self.add_event("DK", str(index), self._ms)
 
-    def _go_silent(self) -> None:
+    def _darken_for(self, reason: str) -> None:
+        """Switch every channel off, and report why where there is a reason to."""
         for channel in self.channels:
             channel.darken()
-        if self.session:
-            self.session = False
+        if reason:
             self.darkened += 1
-            self.add_event("DK", "D", self._ms)
+            self.add_event("DK", reason, self._ms)
 
-    def _drive_leds(self) -> None:
+    def lit(self) -> None:
+        """Pass on to the LEDs what the channels do now."""
         for channel, led in zip(self.channels, self.leds, strict=True):
             duty = steps_of(channel.driven_level, channel.limits.steps) / channel.limits.steps
             led.drive(duty, high=channel.high, time_s=self.time_s)

@@ -46,7 +46,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "reconcile_rooms": _of("radiometer/reconciliation", "* propose/*"),
     "alarms_and_networks": (
         *_of("radiometer/adapters"),
-        *_of("radiometer/daemon", "alarm* epics* hub* light* log* mqtt*"),
+        *_of("radiometer/daemon", "alarm* epics* light* log* mqtt*"),
         *_of("radiometer/daemon", "bench* instr* metrics* resources* patch_book* s*"),
     ),
     "faces": _of("radiometer", "* api/* cli/* cli/*/*"),

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from benchmarks import daemon_fuzz
 from radiometer.daemon.scpi.commands import command_table
-from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.language import split_message
+from radiometer.daemon.scpi.language import ScpiError, split_message
 
 TABLE = command_table()
 _MESSY = st.text(st.sampled_from(string.printable + "\x00\xff#"), max_size=60)

@@ -61,8 +61,8 @@ def make_steps(
 ) -> list[SignalStep]:
     """Return the bright groups with the dark signal of their exposure, by rising light.
 
-    The dark group of the same exposure, gain and region is used, with its dark current as at the temperature of the
-    bright one, which may differ by 1.5 K. Where there is none, a line through the others counts.
+    The dark group of the same exposure, gain and region is used; where there is none, a line through the others. Their
+    temperature may differ by 1.5 K from that of the bright one: their dark current is scaled.
 
     Args:
         bright: Bright groups of one gain.

@@ -288,7 +288,8 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
     notes += [*(f"left out: {line}" for line in record.left_out), *record.doubts]
     kept = [g for g in groups if g.settings.is_dark or (g.settings.f_number, g.settings.pattern) == (f_number, pattern)]
     kept, more = _with_dark(kept)
-    levels = white_levels_of([entry.settings for entry in header.frames], capture.read_frame)
+    settings = [entry.settings for entry in header.frames]
+    levels = white_levels_of(settings, capture.read_frame, header.camera.tap_parts)
     white = white_level_notes(level for level in levels.values() if level.disagrees)
     patches = _chosen_patches(header.patches, region)
     shape = capture.read_frame(0).shape

@@ -189,7 +189,8 @@ def _merged(frames: list[Frame], dark: list[Frame], scale: FluxScale) -> _Map:
         good = frame.dn < model.saturation_dn(frame.settings)
         signal += np.where(good, x, 0.0)
         of_dark = own_variance * alike[frame.settings.exposure_s, frame.settings.gain_db]  # all of them share it
-        variance += np.where(good, model.variance(np.maximum(x, 0.0), frame.settings) + of_dark, 0.0)
+        own_noise = model.variance(np.maximum(x, 0.0), frame.settings) + level.variance
+        variance += np.where(good, own_noise + of_dark, 0.0)
         time += np.where(good, frame.settings.exposure_s, 0.0)
         if frame is frames[0]:
             shortest = x / frame.settings.exposure_s

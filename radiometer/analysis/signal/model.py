@@ -355,7 +355,8 @@ def _from_matching(
     u_rel = _u_warmth_rel(settings, matching, model)
     most, shown = max(_most_dark(settings, model), model.modelled_dark(settings)), max(level.signal - zero, 0.0)
     u = math.hypot(u_rel * min(math.hypot(shown, u_zero), most), (factor - 1.0) * u_zero)
-    variance = _unstated_shot_noise(min(shown, most), settings, model)
+    beyond = max(shown - 2.0 * u_zero, 0.0)  # what the black level does not explain
+    variance = _unstated_shot_noise(min(beyond, most), settings, model)
     return replace(
         level,
         u_independent=math.hypot(level.u_independent, math.sqrt(variance / sum(one.dn.size for one in matching))),

@@ -33,13 +33,12 @@ from radiometer.daemon.http.requests import (
     read_body,
     read_query,
 )
-from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.journal import OWN_STREAM
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, TrendPoint, to_csv
 from radiometer.daemon.limits import SMALL_REPLY_BYTES
 from radiometer.daemon.metrics import CONTENT_TYPE
 from radiometer.daemon.patches import PatchLimits
-from radiometer.daemon.station import Station
+from radiometer.daemon.station import Event, Station, Subscription
 from radiometer.daemon.timestamps import now_us, parse_moment
 from radiometer.data import Patch
 from radiometer.data.json_text import parsed_json

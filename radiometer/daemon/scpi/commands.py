@@ -14,7 +14,6 @@ from radiometer.daemon.acquisition import EVERY_LIMITS_S, WAVELENGTH_LIMITS_NM
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.patches import DEFAULT_HYSTERESIS_REL, PatchLimits
 from radiometer.daemon.scpi import formats
-from radiometer.daemon.scpi.errors import ScpiError, scpi_error
 from radiometer.daemon.scpi.language import (
     Boolean,
     Call,
@@ -25,8 +24,10 @@ from radiometer.daemon.scpi.language import (
     Number,
     Outcome,
     ParameterLimits,
+    ScpiError,
     Text,
     always,
+    scpi_error,
 )
 from radiometer.daemon.scpi.session import Session, when_done
 from radiometer.daemon.station import Station

@@ -16,8 +16,7 @@ from radiometer.daemon.scpi.commands import (
     TRACE,
     command_table,
 )
-from radiometer.daemon.scpi.errors import MESSAGES
-from radiometer.daemon.scpi.language import Command, CommandTable
+from radiometer.daemon.scpi.language import MESSAGES, Command, CommandTable
 
 _INTRODUCTION = """\
 # SCPI

@@ -23,8 +23,7 @@ import structlog
 from radiometer.daemon.limits import Limits, Network, Places, ReplyBudget, TokenBucket, is_allowed, is_loopback
 from radiometer.daemon.resources import listen
 from radiometer.daemon.scpi.commands import command_table
-from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.language import block_end
+from radiometer.daemon.scpi.language import ScpiError, block_end
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError

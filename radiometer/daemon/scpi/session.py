@@ -18,8 +18,7 @@ from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.light import Asker
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.scpi import status as bits
-from radiometer.daemon.scpi.errors import ScpiError, scpi_error
-from radiometer.daemon.scpi.language import CommandTable, Outcome, Unit, split_message
+from radiometer.daemon.scpi.language import CommandTable, Outcome, ScpiError, Unit, scpi_error, split_message
 from radiometer.daemon.scpi.status import Status
 from radiometer.daemon.station import Station
 from radiometer.data import Flag, Patch, Reading

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from radiometer.daemon.scpi.errors import OPERATION_COMPLETE, POWER_ON, ScpiError
+from radiometer.daemon.scpi.language import OPERATION_COMPLETE, POWER_ON, ScpiError
 
 QUEUE_LENGTH: Final = 32  # errors kept; of a full queue the last becomes −350 (SCPI-99)
 

@@ -81,6 +81,8 @@ def test_every_tap_has_the_radiance_of_the_even_source(tmp_path, overscan, dark_
     made = rm.calibrate(folder, patch=PATCHES[0], radiance=1.0, u_rel=1e-3, spectrum="equal_energy", camera_file=known)
     found = rm.merge(folder, calibration=made.calibration)
     assert any(says in text for text in found.assumptions)
+    plain = rm.calibrate(folder, patch=PATCHES[0], radiance=1.0, u_rel=1e-3, spectrum="equal_energy")
+    assert plain.scale.u_rel < 0.01  # the black levels are known
     assert any("gain per tap" in text for text in found.assumptions)
     gain_u = max(one.conversion_gain_u_rel for one in made.calibration.camera.taps)
     for patch in PATCHES:
@@ -160,3 +162,21 @@ def test_patches_in_overscan_and_impossible_taps_are_refused(tmp_path, patch, ta
     folder = write(tmp_path / "set", described(), bracket(4706, ()))
     with pytest.raises((MeasurementError, UsageError), match=says):
         rm.calibrate(folder, patch=patch, radiance=1.0, u_rel=1e-3, taps=taps)
+
+
+@pytest.mark.parametrize(("full_e", "says"), [(1e9, False), (3000.0, True)])
+def test_taps_are_looked_at_singly_for_their_white_level(tmp_path, full_e, says):
+    """Even light: other black levels and gains bring the numbers of two taps together as it grows, as a full well does.
+
+    After 20 ms they are 83 DN apart, after 80 ms 33; a well of 3000 e⁻ is full after 150 ms.
+    """
+    rng, x = np.random.default_rng(4704), np.arange(176)  # the last 16 are overscan of the first tap
+    right, frames = (x >= 80) & (x < 160), []
+    for time_s in (0.02, 0.08, 0.32):
+        electrons = np.minimum(rng.poisson(20_000.0 * time_s * (x < 160), (100, 176)), full_e)
+        electrons = (electrons + rng.normal(0.0, NOISE_E, electrons.shape)) / np.where(right, 1.6, 1.5)
+        dn = np.rint(np.where(right, 1100.0, 1000.0) + electrons).astype(np.uint16)
+        frames.append(Frame(dn, 14, FrameSettings(time_s)))
+    taps = [TapDescription(name=name, x=x, y=0, width=80, height=100) for name, x in (("A", 0), ("B", 80))]
+    found = rm.merge(write(tmp_path / "set", taps, frames))
+    assert any("white level" in text for text in found.assumptions) is says

@@ -44,6 +44,10 @@ def test_the_shipped_bench_opens():
             lambda m: m["lens"].update(focal_lenght_mm=1),
             r"unknown key 'lens\.focal_lenght_mm'; allowed here:.*focal_length",
         ),
+        (
+            lambda m: m.update(camera={"kind": "genicam", "serial": "4711"}),
+            r"unknown key 'camera\.serial'; allowed here: black_level_dn, gain_db, id, kind",
+        ),
         (lambda m: m["lens"].update(f_number=-1), r"lens\.f_number = -1: -1 is outside 0.5 to 1000"),
         (lambda m: m["camera"].update(kind="film"), r"camera.*'film'"),
         (lambda m: m.pop("lens"), "key 'lens' is missing"),

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from radiometer.daemon.http.server import HttpServer
-from radiometer.daemon.hub import Hub
 from radiometer.daemon.limits import Limits, Places, ReplyBudget
 from radiometer.daemon.scpi.server import ScpiServer
+from radiometer.daemon.station import Hub
 from radiometer.errors import UsageError
 from testing.fake_station import HttpClient
 from testing.patience import within

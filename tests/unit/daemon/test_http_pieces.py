@@ -218,7 +218,9 @@ def test_an_even_picture_and_a_black_one_have_a_scale():
     for level, ends in ((5.0, (5.0, 5.005)), (0.0, (0.0, 1e-12))):
         even = ServedPicture(np.full((64, 64), level, np.float32), np.zeros((64, 64), bool), "W", 5)
         _, headers = render(even, width=64, scale="linear", colours="grey", bar=False)
-        assert [float(end) for end in headers["Radiometer-Scale"].split(",")[1:]] == pytest.approx(list(ends))
+        assert [float(end) for end in headers["Radiometer-Scale"].split(",")[1:]] == pytest.approx(
+            ends, rel=1e-6, abs=0.0
+        )
 
 
 @pytest.mark.parametrize(("part", "marked"), [(2, False), (3, True)])

@@ -17,16 +17,18 @@ from radiometer.daemon.journal import JournalError
 from radiometer.daemon.limits import TokenBucket
 from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.commands import ELEMENTS, command_table
-from radiometer.daemon.scpi.errors import MESSAGES, ScpiError, scpi_error
 from radiometer.daemon.scpi.formats import reading_elements
 from radiometer.daemon.scpi.language import (
+    MESSAGES,
     Argument,
     Boolean,
     Choice,
     Kind,
     Number,
     ParameterLimits,
+    ScpiError,
     Text,
+    scpi_error,
     split_message,
 )
 from radiometer.daemon.scpi.session import Session

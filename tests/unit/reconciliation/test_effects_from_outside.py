@@ -140,6 +140,9 @@ def test_file_that_cannot_be_taken_is_reported_in_one_line(tmp_path, text, messa
 FAULTS = {
     "an error": ('raise RuntimeError("boom")', "`factor` of effect 'driver_steps' fails: RuntimeError: boom"),
     "another shape": ("return np.ones(7)", r"`factor` .* an array of shape \(7,\)"),
+    "an end": ("raise SystemExit", "`factor` of effect 'driver_steps' fails: SystemExit"),
+    "a complex number": ("return 1.0 + 1.0j", "`factor` of effect 'driver_steps' gives numbers that are complex"),
+    "NaN": ("return np.nan", "`factor` of effect 'driver_steps' gives numbers that are complex, NaN or infinite"),
     "no number": ('return "many"', "`(mean|slope)` of effect 'driver_steps' fails"),
 }
 

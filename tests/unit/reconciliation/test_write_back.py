@@ -40,7 +40,7 @@ def test_the_effect_is_written_with_its_value_and_evidence(late, tmp_path):
     assert u < 1e-6
     assert entry.enabled
     assert entry.notes["covariance"]["parameters"] == [name]
-    assert entry.notes["covariance"]["matrix"][0][0] == pytest.approx(u**2, rel=1e-3)
+    assert entry.notes["covariance"]["matrix"][0][0] == pytest.approx(u**2, rel=1e-3, abs=0.0)
     (found,) = late.result.effects
     assert (entry.notes["where"], entry.notes["gain_nats"]) == ("exposure_s", found.gain_nats)
     assert entry.notes["gap_before"] > entry.notes["gap_after"] == pytest.approx(1.0, abs=0.2)

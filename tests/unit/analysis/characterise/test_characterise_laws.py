@@ -575,7 +575,7 @@ def test_light_is_compared_with_darkness_at_its_own_temperature(temperatures_c, 
     assert found.value == pytest.approx(BLACK_DN + (0.0, 8.0)[own])
 
 
-@pytest.mark.parametrize(("warmer_k", "u_rel"), [(0.0, 0.02), (1.4, 0.028), (-1.0, 0.025), (None, 0.24)])
+@pytest.mark.parametrize(("warmer_k", "u_rel"), [(0.0, 0.02), (1.4, 0.048), (-1.0, 0.036), (None, 0.31)])
 def test_responsivity_less_darkness_of_another_warmth(warmer_k, u_rel):
     """A dark current of a fifth of the light doubles with 7 K; what temperatures leave open of it is in u, once."""
     here_c, factor = (None, 1.0) if warmer_k is None else (25.0 + warmer_k, 2.0 ** (warmer_k / 7.0))

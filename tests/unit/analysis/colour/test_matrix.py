@@ -184,11 +184,14 @@ def test_responsivities_give_chromaticities_and_known_lights_the_scale(reflectan
     absolute = train_on_responsivities(camera, one, per_kind=False, u_rel=0.01)
     assert (relative.unit, absolute.unit) == ("relative", "cd m-2")
     assert absolute.u_rel > 0.01
-    noisy = replace(one, u_signal=0.1 * one.signal)
-    found = train_on_responsivities(camera, noisy, per_kind=False, u_rel=0.01)
-    row = found.matrices["all"].matrix[1]
-    more = np.sum((row * noisy.u_signal) ** 2 - (row * one.u_signal) ** 2) / (row @ one.signal[0]) ** 2
-    assert found.u_rel**2 - absolute.u_rel**2 == pytest.approx(more)
+    assert absolute.convert(one.signal, np.zeros((3, 3)), None)[0][0, 1] == pytest.approx(one.xyz[0, 1])
+    noisy = replace(one, u_signal=0.1 * one.signal, u_rel=np.array([0.05]))
+    row, error = (getattr(absolute.matrices["all"], name)[1] for name in ("matrix", "error"))
+    for light in (one, noisy):
+        noise = np.sum((row * light.u_signal) ** 2) / (row @ one.signal[0]) ** 2
+        own = error[1] * (one.xyz.sum() / one.xyz[0, 1]) ** 2
+        found = train_on_responsivities(camera, light, per_kind=False, u_rel=0.01)
+        assert found.u_rel**2 == pytest.approx(1e-4 + noise + light.u_rel[0] ** 2 + own)
     off, _, _ = deviations(absolute, lights, "surfaces")
     assert np.mean(np.abs(off) < 2.0) >= 0.93
     xyz, _ = relative.convert(lights.signal, np.zeros((3, 3)), None)
@@ -207,6 +210,10 @@ def test_a_known_light_five_times_as_bright_scales_x_y_z_and_each_term_of_their_
         found.append((*made.convert(lights.signal, noise, "surfaces"), made.matrices["all"].spread))
     for one, five, power in zip(*found, (1, 2, 2), strict=True):
         assert five == pytest.approx(5.0**power * one, rel=1e-9)
+    alike = (np.repeat(part[:1], 2, axis=0) for part in (lights.signal, lights.u_signal, lights.xyz, lights.u_rel))
+    two = Training(("a", "b"), lights.kinds[:2], *alike)
+    torn = replace(two, xyz=np.array([[1.1], [0.9]]) * two.xyz)
+    assert train_on_responsivities(camera, torn, per_kind=False, u_rel=0.0).u_rel == pytest.approx(0.1, rel=1e-3)
 
 
 def test_a_matrix_for_each_kind_is_better_for_it_and_asks_for_the_kind():

@@ -520,8 +520,11 @@ def test_the_noise_of_dark_frames_is_in_every_pixel(rig, count, lights):
         one[3, 3] += number  # no copies
     light = [Frame(one, 12, taken) for one in each]
     dn = np.full((4, 4), 64, np.uint16)
-    dn[1:] += np.array([0, 2, 0, 2], np.uint16)  # the noise that rounding needs
-    darks = [Frame(dn, 12, replace(taken, shutter="closed"))] * count
+    dn[1:, ::2] -= 2  # the noise that rounding needs
+    each = [dn.copy() for _ in range(count)]
+    for number, one in enumerate(each):
+        one[3, 3] += number  # no copies
+    darks = [Frame(one, 12, replace(taken, shutter="closed")) for one in each]
     found = merge(Bracket.from_frames([*light, *darks]), Setup(rig.description, rig.lens, rig.calibration(**EXACT)))
     light_e, readout = light_dn * rig.gain_e_per_dn, rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
     expected = math.sqrt((light_e + readout) / lights + readout / count) / light_e
