@@ -44,8 +44,13 @@ def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
             heading("Figures"),
             folded("Equal frames, each less the others of its series", _frames(result)),
             folded(
+                "Residuals along each setting, before and after",
+                _residual_panels(reconciled) if result.covariates else "",
+            ),
+            folded(
                 "Where simulation and measurement disagreed at first, found without any known effect", _places(result)
             ),
+            folded("Largest trend along each covariate", _covariate_table(result)),
             folded("What these data would have detected", _limits(result)),
             folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
         ],
@@ -220,6 +225,15 @@ def _advice(effect: FoundEffect, entry: CatalogueEffect | None) -> str:
     return paragraph(f"To see it alone: {entry.settles}.", "do") if entry and entry.settles else ""
 
 
+def _covariate_table(result: ReconcileResult) -> str:
+    rows = [
+        (along(name), f"{gap.before:.1f}", f"{gap.after:.1f}")
+        for name, gap in sorted(result.covariates.items(), key=lambda item: -item[1].before)
+    ]
+    note = "Largest trend's χ² per degree of freedom; a single trend has 1 by chance."
+    return table(("covariate", "before", "after"), rows) + paragraph(note, "small")
+
+
 def _limits(result: ReconcileResult) -> str:
     rows = [
         (
@@ -245,6 +259,7 @@ _NARROW: Final = (4.0, 3.0)
 _CHANCE_SIGMAS: Final = 4.0
 _FEWEST_ROWS: Final = 3  # of the bars: one alone is not drawn as tall as the picture
 _BINS: Final = 14
+_PANELS: Final = 6
 _SMALLEST_REACH: Final = 0.01  # of an axis, in % or DN: finer than any converter resolves
 _DIMMEST_DN: Final = 3.0  # below, a relative deviation of the means says nothing
 
@@ -432,6 +447,42 @@ def _rest_map(state: FitState) -> str:
         f"{int(np.isfinite(score).sum())} are beyond."
     )
     return picture(draw, caption, (6.8, 0.6 + 5.2 * height / width), (4.0, 1.0 + 3.2 * height / width))
+
+
+def _residual_panels(reconciled: Reconciled) -> str:
+    """Return the residuals of the means along the most telling covariates, before and after."""
+    gaps = reconciled.result.covariates
+    # What varies in the tiles that one model leaves usable need not vary in those of the other.
+    drawn = [covariates(one.model, one.prediction) for one in (reconciled.outcome.start, reconciled.outcome.state)]
+    both = [name for name in gaps if all(name in axes for axes in drawn)]
+    names = sorted(both, key=lambda name: -gaps[name].before)[:_PANELS]
+    if not names:
+        return ""
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        columns = 1 if narrow else 2
+        panels = figure.subplots(-(-len(names) // columns), columns, squeeze=False).ravel()
+        for axes, name in zip(panels, names, strict=False):
+            for state, colour, words in (
+                (reconciled.outcome.start, BEFORE, "before"),
+                (reconciled.outcome.state, AFTER, "after"),
+            ):
+                x, y, u = _profile(state, name)
+                axes.errorbar(x, y, u, fmt="o", ms=3, lw=1, color=colour, label=words)
+            _along(axes, name, "residual in σ")
+        for axes in panels[len(names) :]:
+            axes.set_visible(False)
+
+    caption = "Measured − simulated: means of patches, of one setting or of neighbouring settings."
+    return picture(draw, caption, (10.0, 2.6 * -(-len(names) // 2)), (4.0, 2.3 * len(names)))
+
+
+def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
+    axis = covariates(state.model, state.prediction)[name]
+    usable = state.comparison.usable["mean"]
+    deviation = np.hypot(state.comparison.deviation["mean"], state.tau * state.sensitivity)
+    standardised = ((state.seen.mean - state.prediction.mean) / deviation)[usable]
+    return _binned(name, axis.value[usable], standardised)
 
 
 def _binned(name: str, value: Array, standardised: Array) -> tuple[Array, Array, Array]:

@@ -259,7 +259,8 @@ def _taken(state: FitState, looser: FitState, run: _Run) -> FitState:
     newest, nats, gap = looser.effects[-1], looser.evidence - state.evidence, looser.gap
     at = next(i for i, step in enumerate(run.steps) if step.name == newest.name)
     old = run.steps[at]
-    run.steps[at] = replace(old, gain_nats=old.gain_nats + nats, gap_after=gap)
+    rivals = _by_laws_of_theirs(looser, run.fitted_with.get(newest.name, ())) if isinstance(newest, FreeLaw) else ()
+    run.steps[at] = replace(old, gain_nats=old.gain_nats + nats, gap_after=gap, rivals=(*old.rivals, *rivals))
     run.say(f"{newest.name} in a more flexible form: {nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
     return looser
 
@@ -399,6 +400,19 @@ def loosened(state: FitState, only: Sequence[str] | None = None) -> FitState | N
     fitted = (_with_form(state, index, form) for nats, index, form in forms if nats >= needed)
     best = max((one for one in fitted if one is not None), key=worth, default=state)
     return best if best is not state and worth(best) - worth(state) >= needed else None
+
+
+def _by_laws_of_theirs(looser: FitState, others: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
+    """Return other entries, each by a free law, that leave nothing in the place of the newest effect either."""
+    rest, found = with_effects(looser, looser.effects[:-1]), list[CatalogueEffect]()
+    present, place = {effect.name for effect in looser.effects}, len(rest.effects)
+    for other in [other for other in others if other.name not in present][:_SWAPPED]:
+        forms = free_forms(rest, other)
+        best = max(forms, key=lambda form: _promise(rest, (*rest.effects, form), place) - _cost(form), default=None)
+        fitted = None if best is None else _with_form(rest, place, best)
+        if fitted is not None and not is_misfit(fitted):
+            found.append(fitted.effects[-1])
+    return tuple(found)
 
 
 def _cost(effect: CatalogueEffect) -> float:
