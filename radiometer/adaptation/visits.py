@@ -158,7 +158,7 @@ class Visit:
     journal: Path  # file of its journal
     request: RunRequest  # what is run, with the visit's date; where the run goes on, as its journal states the visit
     resumed: bool = False  # whether the journal holds a part of the run
-    remarks: tuple[str, ...] = ()  # what the user must know of other journals of the subject, a line each
+    remarks: tuple[str, ...] = ()  # what the user must know of the subject's journals, a line each
 
 
 def iso_utc(moment: dt.datetime) -> str:

@@ -1,5 +1,6 @@
 """Running a test: thresholds, catches, absence, crashes, pauses, and checks of fixation."""
 
+import datetime as dt
 import math
 import os
 import resource
@@ -11,10 +12,11 @@ import pytest
 from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.outcome import RunJournal, Verdict
 from radiometer.adaptation.protocol import read_protocol
-from radiometer.adaptation.request import Controls
+from radiometer.adaptation.request import Controls, RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.session import prompts_after
+from radiometer.adaptation.visits import visit_at
 from radiometer.data.event_journal import read_events
 from radiometer.errors import DeviceLost, InputError, MeasurementError, OutputError, UsageError
 from testing.scripted_adaptation import ScriptedStage, eye, threshold
@@ -140,10 +142,18 @@ def test_a_run_is_taken_up_only_as_it_was_begun(tmp_path, classic):
     """Not of another subject or age, on a screen calibrated anew, or with coarser steps under the protocol's name.
 
     Levels of two calibrations in one curve would show as a break, thresholds of two methods would share one bias. What
-    the head did not state, such as a pupil, a run may learn later.
+    the head did not state, such as a pupil, a run may learn later; the command keeps to the head and says so.
     """
     begun = {"age_years": 31.0}
     _begun(tmp_path / "j", _Described(eye, classic), visit=begun)
+    for age_years, pupil_mm, words in (
+        (31.0, None, []),
+        (40.0, 7.0, ["--age 40 is not used", "--pupil 7 is not used"]),
+    ):
+        request = RunRequest(classic, "A1", seed=3, age_years=age_years, pupil_mm=pupil_mm)
+        visit = visit_at(tmp_path / "j", request, dt.datetime.now(dt.UTC))
+        assert [remark[: len(one)] for remark, one in zip(visit.remarks, words, strict=True)] == words
+        assert (visit.request.age_years, visit.request.pupil_mm) == (31.0, None)
     anew = _Described(eye, classic)
     anew.calibrated = "2026-02-02"
     method = classic.method.model_copy(update={"step_log10": 3 * classic.method.step_log10})
