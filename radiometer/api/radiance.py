@@ -264,7 +264,7 @@ def _variables(radiance: Radiance) -> dict[str, Any]:
     named = {
         "long_name": "what must be known of a pixel",
         "flag_masks": np.array([int(bit) for bit in bits], dtype=np.uint8),
-        "flag_meanings": " ".join(map(_meaning, bits)),
+        "flag_meanings": " ".join(str(flag.name).lower() for flag in bits),
     }
     noise, by_level = (part.astype(np.float32) for part in radiance.map.parts_of_u(np.s_[:, :]))
     own = {"units": unit, "long_name": "standard uncertainty of each pixel's own (k = 1)"} | _correlation("random")
@@ -578,7 +578,3 @@ def _of_photographs(photographs: Photographs, asked: _Asked, progress: Progress)
     maps = merge_photographs(ready, asked.calibration, flat, keep_ghosts=asked.keep_ghosts, progress=progress)
     maps = {name: _with_light(one, asked.calibration, None) for name, one in maps.items()}
     return Radiance(maps, (), ready.files, ready.alignment, falloff, ready.notes)
-
-
-def _meaning(flag: PixelMask) -> str:
-    return str(flag.name).lower()

@@ -37,7 +37,7 @@ from radiometer.data import CaptureSetWriter, LensDescription, Patch, PatchDescr
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.mosaic import in_cells
 from radiometer.data.storage import check_new_folder, write_text_atomic, write_yaml_atomic
-from radiometer.devices import Camera, CameraCapabilities
+from radiometer.devices import Camera
 from radiometer.errors import UsageError
 from radiometer.importing import open_capture
 from radiometer.numbers import unit_text, with_u
@@ -249,7 +249,8 @@ def _take(
                 writer.add(replace(frame, dn=frame.dn[where.slices].copy()))
                 if progress:
                     progress("capturing", number, request.frames())
-        return _limits(camera.capabilities)
+        limits = asdict(camera.capabilities)
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in limits.items()}
 
 
 @contextmanager
@@ -265,10 +266,6 @@ def _shifted(camera: Camera, region: Patch) -> LensDescription:
     capabilities, lens = camera.capabilities, camera.lens
     x, y = lens.principal_point_px or ((capabilities.width - 1) / 2, (capabilities.height - 1) / 2)
     return lens.model_copy(update={"principal_point_px": (x - region.x, y - region.y)})
-
-
-def _limits(capabilities: CameraCapabilities) -> dict[str, Any]:
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(capabilities).items()}
 
 
 def _quantity(figure: Quantity) -> str:

@@ -163,7 +163,7 @@ def parse_bounds(text: str, option: str) -> tuple[float, float]:
     return low, high
 
 
-def parse_measured_iso(words: Sequence[str] | None) -> dict[float, float]:
+def parse_measured_iso(words: Sequence[str]) -> dict[float, float]:
     """Return measured ISO speeds by stated ones from words such as "200=136".
 
     Raises:
@@ -172,7 +172,7 @@ def parse_measured_iso(words: Sequence[str] | None) -> dict[float, float]:
     return _pairs(words, "--measured-iso", "STATED=REAL with speeds above 0, such as 200=136", 0.0)
 
 
-def parse_known_ratios(words: Sequence[str] | None) -> dict[int, float]:
+def parse_known_ratios(words: Sequence[str]) -> dict[int, float]:
     """Return known exposure ratios by the index of the pair of frames, from words such as "3=2.0".
 
     Raises:
@@ -196,9 +196,9 @@ def parse_named(words: Sequence[str], option: str, between: str, expected: str) 
     return found
 
 
-def _pairs(words: Sequence[str] | None, option: str, expected: str, above: float) -> dict[float, float]:
+def _pairs(words: Sequence[str], option: str, expected: str, above: float) -> dict[float, float]:
     found: dict[float, float] = {}
-    for word in words or ():
+    for word in words:
         try:
             key, value = (float(part) for part in word.split("="))
         except ValueError as error:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.calibration.shared import require_photograph
 from radiometer.analysis.exports.curves import FILE_METHOD
-from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.response.labels import reject_inconsistent_exposures
 from radiometer.data import (
     Bracket,
@@ -84,8 +83,6 @@ def in_one_place(brackets: Sequence[Bracket], align: str, progress: Progress = u
     Raises:
         UsageError: If it is none of these.
     """
-    import numpy as np
-
     from radiometer.analysis.merge.alignment import aligned, find_alignment
     from radiometer.analysis.response.labels import frame_name
 
@@ -396,6 +393,8 @@ def merge_photographs(
         CalibrationError: If the calibration does not fit.
         MeasurementError: If frames do not belong together.
     """
+    from radiometer.analysis.merge.bracket import merge  # the daemon starts without it
+
     maps = {}
     for done, (name, bracket) in enumerate(photographs.brackets.items()):
         progress("merging", done, len(photographs.brackets))

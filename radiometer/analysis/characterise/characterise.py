@@ -191,7 +191,8 @@ class _Work:
             if any(d.has_noise for d in group)
         ]
         # Bright frames are compared with darkness at their own temperature.
-        own = min(plateaus, key=lambda p: abs((p[1].temperature_c or 0.0) - (self._bright_temperature() or 0.0)))
+        bright_c = self.at.bright[0].settings.temperature_c or 0.0
+        own = min(plateaus, key=lambda p: abs((p[1].temperature_c or 0.0) - bright_c))
         notes = list(self.subject.notes)
         figures = {"K": self.at.transfer.K, "mu_y_dark": own[1].mean_dn}
         figures |= self._sensitivity(own[1], notes)
@@ -235,9 +236,6 @@ class _Work:
         white = self.subject.white_levels.get(self.at.gain_db)
         is_below = white is not None and white.basis == "measured" and white.disagrees
         return "full well" if is_below else self.at.saturation.limited_by
-
-    def _bright_temperature(self) -> float | None:
-        return self.at.bright[0].settings.temperature_c
 
     def _sensitivity(self, dark: DarkSignal, notes: list[str]) -> dict[str, Quantity]:
         figures: dict[str, Quantity] = {}

@@ -164,7 +164,9 @@ class Characterisation:
         sources |= {"channel": "colour whose pixels were read"} if "channel" in camera else {}
         for key, symbol in measured.items():
             if symbol in self.figures and key in camera:
-                sources[key] = f"measured: {symbol}, relative standard uncertainty {_percent(self.figures[symbol])}"
+                u_rel = self.figures[symbol].u_rel
+                known = f"{100 * u_rel:.2g} %" if math.isfinite(u_rel) else "unbounded"
+                sources[key] = f"measured: {symbol}, relative standard uncertainty {known}"
         if "mu_I_mean" in self.figures and "dark_current_reference_C" in camera:
             sources["dark_current_reference_C"] = "mean sensor temperature of the dark frames"
         return sources | {key: "as the camera states" for key in limits if key not in sources}
@@ -190,7 +192,3 @@ def _step(step: SignalStep, K: Quantity | None) -> dict[str, float | None]:
         "signal_e": None if K is None else step.signal_dn / K.value,
         "SNR": step.signal_dn / math.sqrt(variance) if variance > 0 else None,
     }
-
-
-def _percent(quantity: Quantity) -> str:
-    return f"{100 * quantity.u_rel:.2g} %" if math.isfinite(quantity.u_rel) else "unbounded"

@@ -209,7 +209,8 @@ class _Ways:
         ]
         if self.emitter is not None and self.distance is not None and "fraction_through_pupil" in emitted:
             tau = Quantity(self.lens.transmittance or 1.0, 0.0, "1")
-            through = as_quantity(self.on_sensor().value / tau.value, self.scale, self._noise_w() / tau.value)
+            noise_w = math.hypot(m.u_noise_w, m.u_background_w)
+            through = as_quantity(self.on_sensor().value / tau.value, self.scale, noise_w / tau.value)
             u = math.hypot(through.u, through.value * (self.lens.transmittance_u_rel or 0.0))
             steps.append(("light lost in the lens", Quantity(through.value, u, "W"), f"transmittance {tau.value:g}"))
             share = self._fraction(self.emitter.half_angle.value, self.distance.value, 1.0)
@@ -227,9 +228,6 @@ class _Ways:
             notes.append("intensity falls as a power of the cosine, the diode faces the lens")
             notes.append(f"a Lambertian part of 0 ± {100 * PEDESTAL_U:g} % of the axial intensity (k = 1)")
         return tuple(notes)
-
-    def _noise_w(self) -> float:
-        return math.hypot(self.measured.u_noise_w, self.measured.u_background_w)
 
     def _pupil_angle(self, distance_mm: float, f_number_factor: float) -> float:
         assert self.f_number is not None
@@ -269,10 +267,8 @@ class _Ways:
 
     def light(self) -> NDArray[np.float64]:
         """Return the irradiance by the source alone."""
-        return self.measured.irradiance - self.measured.background_w / self._area()
-
-    def _area(self) -> float:
-        return self.measured.irradiance.size * self.scale.pixel_area_m2
+        irradiance = self.measured.irradiance
+        return irradiance - self.measured.background_w / (irradiance.size * self.scale.pixel_area_m2)
 
     def _radiance_times_area(self, half_angle: Quantity, diameter_mm: Quantity) -> Quantity:
         light = self.light()

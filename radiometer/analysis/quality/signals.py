@@ -85,7 +85,8 @@ def step_signal(
     if not situation.shown.frames[0].unclipped:
         raise MeasurementError(f"{capture.path}: the patch clips in every frame; capture shorter exposures")
     unit = _unit(situation)
-    own = tuple(_in_unit(term, unit) for term in budget_terms(situation) if term.name in OBSERVED)
+    terms = (term for term in budget_terms(situation) if term.name in OBSERVED)
+    own = tuple(Term(term.name, unit * term.u, term.kind, term.degrees_of_freedom) for term in terms)
     dark = situation.shown.estimate.coefficients @ [level.u_common for level in situation.shown.dark]
     alone = situation.shown.estimate.coefficients * [level.u_independent for level in situation.shown.dark]
     own += (Term("dark frames", unit * situation.scale * float(np.sqrt(np.sum(alone**2)))),)
@@ -100,10 +101,6 @@ def step_signal(
         float(np.mean(known)) if known and len(known) == len(temperatures) else None,
         len(situation.shown.frames),
     )
-
-
-def _in_unit(term: Term, unit: float) -> Term:
-    return Term(term.name, unit * term.u, term.kind, term.degrees_of_freedom)
 
 
 def _unit(situation: PatchSituation) -> float:

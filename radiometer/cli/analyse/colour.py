@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -38,12 +37,8 @@ def _show_reading(found: ColourReading) -> None:
     show_remarks(found.assumptions, flags=found.flags)
 
 
-def _filters(words: Sequence[str]) -> dict[str, str] | None:
-    return parse_named(words, "--filter", "=", "NAME=FOLDER, such as red=out/red") or None
-
-
 _FRAMES: Final[dict[str, Any]] = {
-    "converters": {"filters": _filters},
+    "converters": {"filters": lambda words: parse_named(words, "--filter", "=", "NAME=FOLDER, such as red=out/red")},
     "source": typer.Argument(),
     "filters": typer.Option("--filter", metavar="NAME=FOLDER"),
     "f_number": FNumberOption,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from inspect import Parameter
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from radiometer.cli.arguments import parse_patch, parse_radiance, parse_seconds
+from radiometer.cli.arguments import parse_named, parse_numbers, parse_patch, parse_radiance, parse_seconds
 from radiometer.cli.console import console
 from radiometer.cli.function import command_of
 from radiometer.errors import UsageError
@@ -30,32 +31,19 @@ def _regions(words: Sequence[str]) -> list[tuple[float, ...]]:
 def _region(word: str) -> tuple[float, ...]:
     """Return M, TIME in s and LANDED of a region that `--dynamic-range` names."""
     parts = word.split(",")
-    try:
-        number, landed = float(parts[0]), tuple(float(part) for part in parts[2:])
-    except ValueError as error:
-        raise UsageError(_region_form(word)) from error
-    if len(parts) not in (2, 3):
-        raise UsageError(_region_form(word))
-    return (number, parse_seconds(parts[1], "--dynamic-range"), *landed)
-
-
-def _region_form(word: str) -> str:
-    return (
+    if len(parts) in (2, 3):
+        with contextlib.suppress(ValueError):
+            return (float(parts[0]), parse_seconds(parts[1], "--dynamic-range"), *map(float, parts[2:]))
+    raise UsageError(
         f"--dynamic-range {word!r}: expected M,TIME or M,TIME,LANDED, such as 254,1/2000: the region at pixel value M "
         "of the reference photograph lands on the reference value (or on LANDED) at TIME"
     )
 
 
 def _stated(words: Sequence[str]) -> dict[str, float]:
-    return dict(_known(word) for word in words)
-
-
-def _known(word: str) -> tuple[str, float]:
-    name, _, text = word.partition("=")
-    try:
-        return name, float(text)
-    except ValueError as error:
-        raise UsageError(f"--stated {word!r}: expected NAME=U, such as glare_u=0.002") from error
+    form = "NAME=U, such as glare_u=0.002"
+    named = parse_named(words, "--stated", "=", form)
+    return {name: parse_numbers(text, f"--stated {name}", form, 1)[0] for name, text in named.items()}
 
 
 def _show(found: Calibrated) -> None:
