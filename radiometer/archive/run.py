@@ -89,7 +89,7 @@ class ResultJournal:
 
     def add(self, finished: list[list[Row]]) -> None:
         """Append the rows of some capture sets, a line each. Raises OutputError if the disk refuses them."""
-        lines = [json_text(rows).encode() + b"\n" for rows in finished if rows]
+        lines = [json_text(rows, ascii_only=True).encode() + b"\n" for rows in finished if rows]
         if not lines:
             return
         try:
@@ -118,6 +118,8 @@ class ResultJournal:
         ordered = sorted(
             newest.values(), key=lambda r: tuple(str(r[k]) for k in ("capture", "job", "patch", "quantity"))
         )
+        # No column of text holds a name that is not UTF-8.
+        ordered = [row | {"capture": row["capture"].encode(errors="backslashreplace").decode()} for row in ordered]
         frame = pd.DataFrame(ordered, columns=list(COLUMNS)).astype(dict.fromkeys(_NUMBERS, float))
         content = BytesIO()
         if self.table.suffix == ".parquet":

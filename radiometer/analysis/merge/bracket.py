@@ -544,7 +544,7 @@ class StreamingMerge:
             model = self._situation.model
             middle = float(model.table(frame.settings)[int(np.median(frame.dn))])
             u_dark = math.hypot(terms.u_dark, terms.u_unstated)
-            refuse_brighter_darks(frame.settings, middle, float(np.mean(terms.dark)), u_dark, model)
+            refuse_brighter_darks(frame.settings, middle, float(np.median(terms.dark)), u_dark, model)
 
     def _refuse_misfit(self, frame: Frame) -> None:
         if self._shape is None:

@@ -139,21 +139,18 @@ def patch_situation(
         [one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked,
         darkest=[one.darkest for one in chosen],
     )  # fmt: skip
-    for one, level in zip(chosen, dark, strict=True):
+    even = [_without_pattern(one, whole_darks, level, settled.model) for one, level in zip(chosen, dark, strict=True)]
+    for one, level in zip(even, dark, strict=True):
         if dark_frames:
-            refuse_brighter_darks(
-                one.settings, float(np.median(one.signal)), level.signal, level.u_common, settled.model
-            )
+            middle = float(np.median(one.signal))
+            refuse_brighter_darks(one.settings, middle, level.signal, level.u_common, settled.model)
     dark = [replace(d, u_independent=math.hypot(d.u_independent, f.u_black)) for d, f in zip(dark, chosen, strict=True)]
     gain = 1.0 if taps is None else taps.gain_of(patch)
     place = _sensitivity(calibration, camera, settled.lens, shape, patch)
     factors = float(place.mean() * np.mean(gain)) * _lens_factors(light, calibration, settled.lens)
     surround = _surround(light, factors, settled)
     kept = [any(one is other for other in chosen) for one in light]
-    chosen = [
-        _evened(_without_pattern(one, whole_darks, level, settled.model), level.signal, place * gain)
-        for one, level in zip(chosen, dark, strict=True)
-    ]
+    chosen = [_evened(one, level.signal, place * gain) for one, level in zip(even, dark, strict=True)]
     exposures = np.array([one.settings.exposure_s for one in chosen]) * factors[kept]
     estimate = estimate_patch(chosen, dark, exposures, good, settled.model)
     field = _field(camera, settled.lens, shape, patch)

@@ -405,18 +405,35 @@ def dark_map(
 
     Args:
         settings: Of the light frame.
-        dark_frames: Frames with the shutter closed; those of the same exposure count.
+        dark_frames: Frames with the shutter closed. Those of the same exposure count; else those with the least more
+            dark current, their pixels' deviations from the mean by the ratio of both.
         model: Signal model of the camera.
         level: Dark level of the light frame, for all where there are none.
     """
     matching = matching_darks(settings, dark_frames)
     if not matching:
-        return np.full(1, level.signal, np.float32), 0.0
+        return _scaled_pattern(settings, dark_frames, model, level)
     total = _warmed(matching[0], settings, model, level.black).ravel().astype(np.float32)
     for frame in matching[1:]:
         total += _warmed(frame, settings, model, level.black).ravel().astype(np.float32)
     total /= np.float32(len(matching))
     return total, (float(model.variance(0.0, settings)) + level.variance) / len(matching)
+
+
+def _scaled_pattern(
+    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: DarkLevel
+) -> tuple[NDArray[np.float32], float]:
+    here = _seconds_at_reference(settings, model)
+    usable = [one for one in dark_frames if one.settings.gain_db == settings.gain_db and not is_cut_off(one)]
+    more = {id(one): _seconds_at_reference(one.settings, model) for one in usable}
+    there = min((time for time in more.values() if time >= here), default=math.inf)
+    alike = [one for one in usable if there <= more[id(one)] <= there * (1.0 + _SAME_EXPOSURE_REL)]
+    if not alike:
+        return np.full(1, level.signal, np.float32), 0.0
+    share, shown = here / there, np.mean([signal_of(one, model, settings) for one in alike], axis=0).ravel()
+    noise = float(model.variance(0.0, alike[0].settings)) + level.variance / share
+    own = level.signal + share * (shown - shown.mean())
+    return np.asarray(own, dtype=np.float32), share**2 * noise / len(alike)
 
 
 def _warmed(frame: Frame, settings: FrameSettings, model: SignalModel, black: float) -> NDArray[np.float64]:

@@ -40,7 +40,7 @@ def effect_source(
     """
     link = LINKS[law.link]
     plain = link.code.format(law=law.formula()).replace("np.", "")
-    words = textwrap.fill(sentence, _WIDTH), textwrap.fill(f"Source: {source}.", _WIDTH)
+    words = [_in_docstring(textwrap.fill(text, _WIDTH)) for text in (sentence, f"Source: {source}.")]
     does = textwrap.fill(f"{link.action[0].upper()}{link.action[1:]}: {plain}.", _WIDTH - 8, subsequent_indent="    ")
     rounded = law.with_parameters({name: round_to(value) for name, value in law.parameters.items()})
     return f'''"""{words[0]}
@@ -57,6 +57,12 @@ LAW = {pformat(rounded, width=_WIDTH - 6)}
 class {law.class_name}(effect_class(LAW, {round_to(amplitude)!r})):
     """{does}"""
 '''
+
+
+def _in_docstring(text: str) -> str:
+    """Return text that ends no docstring and is no escape in one: names of folders come from anybody."""
+    shown = "".join(one if one.isprintable() or one == "\n" else "?" for one in text)
+    return shown.replace("\\", r"\\").replace('"', r"\"")
 
 
 def source_of_test(

@@ -100,13 +100,15 @@ def test_frames_without_the_source_are_no_reading(make_archive, tmp_path, job):
 
 
 def test_what_is_done_is_not_done_again(make_archive, tmp_path):
-    """A second run skips all; a changed capture is done anew and replaces its row."""
+    """A second run skips all; a changed capture is done anew and replaces its row. A name need not be UTF-8."""
     root = make_archive(3)
+    (root / "day-0002").rename(root / "by\udcff")
     batch(root, tmp_path / "results.csv")
     assert batch(root, tmp_path / "results.csv").skipped == 3
     shutil.copy(root / "day-0000" / "frames" / "0000.png", root / "day-0001" / "frames" / "0000.png")
     again = batch(root, tmp_path / "results.csv")
     assert (again.done, again.skipped, again.rows_in_table) == (1, 2, 3)
+    assert str(root / r"by\udcff") in set(pd.read_csv(tmp_path / "results.csv")["capture"])
 
 
 def test_an_interrupted_run_leaves_a_usable_table_and_goes_on(make_archive, tmp_path):

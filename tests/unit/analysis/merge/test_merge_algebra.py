@@ -54,12 +54,24 @@ def terms_with(darks):
     return frame_terms(FrameSettings(1.0), situation, darks, through_lens=False)
 
 
-@pytest.mark.parametrize("other", [{"gain_db": 6.0}, {"exposure_s": 2.0}, {"exposure_s": 1.02}])
-def test_dark_frames_of_another_setting_are_not_taken_off_pixel_by_pixel(other):
-    """Those of the same gain and exposure (to 1 %) are; of any other the level at most."""
+@pytest.mark.parametrize("other", [{"gain_db": 6.0}, {"exposure_s": 0.5}, {"exposure_s": 0.98}])
+def test_dark_frames_of_another_gain_or_shorter_ones_are_not_taken_off_pixel_by_pixel(other):
+    """Those of the same gain and exposure (to 1 %) are; of these the level at most."""
     same = terms_with([frame(130, shutter="closed"), frame(140, exposure_s=1.005, shutter="closed")])
     assert same.dark.tolist() == pytest.approx([35.0] * 16)
     assert terms_with([frame(500, shutter="closed", **other)]).dark.size == 1
+
+
+def test_pixels_of_longer_dark_frames_differ_by_the_ratio_of_times():
+    """80 DN more than the mean in 4 s are 20 in 1 s; of longer ones the nearest count, and their noise a sixteenth."""
+    hot = np.full((4, 4), 120)
+    hot[1, 2] = 205
+    longer = [frame(hot, exposure_s=time_s, shutter="closed") for time_s in (4.0, 8.0)]
+    terms, even = terms_with(longer), terms_with([frame(120, exposure_s=one, shutter="closed") for one in (4.0, 8.0)])
+    assert np.ptp(terms.dark) == pytest.approx(85.0 / 4.0)
+    assert float(np.mean(terms.dark)) == pytest.approx(terms.level)
+    assert terms.dark_variance == pytest.approx(even.dark_variance)
+    assert 0.0 < terms.dark_variance < terms_with([frame(120, shutter="closed")]).dark_variance
 
 
 def test_what_differs_by_a_seventh_is_marked_and_by_a_hundredth_is_not():

@@ -1,5 +1,6 @@
 """The grammar of laws and the effects that are written of them, against figures worked out by hand."""
 
+import ast
 import importlib.util
 import itertools
 import math
@@ -334,7 +335,7 @@ def laws():
 
 
 def test_every_law_makes_a_readable_file():
-    """No line is longer than 120 signs, and the file defines the effect under its name."""
+    """No line is longer than 120 signs, the file defines the effect under its name, and no folder's name is code."""
     sentence = (
         "Adds charge in proportion to exposure, falling off as a Gaussian from the lower left corner: like a glow."
     )
@@ -343,6 +344,8 @@ def test_every_law_makes_a_readable_file():
         assert max(map(len, text.splitlines())) <= 120, law.name
         assert f"class {law.class_name}(effect_class(LAW, 0.5)):" in text
         assert effect_of(law, 0.5).name == law.name
+    named = ast.parse(effect_source(law, 0.5, source='from \'a"""\\x22 + b\\\'\n\0""" + str(1) + """'))
+    assert [type(one) for one in named.body] == [ast.Expr, ast.ImportFrom, ast.ImportFrom, ast.Assign, ast.ClassDef]
 
 
 def test_the_written_test_passes_and_dies_with_the_law(tmp_path):
