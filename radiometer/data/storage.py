@@ -39,7 +39,14 @@ def shipped_config(name: str) -> Path:
 
 
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+_SafeDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _Dumper(_SafeDumper):  # type: ignore[misc]
+    """The library's, to which names of files that are not UTF-8 are text with escapes."""
+
+
+_Dumper.add_representer(str, lambda dumper, text: dumper.represent_str(text.encode(errors="backslashreplace").decode()))
 
 
 _NEW_FILES: ContextVar[set[Path] | None] = ContextVar("_NEW_FILES", default=None)
@@ -242,7 +249,7 @@ def state_folder() -> Path:
 
 def write_text_atomic(path: Path, text: str) -> None:
     """Write UTF-8 text as `write_bytes_atomic` writes bytes."""
-    write_bytes_atomic(path, text.encode())
+    write_bytes_atomic(path, text.encode(errors="backslashreplace"))
 
 
 def csv_text(rows: Iterable[Sequence[Any]]) -> str:

@@ -13,7 +13,7 @@ import pytest
 
 from radiometer.analysis.exports.maps import WRITERS, MapPicture, writer_for
 from radiometer.data import CameraDescription, CaptureSet, CaptureSetWriter, Frame, FrameSettings, RadianceMap, storage
-from radiometer.data.storage import read_text, read_yaml
+from radiometer.data.storage import read_text, read_yaml, write_text_atomic, write_yaml_atomic
 from radiometer.errors import InputError, OutputError, OutputRefused
 
 
@@ -175,6 +175,14 @@ def test_text_is_read_without_an_editor_s_mark(tmp_path):
         read_text(path)
     with pytest.raises(InputError, match=r"cannot read .*no\.csv: No such file"):
         read_text(tmp_path / "no.csv")
+
+
+def test_names_that_are_not_utf_8_are_written_with_escapes(tmp_path):
+    """A folder of an old archive stands in text and YAML as what an editor can show."""
+    write_text_atomic(tmp_path / "t.txt", "by\udcff")
+    write_yaml_atomic(tmp_path / "y.yaml", {"by\udcff": ["µm", "\udcff"]})
+    assert read_text(tmp_path / "t.txt") == r"by\udcff"
+    assert read_yaml(tmp_path / "y.yaml") == {r"by\udcff": ["µm", r"\udcff"]}
 
 
 @pytest.mark.parametrize(("mask", "mode"), [(0o077, 0o600), (0o002, 0o664)])
