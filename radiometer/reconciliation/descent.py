@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -182,8 +182,8 @@ def _trials(state: FitState) -> Iterator[FitState]:
         return
     # Along a bent valley effects are damped; where all else bends, nothing but shortening helps.
     damped = (state.fit.damped(_DAMPED**power) for power in range(_TRIALS if state.fit.effects.shape[1] else 0))
-    shorter = (_SHORTER**power * state.fit.step for power in range(1 + _TRIALS))
-    for step in chain(islice(shorter, 2), damped, shorter):
+    shorter = (_SHORTER ** (1 + power) * state.fit.step for power in range(_TRIALS))
+    for step in chain((state.fit.step,), damped, shorter):
         trial = _moved(state, step)
         if _is_within_range(trial):
             yield trial
