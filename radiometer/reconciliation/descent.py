@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -33,7 +32,7 @@ from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
-_SHORTER, _DAMPED, _TRIALS = 0.3, 10.0, 5  # of steps that are tried where the whole one fails
+_SHORTER, _SHORTENINGS = 0.3, 6  # steps that are tried
 _IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
 _CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
 _HOLDS: Final = 0.25  # share of the gain before that a step by old derivatives may have; beyond, new ones are taken
@@ -180,11 +179,8 @@ def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]] = frozens
 def _trials(state: FitState) -> Iterator[FitState]:
     if state.cost - state.promised < _CONVERGED * state.misfit:
         return
-    # Along a bent valley effects are damped; where all else bends, nothing but shortening helps.
-    damped = (state.fit.damped(_DAMPED**power) for power in range(_TRIALS if state.fit.effects.shape[1] else 0))
-    shorter = (_SHORTER ** (1 + power) * state.fit.step for power in range(_TRIALS))
-    for step in chain((state.fit.step,), damped, shorter):
-        trial = _moved(state, step)
+    for number in range(_SHORTENINGS):
+        trial = _moved(state, _SHORTER**number * state.fit.step)
         if _is_within_range(trial):
             yield trial
 
@@ -261,7 +257,7 @@ def included(state: FitState, effect: CatalogueEffect) -> FitState:
     mine = frozenset(i for i, at in enumerate(following.parameters.owner) if following.effects[at].name == effect.name)
     try:
         moved = replace(coarse_fit(replace(following, frozen=mine)), frozen=frozenset())
-        fitted = _converged(_profiled_anew(moved))
+        fitted = _converged(coarse_fit(_profiled_anew(moved)))
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
     if _is_nothing(fitted, effect.name):  # no separate model, so none of the posterior's

@@ -140,16 +140,6 @@ class LinearFit:
         """Return the change of the parameters that minimises the residual."""
         return self.solve(self._slope)
 
-    def damped(self, share: float) -> Array:
-        """Return the step with effect parameters held back by a share of what all rows show of each, nuisances free.
-
-        Source: Marquardt (1963), with the nuisances projected out: Golub & Pereyra (1973), variable projection.
-        """
-        known, factor = self.nuisances.columns, self.factor.copy()
-        own = factor[known:, known:] @ factor[known:, known:].T
-        factor[known:, known:] = cholesky(own + share * np.diag(np.diag(own)))
-        return _triangular(factor, _triangular(factor, self._slope), transposed=True)
-
     @property
     def gain(self) -> float:
         """Return the χ² that the parameters take up."""

@@ -220,21 +220,26 @@ def propose_for_unnamed(
                 best = best_start(nothing, kind.starts(state.model.context)[:_STARTS])
                 if best is not None:
                     models[name] = refit(with_effects(plain, [*state.effects, best.effect]), iterations=_REFITS)
-        gained = {name: nothing.cost - model.cost for name, model in models.items()}
-        least = max(_EXPLAINS * max(gained.values(), default=0.0), _HELPS_CHI2)
-        names = [name for name, gain in gained.items() if gain > least]
-        if names and (frame := _farthest([nothing, *(models[name] for name in names)])) is not None:
+        farthest = _farthest(nothing, models)
+        if farthest is not None:
+            frame, names = farthest
             return _advice(frame, f"shows which of {', '.join(names)} it is, if any") | {"separates": names}
     return None
 
 
-def _farthest(models: Sequence[FitState]) -> FrameEntry | None:
-    """Return the new setting in which models differ most, each from each; None where that is too little."""
-    pool = CapturePool.of(models[0])
-    pairs = [pool.separation(a, b) for a, b in combinations(map(pool.predicted, models), 2)]
+def _farthest(nothing: FitState, models: Mapping[str, FitState]) -> tuple[FrameEntry, list[str]] | None:
+    """Return the new setting in which models that explain something differ most, from none and from each other."""
+    gained = {name: nothing.cost - model.cost for name, model in models.items()}
+    largest = max(gained.values(), default=0.0)
+    names = [name for name, gain in gained.items() if gain > max(_EXPLAINS * largest, _HELPS_CHI2)]
+    if not names:
+        return None
+    pool = CapturePool.of(nothing)
+    expected = [pool.predicted(model) for model in (nothing, *(models[name] for name in names))]
+    pairs = [pool.separation(a, b) for a, b in combinations(expected, 2)]
     worth = np.minimum(np.nan_to_num(np.stack(pairs)), _DISTINGUISHED_CHI2).sum(axis=0) * pool.is_new
     index = int(np.argmax(worth))
-    return pool.frame(index) if worth[index] > _HELPS_CHI2 else None
+    return (pool.frame(index), names) if worth[index] > _HELPS_CHI2 else None
 
 
 def propose_for_blind(
