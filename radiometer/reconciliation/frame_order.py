@@ -26,7 +26,7 @@ from scipy.special import fdtrc
 from radiometer.data import Frame
 from radiometer.reconciliation.design import CaptureStatistics, Design
 from radiometer.reconciliation.reduce import FrameReader, light_of_frames
-from radiometer.reconciliation.thresholds import SIGNIFICANCE
+from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
 from radiometer.statistics.least_squares import residual
 from radiometer.typing import Array
 
@@ -102,7 +102,7 @@ def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.b
     frames, goes_on = [design.captures[n].frames for n in chosen], [design.goes_on(n) for n in chosen]
     found = [_rated(frames, goes_on, apart, weight, period) for period in _PERIODS]
     best = min((entry for entry in found if entry is not None), key=lambda entry: entry.p_value, default=None)
-    if best is None or best.p_value * len(_PERIODS) > SIGNIFICANCE:
+    if best is None or best.p_value * len(_PERIODS) > FRAME_SIGNIFICANCE:
         return None
     return replace(best, p_value=min(best.p_value * len(_PERIODS), 1.0))
 

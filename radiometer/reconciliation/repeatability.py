@@ -19,7 +19,7 @@ from scipy.special import stdtr
 
 from radiometer.reconciliation.design import CaptureStatistics, Design
 from radiometer.reconciliation.result import FittedParameter, Repeats, Series
-from radiometer.reconciliation.thresholds import SIGNIFICANCE
+from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
 from radiometer.statistics.chances import chi2_beyond, chi2_quantile
 from radiometer.statistics.least_squares import solve
 from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
@@ -290,7 +290,7 @@ def _standing_out(apart: Array, total: float, freedom: int) -> tuple[int, ...]:
     n = apart.size
     left = np.maximum(total - apart**2 * (n - 1.0) / n, 1e-30) / max(freedom - 1, 1)
     chance = 2.0 * stdtr(freedom - 1, -np.abs(apart) / np.sqrt(left * n / (n - 1.0))) * (freedom + 1)
-    return tuple(np.flatnonzero(chance < SIGNIFICANCE).tolist()) if freedom > _FEWEST else ()
+    return tuple(np.flatnonzero(chance < FRAME_SIGNIFICANCE).tolist()) if freedom > _FEWEST else ()
 
 
 # ---- darkness -------------------------------------------------------------------------------------------------------

@@ -47,9 +47,17 @@ SIGNIFICANCE: Final = _row(
     "SIGNIFICANCE",
     0.005,
     "chance",
-    "a false alarm among all tests of one pass, among the few in a name's own place, among periods of frames and among "
-    "equal frames; a gap that is open by chance",
+    "a false alarm among all tests of one pass, and among the few in a name's own place; a gap that is open by chance",
     _NULL,
+)
+FRAME_SIGNIFICANCE: Final = _row(
+    "FRAME_SIGNIFICANCE",
+    0.001,
+    "chance",
+    "a period among frames that scatter at random, one of equal frames reported as an outlier by chance",
+    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py), series drawn at random "
+    "(tests/unit/reconciliation/test_reconcile_places.py): none; at 0.005 the plan that settles a first answer found "
+    "a further name (tests/system/test_reconcile_chain.py)",
 )
 CLOSED_GAP: Final = _row(
     "CLOSED_GAP", 1.05, "1", "calling a gap open that is chance; it was 1.02 at most in 365 sets", _NULL
