@@ -63,15 +63,35 @@ def test_dark_frames_of_another_gain_or_shorter_ones_are_not_taken_off_pixel_by_
 
 
 def test_pixels_of_longer_dark_frames_differ_by_the_ratio_of_times():
-    """80 DN more than the mean in 4 s are 20 in 1 s; of longer ones the nearest count, and their noise a sixteenth."""
-    hot = np.full((4, 4), 120)
-    hot[1, 2] = 205
-    longer = [frame(hot, exposure_s=time_s, shutter="closed") for time_s in (4.0, 8.0)]
-    terms, even = terms_with(longer), terms_with([frame(120, exposure_s=one, shutter="closed") for one in (4.0, 8.0)])
-    assert np.ptp(terms.dark) == pytest.approx(85.0 / 4.0)
-    assert float(np.mean(terms.dark)) == pytest.approx(terms.level)
-    assert terms.dark_variance == pytest.approx(even.dark_variance)
-    assert 0.0 < terms.dark_variance < terms_with([frame(120, shutter="closed")]).dark_variance
+    """80 DN more than the others in 4 s and 160 in 8 s are 20 in 1 s, and 320 in 16 s; its shot noise counts too."""
+
+    def darks(times_s):
+        hot = np.zeros((4, 4))
+        hot[1, 2] = 20.0
+        return [frame(np.rint(110 + hot * time_s), exposure_s=time_s, shutter="closed") for time_s in times_s]
+
+    for times_s in ((4.0, 8.0), (0.25, 0.5)):
+        terms = terms_with(darks(times_s))
+        assert np.ptp(terms.dark) == pytest.approx(20.0)
+        assert float(np.mean(terms.dark)) == pytest.approx(terms.level)
+        assert terms.dark_variance == 0.0  # the others do not differ
+        noise = terms_with([frame(110, shutter="closed")]).dark_variance
+        squares = sum(time_s**2 for time_s in times_s)
+        shot = 20.0 / GAIN_E * sum(time_s**3 for time_s in times_s) / squares**2
+        assert shot < float(terms.variance_hot.max()) <= shot + noise / squares
+        assert np.count_nonzero(terms.variance_hot) == 1
+
+
+def test_pixels_that_fill_up_in_every_dark_frame_are_filled_from_their_neighbours():
+    """A pixel at full scale after 8 s has an unknown dark signal after 1 s: marked, and counted in a note."""
+    full = np.full((6, 6), 110)
+    full[2, 3] = 4095
+    seen = np.full((6, 6), 1110)
+    seen[2, 3] = 3000
+    found = merge([frame(full, exposure_s=8.0, shutter="closed"), frame(seen)], Setup(CAMERA, LENS, CALIBRATION))
+    assert found.mask[2, 3] & PixelMask.DEFECTIVE
+    assert np.ptp(found.radiance) == pytest.approx(0.0, abs=1e-3 * float(found.radiance.max()))
+    assert any("1 pixels fill up" in line for line in found.provenance.assumptions)
 
 
 def test_what_differs_by_a_seventh_is_marked_and_by_a_hundredth_is_not():
