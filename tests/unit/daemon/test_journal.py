@@ -323,7 +323,7 @@ def test_a_trend_point_stands_in_the_middle_of_its_time(tmp_path, make_reading):
 
 def test_an_undefined_radiance_is_not_drawn(tmp_path, make_reading):
     """Neither of two hours nor of a day; the reading itself is kept."""
-    radiances = [Quantity(float("nan"), float("nan"), "1"), Quantity(2.0, float("inf"), "1"), Quantity(1.0, 0.01, "1")]
+    radiances = [Quantity(float("nan"), float("nan"), "1"), Quantity(2.0, float("inf"), "1"), Quantity(1.0, 0.01, WATT)]
     given = [make_reading(time=iso_time(START_US), radiance=one) for one in radiances]
     reader = written(tmp_path / "j.sqlite", given)
     for span in (HOUR_US, 100 * HOUR_US):
