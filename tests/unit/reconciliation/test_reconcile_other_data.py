@@ -201,7 +201,7 @@ def test_one_of_four_labels_may_lie():
 
 @pytest.mark.slow
 def test_report_of_photographs_reports_the_story(tmp_path):
-    """One sentence with the factor and its U, the plot, what to do, and the others' exposures with their labels."""
+    """One sentence with the factor and its U, both plots, what to do, and the others' exposures with their labels."""
     real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6, EXACT[3] * 2.0]
     done = reconcile_photographs(_photographs([*real[:3], EXACT[3], real[4]], real))
     page = Path(done.write_report(tmp_path / "report.html")).read_text(encoding="utf-8")
@@ -210,7 +210,7 @@ def test_report_of_photographs_reports_the_story(tmp_path):
     assert found[1] == wrong.name
     assert float(found[2]) == pytest.approx(0.8, abs=0.03)
     assert float(found[3]) == pytest.approx(2.0 * wrong.u_ratio, rel=0.06)
-    assert page.count("<picture>") == 1
+    assert page.count("<picture>") == 2
     assert "class='do'" in page
     assert "<script" not in page
     for one in done.findings:
@@ -240,6 +240,20 @@ def test_a_label_has_one_size_wherever_it_is_reported(monkeypatch):
     assert (wrong.ratio, wrong.u_ratio) == (pytest.approx(0.8), pytest.approx(0.016))
     assert wrong.taken_s == pytest.approx(EXACT[1])
     assert outcome(done.result, done.findings).endswith("of its printed exposure (k = 2); the others agree.")
+
+
+def test_report_explains_a_wrong_label_and_what_would_have_been_detected(monkeypatch, tmp_path):
+    """A section per wrong label, a picture of the predictions' errors, and the folded table of detectable effects."""
+    done = _named(monkeypatch)
+    page = Path(done.write_report(tmp_path / "report.html")).read_text(encoding="utf-8")
+    (wrong,) = [one for one in done.findings if one.wrong]
+    assert f"<h2>Label of {wrong.name}</h2>" in page
+    assert re.search(r"Printed 1/[\d.]+\ss, exposed for .+ \(k\s=\s2\), 0\.32 stops less\. Left-out parts", page)
+    assert f"{wrong.error_dn:.2g} DN on average, {wrong.error_as_printed_dn:.2g} DN as printed." in page
+    assert page.count("<picture>") == 2
+    assert "<h2>Each photograph against its prediction</h2>" in page
+    table = page.partition("What these photographs would have detected")[2].partition("</table>")[0]
+    assert all(name in table for name in done.result.limits)
 
 
 def test_labels_that_may_be_meant_instead_are_reported(monkeypatch):
