@@ -31,6 +31,7 @@ from radiometer.screen.run import (
     ScreenStep,
     Uniformity,
     WarmUp,
+    additivity,
     as_mapping,
     curves_of,
     make_plan,
@@ -214,15 +215,11 @@ def _repeats(bench: Instrumented, least: int) -> int:
 
 
 def _additivity(measured: list[Measured]) -> float | None:
-    """Return (red + green + blue − 2·black)/white − 1 in radiance at the highest level; None unless all are known."""
-    levels = [one for one in measured if one.step.purpose == "level"]
+    """Return how far the primaries' sum is from white in radiance; the black counts once in each."""
     top = max(one.step.level for one in measured)
-    lit = {one.step.channel: one.mean.radiance for one in levels if one.step.level == top}
+    tops = [one for one in measured if one.step.purpose == "level" and one.step.level == top]
     blacks = [one.mean.radiance for one in measured if one.step.level == 0]
-    if not set(CHANNELS) <= set(lit):
-        return None
-    black = float(np.mean(blacks)) if blacks else 0.0
-    return (lit["red"] + lit["green"] + lit["blue"] - 2.0 * black) / lit["grey"] - 1.0
+    return additivity({one.step.channel: one.mean.radiance for one in tops}, float(np.mean(blacks)) if blacks else 0.0)
 
 
 COVERAGE: Final = 2.0

@@ -430,6 +430,13 @@ class Uniformity:
         return cls(rows, float(relative.min()), float(relative.max()), u_rel)
 
 
+def additivity(whites: Mapping[str, float], blacks: float) -> float | None:
+    """Return (red + green + blue − 2·black) / white − 1 of the highest levels; None unless all were measured."""
+    if not set(CHANNELS) <= set(whites):
+        return None
+    return (whites["red"] + whites["green"] + whites["blue"] - 2.0 * blacks) / whites["grey"] - 1.0
+
+
 def as_mapping(check: WarmUp | Flicker | Uniformity) -> dict[str, Any]:
     """Return a check as it is written to the file."""
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(check).items()}
