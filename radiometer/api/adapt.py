@@ -311,7 +311,7 @@ class AdaptationCurve(Result):
         """Return each estimate with its interval, then the reliability of the run where it is known."""
         found = []
         for name, estimate in self.fit.estimates.items():
-            interval = estimate.profile or estimate.bootstrap
+            interval = estimate.interval
             expanded = 2.0 * estimate.u
             known = interval is not None and interval.low < interval.high  # ends of an area are chosen, not estimated
             ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval and known else []
