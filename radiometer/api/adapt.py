@@ -100,15 +100,9 @@ class AdaptationRun(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         one = self.outcome
-        return {
-            "verdict": str(one.verdict),
-            "explanation": one.explanation,
-            "thresholds": len(one.times_min),
-            "catches": one.catches,
-            "false_presses": one.false_presses,
-            "reliability": one.reliability.to_mapping(),
-            "csv": None if self.table is None else str(self.table),
-        }
+        counts = {"thresholds": len(one.times_min), "catches": one.catches, "false_presses": one.false_presses}
+        known = {"verdict": str(one.verdict), "explanation": one.explanation, **counts}
+        return self.plain(**known, reliability=one.reliability, csv=self.table)
 
     def lines(self) -> list[str]:
         """Return verdict, counts and reliability in words."""
@@ -615,9 +609,6 @@ class Bleach(Result):
     cones_bleached_range: tuple[float, float]
     scotopic_ratio: float
     natural_pupil: bool
-
-    def to_mapping(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __str__(self) -> str:
         return (
