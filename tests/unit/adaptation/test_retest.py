@@ -1,6 +1,7 @@
 """Reliability of an eye's answers, and tests that are repeated."""
 
 import math
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -101,7 +102,7 @@ def test_json_says_the_limits_where_there_are_enough_pairs(pairs):
     if agreement is None:
         assert shown["agreement"] is None
     else:
-        assert shown["agreement"] == agreement.to_mapping()
+        assert shown["agreement"] == asdict(agreement)
         assert shown["agreement"] != {}
 
 
