@@ -707,6 +707,11 @@ def test_copies_of_light_and_dark_frames_change_nothing(copies: int) -> None:
     assert np.all(np.array(u_of([*dark, *light, *more]))[1:] < np.array(once)[1:])
     found = read_patch([*dark, *light, light[0]], WHERE, Setup(CAMERA))
     assert "1 frame is a copy of another to the last pixel: no exposure counts twice" in found.provenance.assumptions
+    further = light[0].dn.copy()
+    further[1:] += 1  # not by its first row alone
+    other = replace(light[0], dn=further)
+    found = read_patch([*dark, *light, other], WHERE, Setup(CAMERA))
+    assert not any("copy" in text for text in found.provenance.assumptions)
 
 
 def test_copied_files_of_a_folder_count_once(tmp_path: Path) -> None:
