@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,8 +21,8 @@ from radiometer.bench.box_holder import darken_held
 from radiometer.bench.screen import BROWSER, SIMULATED_DISPLAYS, START_TIMEOUT_S
 from radiometer.devices import DisplayPatch
 from radiometer.errors import ConfigurationError, UsageError
-from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
-from radiometer.screen.stimulus import Blink, Code, Hold, Rest, ScreenPicture, Shape, StimulusScreen, Viewing, in_codes
+from radiometer.screen.calibration import AXES, LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
+from radiometer.screen.stimulus import Blink, Code, Hold, Rest, ScreenPicture, Shape, StimulusScreen, Viewing
 from radiometer.typing import Array
 from simulators.displays import DISPLAYS, SimulatedDisplay
 from simulators.observers.observer import BEHAVIOURS, Observer, ObserverAtScreen, behaviour_of
@@ -35,7 +35,6 @@ _SIMULATED_PIXEL_MM: Final = 0.27  # Full HD at 24 inches
 # machine: Pronk et al. 2020, Behavior Research Methods 52, 1371. A rectangle from 0 to 0.1 s represents it.
 PRESS_LAG_S: Final = 0.1
 _SAME_PRESS_S: Final = 0.2  # two beginnings of a press that are reported closer than this are one
-_MASKS: Final[dict[str, Code]] = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
 # A spot whose light above black is less certain than this factor (k = 2) is not shown as a level.
 _LEAST_KNOWN_REL: Final = 0.5
 
@@ -98,7 +97,7 @@ class SpotLevels:
     def rgb(self, position: int) -> Code:
         """Return the codes of the level at a position."""
         code = int(self.codes[position])
-        red, green, blue = _MASKS[self.channel]
+        red, green, blue = AXES[self.channel]
         return (red * code, green * code, blue * code)
 
 
@@ -278,7 +277,7 @@ class ScreenStage(Stage):
         lit = self._rest
         if log10_level is not None:
             rgb = self.levels.rgb(self.levels.nearest(log10_level))
-            lit = ScreenPicture(shapes=(*self._rest.shapes, in_codes(self._spot, rgb)))
+            lit = ScreenPicture(shapes=(*self._rest.shapes, replace(self._spot, rgb=rgb)))
         return self._blink_once(lit)
 
     @property

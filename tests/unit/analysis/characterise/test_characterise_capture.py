@@ -9,15 +9,25 @@ import numpy as np
 import pytest
 
 import radiometer as rm
-from radiometer.analysis.characterise import EmvaDescriptor, characterise, read_subject, subject_of_capture
+from radiometer.analysis.characterise import characterise, read_subject, subject_of_capture
 from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, meaning
 from radiometer.analysis.characterise.result import SYMBOLS
 from radiometer.analysis.characterise.subject import Subject
-from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
+from radiometer.data import (
+    CameraDescription,
+    CaptureSet,
+    CaptureSetWriter,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Patch,
+    Quantity,
+)
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
 from radiometer.errors import CalibrationError, InputError, MeasurementError, OutputRefused, UsageError
+from radiometer.importing.emva_listing import EmvaListing
 from radiometer.numbers import with_u
 from radiometer.reporting.page import prose
 from simulators.cameras.simulated_camera import ColourFilters, FilteredScene
@@ -213,6 +223,20 @@ def test_other_plans_give_the_gain_too_and_a_note(plan, note, unknown, tmp_path)
     assert unknown & set(result.figures) == set()
 
 
+@pytest.mark.parametrize("step_dn", [4, 16])
+def test_padded_codes_count_as_such_though_nothing_states_them(capture, tmp_path, step_dn):
+    """The same frames on codes 4 or 16 DN apart: noise in electrons as before, K as many times larger, and a note."""
+    before = characterise(subject_of_capture(capture)).figures
+    with CaptureSetWriter(tmp_path / "padded", CameraDescription(bit_depth=16), LensDescription()) as writer:
+        for number, entry in enumerate(capture.header.frames):
+            dn = capture.read_frame(number).dn * np.uint16(step_dn)
+            writer.add(Frame(dn, 16, replace(entry.settings, black_level_dn=None)))
+    found = characterise(subject_of_capture(CaptureSet.read(tmp_path / "padded")))
+    assert any(f"codes are {step_dn} DN apart" in note for note in found.notes)
+    assert found.figures["sigma_d"].value == pytest.approx(before["sigma_d"].value, rel=0.02)
+    assert found.figures["K"].value == pytest.approx(step_dn * before["K"].value, rel=0.01)
+
+
 def test_what_cannot_be_characterised_is_refused(capture):
     """One file twice in each pair, a region outside the frame, an export without photons."""
     header = read_yaml(capture.path / "capture.yaml")
@@ -246,9 +270,9 @@ def test_descriptor_export_of_a_region_writes_that_part(tmp_path):
     capture = _capture(tmp_path / "set", _plan(), frames=3)
     subject = subject_of_capture(capture, Patch(10, 20, 64, 48))
     assert export_descriptor(subject, characterise(subject), tmp_path / "emva.txt") == []
-    descriptor = EmvaDescriptor.read(tmp_path / "emva.txt")
-    assert (descriptor.width, descriptor.height) == (64, 48)
-    assert [len(g.files) for g in descriptor.groups] == [2] * 32 + [3, 3]
+    listing = EmvaListing.read(tmp_path / "emva.txt")
+    assert (listing.width, listing.height) == (64, 48)
+    assert [len(one.files) for one in listing.entries] == [2] * 32 + [3, 3]
     assert "emva_images\\0000.png" in (tmp_path / "emva.txt").read_text()
     kept = (tmp_path / "emva_images" / "0000.png").read_bytes()
     with pytest.raises(OutputRefused, match="emva_images exists already and is not empty"):
@@ -297,7 +321,7 @@ def test_wrong_descriptors_are_refused_by_line(tmp_path, text, message):
     """The message gives file, line and what is wrong."""
     (tmp_path / "d.txt").write_text(text)
     with pytest.raises(InputError, match=message):
-        EmvaDescriptor.read(tmp_path / "d.txt")
+        EmvaListing.read(tmp_path / "d.txt")
 
 
 @pytest.mark.usefixtures("unrendered")
@@ -371,7 +395,7 @@ def test_figure_of_few_frames_agrees_within_its_uncertainty(ccd, name, value):
 
 def test_descriptor_with_backslashes_is_read(folder):
     """All images of the descriptor are found, bright and dark."""
-    descriptor = EmvaDescriptor.read(folder / "EMVA1288_Data.txt")
-    assert (descriptor.bit_depth, descriptor.width, descriptor.height) == (12, 640, 480)
-    assert {group.settings.shutter for group in descriptor.groups} == {"open", "closed"}
-    assert len([file for group in descriptor.groups for file in group.files]) == 108
+    subject = read_subject(folder / "EMVA1288_Data.txt")
+    assert subject.camera.bit_depth == 12
+    assert {group.settings.shutter for group in subject.groups} == {"open", "closed"}
+    assert len([file for group in subject.groups for file in group.files]) == 108
