@@ -11,7 +11,6 @@ from radiometer.analysis.characterise import characterise, read_subject
 from radiometer.analysis.characterise.dark_signal import (
     dark_signal,
     dark_transfer,
-    doubling_of,
     doubling_temperature,
     gain_from_darks,
     pooled_frame_sd,
@@ -744,20 +743,20 @@ def test_uncertainties_propagate_as_of_a_straight_function():
 @pytest.mark.parametrize("doubling_k", [5.0, 8.0])
 def test_a_dark_current_that_doubles_shows_by_how_many_kelvin(doubling_k):
     """2^(T/T_d) at any level; u goes as that of ln D over the span, and falling or unseen currents tell nothing."""
-    rates = [(t, Quantity(3.0 * 2.0 ** (t / doubling_k), 0.03 * 2.0 ** (t / doubling_k), "DN/s")) for t in (10.0, 30.0)]
-    found = doubling_temperature(rates)
+    slow, fast = (Quantity(3.0 * 2.0 ** (t / doubling_k), 0.03 * 2.0 ** (t / doubling_k), "DN/s") for t in (10.0, 30.0))
+    found = doubling_temperature([(10.0, 0.0, slow), (30.0, 0.0, fast)])
     assert (found.value, found.unit) == (pytest.approx(doubling_k), "K")
     u_slope = 0.01 * math.sqrt(2.0) / 20.0
     assert found.u / found.value == pytest.approx(u_slope / (math.log(2.0) / doubling_k))
-    warm = doubling_temperature(rates, [0.5, 0.5])
+    warm = doubling_temperature([(10.0, 0.5, slow), (30.0, 0.5, fast)])
     u_slope = math.hypot(u_slope, math.log(2.0) / doubling_k * 0.5 * math.sqrt(2.0) / 20.0)
     assert warm.u / warm.value == pytest.approx(u_slope / (math.log(2.0) / doubling_k))
-    assert doubling_temperature(rates[:1]) is None
-    assert doubling_temperature([(10.0, rates[1][1]), (30.0, rates[0][1])]) is None
+    assert doubling_temperature([(10.0, 0.0, slow)]) is None
+    assert doubling_temperature([(10.0, 0.0, fast), (30.0, 0.0, slow)]) is None
     for u_rel, text in ((0.501, False), (0.499, True)):
-        faint = (20.0, Quantity(1.0, u_rel, "DN/s"))
-        assert (doubling_temperature([faint, (40.0, Quantity(9.0, 0.1, "DN/s"))]) is not None) is text
-    assert doubling_of([(None, 0.0, rates[0][1]), (30.0, 0.0, rates[1][1])]) is None
+        faint = (20.0, 0.0, Quantity(1.0, u_rel, "DN/s"))
+        assert (doubling_temperature([faint, (40.0, 0.0, Quantity(9.0, 0.1, "DN/s"))]) is not None) is text
+    assert doubling_temperature([(None, 0.0, slow), (30.0, 0.0, fast)]) is None
 
 
 def test_a_dark_current_is_that_of_the_long_exposures_and_of_their_temperature():
