@@ -340,15 +340,6 @@ class Screened:
         return 0.5 * self.gain - PARAMETER_NATS * self.law.size
 
 
-def screened(state: FitState, laws: Iterable[Law]) -> list[Screened]:
-    """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following."""
-    look, terms = _Look(state), _Terms(state)
-    waiting, found, laws = list[Law](), list[Screened](), iter(laws)
-    while waiting := list(islice(laws, _AT_ONCE)):
-        found += look.gains(waiting, [terms.of_law(law) for law in waiting])
-    return found
-
-
 @dataclass(frozen=True, slots=True)
 class _Values:
     """Values of a law of amplitude 1 in the tiles, broadcasting to (captures, tiles)."""
@@ -369,25 +360,53 @@ class _Values:
 
 
 class _Look:
-    """Changes that laws make in the tested statistics, and how much of the residual they would take up."""
+    """Changes that laws make in the tested statistics of one state, and how much of the residual they would take up."""
 
     def __init__(self, state: FitState) -> None:
         whole, self._cuts, at = state.comparison.cuts, dict[str, slice](), 0
         for block in (*_FOLLOWING, "slope_x", "slope_y", "first"):
             self._cuts[block] = slice(at, at := at + whole[block].stop - whole[block].start)
         rows = np.concatenate([np.arange(whole[block].start, whole[block].stop) for block in self._cuts])
-        self._comparison, self._projected = state.comparison, state.fit.projected[rows]
-        self._fit = state.fit.within(rows)
+        self.state, self.known = state, _known_values(state)
+        self._projected, self._fit = state.fit.projected[rows], state.fit.within(rows)
         self._response = {key: _response(state, key) for key, link in LINKS.items() if not link.is_noise}
+        self._found: dict[tuple[object, ...], Array] = {}  # values of terms, and of products of them: laws at several
+        self._shown: dict[tuple[object, ...], _Values] = {}  # places of the chain share them
 
-    def gains(self, laws: Sequence[Law], shown: Sequence[Sequence[_Values]]) -> list[Screened]:
+    def screened(self, laws: Iterable[Law]) -> list[Screened]:
+        """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following."""
+        waiting, found, laws = list[Law](), list[Screened](), iter(laws)
+        while waiting := list(islice(laws, _AT_ONCE)):
+            found += self._gains(waiting, [self._of_law(law) for law in waiting])
+        self._found.clear()
+        self._shown.clear()
+        return found
+
+    def _of_law(self, law: Law) -> list[_Values]:
+        found = [self._product(law.terms)]
+        if any("phase" in term.values for term in law.terms):
+            found.append(self._product([_ahead(term) for term in law.terms]))
+        return found
+
+    def _product(self, terms: Sequence[Term]) -> _Values:
+        keys = tuple((term.form, term.covariate, *term.constants.items(), *term.values.items()) for term in terms)
+        if keys not in self._shown:
+            product: Array = np.ones((1, 1, 1, 1))
+            for key, term in zip(keys, terms, strict=True):
+                if key not in self._found:
+                    self._found[key] = _values_of(self.state, term, self.known)
+                product = product * self._found[key]
+            self._shown[keys] = _Values.of(product, self.state.design.frame_count[:, None, None])
+        return self._shown[keys]
+
+    def _gains(self, laws: Sequence[Law], shown: Sequence[Sequence[_Values]]) -> list[Screened]:
         """Return laws, of one column each or (a wave) of two, with amplitude and χ²."""
         columns = [(values, self._response[law.link]) for law, own in zip(laws, shown, strict=True) for values in own]
         changes = np.zeros((self._fit.residual.size, len(columns)))
         for block, cut in self._cuts.items():
             own = self._changes(block, columns)
             if own.any():
-                changes[cut] = self._comparison.whiten(block, np.moveaxis(own, 0, -1)).reshape(-1, len(columns))
+                changes[cut] = self.state.comparison.whiten(block, np.moveaxis(own, 0, -1)).reshape(-1, len(columns))
         followed, part = self._fit.followed_with_half(changes)
         slope = followed.T @ self._projected
         squares, rows = np.einsum("ij,ij->j", changes, changes), np.ascontiguousarray(followed.T)
@@ -414,6 +433,11 @@ class _Look:
             if factor is not None:
                 np.multiply(factor, response.get(block, response["mean"]), out=own)
         return found
+
+
+def screened(state: FitState, laws: Iterable[Law]) -> list[Screened]:
+    """Return laws with the amplitude and the χ² that the tile means alone give them in a state, nuisances following."""
+    return _Look(state).screened(laws)
 
 
 def _known_values(state: FitState) -> dict[str, Array]:
@@ -467,33 +491,6 @@ def _response(state: FitState, link: str) -> dict[str, Array]:
     moved = state.comparison.expected(state.predicted_with((*state.effects, effect_of(Law(link), step))))
     base = state.comparison.expected(state.prediction)
     return {name: np.asarray((moved[name] - base[name]) / step) for name in _FOLLOWING}
-
-
-class _Terms:
-    """The values of laws in one state; what those at several places of the chain share is worked out once."""
-
-    def __init__(self, state: FitState) -> None:
-        self._state, self._known = state, _known_values(state)
-        self._frames = state.design.frame_count[:, None, None]
-        self._found: dict[tuple[object, ...], Array] = {}
-        self._shown: dict[tuple[object, ...], _Values] = {}
-
-    def of_law(self, law: Law) -> list[_Values]:
-        found = [self._product(law.terms)]
-        if any("phase" in term.values for term in law.terms):
-            found.append(self._product([_ahead(term) for term in law.terms]))
-        return found
-
-    def _product(self, terms: Sequence[Term]) -> _Values:
-        keys = tuple((term.form, term.covariate, *term.constants.items(), *term.values.items()) for term in terms)
-        if keys not in self._shown:
-            product: Array = np.ones((1, 1, 1, 1))
-            for key, term in zip(keys, terms, strict=True):
-                if key not in self._found:
-                    self._found[key] = _values_of(self._state, term, self._known)
-                product = product * self._found[key]
-            self._shown[keys] = _Values.of(product, self._frames)
-        return self._shown[keys]
 
 
 def _ahead(term: Term) -> Term:
@@ -555,16 +552,17 @@ def propose_law(state: FitState, along: Collection[str] = ()) -> Proposal | None
     Args:
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
     """
-    singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)))
+    look = _Look(state)
+    singles = look.screened(law for law in _singles(look.known) if not along or set(law.covariates) <= set(along))
     for forms in _REFINED:
-        singles += screened(state, _finer(state, singles, forms))
+        singles += look.screened(_finer(look.known, singles, forms))
     plain = {_formula(entry.law): entry.score for entry in sorted(singles, key=lambda entry: entry.score)}
     products = [
         entry
-        for entry in (screened(state, _products(state, singles)) if not along else ())
+        for entry in (look.screened(_products(look.known, singles)) if not along else ())
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
-    judged = _judged(state, _chosen([*singles, *products, *_noises(state, along)]))
+    judged = _judged(state, _chosen([*singles, *products, *_noises(look, along)]))
     if not judged:
         return None
     best = _plainest(judged)
@@ -583,8 +581,7 @@ def propose_law(state: FitState, along: Collection[str] = ()) -> Proposal | None
 
 
 # ---- which laws are looked at ------------------------------------------------------------------------------
-def _singles(state: FitState) -> Iterator[Law]:
-    known = _known_values(state)
+def _singles(known: Mapping[str, Array]) -> Iterator[Law]:
     terms = {name: tuple(terms_of(name, known)) for name in known}
     for link in (link for link in LINKS.values() if not link.is_noise):
         if "f_number" in link.goes_with and "f_number" not in known:
@@ -600,24 +597,24 @@ def _singles(state: FitState) -> Iterator[Law]:
                     yield Law(link.key, (term,))
 
 
-def _noises(state: FitState, along: Collection[str]) -> list[Screened]:
-    known, found = _known_values(state), list[Screened]()
+def _noises(look: _Look, along: Collection[str]) -> list[Screened]:
+    known, found = look.known, list[Screened]()
     for link in (link for link in LINKS.values() if link.is_noise):
         terms = [term for name in link.covariates if name in known for term in terms_of(name, known)]
         laws = [Law(link.key, (term,)) for term in terms if term.form in _OF_NOISE]
         for law in [*([Law(link.key)] if link.goes_with else []), *laws]:
             if along and not {*law.covariates, *link.goes_with} <= set(along):
                 continue
-            start = best_start(state, [effect_of(law, size) for size in _NOISES[link.unit]])
+            start = best_start(look.state, [effect_of(law, size) for size in _NOISES[link.unit]])
             if start is not None:
                 found.append(Screened(law, float(start.effect.values()[law.amplitude]), start.gain))
     return found
 
 
-def _finer(state: FitState, singles: Sequence[Screened], forms: Collection[str]) -> Iterator[Law]:
+def _finer(known: Mapping[str, Array], singles: Sequence[Screened], forms: Collection[str]) -> Iterator[Law]:
     """Yield the laws whose place the fit leaves where it is, between the places at which they were looked at."""
-    known, sharp = _known_values(state), [entry.law for entry in sorted(singles, key=lambda e: -e.score)]
-    sharp = [law for law in sharp if _is_sharp(law) and law.terms[0].form in forms]
+    ranked = (entry.law for entry in sorted(singles, key=lambda e: -e.score))
+    sharp = [law for law in ranked if _is_sharp(law) and law.terms[0].form in forms]
     for law in sharp[:_FINER]:
         alike = [other.terms[0].values["at"] for other in sharp if other.name == law.name]
         yield from (Law(law.link, (term,)) for term in finer(law.terms[0], known[law.terms[0].covariate], alike))
@@ -627,8 +624,7 @@ def _is_sharp(law: Law) -> bool:
     return [term.form for term in law.terms] in (["step"], ["border"])
 
 
-def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
-    known = _known_values(state)
+def _products(known: Mapping[str, Array], singles: Iterable[Screened]) -> Iterator[Law]:
     for place in PLACES if "source_level" in known else ():
         tilts = [term for term in terms_of(place, known) if term.form in ("ramp", "bow")]
         levels = [term for term in terms_of("source_level", known) if term.form in ("power", "step")]
