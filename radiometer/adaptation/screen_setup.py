@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,8 +21,8 @@ from radiometer.bench.box_holder import darken_held
 from radiometer.bench.screen import BROWSER, SIMULATED_DISPLAYS, START_TIMEOUT_S
 from radiometer.devices import DisplayPatch
 from radiometer.errors import ConfigurationError, UsageError
-from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
-from radiometer.screen.stimulus import Blink, Code, Hold, Rest, ScreenPicture, Shape, StimulusScreen, Viewing, in_codes
+from radiometer.screen.calibration import AXES, LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
+from radiometer.screen.stimulus import Blink, Code, Hold, Rest, ScreenPicture, Shape, StimulusScreen, Viewing
 from radiometer.typing import Array
 from simulators.displays import DISPLAYS, SimulatedDisplay
 from simulators.observers.observer import BEHAVIOURS, Observer, ObserverAtScreen, behaviour_of
@@ -35,7 +35,6 @@ _SIMULATED_PIXEL_MM: Final = 0.27  # Full HD at 24 inches
 # machine: Pronk et al. 2020, Behavior Research Methods 52, 1371. A rectangle from 0 to 0.1 s represents it.
 PRESS_LAG_S: Final = 0.1
 _SAME_PRESS_S: Final = 0.2  # two beginnings of a press that are reported closer than this are one
-_MASKS: Final[dict[str, Code]] = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
 # A spot whose light above black is less certain than this factor (k = 2) is not shown as a level.
 _LEAST_KNOWN_REL: Final = 0.5
 
@@ -73,8 +72,7 @@ class SpotLevels:
         if first == codes.size:
             raise ConfigurationError(
                 f"screen {calibration.name}: no level of {channel} can be distinguished from its black; calibrate "
-                "it with more "
-                "repeats"
+                "it with more repeats"
             )
         # Above the first usable level all are used: an uncertain one between two good ones is bounded by them.
         value = np.maximum.accumulate(added[first:])
@@ -98,7 +96,7 @@ class SpotLevels:
     def rgb(self, position: int) -> Code:
         """Return the codes of the level at a position."""
         code = int(self.codes[position])
-        red, green, blue = _MASKS[self.channel]
+        red, green, blue = AXES[self.channel]
         return (red * code, green * code, blue * code)
 
 
@@ -195,7 +193,7 @@ class ScreenStage(Stage):
                 "protocol with a steady bleach"
             )
         self.levels = SpotLevels.of(self.calibration, spot.channel, spot.filter_density)
-        red, _ = self._mark_code()
+        red, _ = self._red(mark.luminance_cd_m2)
         shown = self.viewing.ellipse(-half, mark.size_deg, red)
         self._spot = self.viewing.ellipse(half, spot.size_deg, self.levels.rgb(-1))
         self.viewing.require_room((shown, self._spot), self.screen.size)
@@ -209,7 +207,7 @@ class ScreenStage(Stage):
         check, spot = self.protocol.fixation_check, self.protocol.spot
         if check is None:
             return None
-        red, _ = mark_code(self.calibration, check.luminance_cd_m2 * 10.0**spot.filter_density)
+        red, _ = self._red(check.luminance_cd_m2)
         at_deg = side * (check.temporal_deg - spot.eccentricity_deg / 2)
         shape = self.viewing.ellipse(at_deg, check.size_deg, red, check.below_deg)
         try:
@@ -218,11 +216,9 @@ class ScreenStage(Stage):
             return None
         return shape
 
-    def _mark_code(self) -> tuple[Code, bool]:
-        """Return the red that is the mark's luminance at the eye, behind the filter; and whether it is calibrated."""
-        return mark_code(
-            self.calibration, self.protocol.fixation.luminance_cd_m2 * 10.0**self.protocol.spot.filter_density
-        )
+    def _red(self, luminance_cd_m2: float) -> tuple[Code, bool]:
+        """Return the red that has a luminance at the eye, behind the filter; and whether it is calibrated."""
+        return mark_code(self.calibration, luminance_cd_m2 * 10.0**self.protocol.spot.filter_density)
 
     def now_s(self) -> float:
         return self.clock() - self._zero_s
@@ -246,7 +242,7 @@ class ScreenStage(Stage):
             "coarsest_step_log10": round(self.levels.coarsest_step(self.protocol.spot.lowest_log10), 4),
             "u_level_log10": [round(float(self.levels.u_log10[i]), 4) for i in (0, -1)],
             "u_scale_log10": round(self.levels.u_common_log10, 4),
-            "mark_calibrated": self._mark_code()[1],
+            "mark_calibrated": self._red(self.protocol.fixation.luminance_cd_m2)[1],
             "u_press_s": round(self.u_press_s, 4),
             "warnings": self.screen.warnings(),
             "eye": self.eye,
@@ -278,7 +274,7 @@ class ScreenStage(Stage):
         lit = self._rest
         if log10_level is not None:
             rgb = self.levels.rgb(self.levels.nearest(log10_level))
-            lit = ScreenPicture(shapes=(*self._rest.shapes, in_codes(self._spot, rgb)))
+            lit = ScreenPicture(shapes=(*self._rest.shapes, replace(self._spot, rgb=rgb)))
         return self._blink_once(lit)
 
     @property

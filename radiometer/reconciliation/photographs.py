@@ -44,8 +44,19 @@ from radiometer.numbers import with_u
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.result import ByHand, FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reporting.origin import Origin
-from radiometer.reporting.page import folded, heading, listed, page, paragraph, table
-from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
+from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
+from radiometer.reporting.pictures import (
+    BEFORE,
+    DIMMED,
+    MODEL,
+    RULE,
+    dress,
+    label,
+    legend,
+    legend_above,
+    picture,
+    shortened,
+)
 from radiometer.typing import Array
 from radiometer.units import exact_exposures_s
 
@@ -358,6 +369,8 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
             error_dn=_mean_size(final[rows.frame == k]),
             error_as_printed_dn=_mean_size(before[rows.frame == k]),
             expected=float(judged.expected[k]),
+            dn=rows.dn[rows.frame == k],
+            errors_dn=(before[rows.frame == k], final[rows.frame == k]),
         )
         for k, name in enumerate(names)
     )
@@ -371,12 +384,13 @@ def _mean_size(errors: Array) -> float:
 # ---- report ---------------------------------------------------------------------------------------------------------
 OFFSET: Final = "exposure_time_offset"
 _LONGEST_NAME: Final = 18
+_BINS: Final = 24  # of digital numbers in the picture of errors: smooth lines, no detail of a tone curve lost
 _COVERAGE: Final = 2.0
 # From this error in ln exposure on a ninth of a stop counts as wrong.
 _TOLERATED: Final = 0.08
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class FrameFinding:
     """One photograph compared with the others."""
 
@@ -396,6 +410,8 @@ class FrameFinding:
     expected: (
         float  # what the label and the shutter's offset make together, over the label; 1 where no offset was taken
     )
+    dn: Array  # digital numbers of the photograph's samples, shape (samples,)
+    errors_dn: tuple[Array, Array]  # predicted from the others minus found, as printed and in the end; NaN as above
 
 
 def report_html(
@@ -417,9 +433,21 @@ def report_html(
                 (10.0, 4.2),
                 (4.0, 4.4),
             ),
+            *[_label_section(one) for one in wrong],
             _what_to_do(wrong, result),
+            section(
+                "Each photograph against its prediction",
+                picture(
+                    partial(_draw_errors, frames=frames),
+                    "Digital numbers of a left-out part of the picture, predicted by the other photographs, less "
+                    "those measured: with the printed exposures, and with those found.",
+                    (10.0, 4.2),
+                    (4.0, 6.0),
+                ),
+            ),
             heading("Figures"),
             _frame_table(frames),
+            folded("What these photographs would have detected", _limits_shown(result)),
             folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
         ],
         kind="reconcile",
@@ -457,10 +485,25 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
     return f"{sentence[0].upper() if not wrong else sentence[0]}{sentence[1:]}; {others}."
 
 
+def _label_section(one: FrameFinding) -> str:
+    stops = math.log2(one.ratio)
+    taken = with_u(one.taken_s, _COVERAGE * one.taken_s * one.u_ratio / one.ratio, "s")
+    return section(
+        f"Label of {one.name}",
+        paragraph(
+            f"Printed {_seconds(one.stated_s)}, exposed for {taken} (k = {_COVERAGE:g}), {abs(stops):.2f} stops "
+            f"{'more' if stops > 0 else 'less'}. Left-out parts of this photograph are then predicted by the others to "
+            f"{_dn(one.error_dn)} on average, {_dn(one.error_as_printed_dn)} as printed.",
+            "what",
+        ),
+    )
+
+
 def _what_to_do(wrong: Sequence[FrameFinding], result: ReconcileResult) -> str:
     if not wrong and all(effect.name != OFFSET for effect in result.effects):
         return ""
-    look = f"look at the EXIF record of {', '.join(one.name for one in wrong)}, or take them again; " if wrong else ""
+    names, them = ", ".join(one.name for one in wrong), "it" if len(wrong) == 1 else "them"
+    look = f"Look at the EXIF record of {names}, or take {them} again; " if wrong else ""
     return paragraph(
         f"{look}-o exposures.txt writes the exposures that agree, which every command reads with the photographs.", "do"
     )
@@ -482,6 +525,14 @@ def _frame_table(frames: Sequence[FrameFinding]) -> str:
     by_others, named = "by the others ÷ printed (k = 2)", "a wrong label is named from"
     head = ("photograph", "printed", "taken as", by_others, named, "error as printed", "in the end")
     return table(head, rows)
+
+
+def _limits_shown(result: ReconcileResult) -> str:
+    rows = [
+        (name, "cannot be detected" if limit.amplitude is None else f"× or ÷ {1.0 + limit.amplitude:.2f}")
+        for name, limit in result.limits.items()
+    ]
+    return table(("effect", "named in any photograph from"), rows, words=(1,))
 
 
 def _draw_ratios(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -> None:
@@ -507,10 +558,11 @@ def _draw_ratios(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -
     axes.plot(ends, middle, color=RULE, lw=0.8)
     tolerated = math.exp(_TOLERATED)
     axes.fill_between(ends, middle / tolerated, middle * tolerated, color=DIMMED, alpha=0.15, lw=0)
-    names = [f"{label(shortened(one.name, _LONGEST_NAME))}\n{_seconds(one.stated_s)}" for one in frames]
-    axes.set_xticks(
-        place, names, rotation=60 if narrow or len(names) > 8 else 0, ha="right" if len(names) > 8 else "center"
-    )
+    names = [label(shortened(one.name, _LONGEST_NAME)) for one in frames]
+    if not narrow:
+        names = [f"{name}\n{_seconds(one.stated_s)}" for name, one in zip(names, frames, strict=True)]
+    turned = narrow or len(names) > 8
+    axes.set_xticks(place, names, rotation=60 if turned else 0, ha="right" if turned else "center")
     axes.set_yscale("log")
     shown = np.array([one.ratio for one in frames if math.isfinite(one.ratio)])
     low, high = min(0.85, 0.95 * shown.min(initial=1.0)), max(1.18, 1.05 * shown.max(initial=1.0))
@@ -525,9 +577,27 @@ def _draw_ratios(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -
         legend(axes)
 
 
+def _draw_errors(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -> None:
+    panels = figure.subplots(*((2, 1) if narrow else (1, 2)), sharex=True, sharey=True)
+    most = max(float(one.dn.max(initial=1.0)) for one in frames)
+    for which, (axes, title) in enumerate(zip(panels, ("as printed", "with the exposures found"), strict=True)):
+        for one in frames:
+            known = np.isfinite(one.errors_dn[which])
+            dn, error = one.dn[known], one.errors_dn[which][known]
+            place = (dn * (_BINS / (most + 1.0))).astype(int)
+            count = np.bincount(place)
+            dn, error = (np.bincount(place, v)[count > 0] / count[count > 0] for v in (dn, error))
+            text = label(shortened(one.name, _LONGEST_NAME)) if one.wrong else None
+            axes.plot(dn, error, color=BEFORE if one.wrong else MODEL, lw=1.6 if one.wrong else 0.9, label=text)
+        axes.axhline(0.0, color=RULE, lw=0.8)
+        dress(axes, "digital number found (DN)", "predicted − found (DN)", title)
+    if any(one.wrong for one in frames):
+        legend_above(figure, panels[0], 1 if narrow else 4)
+
+
 def _dn(size: float) -> str:
     return f"{size:.2g} DN" if math.isfinite(size) else "–"
 
 
 def _seconds(seconds: float) -> str:
-    return f"1/{1.0 / seconds:.4g} s" if seconds < 0.3 else f"{seconds:.4g} s"
+    return f"1/{1.0 / seconds:.4g}\u00a0s" if seconds < 0.3 else f"{seconds:.4g}\u00a0s"

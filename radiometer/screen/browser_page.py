@@ -6,13 +6,14 @@ import itertools
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from dataclasses import asdict
 from typing import Any, ClassVar, Final
 
 from radiometer.devices import DisplayPatch
 from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout, SettingOutOfRange
 from radiometer.screen.loopback import Darken, LoopbackServer, Message, nothing_to_darken, page_text
-from radiometer.screen.stimulus import Blink, Hold, Rest, ScreenPicture, Shape
+from radiometer.screen.stimulus import Blink, Hold, Rest, ScreenPicture
 
 
 class BrowserPage(Opened):
@@ -198,11 +199,7 @@ def _hold(answer: dict[str, Any]) -> Hold:
 
 
 def _shapes(picture: ScreenPicture) -> list[dict[str, Any]]:
-    return [_mapping(shape) for shape in picture.shapes]
-
-
-def _mapping(shape: Shape) -> dict[str, Any]:
-    return {"x": shape.x, "y": shape.y, "width": shape.width, "height": shape.height, "rgb": list(shape.rgb)}
+    return [asdict(shape) for shape in picture.shapes]
 
 
 def _compare(picture: ScreenPicture, seen: list[list[int]]) -> None:

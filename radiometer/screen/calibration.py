@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -17,6 +17,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression, least_squares
 
 from radiometer.data import Provenance, Quantity
+from radiometer.data.json_text import finite_or_null
 from radiometer.data.provenance import utc_now
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.data.validation import ConfigSection, refuse_unknown, validate
@@ -50,6 +51,10 @@ class TransferFit:
     max_of_peak: float  # largest error in units of the highest value
     # Standard uncertainty of γ: by the noise of the values, or by how far they miss the formula where that is more
     u_gamma: float
+
+    def figures(self) -> dict[str, Any]:
+        """Return all but the name of the model by name."""
+        return {name: value for name, value in asdict(self).items() if name != "model"}
 
     def predict(self, level: ArrayLike) -> Array:
         """Return the model's values at levels 0..1."""
@@ -139,15 +144,19 @@ def _judged(model: TransferModel, parameters: Array, v: Array, y: Array, u_gamma
 
 
 FORMAT = "radiometer-screen/1"
-_KEYS: Final = (
-    "format", "name", "created", "instrument", "pixel_mm", "chromaticities", "measured_with", "checks", "provenance",
-    "channels",
-)  # fmt: skip
 RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
 
 # Displays follow a power law of about this exponent, so its root is nearly a straight line of the level.
 _MOST_FALL: Final = 0.1  # share of a screen's range by which its light may fall; noise of meters is far below
 _STRAIGHTENING: Final = 1 / 2.2
+# What a channel drives of red, green and blue.
+AXES: Final = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
+# Attributes of a channel that have another name in the file.
+_IN_FILE: Final = {
+    "radiance": "radiance_W_per_sr_m2",
+    "photopic_lm_per_w": "photopic_lm_per_W",
+    "scotopic_lm_per_w": "scotopic_lm_per_W",
+}
 
 
 def rising(values: ArrayLike, u: ArrayLike) -> Array:
@@ -368,48 +377,21 @@ class ChannelCurve:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping that is written to the file."""
-        return {
-            "levels": list(self.levels),
-            "bits": self.bits,
-            "radiance_W_per_sr_m2": list(self.radiance),
-            "u_independent": list(self.u_independent),
-            "u_common_rel": self.u_common_rel,
-            "u_spectrum_rel": dict(self.u_spectrum_rel),
-            "photopic_lm_per_W": self.photopic_lm_per_w,
-            "scotopic_lm_per_W": self.scotopic_lm_per_w,
-            "spectrum": self.spectrum,
-            "detection_limit": self.detection_limit,
-            "fits": {
-                name: {
-                    "parameters": f.parameters,
-                    "u_gamma": f.u_gamma if math.isfinite(f.u_gamma) else None,
-                    "rms_rel": f.rms_rel,
-                    "max_rel": f.max_rel,
-                    "max_of_peak": f.max_of_peak,
-                }
-                for name, f in self.fits().items()
-            },
-        }
+        mapping = {key: finite_or_null(getattr(self, name)) for name, key in self._keys().items()}
+        return mapping | {"fits": {name: finite_or_null(fit.figures()) for name, fit in self.fits().items()}}
 
     @classmethod
     def from_mapping(cls, name: str, mapping: Mapping[str, Any], where: str) -> ChannelCurve:
         """Return the channel that a mapping describes. Raises CalibrationError."""
         if not isinstance(mapping, Mapping):
             raise CalibrationError(f"{where}: channel {name}: {str(mapping)[:40]!r} holds no keys and values")
-        form = validate(_ChannelForm, mapping, f"{where}: channel {name}", CalibrationError)
-        return cls(
-            name,
-            form.levels,
-            form.radiance_W_per_sr_m2,
-            form.u_independent,
-            form.u_common_rel,
-            form.photopic_lm_per_W,
-            form.scotopic_lm_per_W,
-            form.spectrum,
-            form.detection_limit,
-            form.bits,
-            form.u_spectrum_rel,
-        )
+        form = dict(validate(_ChannelForm, mapping, f"{where}: channel {name}", CalibrationError))
+        return cls(name, **{attribute: form[key] for attribute, key in cls._keys().items()})
+
+    @classmethod
+    def _keys(cls) -> dict[str, str]:
+        """Return the key in the file of every attribute; a channel's name is the key of its section."""
+        return {one.name: _IN_FILE.get(one.name, one.name) for one in fields(cls) if one.name != "name"}
 
 
 @dataclass(frozen=True)
@@ -462,7 +444,7 @@ class ScreenCalibration:
         mapping = read_yaml(path)
         if mapping.get("format") != FORMAT:
             raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
-        refuse_unknown(mapping, _KEYS, str(path), CalibrationError)
+        refuse_unknown(mapping, ("format", *(one.name for one in fields(cls))), str(path), CalibrationError)
         channels, checks = mapping.get("channels"), mapping.get("checks") or {}
         if not isinstance(channels, dict) or "grey" not in channels:
             raise CalibrationError(f"{path}: holds no channel 'grey'; calibrate the screen again")

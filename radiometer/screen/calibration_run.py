@@ -22,6 +22,7 @@ from radiometer.screen.calibration import RADIANCE, ScreenCalibration
 from radiometer.screen.exports import ASSUMPTION
 from radiometer.screen.run import (
     CHANNELS,
+    REFERENCES,
     Flicker,
     Light,
     Measured,
@@ -29,7 +30,6 @@ from radiometer.screen.run import (
     ScreenReading,
     ScreenStep,
     Uniformity,
-    WarmUp,
     additivity,
     as_mapping,
     curves_of,
@@ -215,12 +215,10 @@ def _repeats(bench: Instrumented, least: int) -> int:
 
 def _additivity(measured: list[Measured]) -> float | None:
     """Return how far the primaries' sum is from white in radiance; the black counts once in each."""
-    tops: dict[str, float] = {}
-    blacks = [m.mean.radiance for m in measured if m.step.level == 0]
-    for entry in measured:
-        if entry.step.purpose == "level" and entry.step.level == max(m.step.level for m in measured):
-            tops[entry.step.channel] = entry.mean.radiance
-    return additivity(tops, float(np.mean(blacks)) if blacks else 0.0)
+    top = max(one.step.level for one in measured)
+    tops = [one for one in measured if one.step.purpose == "level" and one.step.level == top]
+    blacks = [one.mean.radiance for one in measured if one.step.level == 0]
+    return additivity({one.step.channel: one.mean.radiance for one in tops}, float(np.mean(blacks)) if blacks else 0.0)
 
 
 COVERAGE: Final = 2.0
@@ -252,10 +250,9 @@ class VerifiedLevel:
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """Levels of a screen measured again, and how it warmed up."""
+    """Levels of a screen measured again."""
 
     levels: tuple[VerifiedLevel, ...]
-    warm_up: WarmUp
 
     @property
     def holds(self) -> bool:
@@ -291,7 +288,6 @@ def verify_screen(
         DeviceError: If display or camera fail.
         MeasurementError: If a reading clips, or white is hardly brighter than black.
     """
-    references = [ScreenStep("grey", 255, "white"), ScreenStep("grey", 0, "black")]
     steps = [
         ScreenStep(name, level)
         for name, curve in calibration.channels.items()
@@ -303,8 +299,8 @@ def verify_screen(
         raise UsageError(
             f"the calibration of {calibration.name} covers none of the levels {', '.join(map(str, levels))}"
         )
-    measure_steps(bench.display, bench, references, patch_size=patch_size)
-    bench.display.show(references[0].patch())
+    measure_steps(bench.display, bench, REFERENCES, patch_size=patch_size)
+    bench.display.show(_WHITE)
     warm_up = wait_until_steady(bench, bench.sleep, limit_s=warm_up_limit_s, progress=waiting)
     measured = measure_steps(bench.display, bench, steps, patch_size=patch_size, progress=progress)
     found = []
@@ -316,4 +312,4 @@ def verify_screen(
         curve = calibration.channel(name)
         shared = min(curve.u_common_rel, one.u_common_rel) if same_meter else 0.0
         found.append(VerifiedLevel(name, level, curve.radiance_at(level), Quantity(one.radiance, u, RADIANCE), shared))
-    return Verified(tuple(found), warm_up)
+    return Verified(tuple(found))

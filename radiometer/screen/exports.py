@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_bytes_atomic, write_text_atomic
-from radiometer.errors import CalibrationError, UsageError, required_library
+from radiometer.errors import CalibrationError, required_library
 from radiometer.moments import moment_of
 from radiometer.numbers import below, unit_text, with_u
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, section, table
 from radiometer.reporting.pictures import dress, legend, picture
-from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
+from radiometer.screen.calibration import AXES, LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.run import checks_in_words
 from radiometer.typing import Array
 
@@ -63,9 +63,6 @@ def _xy_of(calibration: ScreenCalibration, channel: str) -> tuple[float, float]:
     return calibration.chromaticities.get(channel, ASSUMED_XY[channel])
 
 
-_RGB = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
-
-
 def to_ti3(calibration: ScreenCalibration) -> str:
     """Return the calibration as a .ti3 text.
 
@@ -102,7 +99,7 @@ def to_ti3(calibration: ScreenCalibration) -> str:
 
 
 def _rows(calibration: ScreenCalibration, name: str, white: float) -> list[str]:
-    curve, mask = calibration.channel(name), _RGB[name]
+    curve, mask = calibration.channel(name), AXES[name]
     rows = []
     for level in curve.levels:
         percent = 100 * level / curve.top_level
@@ -163,25 +160,19 @@ def correction(curve: ChannelCurve, gamma: float = TARGET_GAMMA, entries: int = 
     return np.maximum.accumulate(drive)
 
 
-def _channels(calibration: ScreenCalibration) -> list[NDArray[np.float64]]:
-    """Return the tables of red, green and blue; grey replaces a primary that was not measured."""
-    grey = calibration.channel("grey")
-    return [correction(calibration.channels.get(n, grey)) for n in ("red", "green", "blue")]
-
-
 def to_vcgt(calibration: ScreenCalibration) -> bytes:
     """Return the data of a `vcgt` tag: a table of 3 × 256 numbers of 16 bits, big-endian.
 
     Source: Apple's video card gamma tag: signature, 4 reserved bytes, type 0 (table), channels, entries, bytes.
     """
     head = struct.pack(">4sIIHHH", b"vcgt", 0, 0, 3, ENTRIES, 2)
-    numbers: NDArray[Any] = np.rint(np.array(_channels(calibration)) * 65535).astype(">u2")
+    numbers: NDArray[Any] = np.rint(np.array([correction(one) for one in _curves(calibration)]) * 65535).astype(">u2")
     return head + numbers.tobytes()
 
 
 def to_cal(calibration: ScreenCalibration) -> str:
     """Return ArgyllCMS's .cal text, which `dispwin` loads."""
-    red, green, blue = _channels(calibration)
+    red, green, blue = (correction(one) for one in _curves(calibration))
     head = [
         "CAL    ",
         "",
@@ -228,15 +219,8 @@ def to_psychopy_json(calibration: ScreenCalibration) -> str:
         "gammaGrid": _array(grid),
         "levelsPre": _array(np.array(levels, dtype=np.float64)),
         "lumsPre": _array(luminances),
-        "levelsPost": None,
-        "lumsPost": None,
-        "dkl_rgb": None,
-        "lms_rgb": None,
-        "spectraNM": None,
-        "spectraRGB": None,
-        "sizePix": None,
-        "width": None,
-        "distance": None,
+        **dict.fromkeys(("levelsPost", "lumsPost", "dkl_rgb", "lms_rgb", "spectraNM", "spectraRGB")),
+        **dict.fromkeys(("sizePix", "width", "distance")),
         "usebits": False,
     }
     return json_text({when.strftime("%Y_%m_%d %H:%M"): entry}, indent=2) + "\n"
@@ -397,7 +381,7 @@ def to_page(calibration: ScreenCalibration) -> str:
         draw_curves(figure.subplots(), calibration)
 
     grey = calibration.channel("grey")
-    white, black = (_shown(grey, grey.levels[end], LUMINANCE) for end in (-1, 0))
+    white, black = (_number(grey, grey.levels[end], LUMINANCE, LUMINANCE) for end in (-1, 0))
     with_what = calibration.measured_with
     known = (("pixel distance", f"{calibration.pixel_mm:g} mm" if calibration.pixel_mm else ""),)
     xy = [(name, f"{x:.4f}", f"{y:.4f}") for name, (x, y) in calibration.chromaticities.items()]
@@ -429,13 +413,8 @@ def _levels(curve: ChannelCurve) -> str:
     return table(head, rows)
 
 
-def _shown(curve: ChannelCurve, level: int, unit: str) -> str:
-    """Return the value at a level with U (k = 2) and its unit, or its limit of detection."""
-    return _number(curve, level, unit, unit)
-
-
 def _number(curve: ChannelCurve, level: int, of: str, unit: str = "") -> str:
-    """Return the quantity of a unit at a level, printed with the unit given."""
+    """Return the quantity of a unit at a level ± U (k = 2), or its limit of detection, printed with the unit given."""
     if curve.radiance_is_lost(level):
         return below(curve.detection_limit * curve.efficacy(of), unit)
     found = curve.at(level, of)
@@ -458,9 +437,7 @@ NOTES: Final[dict[str, Callable[[ScreenCalibration], list[str]]]] = {"icc": prof
 
 
 def write_export(calibration: ScreenCalibration, kind: str, path: Path) -> None:
-    """Write one of `EXPORTS`. Raises UsageError if there is no such kind; OutputError if the file cannot be written."""
-    if kind not in EXPORTS:
-        raise UsageError(f"export {kind!r} is unknown; choose from {', '.join(EXPORTS)}")
+    """Write one of `EXPORTS`. Raises OutputError if the file cannot be written."""
     content = EXPORTS[kind][0](calibration)
     if isinstance(content, bytes):
         write_bytes_atomic(path, content)

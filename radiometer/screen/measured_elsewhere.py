@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -21,7 +21,7 @@ from radiometer.data.statements import StatementMap
 from radiometer.data.text_table import TextTable, finite, read_export, read_table
 from radiometer.errors import InputError, UnsettledError
 from radiometer.plausible import PLAUSIBLE
-from radiometer.screen.calibration import LUMINANCE, ChannelCurve, ScreenCalibration
+from radiometer.screen.calibration import AXES, LUMINANCE, ChannelCurve, ScreenCalibration
 from radiometer.screen.run import Light
 from radiometer.typing import Array
 from radiometer.units import heading_parts
@@ -132,7 +132,7 @@ def _curve(
         float(np.std(levels[n], ddof=1)) / math.sqrt(len(levels[n])) if len(levels[n]) > 1 else 0.0 for n in ordered
     ]
     u = np.hypot(np.maximum(u, spread), readings.shape_u_rel * means)
-    return _of_luminance(name, tuple(ordered), means, u, light, meter_u_rel)
+    return light.curve(name, ordered, (means, u), meter_u_rel, LUMINANCE)
 
 
 def _like_grey(
@@ -149,23 +149,7 @@ def _like_grey(
     scale = (top - black) / (white - black)
     own = black + (luminance - black) * scale
     u = np.hypot(np.array(grey.u_independent) * grey.photopic_lm_per_w * scale, SHARED_SHAPE_U_REL * (own - black))
-    return _of_luminance(name, grey.levels, own, np.maximum(u, REPEAT_U_REL * own), light, meter_u_rel)
-
-
-def _of_luminance(
-    name: str, levels: tuple[int, ...], luminance: Array, u: Array, light: Light, meter_u_rel: float
-) -> ChannelCurve:
-    return ChannelCurve(
-        name,
-        levels,
-        tuple(float(v) for v in luminance / light.photopic_lm_per_w),
-        tuple(float(v) for v in u / light.photopic_lm_per_w),
-        meter_u_rel,
-        light.photopic_lm_per_w,
-        light.scotopic_lm_per_w,
-        light.spectrum,
-        u_spectrum_rel=light.u_rel_where_measured_in(LUMINANCE),
-    )
+    return light.curve(name, grey.levels, (own, np.maximum(u, REPEAT_U_REL * own)), meter_u_rel, LUMINANCE)
 
 
 def _scatter(levels: Array, values: Array) -> Array:
@@ -212,11 +196,11 @@ def _ti3(path: Path, text: str) -> ScreenReadings:
     if max(max(patch[:3]) for patch in patches) > _MOST_PERCENT:
         raise InputError(f"{path}: RGB go above 100; a .ti3 has them in per cent: divide them by 2.55")
     scale, note = _ti3_scale(path, keys, max(patch[3] for patch in patches))
-    groups = {name: _grouped(patches, which, scale) for name, which in _AXES.items()}
+    grey, primaries = _by_channel([([FULL * v / 100.0 for v in patch[:3]], patch[3] * scale) for patch in patches])
     return ScreenReadings(
         path.stem,
-        groups["grey"],
-        {name: levels for name, levels in groups.items() if name != "grey" and len(levels) > 1},
+        grey,
+        primaries,
         taken=(f"ArgyllCMS .ti3, {len(patches)} patches, {note}", f"meter {keys.get('TARGET_INSTRUMENT', 'unknown')}"),
         chromaticities=_brightest_xy(columns, rows),
     )
@@ -229,7 +213,7 @@ def _brightest_xy(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> dict
     at = [columns.index(name) for name in ("RGB_R", "RGB_G", "RGB_B", "XYZ_X", "XYZ_Y", "XYZ_Z")]
     table = np.array([[float(row[n]) for n in at] for row in rows])
     found = {}
-    for name, axis in _AXES.items():
+    for name, axis in AXES.items():
         rgb, top = table[:, :3], table[:, :3].max(axis=1)
         own = table[np.all(np.abs(rgb - top[:, None] * axis) < 1e-3, axis=1) & (top > 0.0)]
         if own.size:
@@ -257,6 +241,7 @@ def chromaticities_in(path: Path) -> Mapping[str, tuple[float, float]]:
 
 
 _MOST_PERCENT: Final = 100.5
+_SAME_DRIVE: Final = 2.5e-3  # of 255: files round percentages to five digits
 _LEAST_Y_REL: Final = 1e-3  # of white, by which noise may bring the black of a meter below 0
 _SAME_WHITE_REL: Final = 0.02  # rows repeat white; LUMINANCE_XYZ_CDM2 is one reading of it
 
@@ -296,18 +281,21 @@ def _block(text: str, name: str) -> str | None:
     return text[begin.end() : end.start()] if begin and end else None
 
 
-_AXES: Final = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
+def _by_channel(
+    rows: Iterable[tuple[Sequence[float], float]],
+) -> tuple[dict[int, list[float]], dict[str, dict[int, list[float]]]]:
+    """Return luminances by level of grey, and of the primaries with more than one level.
 
-
-def _grouped(patches: Sequence[tuple[float, ...]], axis: tuple[int, int, int], scale: float) -> dict[int, list[float]]:
-    """Return luminances by level of the patches (R, G, B in %, Y) that are on an axis."""
-    found: dict[int, list[float]] = {}
-    for red, green, blue, luminance in patches:
-        rgb = (red, green, blue)
-        top = max(rgb)
-        if all(abs(v - top * on) < 1e-3 for v, on in zip(rgb, axis, strict=True)):
-            found.setdefault(round(top * FULL / 100.0), []).append(luminance * scale)
-    return found
+    Args:
+        rows: Drive of red, green and blue, 0 to 255, and luminance in cd·m⁻².
+    """
+    found: dict[str, dict[int, list[float]]] = {name: {} for name in AXES}
+    for drive, luminance in rows:
+        top = max(drive)
+        for name, axis in AXES.items():
+            if all(abs(v - top * on) < _SAME_DRIVE for v, on in zip(drive, axis, strict=True)):
+                found[name].setdefault(round(top), []).append(luminance)
+    return found.pop("grey"), {name: levels for name, levels in found.items() if len(levels) > 1}
 
 
 def _ulr(path: Path, text: str) -> ScreenReadings:
@@ -324,7 +312,7 @@ def _ulr(path: Path, text: str) -> ScreenReadings:
         rgb = tuple(int(match.group(2)[n : n + 2], 16) for n in (0, 2, 4))
         if rgb[0] == rgb[1] == rgb[2]:
             grey.setdefault(rgb[0], []).append(float(match.group(1)))
-        for name, axis in list(_AXES.items())[1:]:
+        for name, axis in list(AXES.items())[1:]:
             if rgb == tuple(FULL * on for on in axis):
                 primaries.setdefault(name, {})[FULL] = [float(match.group(1))]
     if len(grey) < 3:
@@ -407,20 +395,19 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
         doubts.append(f"{table.header[light_at]!r} has no unit: read in cd·m⁻²; --map luminance=COLUMN:UNIT states it")
     luminance = finite(table.values(light_at, "luminance", doubts, mapped, "cd/m2" if plain else ""), table, light_at)
     drives = [_drives(table, at, doubts, mapped) for at in (channels or (level_at,) * 3)]
-    groups: dict[str, dict[int, list[float]]] = {name: {} for name in _AXES}
+    rows = list[tuple[Sequence[float], float]]()
     named_at = None if channels else next((n for n, name in enumerate(table.plain) if name in _CHANNEL_NAMES), None)
     for (number, cells), red, green, blue, value in zip(table.rows, *drives, luminance, strict=True):
         top = max(red, green, blue)
         drive = (red, green, blue) if named_at is None else _drive_of(path, number, cells[named_at], top)
-        for name, axis in _AXES.items():
-            if all(v == top * on for v, on in zip(drive, axis, strict=True)):
-                groups[name].setdefault(round(top), []).append(value)
+        rows.append((drive, value))
     table.refuse_mixed([light_at, *(channels or (level_at,)), named_at])
     left = table.not_used([light_at, *(channels or (level_at,)), *([] if named_at is None else [named_at])])
+    grey, primaries = _by_channel(rows)
     return ScreenReadings(
         path.stem,
-        groups["grey"],
-        {name: levels for name, levels in groups.items() if name != "grey" and len(levels) > 1},
+        grey,
+        primaries,
         resolution_cd_m2=10.0 ** -max(len(cells[light_at].partition(".")[2]) for _, cells in table.rows),
         taken=(
             f"a table, {table.how}",
@@ -444,9 +431,9 @@ def _without_chromaticity(table: TextTable) -> TextTable:
 
 def _drive_of(path: Path, line: int, channel: str, level: float) -> tuple[float, ...]:
     """Return the drive of red, green and blue of a row that names its channel. Raises InputError for another name."""
-    axis = _AXES.get(channel.strip().lower().replace("gray", "grey"))
+    axis = AXES.get(channel.strip().lower().replace("gray", "grey"))
     if axis is None:
-        raise InputError(f"{path}, line {line}: channel {channel!r} is unknown; rows are of {', '.join(_AXES)}")
+        raise InputError(f"{path}, line {line}: channel {channel!r} is unknown; rows are of {', '.join(AXES)}")
     return tuple(level * on for on in axis)
 
 

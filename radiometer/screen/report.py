@@ -24,13 +24,22 @@ from radiometer.devices import DisplayPatch
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.numbers import unit_text, upper_limit
 from radiometer.screen.calibration_run import Instrumented
-from radiometer.screen.run import Light, ScreenReading, ScreenStep, WarmUp, measure_steps, wait_until_steady
+from radiometer.screen.run import (
+    CHANNELS,
+    REFERENCES,
+    TOP,
+    Light,
+    ScreenReading,
+    ScreenStep,
+    WarmUp,
+    measure_steps,
+    wait_until_steady,
+)
 from radiometer.statistics.scale import spread_beyond_noise
 from radiometer.typing import Array
 
 WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
 BLACK: Final = DisplayPatch((0.0, 0.0, 0.0))
-_TOP: Final = 255  # highest of the 8-bit levels that patches are made of
 _STEEP: Final = 0.9  # of the drive: above it the logarithm that a local gamma is divided by is nearly 0
 _CONTRADICTION_REL: Final = 0.01  # of white: below it, assumed spectra agree as well as cameras measure
 _LIMITS: Final = (0.05, 0.01)  # warm-up is over within 5 %, or within 1 %, of the final luminance
@@ -39,11 +48,7 @@ _FINE_SHARE: Final = 0.02
 _COARSE_SHARE: Final = 0.15
 _DEGREE: Final = 4  # of the polynomial of x and y that takes off the shading, which a border would show as a spot
 _FEWEST_GOOD: Final = 0.9  # share of pixels with a value
-_PRIMARIES: Final[Mapping[str, DisplayPatch]] = {
-    "red": DisplayPatch((1.0, 0.0, 0.0)),
-    "green": DisplayPatch((0.0, 1.0, 0.0)),
-    "blue": DisplayPatch((0.0, 0.0, 1.0)),
-}
+_PRIMARIES: Final = {name: ScreenStep(name, TOP).patch() for name in CHANNELS if name != "grey"}
 
 
 def _grid(*shares: float) -> tuple[tuple[float, float], ...]:
@@ -319,7 +324,7 @@ def _checkerboard(examined: Examined) -> Section:
 
 def _gamma(examined: Examined) -> Section:
     (black,), (white,) = examined.shown(BLACK), examined.shown(WHITE)
-    drives = np.array([level / _TOP for level in examined.levels if 0 < level < _TOP])
+    drives = np.array([level / TOP for level in examined.levels if 0 < level < TOP])
     greys = [examined.shown(DisplayPatch((drive, drive, drive)))[0] for drive in drives.tolist()]
     dark, drift = black.radiance, examined.unsettled_rel
     clear = [one.radiance.value - dark.value > 3.0 * math.hypot(one.radiance.u, dark.u) for one in greys]
@@ -337,7 +342,7 @@ def _gamma(examined: Examined) -> Section:
         local: str | Quantity = "–"
         if kept and drive <= _STEEP:
             local = derived([black, one, white], partial(_local, drive=drive), drift_rel=drift)
-        rows.append((f"{round(drive * _TOP)}", examined.luminance(one.radiance), local))
+        rows.append((f"{round(drive * TOP)}", examined.luminance(one.radiance), local))
     notes = () if all(clear) else ("levels that do not rise above black by three standard uncertainties are left out",)
     slope = derived(readings, lambda values: line(values)[0], drift_rel=drift)
     misfit = derived(readings, lambda values: line(values)[1], drift_rel=drift)
@@ -616,7 +621,7 @@ def examine(
     black.
     """
     bench = examined.bench
-    measure_steps(bench.display, bench, [ScreenStep("grey", 255, "white"), ScreenStep("grey", 0, "black")])
+    measure_steps(bench.display, bench, REFERENCES)
     bench.display.show(WHITE)
     outcome = wait_until_steady(bench, bench.sleep, limit_s=warm_up_limit_s, progress=waiting)
     settled = replace(examined, unsettled_rel=outcome.drift_rel / 3.0**0.5)  # a rectangle of that half-width

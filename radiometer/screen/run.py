@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.numbers import rounded
-from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve
+from radiometer.screen.calibration import AXES, LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +36,7 @@ class Meter(Protocol):
 
 
 TOP: Final = 255  # highest level: the drivers and pages here set 8 bits
-CHANNELS: Final = ("grey", "red", "green", "blue")
-_PRIMARIES: Final[dict[str, tuple[float, float, float]]] = {
-    "grey": (1.0, 1.0, 1.0),
-    "red": (1.0, 0.0, 0.0),
-    "green": (0.0, 1.0, 0.0),
-    "blue": (0.0, 0.0, 1.0),
-}
+CHANNELS: Final = tuple(AXES)
 QUICK_LEVELS: Final = (0, 32, 64, 96, 128, 192, 255)  # dense where a screen's curve bends, dark
 REFERENCE_EVERY: Final = 10  # a drift over ten readings is a straight line
 
@@ -60,8 +54,12 @@ class ScreenStep:
     def patch(self, size: float = 1.0) -> DisplayPatch:
         """Return what the display is asked to show, `size` of the screen's width and height."""
         drive = self.level / TOP
-        red, green, blue = _PRIMARIES[self.channel]
+        red, green, blue = AXES[self.channel]
         return DisplayPatch((red * drive, green * drive, blue * drive), width_fraction=size, height_fraction=size)
+
+
+# White and black: a plan begins with them and comes back to them for the drift.
+REFERENCES: Final = (ScreenStep("grey", TOP, "white"), ScreenStep("grey", 0, "black"))
 
 
 def parse_levels(text: str) -> tuple[int, ...]:
@@ -99,13 +97,12 @@ def make_plan(levels: tuple[int, ...], channels: tuple[str, ...], rng: np.random
     if unknown:
         raise UsageError(f"channel {unknown[0]!r} is unknown; choose from {', '.join(CHANNELS)}")
     steps = [ScreenStep(channel, level) for channel in channels for level in levels]
-    references = [ScreenStep("grey", TOP, "white"), ScreenStep("grey", 0, "black")]
     plan: list[ScreenStep] = []
     for number, position in enumerate(rng.permutation(len(steps))):
         if number % REFERENCE_EVERY == 0:
-            plan += references
+            plan += REFERENCES
         plan.append(steps[position])
-    return plan + references
+    return [*plan, *REFERENCES]
 
 
 LEAST_CONTRAST: Final = 1.5  # white over black; a screen in a lit room still has more
@@ -179,6 +176,28 @@ class Light:
         by_radiance = {LUMINANCE: photopic, SCOTOPIC: scotopic}
         return by_radiance if unit == RADIANCE else {RADIANCE: photopic, SCOTOPIC: ratio}
 
+    def curve(
+        self,
+        name: str,
+        levels: Sequence[int],
+        values: tuple[ArrayLike, ArrayLike],
+        u_common_rel: float,
+        unit: str,
+        detection_limit: float = 0.0,
+    ) -> ChannelCurve:
+        """Return the curve of a channel that has this light.
+
+        Args:
+            values: Radiance or luminance of each level in `unit`, and the standard uncertainty of each by itself.
+            u_common_rel: Relative standard uncertainty shared by all levels, without that of the spectrum.
+            detection_limit: Radiance in W·sr⁻¹·m⁻² below which nothing was distinguished from no light.
+        """
+        per_radiance = 1.0 if unit == RADIANCE else self.photopic_lm_per_w
+        radiance, own = (tuple((np.asarray(one, dtype=np.float64) / per_radiance).tolist()) for one in values)
+        light = self.photopic_lm_per_w, self.scotopic_lm_per_w, self.spectrum, detection_limit
+        u_spectrum_rel = self.u_rel_where_measured_in(unit)
+        return ChannelCurve(name, tuple(levels), radiance, own, u_common_rel, *light, u_spectrum_rel=u_spectrum_rel)
+
 
 @dataclass(frozen=True, slots=True)
 class Measured:
@@ -189,17 +208,22 @@ class Measured:
 
     @property
     def mean(self) -> ScreenReading:
-        """Return the mean of the readings; their scatter counts where it exceeds their own uncertainty."""
-        values = np.array([r.radiance for r in self.readings])
-        stated = math.sqrt(sum(r.u_independent**2 for r in self.readings)) / len(values)
-        seen = float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
-        return ScreenReading(
-            radiance=float(values.mean()),
-            u_independent=max(stated, seen),
-            u_common_rel=max(r.u_common_rel for r in self.readings),
-            time_s=float(np.mean([r.time_s for r in self.readings])),
-            flags=tuple(sorted({f for r in self.readings for f in r.flags})),
-        )
+        """Return the mean of the readings."""
+        return mean_of(self.readings)
+
+
+def mean_of(readings: Sequence[ScreenReading]) -> ScreenReading:
+    """Return the mean of readings; their scatter counts where it exceeds their own uncertainty."""
+    values = np.array([r.radiance for r in readings])
+    stated = math.sqrt(sum(r.u_independent**2 for r in readings)) / len(values)
+    seen = float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
+    return ScreenReading(
+        radiance=float(values.mean()),
+        u_independent=max(stated, seen),
+        u_common_rel=max(r.u_common_rel for r in readings),
+        time_s=float(np.mean([r.time_s for r in readings])),
+        flags=tuple(sorted({f for r in readings for f in r.flags})),
+    )
 
 
 Progress = Callable[[int, int, ScreenStep], None]
@@ -291,11 +315,9 @@ def _detection_limit(blacks: Sequence[ScreenReading]) -> float:
     """
     if not blacks:
         return 0.0
-    values = np.array([b.radiance for b in blacks])
-    noise = math.sqrt(sum(b.u_independent**2 for b in blacks)) / len(blacks)
-    scatter = float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
-    limit = 3.0 * max(noise, scatter)
-    return limit if values.mean() < limit else 0.0
+    black = mean_of(blacks)
+    limit = 3.0 * black.u_independent
+    return limit if black.radiance < limit else 0.0
 
 
 def _curve(
@@ -307,18 +329,8 @@ def _curve(
     factors = [float(drift.at(readings[n].time_s)) for n in ordered]
     values = [max(readings[n].radiance / f, 0.0) for n, f in zip(ordered, factors, strict=True)]
     u = [math.hypot(readings[n].u_independent, v * drift.u_rel) for n, v in zip(ordered, values, strict=True)]
-    return ChannelCurve(
-        name,
-        tuple(ordered),
-        tuple(values),
-        tuple(u),
-        math.hypot(max(readings[n].u_common_rel for n in ordered), limits[1]),
-        light.photopic_lm_per_w,
-        light.scotopic_lm_per_w,
-        light.spectrum,
-        detection_limit=limits[0],
-        u_spectrum_rel=light.u_rel_where_measured_in(RADIANCE),
-    )
+    u_common_rel = math.hypot(max(readings[n].u_common_rel for n in ordered), limits[1])
+    return light.curve(name, ordered, (values, u), u_common_rel, RADIANCE, limits[0])
 
 
 STEADY_REL: Final = 0.002  # change over the window that counts as warmed up: the size of white's repeatability
@@ -423,7 +435,7 @@ class Uniformity:
 
 def additivity(whites: Mapping[str, float], blacks: float) -> float | None:
     """Return (red + green + blue − 2·black) / white − 1 of the highest levels; None unless all were measured."""
-    if not {"grey", "red", "green", "blue"} <= set(whites):
+    if not set(CHANNELS) <= set(whites):
         return None
     return (whites["red"] + whites["green"] + whites["blue"] - 2.0 * blacks) / whites["grey"] - 1.0
 

@@ -113,8 +113,3 @@ class Viewing:
                     f"mark and spot need a page {reach:.0f} pixels wide at {self.distance_mm:g} mm; it has {size[0]}: "
                     "go to full screen, sit closer (viewing.distance_mm) or lower spot.eccentricity_deg"
                 )
-
-
-def in_codes(shape: Shape, rgb: Code) -> Shape:
-    """Return a shape in other codes."""
-    return Shape(shape.x, shape.y, shape.width, shape.height, rgb)

@@ -8,11 +8,10 @@ result.to_mapping()                         # the camera file
 
 from radiometer.analysis.characterise.characterise import characterise
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.subject import EmvaDescriptor, Subject, read_subject, subject_of_capture
+from radiometer.analysis.characterise.subject import Subject, read_subject, subject_of_capture
 
 __all__ = [
     "Characterisation",
-    "EmvaDescriptor",
     "Subject",
     "characterise",
     "read_subject",

@@ -33,7 +33,7 @@ from radiometer.data.pile_up import white_levels_of
 from radiometer.data.white_level import WhiteLevel, white_level_notes
 from radiometer.errors import CaptureError, MeasurementError, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
-from radiometer.importing.emva_listing import DESCRIPTOR_NAME, EmvaListing, find_descriptor
+from radiometer.importing.emva_listing import EmvaListing, find_descriptor
 from radiometer.importing.found import record_in
 from radiometer.units import photon_energy_j
 
@@ -163,38 +163,6 @@ def _mean_sensitivity(patch: Patch, camera: CameraDescription, lens: LensDescrip
     if falloff_known(camera, lens) != "cos4":
         return 1.0
     return float(np.mean(relative_sensitivity(camera, lens, None, shape, x, y)))
-
-
-@dataclass(frozen=True, slots=True)
-class EmvaDescriptor:
-    """What a descriptor file says."""
-
-    path: Path  # the file
-    bit_depth: int  # bits per pixel
-    width: int  # pixels per row
-    height: int  # rows
-    groups: tuple[FrameGroup, ...]  # images of each setting; photons 0 for dark ones
-
-    @classmethod
-    def read(cls, path: Path) -> EmvaDescriptor:
-        """Return a descriptor file; exposures may be 0, and the photons need not follow them.
-
-        Raises:
-            InputError: If a line is not understood, there is no image, or one is missing; the message gives the line.
-        """
-        listing = EmvaListing.read(path)
-        groups = tuple(
-            FrameGroup(
-                FrameSettings(exposure_s=entry.exposure_s, shutter="closed" if entry.photons == 0 else "open"),
-                entry.files,
-                entry.photons,
-            )
-            for entry in listing.entries
-        )
-        return cls(path, listing.bit_depth, listing.width, listing.height, groups)
-
-
-__all__ = ["DESCRIPTOR_NAME", "EmvaDescriptor"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,16 +348,19 @@ def _of_statistics(path: Path, header: CaptureHeader) -> Subject:
 
 
 def _of_descriptor(path: Path, region: Patch | None) -> Subject:
-    descriptor = EmvaDescriptor.read(path)
-    if not 1 <= descriptor.bit_depth <= 16:
-        raise MeasurementError(f"{path}: {descriptor.bit_depth} bits per pixel; 1 to 16 can be read")
-    camera = CameraDescription(bit_depth=descriptor.bit_depth)
-    levels = _white_levels(descriptor.groups, camera)
-    camera, padded = _with_code_step(camera, descriptor.groups)
-    notes = (*white_level_notes(level for level in levels.values() if level.disagrees), *padded)
-    return Subject(
-        str(path), camera, LensDescription(), descriptor.groups, (region,), (None,), notes, white_levels=levels
+    """Return the frames of a descriptor; exposures may be 0, and the photons need not follow them."""
+    listing = EmvaListing.read(path)
+    if not 1 <= listing.bit_depth <= 16:
+        raise MeasurementError(f"{path}: {listing.bit_depth} bits per pixel; 1 to 16 can be read")
+    camera = CameraDescription(bit_depth=listing.bit_depth)
+    groups = tuple(
+        FrameGroup(FrameSettings(one.exposure_s, shutter="open" if one.photons else "closed"), one.files, one.photons)
+        for one in listing.entries
     )
+    levels = _white_levels(groups, camera)
+    camera, padded = _with_code_step(camera, groups)
+    notes = (*white_level_notes(level for level in levels.values() if level.disagrees), *padded)
+    return Subject(str(path), camera, LensDescription(), groups, (region,), (None,), notes, white_levels=levels)
 
 
 def _with_code_step(

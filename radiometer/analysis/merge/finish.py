@@ -15,6 +15,22 @@ asks.
 Near clipping it enters with its censored likelihood, or the choice of frames by their own noisy values would bias the
 result (Tobin 1958, Econometrica 26, 24). Where frames are cut off at black, those that are not are too bright on
 average, by what the truncated normal distribution states, which is subtracted.
+
+What the compiled functions share:
+    pattern: Bits of the frames used: a set of frames.
+    frames: float64, shape (n, 9). First the relative exposure t, the variance c of x without light, x at clipping, its
+        sigma there and the common uncertainty of the dark level. Then c at clipping, x where black cuts the frame off,
+        c there, and t^0.35.
+    kappa: Shot noise variance per unit of x.
+    gains: Gain factor of every frame.
+    quantisation: Variance (dx/dM)²/12 over √x, for `from_root_table`; None for a linear sensor, where it is part of
+        `frames`. The loops are compiled for each, which needs a separate argument.
+    top: x of its last entry; of no meaning for a linear sensor.
+    record: What follows from a set of frames, as `fill_record` makes it, float64, shape (RECORD_SIZE,); `records` is
+        of shape (sets, RECORD_SIZE), their number a power of 2, and `slot` the place of one.
+    levels: What `at_rate` returns at the levels of a set, shape (levels, 4), 0 where it was not asked; of no size for a
+        linear sensor.
+    rate, variance: Estimate from the frames that did not clip, and its variance.
 """
 
 from __future__ import annotations
@@ -44,33 +60,8 @@ _RUN = 1024  # pixels whose square roots are taken together: only a loop without
 _PROBES = 8
 _HASH = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio (Knuth, vol. 3, 6.4)
 # Columns of a record: what `finish` needs of one set of frames.
-(
-    INV1,
-    INV2,
-    S2,
-    P0,
-    P1,
-    R0,
-    R1,
-    A0,
-    A1,
-    V0,
-    V1,
-    CC,
-    C1,
-    D1,
-    D2,
-    NEAR,
-    COUNT,
-    LONGEST,
-    PLENTY,
-    PLENTY0,
-    PLENTY1,
-    ROOT,
-    NEAREST,
-    NEXT,
-    DIM,
-) = range(25)
+INV1, INV2, S2, P0, P1, R0, R1, A0, A1, V0, V1, CC, C1, D1, D2 = range(15)
+NEAR, COUNT, LONGEST, PLENTY, PLENTY0, PLENTY1, ROOT, NEAREST, NEXT, DIM = range(15, 25)
 RECORD_SIZE = 25  # the places above
 FIRST_POWER = 0.35  # of the exposure: within 1.5 % of the best variance (see above)
 # A frame expected to clip by more than this says nothing new: its censored score is below 0.001 sigma.
@@ -121,15 +112,6 @@ def fill_record(
     the frames. PLENTY0 + PLENTY1·E is that scatter. Below the rate NEAR the frame NEAREST may not have had to clip,
     below NEXT others as well. Below the rate DIM frames that are used may have been cut off at black. ROOT times √E is
     1 where the frame that shows most is at the end of the response curve.
-
-    Args:
-        record: float64, shape (RECORD_SIZE,), overwritten.
-        pattern: Bits of the frames used.
-        frames: float64, shape (n, 9): t, c, x at clipping, its sigma there, common uncertainty of the dark level, c at
-            clipping, x where black cuts the frame off, c there, t^0.35.
-        kappa: Shot noise variance per unit of x.
-        gains: Gain factor of every frame.
-        top: x of the curve's end; of no meaning for a linear sensor.
     """
     record[:] = 0.0
     record[DIM] = -math.inf
@@ -177,13 +159,7 @@ def fill_record(
 
 @compiled
 def from_root_table(signal: float, entries: Any, top: float) -> float:  # pragma: no cover (compiled)
-    """Return a table's value at x.
-
-    Args:
-        signal: x times gain.
-        entries: Values at x = top·(k/(size − 1))², float64.
-        top: x of the last entry.
-    """
+    """Return a table's value at x times gain; its entries are float64 at x = top·(k/(size − 1))²."""
     place = math.sqrt(min(max(signal, 0.0) / top, 1.0)) * (entries.size - 1)
     low = min(int(place), entries.size - 2)
     return float(entries[low] + (place - low) * (entries[low + 1] - entries[low]))
@@ -230,18 +206,7 @@ def fill_levels(
 ) -> None:  # pragma: no cover (compiled)
     """Fill in level k of a set of frames and the next, where they are not yet.
 
-    At level k √(rate·t·gain/top) = k/(size − 1) of the frame that shows most.
-
-    Args:
-        k: Number of the level.
-        pattern: Bits of the frames used.
-        record: As of `fill_record`.
-        levels: Shape (size, 4): what `at_rate` returns; written at k and k + 1 where nothing is yet.
-        frames: As in `fill_record`.
-        gains: Gain factor of every frame.
-        kappa: Shot noise variance per unit of x.
-        quantisation: As in `from_root_table`, of as many entries as there are levels.
-        top: Likewise.
+    At level k √(rate·t·gain/top) = k/(size − 1) of the frame that shows most; the table has as many entries as levels.
     """
     for j in (k, k + 1):
         if levels[j, VARIANCE] > 0.0:
@@ -268,7 +233,7 @@ def between_levels(levels: Any, place: float) -> tuple[float, float, float, floa
 def at_rate(
     rate: float, pattern: Any, record: Any, frames: Any, gains: Any, kappa: float, quantisation: Any, top: float
 ) -> tuple[float, float, float, float]:  # pragma: no cover (compiled)
-    """Return (share of the first estimate, variance of the mixture, Σv, Σv²) at a rate; arguments as `fill_levels`."""
+    """Return (share of the first estimate, variance of the mixture, Σv, Σv²) at a rate."""
     total, squares, var_a, both, var_b = moments(max(rate, 0.0), pattern, frames, gains, kappa, quantisation, top)
     inv1, inv2 = record[INV1], record[INV2]
     share, variance = mixture(var_a * inv1**2, both * inv1 * inv2, var_b * inv2**2)
@@ -479,12 +444,9 @@ def censored_score(
 
     Args:
         estimate: Rate at which it is asked.
-        rate: Estimate from the frames that did not clip.
-        variance: Its variance.
         t: Relative exposure of the frame.
         c: Variance of its x at clipping but for shot noise.
         clips_at: Its x at clipping.
-        kappa: Shot noise variance per unit of x.
     """
     expected = max(estimate, 0.0) * t
     noise, below = c + kappa * expected, clips_at - expected
@@ -505,17 +467,7 @@ def censored_score(
 def with_censored(
     rate: float, variance: float, pattern: Any, frames: Any, begin: int, end: int, kappa: float
 ) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
-    """Return (rate, variance, contradiction) after frames that clipped are included.
-
-    Args:
-        rate: Estimate from the frames that did not clip.
-        variance: Its variance.
-        pattern: Bits of those frames.
-        frames: As in `fill_record`.
-        begin: First of the frames that may have something to say.
-        end: The one after the last of them.
-        kappa: Shot noise variance per unit of x.
-    """
+    """Return (rate, variance, contradiction) after frames from `begin` to `end` that clipped are included."""
     from_others = 1.0 / variance
     estimate, information, contradiction = rate, from_others, False
     for _ in range(2):
@@ -535,17 +487,7 @@ def with_censored(
 def near_clipping(
     rate: float, variance: float, pattern: Any, slot: int, records: Any, frames: Any, kappa: float
 ) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
-    """Return (rate, variance, contradiction) after those frames were included that need not have clipped at a rate.
-
-    Args:
-        rate: Estimate from the frames that did not clip.
-        variance: Its variance.
-        pattern: Bits of those frames.
-        slot: Place of their record.
-        records: As of `fill_record`.
-        frames: Likewise.
-        kappa: Shot noise variance per unit of x.
-    """
+    """Return (rate, variance, contradiction) after those frames were included that need not have clipped at a rate."""
     begin, end = 0, frames.shape[0]
     if rate >= records[slot, NEXT]:  # the others had to clip: only one frame has something to say
         begin = int(records[slot, NEAREST])
@@ -563,13 +505,7 @@ def above_black(
     mean is m + σ·h, its variance σ²·(1 − h·(h − z)) (Johnson, Kotz and Balakrishnan 1994, 10.1).
 
     Args:
-        rate: Estimate from the frames that count.
-        variance: Its variance.
-        share: Share of the first of the two estimates that it mixes.
-        pattern: Bits of the frames that count.
-        record: Their record.
-        frames: As in `fill_record`.
-        kappa: Shot noise variance per unit of x.
+        share: Share of the first of the two estimates that the rate mixes.
     """
     estimate, lost, whole = rate, 0.0, 0.0
     of_a, of_b = share * record[INV1], (1.0 - share) * record[INV2]
@@ -621,7 +557,6 @@ def straight(
         squares: Σx², float32.
         bits: Frames used in each pixel.
         slots: Place of their record, unsigned.
-        records: As of `fill_record`, shape (sets, RECORD_SIZE).
         dark: Whether the frames have a common uncertainty of the dark level.
         rates: Written.
         variances: Written.
@@ -722,12 +657,8 @@ def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> 
         sums: What was summed of each pixel: Σt^0.35·x and Σt·x, float32, which may be `radiance` and `u_radiance`
             themselves; Σx², float32; the frames used, as bits. Last, whether a frame was clipped at white, which is
             overwritten by PixelMask bits.
-        kept: What is kept from block to block: sets of frames, their `records` and their `levels`. Records are as of
-            `fill_record`, shape (sets, RECORD_SIZE), their number a power of 2. Levels are as in `moments.at_level`,
-            shape (sets, levels, 4); of no size for a linear sensor.
+        kept: What is kept from block to block: sets of frames, their `records` and their `levels`.
         tables: The other `MergeTables.arguments`; their curve is None for a linear sensor.
-        quantisation: Variance (dx/dM)²/12 over √x, for `from_root_table`; None for a linear sensor, where it is part
-            of `frames` (the loop is compiled for each, which needs a separate argument).
         image: Radiance per rate, of every pixel or of all (size 1), float32; radiance and its standard uncertainty,
             written.
     """
@@ -870,13 +801,9 @@ def _single(
 def finish_moved(
     sums: Any, kept: Any, tables: Any, quantisation: Any, pixels: Any, own_ends: Any, found: Any
 ) -> None:  # pragma: no cover (compiled)
-    """Do as `_single` does for pixels whose frames end elsewhere than those of the others, or have more noise.
+    """Do as `_single` does for pixels whose frames end elsewhere or have more noise; arguments as `finish`.
 
     Args:
-        sums: As of `finish`; so are `kept`, `tables` and `quantisation`.
-        kept: Likewise.
-        tables: Likewise.
-        quantisation: Likewise.
         pixels: Their places.
         own_ends: x by which the ends of each frame are lower there, and how much more variance of x it has, each of
             shape (pixels, frames).

@@ -106,7 +106,8 @@ def _middle(values: NDArray[np.float32]) -> float:
 def never_full(dark_frames: Sequence[Frame], model: SignalModel) -> NDArray[np.bool_]:
     """Return the pixels that fill up in none of the dark frames, shape (height, width); empty without any frame."""
     limits = [model.saturation_dn(one.settings, within_data=False) for one in dark_frames]
-    return np.all([one.dn < limit for one, limit in zip(dark_frames, limits, strict=True)] or np.empty((1, 0)), axis=0)
+    below = [one.dn < limit for one, limit in zip(dark_frames, limits, strict=True)]
+    return np.asarray(np.all(below, axis=0)) if below else np.empty(0, np.bool_)
 
 
 def without_full(dark_frames: Sequence[Frame], model: SignalModel) -> list[Frame]:

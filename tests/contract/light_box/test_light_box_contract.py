@@ -20,30 +20,30 @@ DUTY_TOLERANCE = 0.004  # an 8 ms window cuts one of its 62 or 125 PWM periods s
 
 
 def test_it_is_a_light_box_and_dark_after_opening(rig):
-    """The driver offers the whole protocol, says who it is, and lights no channel by opening the box."""
+    """The whole protocol, dark after opening; supply and temperature within the steps of the ADC (20 mV, 0.5 °C)."""
     assert isinstance(rig.box, LightBox)
     assert rig.box.identity.protocol_version == 2
     assert list(rig.box.channels) == ["bleach", "spot", "spot_red", "fixation", "spot_green", "field"]
     assert [rig.duty(name) for name in rig.box.channels] == [0] * 6
     assert all(rig.box.read_channel(name).mode is ChannelMode.OFF for name in rig.box.channels)
+    time.sleep(0.1)
+    status = rig.box.status()
+    assert status.supply_v == pytest.approx(12.0, abs=0.04)
+    assert status.temperature_celsius == pytest.approx(25.0, abs=0.6)
 
 
 @pytest.mark.parametrize("channel", ["bleach", "spot", "spot_red"])
 def test_level_reaches_the_pin_and_is_read_back(rig, channel):
-    """A level is read back as set, and the pin's duty is the stated step."""
+    """It is read back as set, the pin's duty is the stated step; on the low range the high-current switch is open."""
+    rig.box.set_level(channel, DriveLevel(40000, CurrentRange.LOW))
+    assert rig.wait_until(lambda: rig.duty(channel) > 0.5)
+    assert not rig.high_current(channel)
     state = rig.box.set_level(channel, DriveLevel(23456))
     assert (state.mode, state.drive) == (ChannelMode.STEADY, DriveLevel(23456, CurrentRange.HIGH))
     expected = state.duty_steps / rig.box.channels[channel].duty_steps
     assert rig.box.channels[channel].duty(23456) == expected
     assert rig.wait_until(lambda: abs(rig.duty(channel) - expected) < DUTY_TOLERANCE)
     assert rig.high_current(channel)
-
-
-def test_low_range_uses_the_low_current(rig):
-    """A level on the low range leaves the high-current switch open."""
-    rig.box.set_level("spot", DriveLevel(40000, CurrentRange.LOW))
-    assert rig.wait_until(lambda: rig.duty("spot") > 0.5)
-    assert not rig.high_current("spot")
 
 
 def test_pulse_ends_by_itself(rig):
@@ -76,16 +76,12 @@ def test_ramp_arrives_and_stays(rig):
 
 
 def test_off_darkens_one_channel_only(rig):
-    """Darkening a channel leaves the others."""
+    """Darkening a channel leaves the others; after safe() every pin is low."""
     rig.box.set_level("spot", DriveLevel(30000))
     rig.box.set_level("spot_red", DriveLevel(30000))
     rig.box.off("spot")
     assert rig.wait_until(lambda: rig.duty("spot") == 0)
     assert rig.duty("spot_red") > 0.4
-
-
-def test_safe_darkens_everything(rig):
-    """After safe() every pin is low."""
     for name in ("field", "spot", "spot_green", "fixation"):
         rig.box.set_level(name, DriveLevel(10000))
     rig.box.safe()
@@ -109,14 +105,6 @@ def test_button_press_and_release_are_reported_in_order(rig):
     assert [event.pressed for event in events] == [True, False]
     assert events[0].time_s < events[1].time_s
     assert events[1].number == events[0].number + 1
-
-
-def test_status_reports_supply_and_temperature(rig):
-    """Supply and temperature come within the ADC's steps (20 mV and 0.5 °C)."""
-    time.sleep(0.1)
-    status = rig.box.status()
-    assert status.supply_v == pytest.approx(12.0, abs=0.04)
-    assert status.temperature_celsius == pytest.approx(25.0, abs=0.6)
 
 
 def test_what_cannot_be_set_is_refused_and_changes_nothing(rig):
@@ -151,6 +139,8 @@ def test_pulled_cable_is_a_lost_device_and_plugging_in_helps(rig):
     rig.box.close()
     assert rig.wait_until(lambda: rig.duty("spot") == 0)  # the dead man
     rig.server.plug()
+    # What lies in the line before the host speaks, half lines among it, does not keep it from opening.
+    rig.server.say(b"\x00\xff\x80boot loader\r\n=05 OK radio\n!01 BT D 5.000*00000000\n=07 O")
     rig.box.open()
     assert rig.box.set_level("spot", DriveLevel(100)).drive.level == 100
 
@@ -209,11 +199,3 @@ def _set_in_the_end(rig, level):
             rig.box.close()
             rig.box.open()
     raise AssertionError(f"level {level} could not be set")
-
-
-def test_garbage_at_start_up_is_survived(rig):
-    """Bytes that lie in the line before the host speaks, half lines among them, do not keep it from opening."""
-    rig.box.close()
-    rig.server.say(b"\x00\xff\x80boot loader\r\n=05 OK radio\n!01 BT D 5.000*00000000\n=07 O")
-    rig.box.open()
-    assert rig.box.identity.protocol_version == 2

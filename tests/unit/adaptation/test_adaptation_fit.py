@@ -142,16 +142,6 @@ def test_no_adaptation_is_a_verdict_and_no_fit(values, message):
             fit_adaptation(data, replace(QUICK, criterion=criterion), np.random.default_rng(0))
 
 
-def test_csv_forms(tmp_path):
-    """With header, without header, with sigma and in any order of rows."""
-    file = tmp_path / "run.csv"
-    file.write_text("log10_threshold,time_min,sigma\n-1,2,0.1\n1,0.5,0.2\n")
-    read = ThresholdSeries.read(file)
-    assert (list(read.time_min), list(read.log_threshold), list(read.sigma)) == ([0.5, 2.0], [1.0, -1.0], [0.2, 0.1])
-    file.write_text("0.5,1\n2,-1\n")
-    assert ThresholdSeries.read(file).sigma is None
-
-
 def test_the_bias_of_the_method_is_removed_and_its_uncertainty_counts(tmp_path):
     """Thresholds found 0.08 too low by a method: plateau and end are 0.08 higher and less sure, the break stays."""
     data, found = series(0.05), []
@@ -253,7 +243,7 @@ def test_linear_parts_are_weighted_least_squares(seed):
 
 
 def test_figures_of_a_fit():
-    """σ² = Σw·r²/(ν·c), c what Huber's weights leave; AICc = n·ln(S/n) + 2k + 2k(k + 1)/(n − k − 1)."""
+    """σ² = Σw·r²/(ν·c), AICc = n·ln(S/n) + 2k + 2k(k + 1)/(n − k − 1); four times as uncertain counts a sixteenth."""
     values = ONE_BRANCH.threshold(BRANCH_TIMES, EYE) + np.random.default_rng(1).normal(0.0, 0.1, 60)
     fit = fit_model(branch_series(values), ONE_BRANCH)
     c = 1.0 - math.erfc(2.5 / math.sqrt(2.0))
@@ -262,6 +252,12 @@ def test_figures_of_a_fit():
     assert fit.aicc == pytest.approx(60 * math.log(fit.sum_of_squares / 60) + 8 + 40 / 55)
     with pytest.raises(MeasurementError, match="too few"):
         fit_model(branch_series(values[:4], times=BRANCH_TIMES[:4]), ONE_BRANCH)
+    sigma = np.where(np.arange(60) % 2, 0.4, 0.1)
+    rng = np.random.default_rng(5)
+    values = ONE_BRANCH.threshold(BRANCH_TIMES, EYE) + sigma * rng.uniform(-1.0, 1.0, 60)
+    found = fit_model(branch_series(values, sigma), ONE_BRANCH)
+    assert found.weights == pytest.approx((0.1 / sigma) ** 2)
+    assert found.sigma == pytest.approx(0.1 / math.sqrt(3.0), rel=0.3)  # of a threshold of the surer kind
 
 
 def test_intervals_widen_in_squares_and_cut_equal_tails():
@@ -281,24 +277,11 @@ def test_intervals_widen_in_squares_and_cut_equal_tails():
      ([1.6, 9.0, 31.0], False), ([58.0], True), ([60.0], False), ([0.3], True), ([0.28], False)],
 )  # fmt: skip
 def test_breaks_lie_inside_and_in_order(nonlinear, allowed):
-    """Time constants between a hundredth of the test and the break (twice the test where there is none).
-
-    It is the length of the test that counts, whenever it began.
-    """
+    """Time constants are between a hundredth of the test's length and the break, twice the test where there is none."""
     model = MODELS[len(nonlinear) - 1]
     assert model.allowed(BRANCH_TIMES, np.array(nonlinear)) is allowed
     if len(nonlinear) == 1:
         assert model.allowed(BRANCH_TIMES + 10.0, np.array(nonlinear)) is allowed
-
-
-def test_a_fit_keeps_what_each_threshold_is_known_to():
-    """Where no press is wild the weights are those of the stated σ: four times as uncertain counts a sixteenth."""
-    sigma = np.where(np.arange(60) % 2, 0.4, 0.1)
-    rng = np.random.default_rng(5)
-    values = ONE_BRANCH.threshold(BRANCH_TIMES, EYE) + sigma * rng.uniform(-1.0, 1.0, 60)
-    found = fit_model(branch_series(values, sigma), ONE_BRANCH)
-    assert found.weights == pytest.approx((0.1 / sigma) ** 2)
-    assert found.sigma == pytest.approx(0.1 / math.sqrt(3.0), rel=0.3)  # of a threshold of the surer kind
 
 
 def fitted(**changes):
@@ -360,12 +343,8 @@ def test_falling_convex_curves_are_met_and_a_quickening_fall_is_not():
     assert convex_sum_of_squares(BREAK_TIMES, np.maximum(10.0 - BREAK_TIMES, 0.0), weights) < 0.02
     fine = np.linspace(0.0, 1.0, 400)
     assert convex_sum_of_squares(fine, -(fine**2), np.ones(400)) / 400 == pytest.approx(1 / 180, rel=0.02)
-
-
-def test_weights_count():
-    """A threshold of no weight bends no curve."""
     level, weights = np.zeros(40), np.ones(40)
-    level[20], weights[20] = 5.0, 0.0
+    level[20], weights[20] = 5.0, 0.0  # a threshold of no weight bends no curve
     assert convex_sum_of_squares(np.arange(40.0), level, weights) == pytest.approx(0.0, abs=1e-9)
 
 
@@ -446,13 +425,17 @@ def test_the_break_is_reported_with_its_interval(broken):
 
 
 @pytest.mark.usefixtures("unrendered")
-def test_published_values_are_shown_with_their_source_and_what_has_none_is_named(broken):
-    """Final threshold: 0.08 log₁₀ units a decade (Jackson and Owsley 2000); no intercept was fitted: none is shown."""
+def test_the_page_names_sources_and_assumptions_and_what_has_none(broken):
+    """Final threshold: 0.08 log₁₀ units a decade (Jackson and Owsley 2000); what was taken stands before the tables."""
     page = report_html(broken, "eye")
-    assert "0.08 log₁₀ units higher for each decade" in page
-    assert "Jackson and Owsley 2000" in page
-    assert "Rod–cone break and S2 slope: no norm by age is known." in page
+    for words in (
+        "0.08 log₁₀ units higher for each decade", "Jackson and Owsley 2000", "No uncertainty of the stimulus",
+        "Rod–cone break and S2 slope: no norm by age is known.",
+    ):  # fmt: skip
+        assert words in page
     assert "Owsley et al. 2014" not in page
+    assert page.index("minutes were taken from seconds") < page.index("<h2>Estimates")
+    assert "No uncertainty of the stimulus" not in report_html(_fit(stimulus_u_log10=0.05), "eye")
 
 
 def test_the_picture_shows_what_the_sentence_claims(broken, monkeypatch):
@@ -514,15 +497,6 @@ def test_the_rod_intercept_stands_only_where_its_protocol_has_it(broken):
     assert "not reached within 25.0 min" in missed
 
 
-@pytest.mark.slow
-def test_flags_and_assumptions_stand_before_the_tables(broken):
-    """What was taken of the file's form, and that the stimulus has no uncertainty."""
-    page = report_html(broken, "eye")
-    assert page.index("minutes were taken from seconds") < page.index("<h2>Estimates")
-    assert "No uncertainty of the stimulus" in page
-    assert "No uncertainty of the stimulus" not in report_html(_fit(stimulus_u_log10=0.05), "eye")
-
-
 # Bleach: kinetics, pupil, trolands against worked numbers.
 
 
@@ -542,13 +516,9 @@ def test_pigment_bleaches_and_regenerates_by_its_two_constants(light_td, seconds
     assert KINETICS["cones"].td_s == pytest.approx(2.4e6)
 
 
-def test_trolands_are_luminance_times_pupil_area():
-    """300 cd/m² through 4 mm are 3770 td."""
-    assert retinal_illuminance_td(300.0, 4.0) == pytest.approx(3769.9, rel=1e-4)
-
-
 def test_pupil_spans_its_known_range_and_shrinks_with_light():
-    """Dark 7.75 mm, 10^6 cd/m² near 2 mm at the reference age; the old have smaller pupils in the dark."""
+    """Dark 7.75 mm, 10^6 cd/m² near 2 mm, the old have smaller ones; 300 cd/m² through 4 mm are 3770 td."""
+    assert retinal_illuminance_td(300.0, 4.0) == pytest.approx(3769.9, rel=1e-4)
     assert pupil_diameter_mm(0.0) == pytest.approx(7.75)
     assert 2.0 < pupil_diameter_mm(1e6) < 2.3
     assert pupil_diameter_mm(100.0) < pupil_diameter_mm(1.0)
@@ -556,12 +526,19 @@ def test_pupil_spans_its_known_range_and_shrinks_with_light():
 
 
 def test_range_spans_the_published_constants():
-    """10⁵ td for 600 s: rods lie between those of 1.6·10⁷ td·s with 360 s and of 10⁷ td·s with 450 s."""
+    """Rods of 10⁵ td for 600 s are between their published constants; cones between the extremes of I0 with τ."""
     low, high = bleached_range(1e5, 600.0)
     least, most = 1e5 / 1.6e7, 1e5 / 1e7
     assert low == pytest.approx(least / (least + 1 / 360) * (1 - math.exp(-(least + 1 / 360) * 600)))
     assert high == pytest.approx(most / (most + 1 / 450) * (1 - math.exp(-(most + 1 / 450) * 600)))
     assert low < bleached_fraction(1e5, 600.0) <= high
+    half, back = CONE_HALF_BLEACH, CONE_REGENERATION
+    ends = []
+    for half_td in (half.low, half.high):
+        for time_s in (back.low, back.high):
+            rate = (1.0 + 1e4 / half_td) / time_s
+            ends.append(1e4 / (1e4 + half_td) * (1.0 - math.exp(-rate * 60.0)))
+    assert bleached_range(1e4, 60.0, "cones") == pytest.approx((min(ends), max(ends)))
 
 
 def test_calculator_eye_and_docs_share_one_table(project_root):
@@ -573,14 +550,3 @@ def test_calculator_eye_and_docs_share_one_table(project_root):
     assert KINETICS["cones"].td_s == eye_kinetics.CONE_EXPOSURE_TD_S
     assert KINETICS["cones"].regeneration_s == eye_kinetics.CONE_REGENERATION_S
     assert KINETICS["rods"].td_s == eye_kinetics.ROD_EXPOSURE_TD_S
-
-
-def test_range_of_cones_spans_their_own_constants():
-    """I0 and τ of cones are published apart: the extremes are those of I0 with τ, whatever Q they make together."""
-    half, back = CONE_HALF_BLEACH, CONE_REGENERATION
-    ends = []
-    for half_td in (half.low, half.high):
-        for time_s in (back.low, back.high):
-            rate = (1.0 + 1e4 / half_td) / time_s
-            ends.append(1e4 / (1e4 + half_td) * (1.0 - math.exp(-rate * 60.0)))
-    assert bleached_range(1e4, 60.0, "cones") == pytest.approx((min(ends), max(ends)))

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +30,9 @@ from radiometer.errors import InputError, OutputError, UsageError
 from testing.journal_machine import JournalMachine
 from testing.watched_sqlite import refusing
 
+WATT = "W sr-1 m-2"
+START_US, HOUR_US = 1_790_000_000_000_000, 3_600_000_000
+
 
 def numbers(path):
     """Return the sequence numbers that a journal holds, in order."""
@@ -40,6 +43,19 @@ def writer_of(path, alarms=None, on_commit=lambda *_: None, **options):
     """Return what writes a journal, given by its path or itself, on behalf of a daemon."""
     journal = Journal(path) if isinstance(path, Path) else path
     return JournalWriter(journal, alarms or Alarms(lambda *_: None), on_commit, **options)
+
+
+def written(path, readings):
+    """Write readings into a journal and return its reader."""
+    with Journal(path) as journal:
+        journal.append(readings)
+    return JournalReader(path)
+
+
+def changed(path, script):
+    """Let another program execute statements on a journal."""
+    with closing(sqlite3.connect(path)) as other:
+        other.executescript(script)
 
 
 @asynccontextmanager
@@ -66,9 +82,8 @@ def test_a_reading_comes_back_as_it_was_committed(tmp_path, make_reading):
 def test_where_the_readings_of_another_camera_begin_is_an_event(tmp_path, make_reading):
     """After a restart and within a batch; those of one camera are none."""
     for cameras in (("A", "A"), ("A",), ("B", "A")):
-        with Journal(tmp_path / "j.sqlite") as journal:
-            journal.append([make_reading(instrument=camera) for camera in cameras])
-    events = JournalReader(tmp_path / "j.sqlite").events()
+        reader = written(tmp_path / "j.sqlite", [make_reading(instrument=camera) for camera in cameras])
+    events = reader.events()
     assert [event["message"] for event in events if event["kind"] == "camera"] == [
         "from reading 4 on, readings are of the camera B, not of A",
         "from reading 5 on, readings are of the camera A, not of B",
@@ -133,9 +148,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path, make):
 def test_another_sqlite_file_is_refused(tmp_path):
     """A database of another program is left alone."""
     path = tmp_path / "j.sqlite"
-    with sqlite3.connect(path) as other:
-        other.execute("CREATE TABLE things (id INTEGER)")
-    other.close()
+    changed(path, "CREATE TABLE things (id INTEGER)")
     with pytest.raises(OutputError, match="not a radiometer journal"):
         Journal(path).open()
     with pytest.raises(InputError, match="not a radiometer journal"):
@@ -154,11 +167,8 @@ FOREIGN = {
 def test_a_journal_that_another_program_has_changed_is_refused(change, tmp_path, make_reading):
     """A query of such a file need not end, and a trigger loses readings: reader and writer name the file."""
     path = tmp_path / "j.sqlite"
-    with Journal(path) as journal:
-        journal.append([make_reading()])
-    with sqlite3.connect(path) as other:
-        other.executescript(change)
-    other.close()
+    written(path, [make_reading()])
+    changed(path, change)
     for use in (lambda: JournalReader(path).lines(ReadingFilter()), lambda: Journal(path).open()):
         with pytest.raises((InputError, OutputError), match=r"j\.sqlite: holds the .* which no journal has"):
             use()
@@ -166,8 +176,7 @@ def test_a_journal_that_another_program_has_changed_is_refused(change, tmp_path,
 
 def test_a_long_query_ends_at_its_deadline(tmp_path, make_reading):
     """A reader gives up rather than hold a thread for ever."""
-    with Journal(tmp_path / "j.sqlite") as journal:
-        journal.append([make_reading()] * 2_000)
+    written(tmp_path / "j.sqlite", [make_reading()] * 2_000)
     with pytest.raises(InputError, match="takes more than 0 s"):
         JournalReader(tmp_path / "j.sqlite", deadline_s=-1.0).lines(ReadingFilter(flag="none"))
 
@@ -175,41 +184,39 @@ def test_a_long_query_ends_at_its_deadline(tmp_path, make_reading):
 def test_a_journal_of_a_newer_form_is_left_alone(tmp_path, make_reading):
     """It is refused with its form; one of this form is opened."""
     path = tmp_path / "j.sqlite"
-    with Journal(path) as journal:
-        journal.append([make_reading()])
-    for form, opens in ((SCHEMA_VERSION, True), (SCHEMA_VERSION + 1, False)):
-        with sqlite3.connect(path) as connection:
-            connection.execute(f"PRAGMA user_version = {form}")
-        connection.close()
-        if opens:
-            with Journal(path) as journal:
-                assert journal.append([make_reading()])[0].sequence == 2
-        else:
-            with pytest.raises(OutputError, match=rf"newer radiometer \(form {form}\)"):
-                Journal(path).open()
+    written(path, [make_reading()])
+    changed(path, f"PRAGMA user_version = {SCHEMA_VERSION}")
+    assert len(written(path, [make_reading()]).lines(ReadingFilter())) == 2
+    changed(path, f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
+    with pytest.raises(OutputError, match=rf"newer radiometer \(form {SCHEMA_VERSION + 1}\)"):
+        Journal(path).open()
 
 
-def test_the_trend_of_a_journal_of_form_2_is_made_anew_by_place(tmp_path, make_reading):
-    """Its trend by the minute mixed places; the readings are all there, so that nothing is lost."""
-    path, hours = tmp_path / "j.sqlite", 5
-    with Journal(path) as journal:
-        for x in (0, 1):
-            journal.append([make_reading(patch=Patch(x, 0, 9, 9), radiance=Quantity(1.0 + x, 0.1, "W sr-1 m-2"))] * 3)
-        journal.append([make_reading(session="scpi-1")])
-    span = (now_us() - hours * HOUR_US, now_us() + HOUR_US)
-    expected = JournalReader(path).trend("", *span)
-    with sqlite3.connect(path) as connection:
-        connection.executescript(
-            "DROP TABLE trend; CREATE TABLE trend (stream TEXT NOT NULL, minute INTEGER NOT NULL, unit TEXT NOT NULL,"
-            " count INTEGER NOT NULL, total REAL NOT NULL, total_u REAL NOT NULL, low REAL NOT NULL,"
-            " high REAL NOT NULL, flagged INTEGER NOT NULL, PRIMARY KEY (stream, minute, unit)) WITHOUT ROWID;"
-            " PRAGMA user_version = 2"
-        )
-    connection.close()
-    assert JournalReader(path).trend("", *span) == []
+OLDER_FORMS = {
+    1: "DROP TABLE trend; DROP TABLE patches; DROP INDEX readings_by_stream; ALTER TABLE readings DROP COLUMN stream",
+    2: "DROP TABLE trend; CREATE TABLE trend (stream TEXT NOT NULL, minute INTEGER NOT NULL, unit TEXT NOT NULL,"
+    " count INTEGER NOT NULL, total REAL NOT NULL, total_u REAL NOT NULL, low REAL NOT NULL, high REAL NOT NULL,"
+    " flagged INTEGER NOT NULL, PRIMARY KEY (stream, minute, unit)) WITHOUT ROWID",
+}
+
+
+@pytest.mark.parametrize("form", OLDER_FORMS)
+def test_a_journal_of_an_older_form_is_taken_over(tmp_path, make_reading, form):
+    """It can be read before; then its trend is made anew by place, and new readings are added, a client's own apart."""
+    path = tmp_path / "j.sqlite"
+    places = [make_reading(patch=Patch(x, 0, 9, 9), radiance=Quantity(1.0 + x, 0.1, WATT)) for x in (0, 1)]
+    span = (now_us() - 5 * HOUR_US, now_us() + HOUR_US)
+    expected = written(path, [places[0]] * 3 + [places[1]] * 3).trend("", *span)
+    changed(path, f"{OLDER_FORMS[form]}; PRAGMA user_version = {form}")
+    reader = JournalReader(path)
+    assert (reader.trend("", *span), len(reader.lines(ReadingFilter(stream="")))) == ([], 6)
+    assert reader.lines(ReadingFilter(stream="own")) == []
     with Journal(path):
-        assert JournalReader(path).trend("", *span) == expected
+        assert reader.trend("", *span) == expected
     assert [(point.value, point.count) for point in expected] == [(1.0, 3), (2.0, 3)]
+    written(path, [make_reading(session="scpi-1"), places[1]])
+    assert [point.count for point in reader.trend("", *span)] == [3, 4]
+    assert len(reader.lines(ReadingFilter(stream="own"))) == 1
 
 
 @pytest.mark.parametrize(
@@ -239,8 +246,7 @@ def test_a_journal_that_is_not_there_is_not_made_by_reading(tmp_path):
 def test_readings_that_were_lost_after_a_crash_are_reported(tmp_path, make_reading):
     """Their numbers are not given to others before a person has decided so; a journal begun anew has lost none."""
     path, crashed = tmp_path / "j.sqlite", tmp_path / "crashed.sqlite"
-    with Journal(path) as journal:
-        journal.append([make_reading()] * 5)
+    written(path, [make_reading()] * 5)
     with Journal(path) as journal:
         journal.append([make_reading()] * 3)
         for ending in ("", ".lock"):  # as after a kill, without the log
@@ -255,8 +261,7 @@ def test_readings_that_were_lost_after_a_crash_are_reported(tmp_path, make_readi
 def test_a_moved_journal_takes_no_reading_until_it_is_back(tmp_path, make_reading):
     """Neither does one in whose place another file was put, moved there or copied over it."""
     path, elsewhere, other = tmp_path / "j.sqlite", tmp_path / "moved.sqlite", tmp_path / "other.sqlite"
-    with Journal(other) as early:
-        early.append([make_reading()] * 2)
+    written(other, [make_reading()] * 2)
     with Journal(path) as journal:
         journal.append([make_reading()] * 5)
         path.rename(elsewhere)
@@ -290,12 +295,8 @@ def test_two_daemons_on_one_journal_are_refused_whatever_its_name(tmp_path, make
         with pytest.raises(OutputError, match="another daemon"):
             Journal(alias).open()
         assert journal.append([make_reading()])[0].sequence == 2
-    with Journal(alias) as journal:
-        assert journal.append([make_reading()])[0].sequence == 3
-
-
-START_US = 1_790_000_000_000_000
-HOUR_US = 3_600_000_000
+    written(alias, [make_reading()])
+    assert numbers(alias) == [1, 2, 3]
 
 
 @pytest.mark.usefixtures("connections")
@@ -308,10 +309,8 @@ def test_a_journal_is_a_list_that_stays(make_reading):
 def test_a_trend_point_stands_in_the_middle_of_its_time(tmp_path, make_reading):
     """Fine: within the bucket of span/points; coarse: whole minutes, each counted once; the bounds belong as stated."""
     at = [0, 60_000_000, 119_999_999, 120_000_000]
-    with Journal(tmp_path / "j.sqlite") as journal:
-        journal.append([make_reading(time=iso_time(START_US - START_US % HOUR_US + us)) for us in at])
     base = START_US - START_US % HOUR_US
-    reader = JournalReader(tmp_path / "j.sqlite")
+    reader = written(tmp_path / "j.sqlite", [make_reading(time=iso_time(base + us)) for us in at])
     fine = reader.trend("", base, base + 120_000_000, points=2)
     assert [(point.time_us - base, point.count) for point in fine] == [(30_000_000, 1), (90_000_000, 2)]
     coarse = reader.trend("", base, base + 3 * HOUR_US, points=180)
@@ -324,11 +323,9 @@ def test_a_trend_point_stands_in_the_middle_of_its_time(tmp_path, make_reading):
 
 def test_an_undefined_radiance_is_not_drawn(tmp_path, make_reading):
     """Neither of two hours nor of a day; the reading itself is kept."""
-    with Journal(tmp_path / "j.sqlite") as journal:
-        undefined = make_reading(time=iso_time(START_US), radiance=Quantity(float("nan"), float("nan"), "relative"))
-        unknown_u = make_reading(time=iso_time(START_US), radiance=Quantity(2.0, float("inf"), "relative"))
-        journal.append([undefined, unknown_u, make_reading(time=iso_time(START_US))])
-    reader = JournalReader(tmp_path / "j.sqlite")
+    radiances = [Quantity(float("nan"), float("nan"), "1"), Quantity(2.0, float("inf"), "1"), Quantity(1.0, 0.01, WATT)]
+    given = [make_reading(time=iso_time(START_US), radiance=one) for one in radiances]
+    reader = written(tmp_path / "j.sqlite", given)
     for span in (HOUR_US, 100 * HOUR_US):
         points = reader.trend("", START_US - HOUR_US // 2, START_US + span)
         assert sorted((point.count, point.low, point.u) for point in points) == [(1, 1.0, 0.01), (1, 2.0, 0.0)]
@@ -379,12 +376,6 @@ def readings(make_reading, **more):
     ]
 
 
-def written(path, given):
-    with Journal(path) as journal:
-        journal.append(given)
-    return JournalReader(path)
-
-
 def day(reader, stream, minutes):
     """Return value, u, lowest, highest, count and count of flagged of every so many minutes of a day."""
     points = reader.trend(stream, BASE_US, BASE_US + DAY_US, 1440 // minutes)
@@ -397,9 +388,6 @@ def test_a_minute_holds_the_mean_of_its_readings(tmp_path, make_reading):
     first, second, fourth = (3.0, 0.3, 1.0, 6.0, 3, 1), (5.0, 0.9, 5.0, 5.0, 1, 0), (7.0, 0.7, 7.0, 7.0, 1, 0)
     assert day(reader, "", 1) == [pytest.approx(row) for row in (first, second, fourth)]
     assert day(reader, "", 2) == [pytest.approx((3.5, 0.45, 1.0, 6.0, 4, 1)), pytest.approx(fourth)]
-    fine = reader.trend("", BASE_US, BASE_US + 2 * MINUTE_US, 2)
-    shown = [(p.value, p.u, p.low, p.high, p.count, p.flagged) for p in fine]
-    assert shown == [pytest.approx(first), pytest.approx(second)]
 
 
 def test_deletion_deletes_all_that_is_old(tmp_path, make_reading):
@@ -416,10 +404,7 @@ def test_deletion_deletes_all_that_is_old(tmp_path, make_reading):
 
 
 def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes(tmp_path, make_reading):
-    """The five readings stand each by itself over 7500 s; of a microsecond more, the three minutes they are in.
-
-    A minute in which a long span ends is in it, and a point is a microsecond at least.
-    """
+    """Over 7500 s the five readings are a point each, of a microsecond more their minutes; the last one belongs."""
     reader = written(tmp_path / "j.sqlite", readings(make_reading))
     longest = 7_500_000_000
     assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest)] == [1] * 5
@@ -432,11 +417,9 @@ def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes
 
 def test_of_many_events_the_newest_thousand_are_reported(tmp_path):
     """Oldest first, of 1001 all but the first; fewer where fewer are asked for, and of a time its own."""
-    with Journal(tmp_path / "j.sqlite"), sqlite3.connect(tmp_path / "j.sqlite") as connection:
-        events = [(BASE_US + number, "remark", str(number)) for number in range(1001)]
-        connection.executemany("INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", events)
-    connection.close()
-    reader = JournalReader(tmp_path / "j.sqlite")
+    reader = written(tmp_path / "j.sqlite", [])
+    rows = ", ".join(f"({BASE_US + number}, 'remark', '{number}')" for number in range(1001))
+    changed(tmp_path / "j.sqlite", f"INSERT INTO events (time_us, kind, message) VALUES {rows}")
 
     def numbers_of(**more):
         return [int(event["message"]) for event in reader.events(**more)]
@@ -456,14 +439,6 @@ def test_a_budget_is_of_its_own_reading(tmp_path, make_reading):
     for gone in (0, 1, 2, 4):
         with pytest.raises(InputError, match=f"no reading {gone}"):
             reader.budget(gone)
-
-
-def test_what_was_handed_out_survives_a_power_cut(tmp_path, connections):
-    """SQLite waits for the disk at every commit (synchronous = FULL) and writes ahead, so that readers never wait."""
-    with Journal(tmp_path / "j.sqlite"):
-        (connection,) = connections
-        assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
-        assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
 
 
 def kept_of(path, before_us):
@@ -499,15 +474,11 @@ async def test_a_jump_that_could_not_be_written_is_written_later(tmp_path, make_
     def full(by_us):
         raise JournalError("disk full")
 
-    writer = writer_of(journal, sleep=pause)
-    await writer.open()
-    task = asyncio.create_task(writer.run())
-    for _ in range(2):
-        await writer.submit(make_reading(time=iso_time(BASE_US)))
-    task.cancel()
-    monkeypatch.setattr(journal, "note_jump", full)
-    writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
-    await writer.close()
+    async with running(journal, sleep=pause) as writer:
+        for _ in range(2):
+            await writer.submit(make_reading(time=iso_time(BASE_US)))
+        monkeypatch.setattr(journal, "note_jump", full)
+        writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
     assert len(pauses) == 1
     assert kept_of(tmp_path / "j.sqlite", BASE_US + 10_000_000) == [1, 2]
     assert kept_of(tmp_path / "j.sqlite", BASE_US + 10_000_001) == [2]
@@ -574,30 +545,23 @@ async def start_and_stop(path, reading):
 
 
 async def test_readings_that_waited_are_taken_in_at_the_next_start(tmp_path, make_reading):
-    """Before any new one, with their budgets, patches and trend, as if they had been committed in time."""
+    """Before any new one, as if committed in time, and once: a kill before the deletion leaves the file, or a copy."""
     path, left = waited(tmp_path, make_reading)
+    (file,) = tmp_path.glob("*waiting*")
+    content = file.read_bytes()
     await start_and_stop(path, make_reading())
     lines = JournalReader(path).lines(ReadingFilter())
     assert lines[1:3] == [replace(one, sequence=number).to_json() for number, one in enumerate(left, start=2)]
     assert numbers(path) == [1, 2, 3, 4]
     assert JournalReader(path).budget(2) == {"scale": 0.02}
     assert len(JournalReader(path).lines(ReadingFilter(stream="patch lamp"))) == 1
-    (event,) = JournalReader(path).events()
-    assert event["message"].startswith("2 readings that waited in")
-    assert not list(tmp_path.glob("*waiting*"))
-
-
-async def test_readings_that_waited_are_taken_in_once(tmp_path, make_reading):
-    """A kill between commit and deletion leaves the file: the next start only deletes it, also under another name."""
-    path, _ = waited(tmp_path, make_reading)
-    (file,) = tmp_path.glob("*waiting*")
-    content = file.read_bytes()
-    for name in (file, file, file.with_name("j.sqlite-waiting-7.jsonl")):
+    for name in (file, file.with_name("j.sqlite-waiting-7.jsonl")):
         name.write_bytes(content)
         await start_and_stop(path, make_reading())
         assert not list(tmp_path.glob("*waiting*"))
-    assert len(JournalReader(path).lines(ReadingFilter())) == 1 + 2 + 3
-    assert len(JournalReader(path).events()) == 1, "what was taken in before is told only once"
+    assert numbers(path) == [1, 2, 3, 4, 5, 6]
+    (event,) = JournalReader(path).events()
+    assert event["message"].startswith("2 readings that waited in")
 
 
 DAMAGES = (
@@ -726,12 +690,16 @@ async def test_a_journal_that_is_locked_is_an_alarm_and_no_end(tmp_path, monkeyp
     await writer.close()
 
 
-def test_a_journal_is_recognised_by_its_first_bytes(tmp_path, make_reading):
-    """SQLite's header holds RAMJ at byte 68 and the form at byte 60: journals of before and `file` go by these."""
+def test_a_journal_is_recognised_by_its_first_bytes(tmp_path, make_reading, connections):
+    """RAMJ and the form in its header; SQLite waits for the disk at every commit, and readers never wait."""
     written(tmp_path / "j.sqlite", readings(make_reading))
     header = (tmp_path / "j.sqlite").read_bytes()[:100]
     assert (header[:15], header[68:72]) == (b"SQLite format 3", b"RAMJ")
     assert int.from_bytes(header[60:64], "big") == SCHEMA_VERSION
+    with Journal(tmp_path / "j.sqlite"):
+        connection = connections[-1]
+        assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
+        assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
 
 
 @pytest.mark.parametrize(
@@ -815,8 +783,7 @@ def test_a_journal_that_is_lost_is_written_anew_where_all_of_it_can_be_read(harm
 def test_an_overwritten_journal_is_made_whole_from_its_log(harm, tmp_path, make_reading):
     """Where the log holds every page, it is written into the file before the next reading is told to anyone."""
     path, older, alone = tmp_path / "j.sqlite", tmp_path / "older.sqlite", tmp_path / "alone.sqlite"
-    with Journal(older) as early:
-        early.append([make_reading()] * 2)
+    written(older, [make_reading()] * 2)
     with Journal(path) as journal:
         journal.append([make_reading()] * 15)
         in_another_program(HARMS[harm], path, older)
@@ -829,12 +796,9 @@ def test_an_overwritten_journal_is_made_whole_from_its_log(harm, tmp_path, make_
 async def test_readings_wait_where_an_overwritten_journal_cannot_be_read(harm, tmp_path, make_reading):
     """An alarm says so at once, no client sees a reading, and the next start takes in what waited."""
     path, older, newest = tmp_path / "j.sqlite", tmp_path / "older.sqlite", tmp_path / "newest.sqlite"
-    with Journal(path) as journal:
-        journal.append([make_reading()] * 1500)
-    shutil.copyfile(path, older)
-    with Journal(path) as journal:
-        journal.append([make_reading()] * 1500)
-    shutil.copyfile(path, newest)
+    for copy in (older, newest):
+        written(path, [make_reading()] * 1500)
+        shutil.copyfile(path, copy)
     told, alarms = list[int](), Alarms(lambda *_: None)
     writer = writer_of(path, alarms, lambda reading, *_: told.append(reading.sequence), retry_s=0.01, closing_s=0.1)
     await writer.open()
@@ -880,9 +844,8 @@ def test_what_leaves_a_sound_journal_behind_is_no_trouble(other, tmp_path, make_
             assert journal.append([make_reading()] * 100)[-1].sequence == number * 100
             in_another_program(OTHERS[other], path, tmp_path / f"{number}.sqlite")
         assert numbers(path) == list(range(1, 701))
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-    connection.close()
 
 
 def test_the_log_of_a_long_day_stays_small(tmp_path, make_reading):

@@ -105,10 +105,7 @@ async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(tmp_path, mon
 
 
 async def test_start_and_stop_are_events_of_the_journal(tmp_path, monkeypatch, eventually):
-    """A signal is named, and so is the error of a loop that ended: it ends the daemon, and no watchdog is fed.
-
-    An alarm of descriptors ends once some are free: the running daemon looks for itself, no client has to come first.
-    """
+    """A signal is named, and the error of a loop that ended; an alarm of descriptors ends without a client's help."""
     one = fresh(tmp_path)
     one.station.alarms.put_up("descriptors", "no file descriptor is free")
     async with running(one, eventually):
@@ -137,10 +134,7 @@ async def asked(path, message):
 
 
 async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path, eventually):
-    """It says where it listens, is ready, reloads by SIGHUP for better or worse, shows its state, and ends by SIGTERM.
-
-    The socket opens to user and group alone, and one that a killed daemon left behind is no obstacle.
-    """
+    """Where it listens, reloads by SIGHUP for better or worse, its state; a socket that was left is no obstacle."""
     place = tmp_path / "scpi"
     left = await asyncio.start_unix_server(lambda reader, writer: None, place)
     left.close()
@@ -196,7 +190,10 @@ async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path, eventuall
 
 
 async def test_who_may_connect_is_announced(tmp_path, eventually):
-    """Networks that are let in, that a token is needed, and how pvAccess is served."""
+    """Networks that are let in, that a token is needed, how pvAccess is served; nothing that was not asked for."""
+    bare = fresh(tmp_path, scpi_address=None, http_address=None)
+    async with running(bare, eventually):
+        assert bare.announced == [f"journal {tmp_path / 'journal.sqlite'}"]
     options = {"scpi_address": "0.0.0.0", "scpi_allow": parse_networks(["10.0.0.0/8", "192.0.2.0/24"])}
     one = fresh(tmp_path, **options, token="a-secret-of-sixteen", pva=PvaOptions("lab", isolated=True))
     async with running(one, eventually):
@@ -210,15 +207,10 @@ async def test_who_may_connect_is_announced(tmp_path, eventually):
     assert journal == f"journal {tmp_path / 'journal.sqlite'}"
 
 
-async def test_a_service_that_listens_nowhere_only_keeps_its_journal(tmp_path, eventually):
-    """No port is opened that was not asked for."""
-    one = fresh(tmp_path, scpi_address=None, http_address=None)
-    async with running(one, eventually):
-        assert one.announced == [f"journal {tmp_path / 'journal.sqlite'}"]
-
-
 async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path):
-    """A taken port is an error that names it; what was started before is stopped, and systemd is notified."""
+    """A taken port is named, an address beyond loopback needs a list; what was begun is stopped, systemd notified."""
+    with pytest.raises(RadiometerError, match=r"--scpi-allow \(addresses or networks\), or stay on 127\.0\.0\.1"):
+        await fresh(tmp_path, scpi_address="0.0.0.0").service.run()
     taken = await asyncio.start_server(lambda reader, writer: None, "127.0.0.1", 0)
     port = taken.sockets[0].getsockname()[1]
     one = fresh(tmp_path, http_address=None, scpi_port=port)
@@ -227,12 +219,6 @@ async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path
     assert (one.announced, one.systemd.lines) == ([], ["stopping"])
     assert not one.instrument.is_open
     taken.close()
-
-
-async def test_hearing_from_other_machines_needs_a_list(tmp_path):
-    """An address beyond loopback is refused without one, in words that tell the way out."""
-    with pytest.raises(RadiometerError, match=r"--scpi-allow \(addresses or networks\), or stay on 127\.0\.0\.1"):
-        await fresh(tmp_path, scpi_address="0.0.0.0").service.run()
 
 
 @pytest.mark.slow
@@ -369,11 +355,7 @@ def test_a_day_without_a_daemon_is_believed_and_no_more(off_us, by_us, tmp_path,
 
 @pytest.mark.parametrize("seed", range(20))
 def test_whatever_the_clock_did_what_is_young_stays_and_what_is_old_goes(seed, tmp_path, make_reading):
-    """The clock set forward and back, with the daemon on and off, deletions at every start; the true time decides.
-
-    Every reading that is truly younger than 30 days stays. At the end, what ran for longer
-    than that after a reading has let it go: nothing is kept for ever.
-    """
+    """The clock is set, daemons come and go: what is truly younger than 30 days stays, and nothing for ever."""
     random, path = np.random.default_rng(seed), tmp_path / "j.sqlite"
     true_us, off_us, stamps = START_US, 0, list[int]()
     keep_us = 30 * DAY_US
@@ -542,28 +524,18 @@ def test_pauses_do_not_add_up(tmp_path, make_reading):
 # The line of the health report that shows whether a daemon runs.
 
 
-async def _probe(station):
+async def test_a_running_daemon_is_named(station):
+    """Its identity is shown and all is well; in trouble it is a warning that names the alarm."""
     scpi, http = ScpiServer(station), HttpServer(station)
     ports = await scpi.listen_tcp("127.0.0.1", 0), await http.listen("127.0.0.1", 0)
-    finding = await asyncio.to_thread(check_daemon, *ports)
+    well = await asyncio.to_thread(check_daemon, *ports)
+    station.alarms.put_up("calibration", "of another camera")
+    troubled = await asyncio.to_thread(check_daemon, *ports)
     await http.close()
     await scpi.close()
-    return finding
-
-
-async def test_a_running_daemon_is_named(station):
-    """Its identity is shown and all is well."""
-    finding = await _probe(station)
-    assert (finding.check, finding.health) == ("daemon", Health.OK)
-    assert "Fake,F-1,4711" in finding.message
-
-
-async def test_alarms_of_a_running_daemon_are_shown(station):
-    """A daemon in trouble is a warning that names the alarm."""
-    station.alarms.put_up("calibration", "of another camera")
-    finding = await _probe(station)
-    assert finding.health is Health.WARNING
-    assert "calibration" in finding.message
+    assert (well.check, well.health, troubled.health) == ("daemon", Health.OK, Health.WARNING)
+    assert "Fake,F-1,4711" in well.message
+    assert "calibration" in troubled.message
 
 
 def test_no_daemon_is_a_note_with_the_way_to_start_one():

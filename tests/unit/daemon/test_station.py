@@ -13,11 +13,11 @@ import pytest
 
 from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal, JournalError
-from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
+from radiometer.daemon.journal_reader import JournalReader
 from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.patches import PatchLimits
 from radiometer.daemon.station import Station, identity_mapping
-from radiometer.data import Flag, Patch
+from radiometer.data import Patch
 from radiometer.devices import CameraIdentity
 from radiometer.errors import (
     DeviceError,
@@ -39,34 +39,26 @@ async def test_continuous_measurement_keeps_its_period(station, eventually):
     assert time.monotonic() - begun > 8.5 * 0.05
 
 
-async def test_a_camera_that_does_not_return_is_reported_before_it_gives_up(station, instrument, eventually):
-    """While a call hangs the alarm is up; once answers come in time again it goes, and no loss is counted."""
+@pytest.mark.parametrize("lost", [False, True])
+async def test_a_camera_that_does_not_return_is_reported_before_it_gives_up(station, instrument, eventually, lost):
+    """While a call hangs the alarm is up; it goes once answers come in time, or a loss is announced as well."""
     instrument.let_go, instrument.late_at = threading.Event(), time.monotonic() + 0.2
-    measuring = asyncio.create_task(station.acquisition.measure())
-    await eventually(lambda: station.camera.state is DeviceState.OVERDUE)
-    assert "has not answered" in station.alarms.active[0].message
-    instrument.let_go.set()
-    await measuring
-    instrument.late_at = None
-    await eventually(lambda: station.alarms.active == ())
-    assert station.camera.losses == 0
-
-
-async def test_a_late_camera_that_turns_out_lost_is_announced_again(station, instrument, eventually):
-    """Listeners hear of the delay, then of the loss, as two events."""
-    instrument.let_go, instrument.late_at = threading.Event(), time.monotonic() + 0.1
     listener = station.hub.subscribe()
     measuring = asyncio.create_task(station.acquisition.measure())
     await eventually(lambda: station.camera.state is DeviceState.OVERDUE)
-    instrument.unplugged = True
+    assert "has not answered" in station.alarms.active[0].message
+    instrument.unplugged = lost
     instrument.let_go.set()
+    if not lost:
+        await measuring
+        instrument.late_at = None
+        await eventually(lambda: station.alarms.active == ())
+        assert station.camera.losses == 0
+        return
     with pytest.raises(DeviceError):
         await measuring
-    reported = []
-    for _ in range(2):
-        event = await asyncio.wait_for(listener.next(), within(20.0))
-        reported.append(json.loads(event.line)["devices"]["camera"]["state"])
-    assert reported == ["overdue", "lost"]
+    events = [await asyncio.wait_for(listener.next(), within(20.0)) for _ in range(2)]
+    assert [json.loads(one.line)["devices"]["camera"]["state"] for one in events] == ["overdue", "lost"]
 
 
 async def test_a_camera_that_is_absent_at_start_is_waited_for(instrument, tmp_path, eventually):
@@ -275,10 +267,7 @@ async def test_every_change_is_reported_once_with_the_state_after_it(station, wh
     [("gain_db", 0.0, 48.0, {}), ("exposure_s", 1e-5, 30.0, {"auto_exposure": False})],
 )
 async def test_what_is_at_a_limit_is_allowed_and_what_is_beyond_is_not(station, field, low, high, further):
-    """Both ends of a range belong to it; an exposure is looked at only where the daemon does not choose it.
-
-    What is refused is named with its limits and changes nothing.
-    """
+    """Both ends belong to a range; what is refused changes nothing; an exposure is looked at only where it is used."""
     for value in (low, high):
         assert getattr(station.configure(**further, **{field: value}), field) == value
     before = station.settings
@@ -363,13 +352,6 @@ async def test_two_that_ask_for_one_patch_share_the_measurement(station, instrum
     assert (first, first.session, len(instrument.measured)) == (second, "a,b", 1)
 
 
-async def test_what_is_measured_with_the_settings_in_force_belongs_to_all(connect, station):
-    """READ? without a patch of its own is everybody's reading: the page shows it."""
-    client = await connect()
-    await client.ask("READ?")
-    assert station.shown.latest.session == ""
-
-
 async def test_a_moved_patch_has_no_reading_yet(client, station):
     """After the shared patch was moved, nothing states the reading of the old place; exposure alone changes nothing."""
     assert await client.ask("READ?")
@@ -395,36 +377,13 @@ async def test_a_patch_moved_while_measuring_is_not_believed(station, instrument
     assert station.shown.latest is None
 
 
-async def test_each_session_gets_the_picture_of_its_reading(connect, instrument):
+async def test_each_session_gets_the_picture_of_its_reading(connect, station):
     """TRAC:DATA? IMAGe after a session's own measurement is its own frame, another's is the shared one."""
     a, b = await connect(), await connect()
     await a.ask("READ?")
+    assert station.shown.latest.session == "", "what is measured with the settings in force belongs to all"
     await b.ask(f"SENS:EXP 5 MS;:MEAS:RAD? {OTHER_X},1,2,3")
     assert (await a.ask("TRAC:SIZE?"), await b.ask("TRAC:SIZE?")) == ("64,48,12", "64,48,12")
     await a.ask(f"MEAS:RAD? {OTHER_X + 1},1,2,3")
     await b.send("TRAC:SIZE?")
     assert (await b.ask("SYST:ERR?")).startswith("-230")  # its frames are gone; another's are not given in their stead
-
-
-def test_the_journal_of_the_version_before_is_taken_over(tmp_path, make_reading):
-    """Its readings belong to all, their trend is made up, and new ones are added; it can be read before that too."""
-    path = tmp_path / "j.sqlite"
-    with Journal(path) as journal:
-        journal.append([make_reading(time=f"2026-01-01T00:00:{second:02d}Z") for second in (1, 2, 59)])
-        journal.append([make_reading(time="2026-01-01T00:01:00Z", flags=(Flag.FLICKER,))])
-    made = sqlite3.connect(path)
-    new = made.execute("SELECT * FROM trend").fetchall()
-    made.executescript(
-        "DROP TABLE trend; DROP TABLE patches; DROP INDEX readings_by_stream;"
-        "ALTER TABLE readings DROP COLUMN stream; PRAGMA user_version = 1"
-    )
-    made.close()
-    assert len(JournalReader(path).lines(ReadingFilter(stream=""))) == 4
-    assert JournalReader(path).lines(ReadingFilter(stream="own")) == []
-    assert JournalReader(path).trend("", 0, 2**61) == []
-    with Journal(path) as journal:
-        journal.append([make_reading(session="scpi-1"), make_reading()])
-    upgraded = sqlite3.connect(path)
-    assert upgraded.execute("SELECT * FROM trend ORDER BY minute").fetchall()[:2] == new
-    assert upgraded.execute("SELECT sum(count) FROM trend").fetchone() == (5,)
-    upgraded.close()

@@ -8,7 +8,6 @@ import pytest
 from radiometer.daemon import bench_instrument
 from radiometer.daemon.bench_instrument import BenchInstrument, WatchedCamera
 from radiometer.daemon.instrument import MeasurementSettings
-from radiometer.daemon.keeper import KeeperTimes
 from radiometer.daemon.service import ServiceOptions
 from radiometer.data import Calibration, CameraDescription, Flag, LensDescription, Scale, SensorNoise
 from radiometer.devices import Camera, CameraSettings
@@ -46,16 +45,12 @@ def test_a_capture_is_late_after_twice_its_exposures_and_a_grace():
     assert watched.late_at is None
 
 
-def test_it_is_a_camera():
-    """It has every member of the Protocol."""
-    assert [name for name in dir(Camera) if not name.startswith("_") and not hasattr(WatchedCamera, name)] == []
-
-
 def test_every_call_reaches_the_camera_and_what_it_returns_comes_back():
     """Nothing is held back, exchanged or made up: each member is the camera's own, with the arguments given."""
     camera = MagicMock()
     camera.capture.return_value, camera.stream.return_value = [], iter([])
     watched = WatchedCamera(camera)
+    assert [name for name in dir(Camera) if not name.startswith("_") and not hasattr(WatchedCamera, name)] == []
     for name in ("identity", "capabilities", "settings", "description", "lens", "counts"):
         assert getattr(watched, name) is getattr(camera, name)
     requested = CameraSettings(0.1)
@@ -242,9 +237,3 @@ def test_the_ports_are_those_that_are_documented(project_root):
     page = (project_root / "docs" / "reference" / "daemon.md").read_text(encoding="utf-8")
     assert "5025" in page
     assert "8080" in page
-
-
-def test_a_device_is_looked_for_and_asked_twice_a_second():
-    """By itself first after 0.2 s, then at most half a second apart; a call is late after a second."""
-    times = KeeperTimes()
-    assert (times.first_pause_s, times.longest_pause_s, times.check_every_s, times.overdue_s) == (0.2, 0.5, 0.5, 1.0)

@@ -18,9 +18,10 @@ from radiometer.errors import CaptureError, InputError
 from radiometer.importing import open_capture
 from radiometer.importing.light_tables import read_meter_table
 from radiometer.reconciliation import photographs
-from radiometer.reconciliation.photographs import outcome, reconcile_photographs
-from radiometer.reconciliation.result import Verdict
+from radiometer.reconciliation.photographs import FrameFinding, outcome, reconcile_photographs, report_html
+from radiometer.reconciliation.result import Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.tables import reconcile_meter_table
+from radiometer.reporting.origin import Origin
 from testing.brackets_of_a_shutter import LABELS_S, photographed
 
 THESIS = """\
@@ -201,7 +202,7 @@ def test_one_of_four_labels_may_lie():
 
 @pytest.mark.slow
 def test_report_of_photographs_reports_the_story(tmp_path):
-    """One sentence with the factor and its U, the plot, what to do, and the others' exposures with their labels."""
+    """One sentence with the factor and its U, both plots, what to do, and the others' exposures with their labels."""
     real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6, EXACT[3] * 2.0]
     done = reconcile_photographs(_photographs([*real[:3], EXACT[3], real[4]], real))
     page = Path(done.write_report(tmp_path / "report.html")).read_text(encoding="utf-8")
@@ -210,7 +211,7 @@ def test_report_of_photographs_reports_the_story(tmp_path):
     assert found[1] == wrong.name
     assert float(found[2]) == pytest.approx(0.8, abs=0.03)
     assert float(found[3]) == pytest.approx(2.0 * wrong.u_ratio, rel=0.06)
-    assert page.count("<picture>") == 1
+    assert page.count("<picture>") == 2
     assert "class='do'" in page
     assert "<script" not in page
     for one in done.findings:
@@ -240,6 +241,29 @@ def test_a_label_has_one_size_wherever_it_is_reported(monkeypatch):
     assert (wrong.ratio, wrong.u_ratio) == (pytest.approx(0.8), pytest.approx(0.016))
     assert wrong.taken_s == pytest.approx(EXACT[1])
     assert outcome(done.result, done.findings).endswith("of its printed exposure (k = 2); the others agree.")
+
+
+def test_report_explains_a_wrong_label_and_what_would_have_been_detected():
+    """A section per wrong label, a picture of the predictions' errors, and the folded table of detectable effects."""
+    dn = np.arange(256.0)
+    right = FrameFinding("a.jpg", 0.1, 0.1, 1.0, 0.01, 1.2, False, 0.4, 0.5, 1.0, dn, (0.5 + 0.0 * dn, 0.4 + 0.0 * dn))
+    wrong = replace(
+        right, name="b.jpg", stated_s=0.05, taken_s=0.04, ratio=0.8, u_ratio=0.016, wrong=True, error_as_printed_dn=9.6
+    )
+    limits = {"exposure_label_error": Limit(0.34, "ratio", "1"), "gamma_enabled": Limit(None, "gamma", "1")}
+    result = ReconcileResult(Verdict.EFFECTS_FOUND, (), 4.0, 1.0, limits=limits, captures=2, frames=2)
+    page = report_html(result, (right, wrong), "", "photographs", Origin())
+    expected = (
+        "<h2>Label of b.jpg</h2>",
+        "Printed 1/20\u00a0s, exposed for 0.0400\u00a0±\u00a00.0016\u00a0s (k\u00a0=\u00a02), 0.32 stops less.",
+        "predicted by the others to 0.4 DN on average, 9.6 DN as printed.",
+        "<h2>Each photograph against its prediction</h2>",
+        "What these photographs would have detected",
+        "× or ÷ 1.34",
+        "cannot be detected",
+    )
+    assert [part for part in expected if part not in page] == []
+    assert page.count("<picture>") == 2
 
 
 def test_labels_that_may_be_meant_instead_are_reported(monkeypatch):

@@ -70,13 +70,14 @@ def chunked(wooden_camera, library_error):
     return make
 
 
-def test_chunks_are_switched_on_one_by_one(chunked):
-    """Only those that tell settings are touched: the switches of Image and CRC are locked on real cameras."""
+def test_chunks_are_switched_on_one_by_one(chunked, wooden_camera):
+    """Only those that tell settings are touched: Image and CRC are locked on real cameras; none is missed."""
     camera, features = chunked(locked=("Image", "CRC"))
     notes: list[str] = []
     assert switch_on_chunks(camera, features, notes) == ("ExposureTime", "Gain", "BlackLevel")
     assert camera.features["ChunkModeActive"] is True
     assert camera.features.on == {"Image", "CRC", "ExposureTime", "Gain", "BlackLevel"}
+    assert switch_on_chunks(*wooden_camera({"Gain": 0.0}), notes) == ()
     assert notes == []
 
 
@@ -107,14 +108,6 @@ def test_a_camera_that_vanishes_among_its_chunks_is_lost(chunked, library_error)
     camera.set_string = vanish
     with pytest.raises(DeviceLost):
         switch_on_chunks(camera, features, [])
-
-
-def test_a_camera_without_chunks_needs_no_note(wooden_camera):
-    """What is not there is not missed."""
-    camera, features = wooden_camera({"Gain": 0.0})
-    notes: list[str] = []
-    assert switch_on_chunks(camera, features, notes) == ()
-    assert notes == []
 
 
 def test_what_was_changed_says_which_chunks_must_agree():
@@ -152,20 +145,15 @@ def test_the_camera_sends_less_than_its_link_carries(wooden_camera, gige, limit,
     assert bool(notes) is (chosen != limit)
 
 
-def test_a_locked_limit_is_noted(wooden_camera):
-    """A camera that refuses it opens all the same."""
-    _, found, notes = throughput(wooden_camera, gige=True, limit=125_000_000, speed=125_000_000, refused=(LIMIT,))
-    assert found is None
-    assert "frames may be lost" in notes[0]
-
-
 def test_slowing_down_goes_by_quarters_to_the_lowest(wooden_camera):
-    """Each step takes a quarter off; at the lowest, or where the camera refuses, that is the end of it."""
+    """Each step takes a quarter off to the lowest; a camera that refuses is noted, and opens all the same."""
     camera, found, _ = throughput(wooden_camera, gige=True, limit=2_000_000, speed=None)
     assert [found.slow_down() for _ in range(4)] == [True, True, True, False]
     assert found.limit_bytes_s == camera.features[LIMIT] == 1_000_000
     _, stubborn, _ = throughput(wooden_camera, gige=True, limit=2_000_000, speed=None, refused=(LIMIT,))
     assert stubborn.slow_down() is False
+    _, locked, notes = throughput(wooden_camera, gige=True, limit=125_000_000, speed=125_000_000, refused=(LIMIT,))
+    assert (locked, "frames may be lost" in notes[0]) == (None, True)
 
 
 def test_a_camera_in_use_is_reported_before_the_library_is_asked(monkeypatch):
@@ -193,11 +181,13 @@ def test_a_family_is_known_by_vendor_model_and_info(vendor, model, info, discard
 
 
 def test_the_target_and_its_twin_alone_find_their_preset():
-    """USB3 and GigE model share a sensor and so a preset; another sensor, or a name that begins alike, has none."""
+    """They share a sensor and so a preset, other names have none; an unknown one is refused with those there are."""
     for model in ("BFS-U3-19S4M", "Blackfly S BFS-U3-19S4M", "BFS-PGE-19S4M", "Blackfly S BFS-PGE-19S4M-C"):
         assert quirks_for("FLIR", model).preset_of(model).model == "BFS-U3-19S4M"
     assert quirks_for("FLIR", "BFS-U3-51S5M").preset_of("BFS-U3-51S5M") is None
     assert not CameraMatch(vendor="FLIR", model="BFS-U3-19S4M").fits("FLIR", "BFS-U3-19S4M-SPECIAL")
+    with pytest.raises(ConfigurationError, match=r"BFS-U3-19S4M\.yaml"):
+        load_preset("BFS-U3-99")
 
 
 def test_every_figure_of_a_quirk_file_has_a_source():
@@ -206,12 +196,6 @@ def test_every_figure_of_a_quirk_file_has_a_source():
         text = path.read_text(encoding="utf-8")
         assert "sources:" in text, path
         assert "  discard_after_change:" in text, path
-
-
-def test_an_unknown_preset_is_refused_with_those_that_there_are():
-    """The message lists the presets."""
-    with pytest.raises(ConfigurationError, match=r"BFS-U3-19S4M\.yaml"):
-        load_preset("BFS-U3-99")
 
 
 GAMMA = FalsifyingFeature("GammaEnable", False, "digital numbers are bent")
@@ -356,14 +340,10 @@ def access(library_error) -> SettingsAccess:
 
 
 def test_the_camera_is_sent_microseconds_and_per_cent(access):
-    """5 ms are 5000 µs; 81.9 DN of 4095 are 2 %; 6 dB are 6 dB."""
+    """5 ms are 5000 µs, 81.9 DN of 4095 are 2 %; its own rounding comes back in s, dB and DN."""
     access.write(WANTED)
     assert access.camera.set == pytest.approx({"exposure_time": 5000.0, "gain": 6.0, "black_level": 2.0})
     assert access.camera.region == (16, 8, 64, 48)
-
-
-def test_what_is_read_back_is_what_the_camera_says(access):
-    """Its own rounding comes back in s, dB and DN: 4999.16 µs are not 5 ms."""
     access.write(WANTED)
     access.camera.set.update(exposure_time=4999.16, gain=5.9998, black_level=1.953125)
     found = access.read()
