@@ -17,7 +17,9 @@ ELEMENTARY_CHARGE_C: Final = 1.602176634e-19  # SI 2019, exact
 BASE_ISO: Final = 100.0  # the ISO speed that counts as 0 dB
 ZERO_CELSIUS_K: Final = 273.15
 _LONGEST_NUMBER: Final = 40  # characters; a fraction of 10^99999999 would fill the memory
-_HUGE_POWER: Final = re.compile(r"[eE][+-]?0*\d{3}")
+_HUGE_POWER: Final = re.compile(r"[eE]\+?0*\d{3}")
+_TINY_POWER: Final = re.compile(r"[eE]-0*\d{3}")  # a float holds it, or its zero; a fraction would take long
+_FORTRAN_POWER: Final = re.compile(r"([-+]?\d*\.\d+)([-+]\d{3})")  # which leaves out the E of three digits
 _PREFIXES: Final = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "c": 1e-2, "d": 1e-1, "k": 1e3}
 
 # Half-stop dials print these, rounded so far that a third of a stop is as near. Some third-stop dials do as well.
@@ -394,8 +396,14 @@ def read_number(text: str) -> tuple[float, str]:
         if re.fullmatch(r"[-+]?[1-9]\d{0,2},\d{3}(?:\D.*)?", cleaned):
             raise ValueError("its comma may be a decimal mark or part thousands")
         cleaned = cleaned.replace(",", ".", 1)
+    cleaned = f"{fortran[1]}e{fortran[2]}" if (fortran := _FORTRAN_POWER.fullmatch(cleaned)) else cleaned
     found = _WRITTEN.fullmatch(cleaned)
-    if found is None or len(found["number"]) > _LONGEST_NUMBER or _HUGE_POWER.search(found["number"]):
+    too_large = found is not None and (
+        len(found["number"]) > _LONGEST_NUMBER
+        or _HUGE_POWER.search(found["number"])
+        or ("/" in found["number"] and _TINY_POWER.search(found["number"]))
+    )
+    if found is None or too_large:
         raise ValueError(f"{text.strip()[:_LONGEST_NUMBER]!r} is not understood")
     number = found["number"].replace(" ", "")
     try:

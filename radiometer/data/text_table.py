@@ -28,7 +28,8 @@ _SEPARATORS: Final = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blank
 _LONGEST_LINE: Final = 100_000  # Python's csv takes cells of up to 131 072 characters
 _LONGEST_CELL: Final = 4_000  # a remark; what looks for units in a heading takes a time that grows with its square
 _COMMENT_SIGNS: Final = "#%!"
-_POINT: Final = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+# The last is Fortran's, which leaves out the E of an exponent of three digits.
+_POINT: Final = re.compile(r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|\d*\.\d+[-+]\d{3})")
 _COMMA: Final = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 _THOUSANDS: Final = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
 # With both signs the last one is the decimal mark: 1.234,5 and 1,234.5.

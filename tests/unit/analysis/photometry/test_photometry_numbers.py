@@ -248,6 +248,17 @@ def test_the_thesis_has_the_gaussian_s_area_and_radiance_per_micrometre():
     assert right == pytest.approx(photometry.radiance_thesis_w_sr_m2_um(3882.3529) * 0.4, rel=1e-3)
 
 
+@pytest.mark.parametrize("written", ["6.3e-142", "0.63-141", "1e-999", "0"])
+def test_a_power_too_small_to_matter_is_a_number(tmp_path, written):
+    """Models of narrow lines end in exponents of three digits, in Fortran without the E: no row is missing."""
+    file, expected = tmp_path / "light.csv", tmp_path / "plain.csv"
+    for one, faint in ((file, written), (expected, "0")):
+        rows = "".join(f"{nm},{faint if nm < 500 or nm > 600 else 1.0}\n" for nm in range(400, 710, 10))
+        one.write_text(f"wavelength_nm,relative_power\n{rows}")
+    found, plain = (photometry.luminous_efficacy(photometry.spectrum(str(one))).value for one in (file, expected))
+    assert found == pytest.approx(plain, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     "name",
     [
