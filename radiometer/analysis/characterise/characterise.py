@@ -259,7 +259,7 @@ class _Work:
             )
         sat_dn = Quantity(saturation.linear_signal_dn, saturation.u_linear_signal_dn, "DN")
         found = sensitivity_figures(
-            K, dark.variance_dn2, sat_dn, eta, self._step_dn, is_bound=dark.quantisation_limited
+            K, dark.variance_dn2, sat_dn, eta, dark.noise_dn2, is_bound=dark.quantisation_limited
         )
         if not saturation.reached:
             notes.append(

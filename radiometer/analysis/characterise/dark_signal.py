@@ -14,7 +14,7 @@ from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K
 from radiometer.analysis.characterise.line_fit import Line, fit_line
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.analysis.signal.model import FLOOR_SHARE
-from radiometer.analysis.signal.rounding import PLAIN_FROM
+from radiometer.analysis.signal.rounding import PLAIN_FROM, SHEPPARD, unrounded_variance
 from radiometer.data import CameraDescription, Quantity
 from radiometer.data.sensor_noise import SensorNoise, most_dark_e_per_s
 from radiometer.statistics.scale import robust_sigma, typical_pixels
@@ -43,6 +43,7 @@ class DarkSignal:
     variance_dn2: Quantity
     temperature_c: float | None  # mean sensor temperature; None where unknown
     quantisation_limited: bool  # the variance is below 0.24 DN², where rounding hides the noise
+    noise_dn2: Quantity  # the variance before rounding to whole codes in DN²
 
 
 def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal:
@@ -62,10 +63,14 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
     variance_line, variance = _variance([d for d in dark if d.has_noise])
     smallest = PLAIN_FROM * step_dn**2
     limited = variance.value < smallest and variance.u < smallest
+    least = min(dark, key=lambda d: d.settings.exposure_s)
+    noise = unrounded_variance(variance.value, variance.u, mean.value, least.ordinary_variance_dn2, step_dn)
     if variance.value < smallest and not limited:  # long exposures leave the noise at 0 s open
         variance = Quantity(smallest, math.hypot(variance.u, smallest - variance.value), "DN^2")
     if limited:  # all that is known is a bound; over [0, bound] the root mean square distance from it is bound/√3
         variance = Quantity(smallest, smallest / math.sqrt(3.0), "DN^2")
+    if variance.value == smallest:
+        noise = Quantity(smallest - SHEPPARD * step_dn**2, variance.u, "DN^2")
     known = [d.settings.temperature_c for d in dark if d.settings.temperature_c is not None]
     return DarkSignal(
         mean_line,
@@ -74,6 +79,7 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
         variance,
         float(np.mean(known)) if known else None,
         limited,
+        noise,
     )
 
 
@@ -99,9 +105,8 @@ def with_open_current(
     u_dn = open_current_u_dn(dark, K, camera)
     mean = replace(found.mean_dn, u=math.hypot(found.mean_dn.u, u_dn))
     of_noise = 0.0 if K is None else K.value * u_dn
-    return replace(
-        found, mean_dn=mean, variance_dn2=replace(found.variance_dn2, u=math.hypot(found.variance_dn2.u, of_noise))
-    )
+    variance, noise = (replace(one, u=math.hypot(one.u, of_noise)) for one in (found.variance_dn2, found.noise_dn2))
+    return replace(found, mean_dn=mean, variance_dn2=variance, noise_dn2=noise)
 
 
 def open_current_u_dn(dark: Sequence[GroupStatistics], K: Quantity | None, camera: CameraDescription) -> float:

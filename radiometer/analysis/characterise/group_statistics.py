@@ -152,13 +152,17 @@ class GroupStatistics:
         noise = self.variance_dn2 if self.has_noise else self.spatial_variance_dn2
         return math.sqrt(max(noise, 1 / 12) / (self.frames * self.pixels))
 
+    @property
+    def ordinary_variance_dn2(self) -> float:
+        """Return the variance between pixels in DN² without hot ones, which do not show where the others are."""
+        return self.spatial_variance_dn2 if self.typical_variance_dn2 is None else self.typical_variance_dn2
+
     def u_of_rounding_dn(self, step_dn: int) -> float:
         """Return what rounding to codes of a distance in DN leaves uncertain in the mean, a standard uncertainty in DN.
 
         Hot pixels spread over other codes than the rest, and do not show where between two codes these are.
         """
-        spatial = self.spatial_variance_dn2 if self.typical_variance_dn2 is None else self.typical_variance_dn2
-        return rounding_u_of_mean(max(self.variance_dn2 + spatial, 0.0), step_dn)
+        return rounding_u_of_mean(max(self.variance_dn2 + self.ordinary_variance_dn2, 0.0), step_dn)
 
     @property
     def degrees_of_freedom(self) -> float:

@@ -56,7 +56,7 @@ def partial_characterisation(
     lit = [b for b in lit if b.settings.gain_db == gain_db]
     dark = [d for d in dark if d.settings.gain_db == gain_db]
     notes = list(subject.notes)
-    steps, transfer, K = _photon_transfer(lit, dark, notes)
+    steps, transfer, K = _photon_transfer(lit, dark, notes, subject.camera.code_step_dn or 1)
     figures = {"K": K} if K is not None else {}
     main = _main_region([*lit, *dark, *bright])
     own_dark = [d for d in dark if d.region == main]
@@ -155,13 +155,13 @@ def _temperature(groups: Sequence[GroupStatistics]) -> float | None:
 
 
 def _photon_transfer(
-    lit: Sequence[GroupStatistics], dark: Sequence[GroupStatistics], notes: list[str]
+    lit: Sequence[GroupStatistics], dark: Sequence[GroupStatistics], notes: list[str], step_dn: int
 ) -> tuple[list[SignalStep], PhotonTransfer | None, Quantity | None]:
     if not lit:
         return [], None, None
     if any(d.has_noise for d in dark):
         try:
-            steps = make_steps(lit, dark)
+            steps = make_steps(lit, dark, step_dn)
         except MeasurementError as error:
             notes.append(str(error))
             return [], None, None
@@ -227,7 +227,7 @@ def _dark_figures(
         )
         is_hidden = signal.quantisation_limited
         if K is not None:
-            found = sensitivity_figures(K, signal.variance_dn2, None, None, step_dn, is_bound=is_hidden)
+            found = sensitivity_figures(K, signal.variance_dn2, None, None, signal.noise_dn2, is_bound=is_hidden)
             figures |= {name: found[name] for name in ("sigma_d", "mu_e_min")}
             if signal.mean_line is not None:
                 line = signal.mean_line

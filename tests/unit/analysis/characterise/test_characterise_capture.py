@@ -14,7 +14,16 @@ from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, meaning
 from radiometer.analysis.characterise.result import SYMBOLS
 from radiometer.analysis.characterise.subject import Subject
-from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
+from radiometer.data import (
+    CameraDescription,
+    CaptureSet,
+    CaptureSetWriter,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Patch,
+    Quantity,
+)
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
 from radiometer.errors import CalibrationError, InputError, MeasurementError, OutputRefused, UsageError
@@ -220,6 +229,20 @@ def test_curve_of_the_signal_to_noise_ratio_stands_in_the_file(capture):
             continue
         expected = (step["mu_y_dn"] - step["mu_y_dark_dn"]) / step["sigma2_y_dn2"] ** 0.5
         assert step["SNR"] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("step_dn", [4, 16])
+def test_padded_codes_count_as_such_though_nothing_states_them(capture, tmp_path, step_dn):
+    """The same frames on codes 4 or 16 DN apart: noise in electrons as before, K as many times larger, and a note."""
+    before = characterise(subject_of_capture(capture)).figures
+    with CaptureSetWriter(tmp_path / "padded", CameraDescription(bit_depth=16), LensDescription()) as writer:
+        for number, entry in enumerate(capture.header.frames):
+            dn = capture.read_frame(number).dn * np.uint16(step_dn)
+            writer.add(Frame(dn, 16, replace(entry.settings, black_level_dn=None)))
+    found = characterise(subject_of_capture(CaptureSet.read(tmp_path / "padded")))
+    assert any(f"codes are {step_dn} DN apart" in note for note in found.notes)
+    assert found.figures["sigma_d"].value == pytest.approx(before["sigma_d"].value, rel=0.02)
+    assert found.figures["K"].value == pytest.approx(step_dn * before["K"].value, rel=0.01)
 
 
 def test_averaged_frames_are_refused_as_showing_no_shot_noise(capture):

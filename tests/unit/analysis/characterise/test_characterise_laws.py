@@ -98,11 +98,29 @@ def test_noise_that_rounding_hides_is_a_bound_as_wide_as_itself(step_dn):
         assert found.variance_dn2.u == pytest.approx(0.24 * step_dn**2 / np.sqrt(3.0))
     loud = dark_signal([group(100.0, 0.25 * step_dn**2, dark=True)], step_dn)
     assert (loud.variance_dn2.value, loud.quantisation_limited) == (pytest.approx(0.25 * step_dn**2), False)
-    figures = sensitivity_figures(Quantity(0.5, 0.0, "DN/e-"), found.variance_dn2, None, None, step_dn, is_bound=True)
+    figures = sensitivity_figures(
+        Quantity(0.5, 0.0, "DN/e-"), found.variance_dn2, None, None, found.noise_dn2, is_bound=True
+    )
     most = np.sqrt(0.24 - 1.0 / 12.0) * step_dn / 0.5
     assert figures["sigma_d"].value == pytest.approx(most / 2.0)
     assert figures["sigma_d"].u == pytest.approx(most / np.sqrt(12.0))
     assert figures["sigma_y_dark"].u > 0.25 * figures["sigma_y_dark"].value
+
+
+@pytest.mark.parametrize("place", [0.0, 0.5])
+@pytest.mark.parametrize("noise_dn", [0.41, 0.455, 0.5, 0.6, 1.0])
+def test_noise_that_does_not_blur_the_codes_is_known_as_well_as_the_place_between_them(noise_dn, place):
+    """On a code 0.455 DN read as 0.43 by 1/12 DN², between two 0.41 DN as 0.435: k = 2 covers the truth at 1 e⁻/DN."""
+    rng = np.random.default_rng(7)
+    frames = [np.rint(64.0 + place + rng.normal(0.0, noise_dn, (60, 80))).astype(np.uint16) for _ in range(28)]
+    darks = statistics_of_group(frames, FrameSettings(1.0, shutter="closed"), (None,), 4095)
+    found = dark_signal(darks)
+    if found.quantisation_limited:
+        assert noise_dn < math.sqrt(0.24)
+        return
+    figures = sensitivity_figures(Quantity(1.0, 0.0, "DN/e-"), found.variance_dn2, None, None, found.noise_dn2)
+    assert abs(figures["sigma_d"].value - noise_dn) <= 2.0 * figures["sigma_d"].u
+    assert figures["sigma_d"].u < 0.08 * noise_dn  # predicted variances hold to 5 %, and the grid is as fine
 
 
 def test_darks_alone_say_that_rounding_hides_their_noise():
