@@ -14,7 +14,7 @@ import numpy as np
 from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.checks import Check
 from radiometer.adaptation.live import LivePage, LiveText, event_line, replayed
-from radiometer.adaptation.outcome import DEVICE_FACTS, Outcome, RunJournal
+from radiometer.adaptation.outcome import Outcome, RunJournal, devices_of
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach
 from radiometer.adaptation.request import SIMULATED_BOX, Controls, RunRequest
 from radiometer.adaptation.run import Stage, run_test
@@ -229,10 +229,8 @@ class Session:
         """Return the thresholds as CSV, with the facts that belong to their fit."""
         shared = [event["u_scale_log10"] for event in self.journal.of_kind("stage") if event.get("u_scale_log10")]
         asked = self.request
-        devices: dict[str, str | float] = {}
-        for event in self.journal.of_kind("stage"):
-            devices |= {name: str(event[name]) for name in DEVICE_FACTS if event.get(name) is not None}
-        facts = facts_of(asked.protocol, shared[-1] if shared else None, outcome.reliability, asked.header() | devices)
+        visit = asked.header() | devices_of(self.journal.events)
+        facts = facts_of(asked.protocol, shared[-1] if shared else None, outcome.reliability, visit)
         return outcome.to_csv(facts)
 
     def reach_sentence(self) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -41,10 +41,6 @@ class Bound:
     low: float
     high: float
 
-    def to_mapping(self) -> dict[str, float]:
-        """Return what is written to the JSON."""
-        return {"value": self.value, "low": self.low, "high": self.high}
-
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
@@ -57,8 +53,7 @@ class Agreement:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return what is written to the JSON."""
-        limits = {name: getattr(self, name).to_mapping() for name in ("mean", "lower", "upper")}
-        return {**limits, "sd": self.sd}
+        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)

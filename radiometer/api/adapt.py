@@ -100,15 +100,9 @@ class AdaptationRun(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         one = self.outcome
-        return {
-            "verdict": str(one.verdict),
-            "explanation": one.explanation,
-            "thresholds": len(one.times_min),
-            "catches": one.catches,
-            "false_presses": one.false_presses,
-            "reliability": one.reliability.to_mapping(),
-            "csv": None if self.table is None else str(self.table),
-        }
+        counts = {"thresholds": len(one.times_min), "catches": one.catches, "false_presses": one.false_presses}
+        known = {"verdict": str(one.verdict), "explanation": one.explanation, **counts}
+        return self.plain(**known, reliability=one.reliability, csv=self.table)
 
     def lines(self) -> list[str]:
         """Return verdict, counts and reliability in words."""
@@ -311,7 +305,7 @@ class AdaptationCurve(Result):
         """Return each estimate with its interval, then the reliability of the run where it is known."""
         found = []
         for name, estimate in self.fit.estimates.items():
-            interval = estimate.profile or estimate.bootstrap
+            interval = estimate.interval
             expanded = 2.0 * estimate.u
             known = interval is not None and interval.low < interval.high  # ends of an area are chosen, not estimated
             ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval and known else []
@@ -615,9 +609,6 @@ class Bleach(Result):
     cones_bleached_range: tuple[float, float]
     scotopic_ratio: float
     natural_pupil: bool
-
-    def to_mapping(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __str__(self) -> str:
         return (

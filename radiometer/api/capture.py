@@ -47,14 +47,7 @@ class BracketReport(Result):
     of: str = "pixels"
 
     def to_mapping(self) -> dict[str, Any]:
-        return {
-            "capture": str(self.capture),
-            "frames": self.frames,
-            "exposures_s": list(self.exposures_s),
-            "dark_frames": self.dark_frames,
-            **self.coverage,
-            "cut_short": self.cut_short,
-        }
+        return self.plain("capture", "frames", "exposures_s", "dark_frames", "cut_short", **self.coverage)
 
     def __str__(self) -> str:
         low, high = min(self.exposures_s), max(self.exposures_s)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -42,6 +41,7 @@ from radiometer.errors import UsageError
 from radiometer.importing import open_capture
 from radiometer.numbers import unit_text, with_u
 from radiometer.plausible import ExposureSteps, KnownRadiance, RelativeUncertainty
+from radiometer.reporting.page import listed, table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,13 +131,8 @@ class Sensor(Result):
         return ", ".join(f"{name} = {_quantity(self[name])}" for name in telling)
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{html.escape(name)}</td><td>{html.escape(_quantity(figure))}</td></tr>"
-            for name, figure in self.figures.items()
-        )
-        notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.characterisation.notes)
-        table = f"<table><tr><th>EMVA 1288</th><th>value ± U</th></tr>{rows}</table>{notes}"
-        return picture(self.plot, repr(self)) + table
+        figures = table(("EMVA 1288", "value ± U"), [(name, _quantity(one)) for name, one in self.figures.items()])
+        return picture(self.plot, repr(self)) + figures + listed(self.characterisation.notes)
 
 
 def characterise(

@@ -36,10 +36,7 @@ SMALL_REGION = Roi(16, 8, 64, 48)
 
 @dataclass(frozen=True)
 class Subject:
-    """A camera under test: how to make it, how a second opener is made, and a region small enough to be quick.
-
-    `native` is a format that it offers in addition to those of others, `exposure_s` a time that it can take exactly.
-    """
+    """A camera under test, what opens it again, a small region, a format of its own, and a time that it can take."""
 
     name: str
     make: Callable[[], Camera]

@@ -286,23 +286,16 @@ def test_chunks_tell_the_two_frames_that_are_still_of_the_settings_before(awkwar
 
 def test_no_frame_mixes_two_settings(awkward):
     """After a change of exposure, gain or black level alone, a frame has the brightness of its own settings."""
-    changes = [
-        {"exposure_s": 0.008},
-        {"gain_db": 6.0205999},
-        {"black_level_dn": 200.0},
-        {"exposure_s": 0.002},
-        {"gain_db": 0.0},
-        {"black_level_dn": 20.0},
-    ]
-    required = PACKED
+    required, changes = (
+        PACKED,
+        {"exposure_s": (0.008, 0.002), "gain_db": (6.0205999, 0.0), "black_level_dn": (200.0, 20.0)},
+    )
     with opened() as camera:
-        for change in changes:
-            required = replace(required, **change)
-            camera.configure(required)
-            frame = camera.capture(1)[0]
-            gain = required.exposure_s / 0.004 * 10 ** (required.gain_db / 20)
-            expected = required.black_level_dn + SIGNAL_DN * gain
-            assert frame.dn.mean() == pytest.approx(expected, abs=3 * U_REL * SIGNAL_DN * gain), change
+        for step in (0, 1):
+            for name, values in changes.items():
+                required = replace(required, **{name: values[step]})
+                in_force = camera.configure(required)
+                assert_brightness(camera.capture(1)[0], in_force)
 
 
 def test_the_shortest_exposure_is_not_taken_for_another_one(awkward):
@@ -315,11 +308,7 @@ def test_the_shortest_exposure_is_not_taken_for_another_one(awkward):
 
 
 def test_nothing_is_dropped_on_a_link_that_carries_little_less_than_it_should(awkward):
-    """As shipped it sends at the link's nominal speed, which loses a packet of every frame; opened, it does not.
-
-    The link itself says what it lost: on a busy machine the library gives up frames that come whole, but too late for
-    it (100 ms behind their first packet).
-    """
+    """At its nominal speed, as shipped, the link loses a packet of every frame; the link itself says what it lost."""
     with opened() as camera:
         assert camera.session.throughput.limit_bytes_s == 112_500_000
         camera.configure(PACKED)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics
+from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, mean_temperature_c
 from radiometer.analysis.characterise.line_fit import Line, fit_line
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.analysis.signal.model import FLOOR_SHARE
@@ -71,16 +71,7 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
         variance = Quantity(smallest, smallest / math.sqrt(3.0), "DN^2")
     if variance.value == smallest:
         noise = Quantity(smallest - SHEPPARD * step_dn**2, variance.u, "DN^2")
-    known = [d.settings.temperature_c for d in dark if d.settings.temperature_c is not None]
-    return DarkSignal(
-        mean_line,
-        variance_line,
-        mean,
-        variance,
-        float(np.mean(known)) if known else None,
-        limited,
-        noise,
-    )
+    return DarkSignal(mean_line, variance_line, mean, variance, mean_temperature_c(dark), limited, noise)
 
 
 def level_at_0_s(dark: Sequence[GroupStatistics], step_dn: int = 1) -> tuple[Quantity, Line | None]:

@@ -182,6 +182,17 @@ class GroupStatistics:
         return max(math.hypot(u_measured, self.u_variance_dn2 / self.frames), self.split.u_dn2 if self.split else 0.0)
 
 
+def mean_temperature_c(groups: Iterable[GroupStatistics]) -> float | None:
+    """Return the mean sensor temperature of groups in °C; None where none states it."""
+    known = [one.settings.temperature_c for one in groups if one.settings.temperature_c is not None]
+    return float(np.mean(known)) if known else None
+
+
+def dark_points(dark: Iterable[GroupStatistics]) -> tuple[tuple[float, float, float, float | None], ...]:
+    """Return (exposure in s, mean in DN, variance in DN², temperature in °C) of dark groups."""
+    return tuple((d.settings.exposure_s, d.mean_dn, d.variance_dn2, d.settings.temperature_c) for d in dark)
+
+
 def statistics_of_group(
     frames: Iterable[DigitalNumbers],
     settings: FrameSettings,

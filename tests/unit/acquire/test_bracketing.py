@@ -159,7 +159,7 @@ def test_metering_ends_at_a_bound_that_the_camera_rounds(monkeypatch, radiance, 
 
 
 def test_no_exposure_takes_more_than_a_third_of_the_time():
-    """A dim field that would like a minute: two of the longest and the rest fit into six seconds."""
+    """A dim field that would like a minute: two of the longest and the rest fit into six seconds; none is misuse."""
     camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 0.2})
     camera.set_scene(
         scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": 300.0 / 10.0 / expected_rate(camera, 1.0)})
@@ -167,6 +167,8 @@ def test_no_exposure_takes_more_than_a_third_of_the_time():
     plan = plan_for_scene(camera, BracketRequest(time_limit_s=6.0))
     assert max(plan.exposures_s) == pytest.approx(2.0)
     assert plan.total_s <= 6.0
+    with pytest.raises(UsageError, match="leaves no time"):
+        plan_for_scene(camera, BracketRequest(region=Patch(0, 0, 4, 4), time_limit_s=0.0))
 
 
 def test_dark_frames_follow_with_the_shutter_closed():
@@ -182,27 +184,17 @@ def test_dark_frames_follow_with_the_shutter_closed():
 
 
 def test_a_lens_covered_by_hand_makes_dark_frames():
-    """The camera knows nothing of the cap: the frames are marked as dark all the same, and the cap comes off."""
-    asked = []
-    frames = list(
-        take_plan(
-            camera_before(CHART, has_shutter=False),
-            ExposurePlan((0.01, 0.02)),
-            BracketRequest(dark_frames=1),
-            close_shutter=asked.append,
-        )
-    )
+    """They are marked as dark though the camera knows of no cap; it comes off, also where they end early."""
+    asked, plan, request = [], ExposurePlan((0.01, 0.02)), BracketRequest(dark_frames=1)
+    camera = camera_before(CHART, has_shutter=False)
+    frames = list(take_plan(camera, plan, request, close_shutter=asked.append))
     assert [frame.settings.is_dark for frame in frames] == [False, False, True, True]
-    assert asked == [True, False]
-
-
-def test_the_cap_comes_off_though_the_camera_is_lost():
-    """Whatever ends the dark frames, the shutter is asked to open."""
-    camera, asked = camera_before(CHART), []
     darks = take_dark_frames(camera, [0.01, 0.02], 1, asked.append)
     next(darks)
     darks.close()
-    assert asked == [True, False]
+    assert asked == [True, False] * 2
+    with pytest.raises(DeviceError, match="no shutter; cover the lens"):
+        list(take_plan(camera, plan, request))
 
 
 def test_progress_counts_every_frame_to_come():
@@ -213,13 +205,6 @@ def test_progress_counts_every_frame_to_come():
     list(take_plan(camera_before(CHART), plan, request, progress=lambda done, total, frame: seen.append((done, total))))
     assert seen[:3] == [(1, 7), (2, 7), (3, 7)]
     assert seen[3:] == [(1, 4), (2, 4), (3, 4), (4, 4)]
-
-
-def test_dark_frames_without_any_shutter_are_refused():
-    """The message says what to do."""
-    camera = camera_before(CHART, has_shutter=False)
-    with pytest.raises(DeviceError, match="no shutter; cover the lens"):
-        list(take_plan(camera, ExposurePlan((0.01,)), BracketRequest(dark_frames=1)))
 
 
 @pytest.mark.parametrize(("at_s", "taken"), [((0.0, 8.9), 2), ((0.0, 9.1), 1), ((0.0, 5.0), 2)])
@@ -242,12 +227,6 @@ def test_the_deadline_leaves_ten_seconds_and_half_the_time(limit_s, third_s, tak
     plan = ExposurePlan((1.0, 1.0, 1.0))
     frames = take_plan(camera_before(CHART), plan, BracketRequest(time_limit_s=limit_s), clock=lambda: next(now))
     assert len(list(frames)) == taken
-
-
-def test_no_time_is_misuse():
-    """A time limit of nothing is refused before the camera moves."""
-    with pytest.raises(UsageError, match="leaves no time"):
-        plan_for_scene(camera_before(CHART), BracketRequest(region=Patch(0, 0, 4, 4), time_limit_s=0.0))
 
 
 @pytest.mark.parametrize("target", [1e-3, 1e-6])

@@ -139,10 +139,7 @@ def test_levels_begin_where_steps_lie_close_enough(duty_steps, lowest_high):
 
 
 class SlowBox(LinearBox):
-    """A box whose light grows in each 20 s by a factor, whose energy budget runs and fills, and that keeps what it did.
-
-    The eye may see it for `longest_s`; in darkness the budget fills by a tenth in 20 s.
-    """
+    """A box whose light grows by a factor in 20 s, and darkness fills a tenth of the budget; it keeps what it did."""
 
     def __init__(self, growth=0.0, energy_per_step=0.0, energy=1.0, longest_s=math.inf):
         super().__init__()
@@ -208,14 +205,10 @@ def test_light_has_settled_when_two_readings_agree_to_a_twentieth_of_a_percent(g
 
 @pytest.mark.parametrize(("longest_s", "settle_s"), [(599.0, 240.0), (200.0, 140.0), (100.0, 60.0)])
 def test_light_that_may_not_be_seen_for_long_is_read_before_it_ends(longest_s, settle_s):
-    """280, 180 or 90 s: the longest of these that the eye allows, less 40 s."""
-    assert points_of(SlowBox(0.01, longest_s=longest_s)).settle_s == pytest.approx(settle_s, abs=20.0)
-
-
-def test_light_that_is_forbidden_at_any_length_is_refused():
-    """What the eye allows for no time at all stays dark, and the box's refusal comes through."""
+    """280, 180 or 90 s: the longest of these that the eye allows, less 40 s; where it allows none it is refused."""
     with pytest.raises(UnsafeStimulus):
         points_of(SlowBox(longest_s=89.0))
+    assert points_of(SlowBox(0.01, longest_s=longest_s)).settle_s == pytest.approx(settle_s, abs=20.0)
 
 
 def test_the_wait_ends_before_the_energy_budget_does():
@@ -311,10 +304,6 @@ def test_long_exposures_are_whole_periods_of_mains_light(planned, taken):
 
 
 def test_a_known_flicker_sets_the_period():
-    """A screen at 60 Hz: 0.04 s holds two of its frames."""
-    assert times(0.04, flicker_hz=60.0) == pytest.approx((2 / 60,) * STEADY_FRAMES)
-
-
-def test_the_time_limit_holds():
-    """Three frames of 30 s do not fit into a minute: two stay."""
+    """A screen at 60 Hz: 0.04 s holds two of its frames; of 30 s no third one fits into a minute."""
     assert times(30.0, limit_s=60.0) == pytest.approx((30.0, 30.0))
+    assert times(0.04, flicker_hz=60.0) == pytest.approx((2 / 60,) * STEADY_FRAMES)

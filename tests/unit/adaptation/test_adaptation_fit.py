@@ -142,16 +142,6 @@ def test_no_adaptation_is_a_verdict_and_no_fit(values, message):
             fit_adaptation(data, replace(QUICK, criterion=criterion), np.random.default_rng(0))
 
 
-def test_csv_forms(tmp_path):
-    """With header, without header, with sigma and in any order of rows."""
-    file = tmp_path / "run.csv"
-    file.write_text("log10_threshold,time_min,sigma\n-1,2,0.1\n1,0.5,0.2\n")
-    read = ThresholdSeries.read(file)
-    assert (list(read.time_min), list(read.log_threshold), list(read.sigma)) == ([0.5, 2.0], [1.0, -1.0], [0.2, 0.1])
-    file.write_text("0.5,1\n2,-1\n")
-    assert ThresholdSeries.read(file).sigma is None
-
-
 def test_the_bias_of_the_method_is_removed_and_its_uncertainty_counts(tmp_path):
     """Thresholds found 0.08 too low by a method: plateau and end are 0.08 higher and less sure, the break stays."""
     data, found = series(0.05), []
@@ -281,10 +271,7 @@ def test_intervals_widen_in_squares_and_cut_equal_tails():
      ([1.6, 9.0, 31.0], False), ([58.0], True), ([60.0], False), ([0.3], True), ([0.28], False)],
 )  # fmt: skip
 def test_breaks_lie_inside_and_in_order(nonlinear, allowed):
-    """Time constants between a hundredth of the test and the break (twice the test where there is none).
-
-    It is the length of the test that counts, whenever it began.
-    """
+    """Time constants are between a hundredth of the test's length and the break, twice the test where there is none."""
     model = MODELS[len(nonlinear) - 1]
     assert model.allowed(BRANCH_TIMES, np.array(nonlinear)) is allowed
     if len(nonlinear) == 1:
@@ -360,12 +347,8 @@ def test_falling_convex_curves_are_met_and_a_quickening_fall_is_not():
     assert convex_sum_of_squares(BREAK_TIMES, np.maximum(10.0 - BREAK_TIMES, 0.0), weights) < 0.02
     fine = np.linspace(0.0, 1.0, 400)
     assert convex_sum_of_squares(fine, -(fine**2), np.ones(400)) / 400 == pytest.approx(1 / 180, rel=0.02)
-
-
-def test_weights_count():
-    """A threshold of no weight bends no curve."""
     level, weights = np.zeros(40), np.ones(40)
-    level[20], weights[20] = 5.0, 0.0
+    level[20], weights[20] = 5.0, 0.0  # a threshold of no weight bends no curve
     assert convex_sum_of_squares(np.arange(40.0), level, weights) == pytest.approx(0.0, abs=1e-9)
 
 
@@ -446,13 +429,17 @@ def test_the_break_is_reported_with_its_interval(broken):
 
 
 @pytest.mark.usefixtures("unrendered")
-def test_published_values_are_shown_with_their_source_and_what_has_none_is_named(broken):
-    """Final threshold: 0.08 log₁₀ units a decade (Jackson and Owsley 2000); no intercept was fitted: none is shown."""
+def test_the_page_names_sources_and_assumptions_and_what_has_none(broken):
+    """Final threshold: 0.08 log₁₀ units a decade (Jackson and Owsley 2000); what was taken stands before the tables."""
     page = report_html(broken, "eye")
-    assert "0.08 log₁₀ units higher for each decade" in page
-    assert "Jackson and Owsley 2000" in page
-    assert "Rod–cone break and S2 slope: no norm by age is known." in page
+    for words in (
+        "0.08 log₁₀ units higher for each decade", "Jackson and Owsley 2000", "No uncertainty of the stimulus",
+        "Rod–cone break and S2 slope: no norm by age is known.",
+    ):  # fmt: skip
+        assert words in page
     assert "Owsley et al. 2014" not in page
+    assert page.index("minutes were taken from seconds") < page.index("<h2>Estimates")
+    assert "No uncertainty of the stimulus" not in report_html(_fit(stimulus_u_log10=0.05), "eye")
 
 
 def test_the_picture_shows_what_the_sentence_claims(broken, monkeypatch):
@@ -514,15 +501,6 @@ def test_the_rod_intercept_stands_only_where_its_protocol_has_it(broken):
     assert "not reached within 25.0 min" in missed
 
 
-@pytest.mark.slow
-def test_flags_and_assumptions_stand_before_the_tables(broken):
-    """What was taken of the file's form, and that the stimulus has no uncertainty."""
-    page = report_html(broken, "eye")
-    assert page.index("minutes were taken from seconds") < page.index("<h2>Estimates")
-    assert "No uncertainty of the stimulus" in page
-    assert "No uncertainty of the stimulus" not in report_html(_fit(stimulus_u_log10=0.05), "eye")
-
-
 # Bleach: kinetics, pupil, trolands against worked numbers.
 
 
@@ -542,13 +520,9 @@ def test_pigment_bleaches_and_regenerates_by_its_two_constants(light_td, seconds
     assert KINETICS["cones"].td_s == pytest.approx(2.4e6)
 
 
-def test_trolands_are_luminance_times_pupil_area():
-    """300 cd/m² through 4 mm are 3770 td."""
-    assert retinal_illuminance_td(300.0, 4.0) == pytest.approx(3769.9, rel=1e-4)
-
-
 def test_pupil_spans_its_known_range_and_shrinks_with_light():
-    """Dark 7.75 mm, 10^6 cd/m² near 2 mm at the reference age; the old have smaller pupils in the dark."""
+    """Dark 7.75 mm, 10^6 cd/m² near 2 mm, the old have smaller ones; 300 cd/m² through 4 mm are 3770 td."""
+    assert retinal_illuminance_td(300.0, 4.0) == pytest.approx(3769.9, rel=1e-4)
     assert pupil_diameter_mm(0.0) == pytest.approx(7.75)
     assert 2.0 < pupil_diameter_mm(1e6) < 2.3
     assert pupil_diameter_mm(100.0) < pupil_diameter_mm(1.0)

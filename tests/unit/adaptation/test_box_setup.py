@@ -126,13 +126,7 @@ def test_light_by_a_calibration_out_of_date_is_given_with_a_warning(tmp_path, cr
     ("name", "section", "values", "kind", "words"),
     [
         # 6e6 td·s in 20 ms are 19 kW/sr/m²; at 2.556 the same energy takes 152 s.
-        (
-            "quick",
-            "bleach",
-            {"retinal_td_s": 6e6, "duration_s": 0.02},
-            Exception,
-            "needs 152 s at least for 6e+06 td·s",
-        ),
+        ("quick", "bleach", {"retinal_td_s": 6e6, "duration_s": 0.02}, Exception, "152 s at least for 6e+06 td·s"),
         # The white channel's energy budget ends 800 cd/m² after some 200 s; no half bleach is given.
         ("led-only", "bleach", {"luminance_cd_m2": 800.0, "duration_s": 600.0}, UnsafeStimulus, "energy budget"),
         # Without its filter the spot does not get as dim as the rods see; what it reaches is stated.
@@ -186,9 +180,12 @@ def test_simulated_subject_sits_before_the_simulated_box_only(quick):
 
 
 def test_red_mark_has_the_protocols_luminance(quick):
-    """0.1 cd/m² at the channel's 640 nm (119.5 lm/W, V = 0.175) unless a radiance is stated."""
+    """0.1 cd/m² at the channel's 640 nm (119.5 lm/W, V = 0.175) unless stated; so has the light in the blind spot."""
     with open_box_stage(before_box(quick)) as (stage, _):
         assert stage.lights.fixation_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
+        assert stage.checks_fixation
+        assert stage.lights.blind_spot_w_sr_m2 == stage.lights.fixation_w_sr_m2
+        assert "no_fixation_check" not in stage.facts()
         assert stage.facts()["u_scale_log10"] == pytest.approx(0.01127 / 2.3026, abs=1e-4)  # 1.127 % shared by all
     with open_box_stage(before_box(quick, fixation_w_sr_m2=0.0)) as (stage, _):
         assert stage.lights.fixation_w_sr_m2 == 0.0
@@ -200,14 +197,6 @@ def test_served_box_has_its_subject_before_the_twin_only(tmp_path):
         served_box("TWIN0001", tmp_path / "port", firmware=tmp_path / "x.hex", subject="steady")
     with pytest.raises(UsageError, match="choose steady"):
         served_box("TWIN0001", tmp_path / "port", subject="asleep")
-
-
-def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick):
-    """0.1 cd/m² at 640 nm (119.5 lm/W); the reference box has it 15.5° temporal."""
-    with open_box_stage(before_box(quick)) as (stage, _):
-        assert stage.checks_fixation
-        assert stage.lights.blind_spot_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
-        assert "no_fixation_check" not in stage.facts()
 
 
 def _preset(path, text):
@@ -231,8 +220,10 @@ def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_protocols_are_valid(name):
-    """Each is read by its name and carries it."""
+    """Each is read by its name and carries it; one that is not there lists them."""
     assert read_protocol(name).name == name
+    with pytest.raises(ConfigurationError, match="classic, classic-blue, rapid, quick"):
+        read_protocol("nothing.yaml")
 
 
 def test_classic_is_the_test_of_the_literature():
@@ -271,12 +262,6 @@ def test_wrong_protocols_are_refused(tmp_path, project_root, old, new, message):
     file.write_text(text.replace(old, new, 1))
     with pytest.raises(ConfigurationError, match=message):
         read_protocol(file)
-
-
-def test_unknown_protocol_lists_the_shipped_ones():
-    """The way out is in the message."""
-    with pytest.raises(ConfigurationError, match="classic, classic-blue, rapid, quick"):
-        read_protocol("nothing.yaml")
 
 
 @pytest.fixture
@@ -376,27 +361,18 @@ def test_long_press_is_reported_once_and_a_short_one_never(stage, box):
     assert stage.rest(5.0) == 2
     assert stage.long_press(2.0) == pytest.approx(1.5)
     assert stage.long_press(2.0) is None
-
-
-def test_button_that_is_still_held_is_a_long_press(stage, box):
-    """No one has to let go first."""
-    box.held = [(100.5, 999.0)]
+    box.held = [(108.0, 999.0)]  # one that goes on is one as well: no one has to let go first
     stage.rest(4.0)
-    assert stage.long_press(2.0) == pytest.approx(0.5)
+    assert stage.long_press(2.0) == pytest.approx(8.0)
 
 
 def test_light_in_the_blind_spot_is_one_pulse_of_its_own_channel(stage, box):
-    """No filter stands before it; presses count as for the spot."""
+    """No filter stands before it; presses count as for the spot. A box without one refuses to pretend."""
+    assert not stage.checks_fixation
+    with pytest.raises(UsageError, match="blind spot"):
+        stage.blink_blind_spot(0, 0)
     stage.lights = BoxLights(read_protocol("led-only"), 300.0, 600.0, 900.0, blind_spot_w_sr_m2=8e-4)
     box.presses = [100.5]
     assert stage.checks_fixation
     assert stage.blink_blind_spot(0, 0) == [pytest.approx(0.5)]
     assert box.asked == [("spot_red", 8e-4, 0.3)]
-
-
-def test_box_without_a_light_there_checks_no_fixation(stage, box):
-    """And refuses to pretend."""
-    assert not stage.checks_fixation
-    with pytest.raises(UsageError, match="blind spot"):
-        stage.blink_blind_spot(0, 0)
-    assert box.asked == []

@@ -2,8 +2,6 @@
 
 import json
 import re
-import urllib.error
-import urllib.request
 
 import aiohttp
 import numpy as np
@@ -63,6 +61,8 @@ def test_false_presses_are_caught_and_hasty_ones(state):
         _trial(140, None, catch=True, false=True),
         _trial(150, None, false=True),
         _trial(160, -0.5),
+        _trial(170, -0.1),
+        _event("pause", 171, by="subject", voids=1700),  # a long press: its threshold is on no curve
     ):
         state.take(event)
     mapping = state.to_mapping()
@@ -71,23 +71,12 @@ def test_false_presses_are_caught_and_hasty_ones(state):
     assert mapping["missed"] == [0.5]
 
 
-def test_trial_that_a_long_press_voided_is_taken_back(state):
-    """The pause names the trial; its threshold is on no curve."""
-    state.take(_trial(130, 0.2))
-    state.take(_trial(140, -0.1))
-    state.take(_event("pause", 141, by="subject", voids=1400))
-    assert [value for _, value in state.points] == [0.2]
-
-
 def test_running_fit_finds_the_break_and_says_why_there_is_none():
-    """Too few thresholds and a flat curve are stated so; a whole curve with 0.05 log10 of noise has its break at 9 min.
-
-    The break of 70 thresholds is known to about 0.3 min (`benchmarks/adaptation_cohort`); 4 sigmas are allowed.
-    """
+    """Too few thresholds and a flat curve are stated so; with 0.05 log10 of noise the break is at 9 min."""
     rng = np.random.default_rng(3)
     whole = [(t, SubjectCurve().threshold(t) + rng.normal(0, 0.05)) for t in np.arange(0.5, 35, 0.5)]
     fit = running_fit(whole)
-    assert float(fit.text.split("break ")[1].split()[0]) == pytest.approx(9.0, abs=1.2)
+    assert float(fit.text.split("break ")[1].split()[0]) == pytest.approx(9.0, abs=1.2)  # 4 sigmas of 70 thresholds
     errors = [value - SubjectCurve().threshold(t) for t, value in fit.curve]
     assert np.sqrt(np.mean(np.square(errors))) < 0.1
     plateaus = [float(running_fit(whole, bias).text.split("plateau ")[1].split(",")[0]) for bias in (0.0, -0.1)]
@@ -303,27 +292,6 @@ async def test_devices_that_do_not_answer_are_shown_so():
     with LivePage(read_protocol("classic"), Controls(), health=silent) as page:
         async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
             assert (await _until(socket, "phase", "starting"))["devices"] == {"devices": "the box does not answer"}
-
-
-def test_strangers_and_a_taken_port(page):
-    """Without the key there is no page; a second server on the port is refused with the port's number."""
-    with pytest.raises(urllib.error.HTTPError) as refused:
-        urllib.request.urlopen(page.url.split("?")[0], timeout=within(10))
-    assert refused.value.code == 403
-    refused.value.close()
-    port = int(page.url.split(":")[2].split("/")[0])
-    with pytest.raises(DeviceInUse, match=str(port)), LivePage(read_protocol("classic"), Controls(), port):
-        pass
-
-
-def test_page_holds_no_colour_but_red_and_nothing_from_elsewhere(page):
-    """Every rgb() of the page has no green and no blue, and no address stands in it."""
-    with urllib.request.urlopen(page.url, timeout=within(10)) as answer:
-        text = answer.read().decode()
-    parts = text.split("rgb(")[1:]
-    assert len(parts) > 5
-    assert all(part.split(")")[0].split()[1:] == ["0", "0"] or part.startswith("${") for part in parts)
-    assert "http" not in text.replace("ws://", "")
 
 
 async def test_lights_off_darkens_the_box_and_ends_the_test():

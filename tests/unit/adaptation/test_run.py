@@ -46,16 +46,25 @@ def classic():
     return read_protocol("classic")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "tolerance"), [("classic", 0.11), ("quick", 0.35)])
-def test_thresholds_follow_the_eye(tmp_path, name, tolerance):
-    """Ascending limits overshoot by at most a step (0.1); the 4-2 dB staircase stays within its first step."""
-    protocol = read_protocol(name)
-    outcome, _ = _run(tmp_path / "j", ScriptedStage(eye, protocol))
+@pytest.mark.parametrize(
+    ("name", "tolerance", "verdict", "lasts_min", "last"),
+    [
+        ("classic", 0.11, Verdict.COMPLETE, (39.0, 40.5), (-9.0, -3.0)),
+        ("quick", 0.35, Verdict.CRITERION_REACHED, (10.0, 40.0), (-9.0, -3.0)),
+        ("screen-only", 0.11, Verdict.FLOOR_REACHED, (10.0, 40.0), (-4.0, -3.7)),
+    ],
+)
+def test_thresholds_follow_the_eye_until_the_protocol_ends(tmp_path, name, tolerance, verdict, lasts_min, last):
+    """Limits overshoot by a step (0.1) at most, the 4-2 dB staircase by its first; time, criterion or floor ends it."""
+    outcome, _ = _run(tmp_path / "j", ScriptedStage(eye, read_protocol(name)))
     assert outcome.can_be_fitted
     assert len(outcome.times_min) > 30
     errors = [v - threshold(60 * t) for t, v in zip(outcome.times_min[3:], outcome.thresholds_log10[3:], strict=True)]
     assert max(map(abs, errors)) < tolerance + 0.1  # the curve itself moves by up to 0.1 within a trial
+    assert outcome.verdict is verdict
+    assert lasts_min[0] < outcome.times_min[-1] < lasts_min[1]
+    assert last[0] < min(outcome.thresholds_log10) < last[1]
+    assert verdict is not Verdict.CRITERION_REACHED or outcome.thresholds_log10[-1] <= -3 < outcome.thresholds_log10[-2]
 
 
 def test_thresholds_do_not_share_one_grid_of_levels(tmp_path, classic):
@@ -68,15 +77,6 @@ def test_thresholds_do_not_share_one_grid_of_levels(tmp_path, classic):
     count = above.size
     assert abs(above.mean() - 0.05) < 4 * 0.1 / math.sqrt(12 * count)
     assert abs(np.corrcoef(above[:-1], above[1:])[0, 1]) < 4 / math.sqrt(count)
-
-
-def test_classic_runs_its_whole_time_and_quick_ends_at_its_criterion(tmp_path):
-    """40 min, and the moment when the threshold is below -3."""
-    whole, quick = (_run(tmp_path / name, ScriptedStage(eye, read_protocol(name)))[0] for name in ("classic", "quick"))
-    assert whole.verdict is Verdict.COMPLETE
-    assert 39 < whole.times_min[-1] < 40.5
-    assert quick.verdict is Verdict.CRITERION_REACHED
-    assert quick.thresholds_log10[-1] <= -3 < quick.thresholds_log10[-2]
 
 
 @pytest.mark.parametrize(
@@ -118,14 +118,6 @@ def test_run_taken_up_after_a_crash_has_the_same_events(tmp_path, classic, dies_
     assert (tmp_path / "broken").read_text() == (tmp_path / "whole").read_text()
 
 
-def test_spot_that_goes_no_dimmer_ends_the_test_with_what_is_known(tmp_path):
-    """A darkest spot at -4: thresholds down to it are a curve, and the verdict says where it ends."""
-    outcome, _ = _run(tmp_path / "j", ScriptedStage(eye, read_protocol("screen-only")))
-    assert outcome.verdict is Verdict.FLOOR_REACHED
-    assert outcome.can_be_fitted
-    assert -4.0 < min(outcome.thresholds_log10) < -3.7
-
-
 class _Described(ScriptedStage):
     """A stage with a screen of one calibration."""
 
@@ -139,11 +131,7 @@ class _Described(ScriptedStage):
 
 
 def test_a_run_is_taken_up_only_as_it_was_begun(tmp_path, classic):
-    """Not of another subject or age, on a screen calibrated anew, or with coarser steps under the protocol's name.
-
-    Levels of two calibrations in one curve would show as a break, thresholds of two methods would share one bias. What
-    the head did not state, such as a pupil, a run may learn later; the command keeps to the head and says so.
-    """
+    """Not of another subject or age, on a screen calibrated anew, or with coarser steps under the protocol's name."""
     begun = {"age_years": 31.0}
     _begun(tmp_path / "j", _Described(eye, classic), visit=begun)
     for age_years, pupil_mm, words in (
@@ -392,6 +380,8 @@ def test_light_is_shown_in_its_share_of_the_trials_once_the_cones_are_back(tmp_p
     assert (outcome.verdict, journal.of_kind("fixation")) == (Verdict.COMPLETE, [])
     assert facts_of(short, None, outcome.reliability)["seen_at_blind_spot"] == f"0/{len(stage.shown_min)}"
     assert journal.events[0]["eye"] == "left"
+    lost, _ = _run(tmp_path / "k", StageWithBlindSpot(lambda _: True, short), eye="left")
+    assert (lost.verdict, lost.can_be_fitted, "mark" in lost.explanation) == (Verdict.FIXATION_LOST, False, True)
 
 
 @pytest.mark.slow
@@ -406,14 +396,6 @@ def test_without_a_place_nothing_is_checked(tmp_path, short):
         outcome, _ = _run(tmp_path / name, stage, eye="left")
         assert "fixation_losses" not in outcome.reliability.rates
         assert outcome.verdict is Verdict.COMPLETE
-
-
-def test_light_that_is_always_seen_leaves_nothing_to_be_fitted(tmp_path, short):
-    """The verdict says that fixation was lost."""
-    outcome, _ = _run(tmp_path / "j", StageWithBlindSpot(lambda _: True, short), eye="left")
-    assert outcome.verdict is Verdict.FIXATION_LOST
-    assert not outcome.can_be_fitted
-    assert "mark" in outcome.explanation
 
 
 def test_loss_is_announced_when_two_of_three_are_seen_and_counted_anew_then(tmp_path, short):

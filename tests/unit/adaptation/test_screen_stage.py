@@ -129,7 +129,11 @@ def test_mark_and_spot_stand_where_the_eye_sees_them(stage, watched):
 
 
 def test_blink_shows_the_nearest_level_and_reports_it(stage, watched):
-    """The code shown is the one whose light is nearest; what the run journals is that light."""
+    """The code shown is the one whose light is nearest, and is journalled; a catch shows the mark alone."""
+    watched.presses = (0.4, 0.9)
+    assert stage.blink(None, 0, 0) == [0.4, 0.9]
+    assert watched.blinks[0][0] == watched.blinks[0][1]
+    assert stage.now_s() == pytest.approx(1.0)
     for asked in (0.31, -0.2, stage.protocol.spot.lowest_log10):
         stage.blink(asked, 0, 0)
         lit, rest, on_s, cycle_s = watched.blinks[-1]
@@ -138,14 +142,6 @@ def test_blink_shows_the_nearest_level_and_reports_it(stage, watched):
         assert stage.shown_log10(asked) == pytest.approx(_added(code), abs=0.02)
         assert rest.shapes == lit.shapes[:1]
         assert (on_s, cycle_s) == (0.3, 1.0)
-
-
-def test_catch_shows_the_mark_alone_and_presses_come_back(stage, watched):
-    """No spot; the presses are those of the screen, from the onset."""
-    watched.presses = (0.4, 0.9)
-    assert stage.blink(None, 0, 0) == [0.4, 0.9]
-    assert watched.blinks[0][0] == watched.blinks[0][1]
-    assert stage.now_s() == pytest.approx(1.0)
 
 
 def test_bleach_fills_the_screen_for_its_time_and_leaves_the_mark(stage, watched):

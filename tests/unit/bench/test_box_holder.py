@@ -53,10 +53,7 @@ def test_another_box_on_the_port_of_the_one_that_was_lost_is_refused_by_the_daem
 @pytest.mark.parametrize("named", [False, True])
 @pytest.mark.parametrize("session", [None, "another"])
 def test_light_off_works_from_another_session(tmp_path, monkeypatch, capsys, session, named):
-    """The holder was started at a desk; cron or a service has no XDG_RUNTIME_DIR or TMPDIR of that desk.
-
-    The box on its port is lit and held; `light off` has its holder darken it, and says who that was.
-    """
+    """Cron or a service has no XDG_RUNTIME_DIR or TMPDIR of the holder's desk: the holder darkens, and is named."""
     with served_box("HELD0001", tmp_path / "link").server as server, open_light_box(server.port) as opened:
         opened.box.set_level("spot", DriveLevel(1000))
         for name in ("XDG_RUNTIME_DIR", "TMPDIR"):
@@ -210,17 +207,8 @@ def test_a_folder_that_others_could_have_made_is_refused(tmp_path, spoil):
         served_box("TWIN0001", None)
 
 
-def test_a_folder_of_another_user_is_refused(tmp_path, monkeypatch):
-    """Who owns the folder could put any port into it."""
-    folder = simulated_port_folder()
-    folder.mkdir(mode=0o700)
-    uid = os.getuid()
-    monkeypatch.setattr("radiometer.bench.box_holder.os.getuid", lambda: uid + 1)
-    assert not is_ours(folder)
-
-
-def test_a_folder_that_is_not_there_has_no_owner(tmp_path):
-    """Neither a missing folder nor one below a file is ours; one made by this user and closed to others is."""
+def test_a_folder_is_ours_that_nobody_else_could_fill(tmp_path, monkeypatch):
+    """Neither a missing one nor one below a file, nor another user's; one made by this user and closed to others."""
     own, file = tmp_path / "own", tmp_path / "file"
     own.mkdir(mode=0o755)
     file.write_text("")
@@ -228,6 +216,9 @@ def test_a_folder_that_is_not_there_has_no_owner(tmp_path):
     for mode, ours in ((0o775, False), (0o757, False), (0o700, True)):
         own.chmod(mode)
         assert is_ours(own) is ours
+    uid = os.getuid()
+    monkeypatch.setattr("radiometer.bench.box_holder.os.getuid", lambda: uid + 1)
+    assert not is_ours(own)
 
 
 @pytest.mark.slow

@@ -75,10 +75,7 @@ def test_what_ails_a_camera_is_found(made, black_dn, check, health, words):
 
 
 def test_the_dark_level_is_measured_with_the_shutter_closed():
-    """Where there is a shutter the dark level is that of closed frames, to the noise of their mean.
-
-    Offsets of the pixels, 15 DN on average, are no noise.
-    """
+    """The dark level is that of closed frames, to the noise of their mean; offsets of pixels (15 DN) are no noise."""
     with camera(UnevenCamera, radiance=10.0) as lit:
         lit.configure(CameraSettings(0.01, black_level_dn=64))
         found, level_dn = check_dark_level(lit)

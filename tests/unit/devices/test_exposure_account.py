@@ -183,24 +183,16 @@ def harm(desk, kind):
         assert account is not None
         account.moment = replace(account.moment, uptime_s=account.moment.uptime_s + 3600.0)
         desk.file.write_text(render_account(account), encoding="ascii")
-    elif kind == "of another boot, from the future":
+    elif kind == "of another boot":
         desk.clock.reboot(off_s=-1e6)
     elif kind == "of another computer":
         desk.clock.boot, desk.clock.machine = 7, "another"
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "missing",
-        "cut",
-        "edited",
-        "endless",
-        "from the future",
-        "of another boot, from the future",
-        "of another computer",
-    ],
-)
+HARMS = ("missing", "cut", "edited", "endless", "from the future", "of another boot", "of another computer")
+
+
+@pytest.mark.parametrize("kind", HARMS)
 def test_an_account_that_cannot_be_believed_counts_as_used_up_until_the_window_is_over(desk, kind):
     """Every light is refused with the way out, darkness is not; after 10⁴ s it is let through again."""
     desk.pulse(desk.open(), 80.0)
@@ -310,32 +302,20 @@ def test_light_without_a_named_eye_counts_for_every_eye(desk, first, second, ref
 
 def test_a_subject_has_one_account_however_the_name_is_written():
     """What a reader may overlook makes no other eye; half a statement, or a name of marks alone, is no statement."""
-    for name in (
-        "S07",
-        " s07 ",
-        "Ｓ07",
-        "S 07",
-        "S-07",
-        "s_07.",
-        "S\u200b07",
-        "S07\u0301",
-        "S07\0",
-        "\u3164S07",
-        "Š07",
-    ):
+    for name in (" s07 ", "Ｓ07", "S 07", "S-07", "s_07.", "S\u200b07", "S07\u0301", "S07\0", "\u3164S07", "Š07"):
         assert name_of_eye(name, "right") == "s07 right", name
     assert len({name_of_eye(name, "left") for name in ("S07", "S08", "S070", "T07", "7")}) == 5
     assert (name_of_eye(None, None), name_of_eye(None, None, no_eye=True)) == (None, NO_EYE)
     for wrong in (
-        {"subject": "S07", "eye": None},
-        {"subject": None, "eye": "left"},
-        {"subject": "S07", "eye": "both"},
-        {"subject": "S" * 65, "eye": "left"},
-        {"subject": "\u200b", "eye": "left"},
-        {"subject": "--", "eye": "left"},
+        ("S07", None),
+        (None, "left"),
+        ("S07", "both"),
+        ("S" * 65, "left"),
+        ("\u200b", "left"),
+        ("--", "left"),
     ):
         with pytest.raises(UsageError):
-            name_of_eye(**wrong)
+            name_of_eye(*wrong)
     with pytest.raises(UsageError, match="exclude each other"):
         name_of_eye("S07", "right", no_eye=True)
 

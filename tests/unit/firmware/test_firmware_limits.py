@@ -159,14 +159,7 @@ def test_whatever_ends_the_light_ends_the_trigger(box, end):
 
 @pytest.mark.parametrize(
     ("channel", "range_pin", "select_pin"),
-    [
-        (0, ("D", 4), None),
-        (1, ("D", 5), None),
-        (2, ("D", 6), None),
-        (3, ("D", 7), None),
-        (4, ("C", 4), 2),
-        (5, ("C", 5), 3),
-    ],
+    [*((channel, ("D", 4 + channel), None) for channel in range(4)), (4, ("C", 4), 2), (5, ("C", 5), 3)],
 )
 def test_pins_of_each_channel(box, channel, range_pin, select_pin):
     """The high-current switch of the channel alone is on, the select line says whose light it is, and all rest low."""
@@ -419,20 +412,6 @@ def test_a_reset_costs_little(box, power):
     assert before - 5 * FULL[5] / 64 <= buckets(after)[5] <= before
     live(after, 60.0)
     assert buckets(after)[5] >= before
-
-
-def test_twelve_openings_give_no_more_than_one(power):
-    """Twelve pulses of 40 s at the highest level, each after a reset: 300 s and what refills meanwhile, no more."""
-    memory, given_s = None, 0
-    for _ in range(12):
-        box = power(reset_flags=2, memory=memory)
-        box.ask("HI 2")
-        if box.ask("PU 5 H 60000 40000").startswith("OK"):
-            given_s += 40
-            live(box, 40.0)
-        live(box, 2.0)
-        memory = box.memory
-    assert given_s <= 300 + 12 * 42 * 118 / 235
 
 
 def test_the_memory_lasts_for_years(power):

@@ -492,12 +492,6 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
     "shares of full scale": (
         read_means, "exposure_ms,mean,variance\n1,0.03,1e-6\n2,0.05,2e-6\n5,0.2,5e-6\n", {}, "refused: shares of"),
     "a standard deviation": (read_means, "exposure_ms,mean,std\n1,120,4\n2,140,5\n5,200,6\n", {"var 0": 16.0}, ""),
-    "natural logarithms": (
-        read_thresholds, thresholds("time_min,ln threshold", lambda v: v * np.log(10.0)), CURVE, ""),
-    "thresholds in mcd/m2": (
-        read_thresholds, thresholds("time_min,threshold (mcd/m2)", lambda v: 1e3 * 10**v), CURVE, ""),
-    "logarithms of mcd/m2": (
-        read_thresholds, thresholds("time_min,log threshold (mcd/m2)", lambda v: v + 3), CURVE, ""),
     "thresholds of two eyes": (
         read_thresholds, "eye,time_min,log10_threshold\nOD,1,-1\nOS,2,-2\nOD,3,-3\n", {}, "refused: several .eye"),
     "statistics of three colours": (

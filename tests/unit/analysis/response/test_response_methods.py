@@ -320,7 +320,6 @@ def rows_of(groups=40, frames=6):
         bit_depth=8,
         limits=ValueLimits(0, 255),
         frame_log_time=log_time,
-        frame_bracket=np.zeros(frames, dtype=np.intp),
         pixel_count=100 * groups,
     )
 

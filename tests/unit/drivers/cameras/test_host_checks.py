@@ -47,25 +47,22 @@ def test_without_a_udev_rule_the_rule_is_given(tmp_path, monkeypatch, user, heal
     assert 'ATTRS{idVendor}=="1e10"' in finding.cure
 
 
-def test_a_udev_rule_is_found(write):
-    """A rule with FLIR's vendor number is enough."""
-    root = write("etc/udev/rules.d/40-flir.rules", 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1E10", MODE="0666"\n')
-    assert host_checks.check_usb_permissions(root).health is Health.OK
-
-
-@pytest.mark.parametrize(("text", "health"), [("16\n", Health.WARNING), ("1000\n", Health.OK), ("0\n", Health.OK)])
-def test_usb_memory_is_judged(write, text, health):
-    """Sixteen megabytes are too few for a USB3 camera; none means no limit."""
-    root = write("sys/module/usbcore/parameters/usbfs_memory_mb", text)
-    assert host_checks.check_usb_memory(root).health is health
-
-
-@pytest.mark.parametrize(("text", "health"), [("212992\n", Health.WARNING), ("33554432\n", Health.OK)])
-def test_socket_buffers_are_judged_by_a_full_frame(write, text, health):
-    """The kernel's default cannot hold a frame; the cure is the very command."""
-    finding = host_checks.check_socket_buffers(write("proc/sys/net/core/rmem_max", text))
+@pytest.mark.parametrize(
+    ("check", "path", "text", "health"),
+    [
+        *((host_checks.check_usb_memory, "sys/module/usbcore/parameters/usbfs_memory_mb", f"{mb}\n", health)
+          for mb, health in ((16, Health.WARNING), (1000, Health.OK), (0, Health.OK))),
+        (host_checks.check_socket_buffers, "proc/sys/net/core/rmem_max", "212992\n", Health.WARNING),
+        (host_checks.check_socket_buffers, "proc/sys/net/core/rmem_max", "33554432\n", Health.OK),
+        (host_checks.check_usb_permissions, "etc/udev/rules.d/40-flir.rules",
+         'SUBSYSTEM=="usb", ATTRS{idVendor}=="1E10", MODE="0666"\n', Health.OK),
+    ],
+)  # fmt: skip
+def test_memory_buffers_and_rules_are_judged(write, check, path, text, health):
+    """16 MB are too few for USB3, 0 is no limit; the default buffer holds no frame: the cure is the very command."""
+    finding = check(write(path, text))
     assert finding.health is health
-    assert finding.cure == "" or "sysctl -w net.core.rmem_max=33554432" in finding.cure
+    assert "rmem" not in path or finding.cure == "" or "sysctl -w net.core.rmem_max=33554432" in finding.cure
 
 
 @pytest.mark.parametrize(("mtu", "health"), [("1500", Health.NOTE), ("9000", Health.OK)])

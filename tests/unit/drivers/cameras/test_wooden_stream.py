@@ -162,10 +162,7 @@ def test_a_stream_that_ignores_all_that_comes_is_not_waited_for(started):
 
 @pytest.mark.parametrize(("limit_bytes", "kind"), [(3, "packet socket"), (4, "ordinary socket")])
 def test_an_ordinary_socket_is_preferred_where_it_holds_a_frame(library_error, monkeypatch, limit_bytes, kind):
-    """The library's packet socket, which strangers' packets mislead, is kept for frames too large for another.
-
-    Either has the room that a kernel gives unasked: that of the smallest frame does not hold its packets' headers.
-    """
+    """The library's packet socket, which strangers' packets mislead, is kept for frames too large for another."""
     camera, chosen = WoodenCamera([]), []
     camera.is_gv_device, camera.gv_set_stream_options = lambda: True, chosen.append
     monkeypatch.setattr("drivers.cameras.frame_stream.socket_buffer_limit", lambda: limit_bytes)
@@ -256,10 +253,7 @@ class Scripted:
 
 @pytest.fixture
 def fresh(monkeypatch):
-    """Return a function that makes FreshFrames over given raw frames, and its tally.
-
-    With `shown` its settings have been shown by frames before these.
-    """
+    """Return a function that makes FreshFrames over given raw frames, shown before or not, and its tally."""
 
     def make(frames: list[RawFrame], discard: int, *, shown: bool = False):
         tally = Tally()

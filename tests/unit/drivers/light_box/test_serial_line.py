@@ -25,49 +25,36 @@ def terminal() -> Iterator[tuple[int, str]]:
             continue
 
 
-def test_lines_come_one_by_one_with_growing_times(terminal):
-    """Two lines in one burst are two lines."""
-    master, name = terminal
-    line = SerialLine(name)
-    line.open()
-    os.write(master, b"one\ntwo\nthr")
+@pytest.fixture
+def line(terminal):
+    """Return a line over it, open."""
+    made = SerialLine(terminal[1])
+    made.open()
+    yield made
+    made.close()
+
+
+def test_lines_come_one_by_one_with_growing_times(terminal, line):
+    """Two lines in one burst are two lines; nothing within the deadline is None, and not before it is over."""
+    os.write(terminal[0], b"one\ntwo\nthr")
     first, second = line.read_line(1.0), line.read_line(1.0)
-    assert first is not None
-    assert second is not None
     assert (first.text, second.text) == (b"one", b"two")
     assert first.time_s <= second.time_s
-    assert line.read_line(0.01) is None
-    os.write(master, b"ee\n")
-    third = line.read_line(1.0)
-    assert third is not None
-    assert third.text == b"three"
-    line.close()
-
-
-def test_timeout_is_kept(terminal):
-    """Nothing within the deadline is None, and not before the time asked for."""
-    line = SerialLine(terminal[1])
-    line.open()
     start_s = time.monotonic()
     assert line.read_line(0.2) is None
     assert time.monotonic() - start_s > 0.19
-    line.close()
+    os.write(terminal[0], b"ee\n")
+    assert line.read_line(1.0).text == b"three"
 
 
-def test_endless_garbage_without_line_ends_does_not_grow(terminal):
+def test_endless_garbage_without_line_ends_does_not_grow(terminal, line):
     """What comes without a line end is cut; the next line is read all the same."""
-    master, name = terminal
-    line = SerialLine(name)
-    line.open()
-    writer = threading.Thread(target=lambda: [os.write(master, b"\xff" * 500) for _ in range(20)] and None)
+    writer = threading.Thread(target=lambda: [os.write(terminal[0], b"\xff" * 500) for _ in range(20)] and None)
     writer.start()
     assert line.read_line(0.3) is None
     writer.join()
-    os.write(master, b"\n=ok\n")
-    found = [line.read_line(1.0), line.read_line(1.0)]
-    assert found[1] is not None
-    assert found[1].text == b"=ok"
-    line.close()
+    os.write(terminal[0], b"\n=ok\n")
+    assert [line.read_line(1.0), line.read_line(1.0)][1].text == b"=ok"
 
 
 @pytest.mark.parametrize(
@@ -79,13 +66,10 @@ def test_what_is_no_serial_port_is_named(tmp_path, name, message):
         SerialLine(str(tmp_path / name)).open()
 
 
-def test_second_opener_is_refused(terminal):
+def test_second_opener_is_refused(line):
     """The port is exclusive."""
-    line = SerialLine(terminal[1])
-    line.open()
     with pytest.raises(DeviceInUse):
-        SerialLine(terminal[1]).open()
-    line.close()
+        SerialLine(line.name).open()
 
 
 def test_vanished_port_is_lost():
