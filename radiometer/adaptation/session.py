@@ -136,27 +136,31 @@ def prompts_after(event: Event) -> tuple[str, ...]:
             return ()
 
 
-@dataclass(frozen=True, slots=True)
-class Prompter:
-    """Journals prompts and has them sounded."""
+def with_prompts(journal: RunJournal, watch: Watcher, sound: Watcher) -> Watcher:
+    """Return a watcher that journals prompts and has them sounded as well; those that a crash left out at once.
 
-    journal: RunJournal  # the open journal of the test
-    sound: Callable[[Event], None]  # called with every prompt, as an event of kind "prompt"
+    Args:
+        journal: The open journal of the test.
+        watch: Called with every event.
+        sound: Called with every prompt, as an event of kind "prompt".
 
-    def after(self, event: Event) -> None:
-        """Give the prompts that an event calls for. Raises OutputError."""
-        self._give(event, prompts_after(event))
+    Raises:
+        OutputError: If the disk refuses a prompt; so does the watcher.
+    """
 
-    def catch_up(self) -> None:
-        """Give what a crash left out after the newest event, so that the journal holds the same. Raises OutputError."""
-        for given, event in enumerate(reversed(self.journal.events)):
-            if event["kind"] != "prompt":
-                self._give(event, prompts_after(event)[given:])
-                return
+    def give(event: Event, given: int = 0) -> None:
+        for say in prompts_after(event)[given:]:
+            sound(journal.write("prompt", float(event["time_s"]), say=say))
 
-    def _give(self, event: Event, prompts: tuple[str, ...]) -> None:
-        for say in prompts:
-            self.sound(self.journal.write("prompt", float(event["time_s"]), say=say))
+    def watch_and_prompt(event: Event) -> None:
+        watch(event)
+        give(event)
+
+    for given, event in enumerate(reversed(journal.events)):
+        if event["kind"] != "prompt":
+            give(event, given)
+            break
+    return watch_and_prompt
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,17 +217,6 @@ class Session:
             announce(page.url)
             replayed(page, self.journal.events)
             yield page.publish
-
-    def with_prompts(self, watch: Watcher, sound: Watcher) -> Watcher:
-        """Return a watcher that journals prompts and has them sounded as well."""
-        prompter = Prompter(self.journal, sound)
-        prompter.catch_up()
-
-        def watch_and_prompt(event: Event) -> None:
-            watch(event)
-            prompter.after(event)
-
-        return watch_and_prompt
 
     def table(self, outcome: Outcome) -> str:
         """Return the thresholds as CSV, with the facts that belong to their fit."""

@@ -51,10 +51,6 @@ class Agreement:
     lower: Bound  # lower limit of agreement: mean − 1.96·sd
     upper: Bound  # upper limit
 
-    def to_mapping(self) -> dict[str, Any]:
-        """Return what is written to the JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True)
 class Compared:
@@ -81,7 +77,7 @@ class Compared:
             "u_of_the_visits": [[float(u) if math.isfinite(u) else None for u in pair] for pair in self.u],
             "u_difference_of_the_fits": self.u_fits if math.isfinite(self.u_fits) else None,
             "pairs_without_it": list(self.missing),
-            "agreement": None if self.agreement is None else self.agreement.to_mapping(),
+            "agreement": None if self.agreement is None else asdict(self.agreement),
         }
 
 

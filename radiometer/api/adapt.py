@@ -30,7 +30,7 @@ from radiometer.adaptation.request import Controls, RunRequest
 from radiometer.adaptation.run_facts import intercept_of
 from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
-from radiometer.adaptation.session import open_session
+from radiometer.adaptation.session import open_session, with_prompts
 from radiometer.adaptation.threshold_files import number_of
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import (
@@ -248,7 +248,7 @@ def adapt_run(
         notify = _all_of(watchers, slow_s)
         if audio:
             ring = (lambda: None) if page or page_port > 0 else bell
-            notify = session.with_prompts(notify, _sounded(notify, ring))
+            notify = with_prompts(session.journal, notify, _sounded(notify, ring))
         outcome = session.run(notify)
         table = table_file if csv or outcome.can_be_fitted else None
         if table is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.calibration.shared import require_same_camera
-from radiometer.analysis.exports.curves import CURVE_SUFFIXES, draw_responses, write_curves
+from radiometer.analysis.exports.curves import CURVE_SUFFIXES, draw_curves, draw_responses, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
 from radiometer.analysis.response.limits import black_of_darks, with_stated_black
@@ -112,17 +112,8 @@ class Response(Drawn):
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw ln H over the digital number with its k = 2 band, where the data support it."""
         where = axes if axes is not None else new_axes()
-        for estimate in self.estimates:
-            curve = estimate.curve
-            low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
-            dn = np.arange(low, high + 1)
-            g, u = curve.log_exposure[low : high + 1], curve.u_log_exposure[low : high + 1]
-            (line,) = where.plot(dn, g, label=f"{estimate.method}, {curve.channel}")
-            where.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
-        absolute = any(estimate.curve.absolute for estimate in self.estimates)
+        draw_curves(where, self.estimates)
         where.set_xlabel("digital number M (DN)")
-        where.set_ylabel("ln H  (J·m⁻²)" if absolute else "ln H, relative to the middle value")
-        where.grid(visible=True, alpha=0.3)
         return where
 
     def __repr__(self) -> str:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -248,12 +247,9 @@ def _take(
         return {key: list(value) if isinstance(value, tuple) else value for key, value in limits.items()}
 
 
-@contextmanager
-def _writer(folder: Path, camera: Camera, config: BenchConfig, region: Patch) -> Iterator[CaptureSetWriter]:
+def _writer(folder: Path, camera: Camera, config: BenchConfig, region: Patch) -> CaptureSetWriter:
     patch = PatchDescription(name="region", x=0, y=0, width=region.width, height=region.height)
-    lens, light = _shifted(camera, region), stated_source(config)
-    with CaptureSetWriter(folder, camera.description, lens, light, (patch,)) as writer:
-        yield writer
+    return CaptureSetWriter(folder, camera.description, _shifted(camera, region), stated_source(config), (patch,))
 
 
 def _shifted(camera: Camera, region: Patch) -> LensDescription:

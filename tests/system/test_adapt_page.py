@@ -110,10 +110,7 @@ async def test_nothing_on_the_page_is_green_or_blue(served, browser):
 
 @pytest.mark.slow
 async def test_every_prompt_has_tones_of_its_own(served, browser):
-    """Rendered without a loudspeaker, each prompt sounds, stays below half of full scale, and differs from the others.
-
-    A single tone of 392 Hz crosses zero upwards once in each of its periods: 0.12 s of it do so 47 times.
-    """
+    """Each prompt sounds, below half of full scale, and differs; 0.12 s of 392 Hz cross zero upwards 47 times."""
     page, _ = served
     await browser.command("Page.navigate", url=page.url)
     await browser.wait_for("now !== null")

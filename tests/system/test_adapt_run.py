@@ -33,10 +33,7 @@ def environment(project_root, monkeypatch):
 @pytest.mark.usefixtures("environment")
 @pytest.mark.parametrize("devices", [[], ["--box", "sim"]])
 def test_killed_run_taken_up_has_the_same_events(tmp_path, devices):
-    """SIGKILL after a trial, then the same command: the journal equals that of an undisturbed run, byte for byte.
-
-    With the subject alone the run goes on from the journal; before the simulated box it is lived through again.
-    """
+    """SIGKILL after a trial, then the same command: the journal is that of an undisturbed run, byte for byte."""
     assert _run("--simulate", "steady", *devices, "-o", "whole.jsonl", cwd=tmp_path).returncode == 0
     journal = tmp_path / "broken.jsonl"
     words = [*PROGRAM, "--simulate", "steady", *devices, "--slow", "60", "-o", str(journal)]
@@ -64,10 +61,7 @@ def test_subject_who_cannot_be_fitted_is_exit_code_one(tmp_path, monkeypatch, ca
 
 
 def test_second_visit_is_measured_and_an_unfinished_one_is_taken_up(tmp_path, monkeypatch):
-    """Two runs of a subject are two journals, whose names and heads state subject, eye and moment.
-
-    Naming that of a finished run again is misuse; the message states its date, and how its thresholds are read.
-    """
+    """Two runs of a subject are two journals by eye and moment; naming that of a finished run is misuse."""
     monkeypatch.chdir(tmp_path)
     about = {"simulate": "steady", "eye": "left", "age": 31.0, "pupil": 6.0}
     first = rm.adapt_run("quick", "S7", visit="2026-03-02T14:30Z", **about)

@@ -69,12 +69,7 @@ def _by_limits(rng):
 
 
 def test_thresholds_are_the_simulated_eyes(oled, tmp_path):
-    """Where the screen's steps are fine, thresholds less the eye's own are what ascending limits find of any eye.
-
-    The screen's luminances are those of its calibration, the eye's those of the simulation: the ratio of their
-    scotopic efficacies is taken out. The mean of n errors of standard deviation s is good to s/√n; 4 of that are
-    allowed, and the calibration's scale.
-    """
+    """Less the eye's own they are what ascending limits find, to 4·s/√n; the ratio of efficacies is taken out."""
     outcome = _run(oled, tmp_path / "j")
     calibration = ScreenCalibration.read(oled)
     efficacy = math.log10(calibration.channel("blue").scotopic_lm_per_w / scotopic_lm_per_w(PRIMARY_NM[2]))

@@ -64,10 +64,7 @@ def _opens_a_camera(page: Path) -> bool:
 def test_a_page_followed_word_by_word_prints_what_it_says(
     page, program, follow_module, tmp_path, project_root, monkeypatch
 ):
-    """Its files are written, its commands run in a fresh folder, and every line that it shows comes, but for noise.
-
-    So it is with the simulated camera, and with the simulated Blackfly over GigE Vision.
-    """
+    """Its files are written, its commands run in a fresh folder, every line shown comes; over GigE Vision as well."""
     if program != "radiometer":
         try:
             load_library()

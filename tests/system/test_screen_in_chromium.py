@@ -21,11 +21,7 @@ async def shown(tmp_path):
 
 @pytest.mark.slow
 async def test_levels_are_acknowledged_with_their_own_pixels(shown):
-    """Greys and colours are painted; the canvas holds exactly the level asked for, else show() raises.
-
-    Every fifth of 256 greys: a profile or a curve between canvas and screen shifts most levels. Each waits for the
-    paint: a patch takes no less than one frame of 60 per second.
-    """
+    """The canvas holds exactly the level asked for, else show() raises; each waits for a frame of 60 per second."""
     display, _ = shown
     codes = [(n, n, n) for n in range(0, 256, 5)] + [(255, 0, 0), (0, 128, 0), (0, 0, 1), (17, 200, 99)]
     display.show(DisplayPatch((0, 0, 0)))

@@ -50,11 +50,7 @@ def take(camera, region=None):
 
 
 def calibrated_on(radiance, seed):
-    """Return the calibration from a uniform source that is believed to be REFERENCE_RADIANCE.
-
-    The simulated camera is exactly linear, keeps its black level and its exposure times, its lens spreads no light: so
-    these state no uncertainty; what is uncertain is the reference, drawn anew for every seed, and the noise.
-    """
+    """Return the calibration from a source believed to be REFERENCE_RADIANCE; but for that draw all is exact."""
     camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": radiance}, seed)
     unscaled = Calibration(
         camera.description,

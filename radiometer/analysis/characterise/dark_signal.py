@@ -226,29 +226,26 @@ def pooled_frame_sd(dark: Sequence[GroupStatistics]) -> float:
     return math.sqrt(sum((d.frames - 1) * d.frame_variance_dn2 for d in repeated) / freedom) if freedom else 0.0
 
 
-def doubling_temperature(
-    rates: Sequence[tuple[float, Quantity]], u_temperatures_k: Sequence[float] | None = None
-) -> Quantity | None:
+def doubling_temperature(rates: Sequence[tuple[float | None, float, Quantity]]) -> Quantity | None:
     """Return the temperature step in K that doubles the dark current, from ln D over T.
 
     Args:
-        rates: (temperature in °C, dark current) per plateau.
-        u_temperatures_k: Standard uncertainty of each temperature in K; 0 where None.
+        rates: (temperature in °C, its standard uncertainty in K, dark current) per plateau, as of `typical_rates`.
 
     Returns:
-        None where fewer than two plateaus have a dark current above twice its uncertainty, or it does not rise.
+        None where fewer than two plateaus of known temperature have a dark current above twice its uncertainty, or it
+        does not rise.
 
     Source: EMVA Standard 1288, release 4.0, equation (17).
     """
-    spread = u_temperatures_k or [0.0] * len(rates)
-    usable = [(t, q, u) for (t, q), u in zip(rates, spread, strict=True) if q.value > 2 * q.u]
+    usable = [(t, u, q) for t, u, q in rates if t is not None and q.value > 2 * q.u]
     if len(usable) < 2:
         return None
     temperatures = np.array([t for t, _, _ in usable])
-    logs = [math.log(q.value) for _, q, _ in usable]
+    logs = [math.log(q.value) for _, _, q in usable]
     slope = 0.0
     for _ in range(2):
-        u = [max(math.hypot(q.u_rel, slope * u_t), 1e-9) for _, q, u_t in usable]
+        u = [max(math.hypot(q.u_rel, slope * u_t), 1e-9) for _, u_t, q in usable]
         line = fit_line(temperatures - temperatures.mean(), logs, u)
         slope = line.slope
     if line.slope <= 0:
@@ -382,7 +379,7 @@ def typical_dark_current(
     if K is not None:
         u = math.hypot(rate.u, rate.value * K.u_rel) / K.value
         figures = {"mu_I_typical": Quantity(rate.value / K.value, u, "e-/s")}
-    doubling = doubling_of(rates)
+    doubling = doubling_temperature(rates)
     return figures | ({"T_d": doubling} if doubling else {})
 
 
@@ -390,13 +387,6 @@ def _temperature_u(known: Sequence[float]) -> float:
     """Return the standard uncertainty of a plateau's temperature: the step of its readings, taken as rectangular."""
     steps = np.diff(np.unique(np.round(known, 3)))
     return max(float(steps.max()) if steps.size else 0.0, _FINEST_TEMPERATURE_K) / math.sqrt(12.0)
-
-
-def doubling_of(rates: Sequence[tuple[float | None, float, Quantity]]) -> Quantity | None:
-    """Return the doubling temperature in K of dark currents at two plateaus or more; None where they do not determine
-    it."""
-    known = [(t, u, q) for t, u, q in rates if t is not None]
-    return doubling_temperature([(t, q) for t, _, q in known], [u for _, u, _ in known])
 
 
 def gain_from_darks(

@@ -59,6 +59,8 @@ def test_scan_of_the_light_boxs_level_reads_its_radiance(engine):
         optics = opened.config.optics["spot"]
         # The camera's calibration is for light of 550 nm, the spot is blue: a reading times this is its radiance.
         factor = spectral_factor(instrument.calibration.spectrum, optics.peak_nm, optics.fwhm_nm, None)
+        with pytest.raises(UsageError, match="spot_green"):  # of those that the box has
+            LightBoxLevel(opened.box, "lamp")
         level = LightBoxLevel(opened.box, "spot", "level")
         emitted = []
 
@@ -135,12 +137,6 @@ def test_failed_reading_fails_the_plan(engine):
     """A camera that is lost ends the plan; no stale value enters a document."""
     with pytest.raises(FailedStatus):
         _run(engine, bp.count([RadiometerDetector(Told(DeviceError("camera lost")), "r")]))
-
-
-def test_unknown_channel_is_refused():
-    """The message lists the channels that the box has."""
-    with open_light_box("sim") as opened, pytest.raises(UsageError, match="spot_green"):
-        LightBoxLevel(opened.box, "lamp")
 
 
 def test_example_of_the_documentation_runs(project_root, capsys):

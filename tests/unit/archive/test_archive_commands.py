@@ -56,16 +56,12 @@ def test_trend_gives_json_and_a_report(table, tmp_path, capsys):
     assert f"wrote {page}" in capsys.readouterr().err.replace("\n", "")
 
 
-def test_trend_of_a_journal_names_what_it_needs(tmp_path, capsys):
-    """The daemon's readings are no table of results."""
-    with Journal(tmp_path / "week.sqlite"):
-        pass
-    assert run(["trend", str(tmp_path / "week.sqlite")]) == 1
-    assert "the table of `radiometer batch`" in capsys.readouterr().err
-
-
 def test_trend_of_a_quantity_that_is_not_there(table, capsys):
-    """One line with the file, the quantity and what to do."""
+    """One line with the file, the quantity and what to do; the daemon's readings are no table of results."""
+    with Journal(table.with_name("week.sqlite")):
+        pass
+    assert run(["trend", str(table.with_name("week.sqlite"))]) == 1
+    assert "the table of `radiometer batch`" in capsys.readouterr().err
     assert run(["trend", str(table), "--quantity", "luminance"]) == 1
     printed = " ".join(capsys.readouterr().err.split())
     assert "holds no dated 'luminance' rows that succeeded; run `radiometer batch` first" in printed

@@ -189,19 +189,15 @@ def test_a_cluster_gives_the_same_table_bit_for_bit_though_a_worker_dies(make_ar
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "one.parquet"), pd.read_parquet(tmp_path / "two.parquet"))
 
 
-def test_no_scheduler_is_reported_in_one_line(make_archive, tmp_path, monkeypatch):
-    """Nothing listens there; a tenth of a second of patience is as good as ten."""
+def test_an_empty_archive_a_strange_table_and_no_scheduler_are_refused(make_archive, tmp_path, monkeypatch):
+    """The messages say what was expected; a tenth of a second of patience is as good as ten."""
     monkeypatch.setattr("radiometer.archive.run.SCHEDULER_PATIENCE_S", 0.1)
-    with pytest.raises(DeviceNotFound, match="no Dask scheduler answers at tcp://127"):
-        batch(make_archive(1), tmp_path / "r.csv", scheduler="tcp://127.0.0.1:9")
-
-
-def test_an_empty_archive_and_a_strange_table_are_refused(make_archive, tmp_path):
-    """Both messages say what was expected."""
     with pytest.raises(InputError, match="holds no capture set"):
         find_captures(str(tmp_path))
     with pytest.raises(UsageError, match=r"must end in \.parquet or \.csv"):
         batch(make_archive(1), tmp_path / "results.xlsx")
+    with pytest.raises(DeviceNotFound, match="no Dask scheduler answers at tcp://127"):
+        batch(tmp_path / "archive", tmp_path / "r.csv", scheduler="tcp://127.0.0.1:9")
 
 
 @pytest.mark.slow

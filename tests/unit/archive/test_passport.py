@@ -35,10 +35,7 @@ def test_one_law_over_two_sessions():
 
 
 def silicon(celsius, diffusion, generation):
-    """Return a dark current in DN/s that goes with n_i² and with n_i, by the amounts at 0 °C.
-
-    n_i goes with T^1.5 and the half gap, which goes with T by Varshni's formula.
-    """
+    """Return a dark current in DN/s of parts with n_i² and n_i, whose gap goes by Varshni, by their amounts at 0 °C."""
     carriers = []
     for T in (celsius + 273.15, 273.15):
         gap_ev = 1.17 - 4.73e-4 * T**2 / (T + 636.0)

@@ -26,10 +26,7 @@ def history(rng, drift_per_month, readings=120, scatter=0.002):
 
 @pytest.mark.parametrize("archives", [40, pytest.param(200, marks=pytest.mark.long)])
 def test_the_stated_uncertainty_of_the_drift_is_honest(archives):
-    """Over n archives the errors scatter by no more than the stated sigma (known to 1/√(2n): 11 % or 5 %).
-
-    Cycles about as long as the year of the record cannot be excluded: u leans to the wide side, by not more than 2.
-    """
+    """Errors of n archives scatter by at most the stated sigma (known to 1/√(2n)), which is at most twice too wide."""
     pulls = []
     for seed in range(archives):
         trend = fit_trend(*history(np.random.default_rng(seed), 0.001, readings=60))
@@ -45,10 +42,7 @@ def test_no_drift_is_claimed_where_there_is_none(archives, most):
 
 
 def test_outliers_are_named_and_do_not_bend_the_line():
-    """One reading 5 % too high at the end leaves the drift where it was; at most a quarter of all leave the fit.
-
-    Of 40 readings 15 lie far off, each eight times farther than the one before: ten leave the fit and one more.
-    """
+    """One reading 5 % too high moves no drift; of 40 with 15 far off a quarter, ten and one, leave the fit."""
     time_s, value, u = history(np.random.default_rng(3), 0.0)
     without = fit_trend(time_s, value, u)
     value = value.copy()
@@ -95,10 +89,7 @@ def correlated(seed, rho=0.8, days=7.0, count=104, sigma=0.003):
 
 @pytest.mark.parametrize(("archives", "most"), [(30, 2), pytest.param(300, 6, marks=pytest.mark.long)])
 def test_correlated_errors_are_no_drift(archives, most):
-    """300 archives of AR(1) errors, ρ = 0.8: at most 6 false claims (1 % are 3); u is no smaller than the scatter.
-
-    Of 30 the scatter is known to 13 %, the median of ρ to 0.03.
-    """
+    """300 archives of AR(1) errors, ρ = 0.8: at most 6 false claims (1 % are 3); u is no smaller than the scatter."""
     trends = [fit_trend(*correlated(seed)) for seed in range(archives)]
     assert sum(trend.drifts for trend in trends) <= most
     assert np.median([trend.correlation for trend in trends]) == pytest.approx(0.8, abs=0.1)
@@ -128,11 +119,7 @@ def test_half_a_year_shows_a_change_and_no_drift():
 
 
 def test_half_a_year_of_a_season_claims_no_drift_and_of_a_fast_fall_does():
-    """1 % and 5 % at twenty phases: no drift; where the season runs steeply its change is reported.
-
-    3 % per month is more than a season makes: 1 % per month (k = 1) of the stated 2 % each of sine and cosine. Of a
-    month alone u is the stated 2 % times 2π per year next to the noise: 1.05 % per month.
-    """
+    """Seasons of 1 % and 5 % at any phase are none; 3 % per month is more than the 1 % (k = 1) that a season makes."""
     trends = [fit_trend(*weekly(seed, 26, amplitude=size)) for size in (0.01, 0.05) for seed in range(10)]
     assert not any(trend.drifts for trend in trends)
     assert {"season_or_drift"} < {trend.verdict for trend in trends} | {"no_drift"}

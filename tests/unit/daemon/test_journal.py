@@ -404,10 +404,7 @@ def test_deletion_deletes_all_that_is_old(tmp_path, make_reading):
 
 
 def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes(tmp_path, make_reading):
-    """The five readings stand each by itself over 7500 s; of a microsecond more, the three minutes they are in.
-
-    A minute in which a long span ends is in it, and a point is a microsecond at least.
-    """
+    """Over 7500 s the five readings are a point each, of a microsecond more their minutes; the last one belongs."""
     reader = written(tmp_path / "j.sqlite", readings(make_reading))
     longest = 7_500_000_000
     assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest)] == [1] * 5

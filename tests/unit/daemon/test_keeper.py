@@ -248,10 +248,7 @@ async def test_calls_come_one_after_the_other():
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.sampled_from(["open", "work", "lose", "plug", "unplug", "mute", "heal"]), max_size=12))
 def test_states_follow_what_happens(steps):
-    """Whatever happens in whatever order: ready exactly while the last opening held, an alarm exactly while lost.
-
-    An opening holds where the device is there and answers the question after it; else it is closed again.
-    """
+    """In any order: ready while the last opening held and its question was answered, an alarm exactly while lost."""
 
     async def play():
         bench, ready, losses, lost, opened = Bench(Device()), False, 0, False, 0

@@ -267,10 +267,7 @@ async def test_every_change_is_reported_once_with_the_state_after_it(station, wh
     [("gain_db", 0.0, 48.0, {}), ("exposure_s", 1e-5, 30.0, {"auto_exposure": False})],
 )
 async def test_what_is_at_a_limit_is_allowed_and_what_is_beyond_is_not(station, field, low, high, further):
-    """Both ends of a range belong to it; an exposure is looked at only where the daemon does not choose it.
-
-    What is refused is named with its limits and changes nothing.
-    """
+    """Both ends belong to a range; what is refused changes nothing; an exposure is looked at only where it is used."""
     for value in (low, high):
         assert getattr(station.configure(**further, **{field: value}), field) == value
     before = station.settings

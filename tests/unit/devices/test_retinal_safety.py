@@ -35,18 +35,14 @@ def test_a_point_counts_as_wide_as_the_eye_smears_it(bright_s, smallest_rad):
 
 
 def test_refusal_states_fraction_limit_and_way_out():
-    """The message says how much of which limit and what to do."""
+    """The message says how much of which limit and what to do; what cannot be computed is not let through."""
+    with pytest.raises(UnsafeStimulus):
+        refuse_unsafe("spot", HazardFractions(math.nan, 0.0), 0.1)
     with pytest.raises(UnsafeStimulus, match=r"spot: 20 % of the blue-light .* 10 % is allowed .* Lower the radiance"):
         refuse_unsafe("spot", HazardFractions(0.2, 0.0), 0.1)
     with pytest.raises(UnsafeStimulus, match=r"counts for 10000 s\. Lower the radiance, or .*`light pulse`"):
         refuse_unsafe("spot", HazardFractions(0.2, 0.0), 0.1, endless=True)
     refuse_unsafe("spot", HazardFractions(0.1, 0.1), 0.1)
-
-
-def test_not_a_number_is_refused():
-    """A hazard that cannot be computed is not let through."""
-    with pytest.raises(UnsafeStimulus):
-        refuse_unsafe("spot", HazardFractions(math.nan, 0.0), 0.1)
 
 
 @pytest.mark.parametrize("bright_s", [1e-6, 1e-5, 0.1, 5.0, 10.0, 1e3])

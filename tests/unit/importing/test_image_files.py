@@ -99,8 +99,6 @@ def test_xmp_attributes_and_sequences():
 
 def test_plain_photographs_are_not_taken_for_raw_frames(tmp_path, write_raw_tiff):
     """A TIFF without a camera's raw facts stays a photograph."""
-    import tifffile
-
     (tmp_path / "photos").mkdir()
     tifffile.imwrite(tmp_path / "photos" / "a.tif", PICTURE)
     assert not is_foreign(tmp_path / "photos")

