@@ -13,7 +13,6 @@ import numpy as np
 
 from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, statistics_of_group
 from radiometer.analysis.signal.lens import falloff_known, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.rounding import code_step_of
 from radiometer.data import (
     CameraDescription,
     CaptureHeader,
@@ -27,6 +26,7 @@ from radiometer.data import (
     SourceDescription,
 )
 from radiometer.data.capture_set import read_digital_numbers
+from radiometer.data.code_step import code_step_of
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.mosaic import of_sensor
 from radiometer.data.pile_up import white_levels_of
