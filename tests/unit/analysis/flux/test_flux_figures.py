@@ -86,7 +86,7 @@ def test_the_background_is_that_of_frames_with_the_source_off() -> None:
     assert of_region.u_background_w == relatively(math.sqrt(40 * variance) * JOULE / 1e-3, rel=1e-6)
     hot = np.full(SHAPE, 100.0)
     hot[20:24] = 900.0
-    hot[::2] += 2.0  # the noise that rounding needs
+    hot[::2] += 3.0  # the noise that rounding needs
     dark = replace(frame(hot, 1e-3), settings=replace(frame(hot, 1e-3).settings, shutter="closed"))
     lit, off = (frame(hot + more, 1e-3, level=level) for more, level in ((200, 1.0), (0, 0.0)))
     measured = flux_of(lit, dark)
