@@ -32,9 +32,8 @@ from radiometer.statistics.model_choice import CLEARLY_BETTER, STATED_IS_WRONG, 
 from radiometer.typing import Array
 
 SHALLOWEST_S2: Final = -0.03  # log10 units per min; a flatter line after the "break" is no rod branch
-STEEPEST_S2: Final = (
-    -0.6
-)  # the steepest published is about −0.3 (Lamb and Pugh 2004); beyond, wild presses make the line
+# The steepest published is about −0.3 (Lamb and Pugh 2004); beyond, wild presses make the line.
+STEEPEST_S2: Final = -0.6
 SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are treated as both
 FASTEST_CONES_MIN: Final = 0.5  # time constant of a cone branch that is seen to fall; published are 1 to 2 min
 SEEN_FALL: Final = 1.0  # log10 units of it in the thresholds from which its time constant is known
@@ -188,10 +187,15 @@ class Estimate:
     profile: Interval | None = None
     bootstrap: Interval | None = None
 
+    @property
+    def interval(self) -> Interval | None:
+        """Return the interval to state: by the profile where it was made, else by the bootstrap."""
+        return self.profile or self.bootstrap
+
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping for JSON; an unbounded end is null."""
         mapping: dict[str, Any] = {"value": self.value, "u": _finite(self.u), "unit": self.unit}
-        for name, interval in (("interval", self.profile or self.bootstrap), ("bootstrap", self.bootstrap)):
+        for name, interval in (("interval", self.interval), ("bootstrap", self.bootstrap)):
             if interval is not None:
                 mapping[name] = [_finite(interval.low), _finite(interval.high)]
         return mapping
@@ -213,7 +217,7 @@ class AdaptationFit:
     @property
     def has_break(self) -> bool:
         """Return whether a rod–cone break was found."""
-        return "break_min" in self.chosen.values
+        return self.chosen.has_break
 
 
 def fit_adaptation(
@@ -230,10 +234,10 @@ def fit_adaptation(
     if series.time_min[0] == series.time_min[-1]:
         raise MeasurementError(f"all thresholds are of one time, {series.time_min[0]:g} min: they show no recovery")
     chosen, fits, evidence = _chosen(series)
-    if not _has_break(chosen):
+    if not chosen.has_break:
         evidence = with_power(evidence, chosen)
     criterion = _criterion(chosen, request)
-    weights = akaike_weights([fit for fit in fits if makes_sense(fit) and _has_break(fit) == _has_break(chosen)])
+    weights = akaike_weights([fit for fit in fits if makes_sense(fit) and fit.has_break == chosen.has_break])
     draws = [
         (fit, bootstrap_values(fit, round(weight * request.bootstrap_draws), rng, progress)) for fit, weight in weights
     ]
@@ -284,8 +288,7 @@ def _judged(rule: InterceptRule, met: Estimate | None, last_min: float) -> str:
         return (
             f"; later than {limit}" if last_min > rule.limit_min else f"; whether it is later than {limit} is unknown"
         )
-    interval = met.profile or met.bootstrap
-    low, high = (met.value, met.value) if interval is None else (interval.low, interval.high)
+    low, high = (met.value,) * 2 if met.interval is None else (met.interval.low, met.interval.high)
     if low > rule.limit_min:
         return f"; later than {limit}"
     return f"; within {limit}" if high < rule.limit_min else f"; it cannot be distinguished from {limit}"
@@ -305,15 +308,11 @@ def _chosen(series: ThresholdSeries) -> tuple[BranchFit, tuple[BranchFit, ...], 
     series.require_recovery()
     fits = _fit_family(series)
     sensible = [fit for fit in fits if makes_sense(fit)]
-    broken = [fit for fit in sensible if _has_break(fit)]
+    broken = [fit for fit in sensible if fit.has_break]
     evidence = break_evidence(min(broken, key=lambda fit: fit.aicc) if broken else None)
     if broken and evidence.shown:
         return _choose(broken), fits, evidence
-    return _choose([fit for fit in sensible if not _has_break(fit)]), fits, evidence
-
-
-def _has_break(fit: BranchFit) -> bool:
-    return "break_min" in fit.values
+    return _choose([fit for fit in sensible if not fit.has_break]), fits, evidence
 
 
 def _fit_family(series: ThresholdSeries) -> tuple[BranchFit, ...]:
@@ -398,10 +397,8 @@ def _steepness(values: Mapping[str, float], criterion: float | None) -> float:
 
 def _criterion(fit: BranchFit, request: FitRequest) -> float | None:
     """Return the criterion: a stated one also for a single branch that crosses it within the test."""
-    if "break_min" in fit.values:
+    if fit.has_break or request.criterion is None:
         return request.criterion
-    if request.criterion is None:
-        return None
     times = fit.series.time_min
     inside = times[0] < _crossing(fit.values, request.criterion) <= times[-1] + SLACK_MIN
     return request.criterion if inside else None

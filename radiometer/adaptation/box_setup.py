@@ -260,10 +260,10 @@ def _lights(request: RunRequest, opened: OpenedBox) -> BoxLights:
     white, spot = spectrum(request.white), spectrum(f"line:{protocol.spot.peak_nm:g}")
     mark_w_sr_m2 = request.fixation_w_sr_m2
     if mark_w_sr_m2 is None:
-        known = opened.box.channels.get(FIXATION)
-        peak_nm = known.peak_nm if known and known.peak_nm else protocol.fixation.peak_nm
-        mark_w_sr_m2 = protocol.fixation.luminance_cd_m2 / luminous_efficacy_lm_per_w(spectrum(f"line:{peak_nm:g}"))
-    missing = _no_blind_spot(protocol, opened)
+        mark_w_sr_m2 = _red_w_sr_m2(protocol, opened, FIXATION, protocol.fixation.luminance_cd_m2)
+    missing, check, unseen = _no_blind_spot(protocol, opened), protocol.fixation_check, 0.0
+    if check is not None and missing is None:
+        unseen = _red_w_sr_m2(protocol, opened, check.channel, check.luminance_cd_m2)
     spot_levels = opened.calibration.channels.get(protocol.spot.channel) if opened.calibration else None
     return BoxLights(
         protocol,
@@ -272,7 +272,7 @@ def _lights(request: RunRequest, opened: OpenedBox) -> BoxLights:
         luminous_efficacy_lm_per_w(spot, "scotopic"),
         mark_w_sr_m2,
         0.0 if spot_levels is None else spot_levels.common_u_rel / math.log(10.0),
-        0.0 if missing is not None else _blind_spot_w_sr_m2(protocol, opened),
+        unseen,
         missing or "",
     )
 
@@ -297,14 +297,11 @@ def _no_blind_spot(protocol: AdaptationProtocol, opened: OpenedBox) -> str | Non
     return None
 
 
-def _blind_spot_w_sr_m2(protocol: AdaptationProtocol, opened: OpenedBox) -> float:
-    """Return the radiance of the light in the blind spot: the protocol's luminance at the channel's wavelength."""
-    check = protocol.fixation_check
-    if check is None:
-        return 0.0
-    known = opened.box.channels.get(check.channel)
+def _red_w_sr_m2(protocol: AdaptationProtocol, opened: OpenedBox, channel: str, luminance_cd_m2: float) -> float:
+    """Return the radiance of a luminance at a red channel's wavelength: its own where known, else the protocol's."""
+    known = opened.box.channels.get(channel)
     peak_nm = known.peak_nm if known and known.peak_nm else protocol.fixation.peak_nm
-    return check.luminance_cd_m2 / luminous_efficacy_lm_per_w(spectrum(f"line:{peak_nm:g}"))
+    return luminance_cd_m2 / luminous_efficacy_lm_per_w(spectrum(f"line:{peak_nm:g}"))
 
 
 def _checks(opened: OpenedBox, lights: BoxLights, request: RunRequest, *, shipped: bool) -> list[Check]:

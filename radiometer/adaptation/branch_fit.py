@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -64,14 +64,14 @@ class BranchModel:
             Shape (…, n, number of linear parameters).
         """
         tau = nonlinear[..., 0, np.newaxis]
-        alpha = nonlinear[..., 1, np.newaxis] if len(self.nonlinear) > 1 else np.full_like(tau, np.inf)
-        beta = nonlinear[..., 2, np.newaxis] if len(self.nonlinear) > 2 else np.full_like(tau, np.inf)
-        gamma = nonlinear[..., 3, np.newaxis] if len(self.nonlinear) > 3 else np.full_like(tau, np.inf)
-        columns = [np.ones(np.broadcast_shapes(tau.shape, time_min.shape)), np.exp(-np.minimum(time_min, alpha) / tau)]
-        if len(self.nonlinear) > 1:
-            columns.append(np.minimum(np.maximum(time_min, alpha), beta) - alpha)
-        if len(self.nonlinear) > 2:
-            columns.append(np.minimum(np.maximum(time_min, beta), gamma) - beta)
+        breaks = [nonlinear[..., place, np.newaxis] for place in range(1, len(self.nonlinear))]
+        ends = [*breaks, np.full_like(tau, np.inf)]  # what goes on to the end of the test has its end at infinity
+        columns = [
+            np.ones(np.broadcast_shapes(tau.shape, time_min.shape)),
+            np.exp(-np.minimum(time_min, ends[0]) / tau),
+        ]
+        for early, late in islice(pairwise(ends), len(self.linear) - len(columns)):
+            columns.append(np.minimum(np.maximum(time_min, early), late) - early)
         return np.stack(columns, axis=-1)
 
     def threshold(self, time_min: Array, values: dict[str, float]) -> Array:
@@ -91,9 +91,10 @@ class BranchModel:
         grids = [taus, alphas, betas, np.linspace(first + 0.4 * length, last - 0.05 * length, 9)]
         mesh = np.stack(np.meshgrid(*grids[: len(self.nonlinear)], indexing="ij"), axis=-1)
         flat = mesh.reshape(-1, len(self.nonlinear))
-        flat = flat[flat[:, 0] < flat[:, 1]] if len(self.nonlinear) > 1 else flat
-        flat = flat[flat[:, 2] > flat[:, 1] + 0.05 * length] if len(self.nonlinear) > 2 else flat
-        return flat[flat[:, 3] > flat[:, 2] + 0.05 * length] if len(self.nonlinear) > 3 else flat
+        for place in range(1, len(self.nonlinear)):
+            apart = 0.05 * length if place > 1 else 0.0
+            flat = flat[flat[:, place] > flat[:, place - 1] + apart]
+        return flat
 
     def allowed(self, time_min: Array, nonlinear: Array) -> bool:
         """Return whether nonlinear parameters make sense for these times: breaks inside, in order, settled cones."""
@@ -138,6 +139,11 @@ class BranchFit:
     weights: Array  # weight of each threshold: 1/σ² relative, less where robustness has taken some off, shape (n,)
     sum_of_squares: float  # weighted sum of squared residuals
     aicc: float  # akaike's information criterion, corrected for small samples (Hurvich and Tsai 1989)
+
+    @property
+    def has_break(self) -> bool:
+        """Return whether it has a rod–cone break."""
+        return "break_min" in self.values
 
     @property
     def degrees_of_freedom(self) -> int:

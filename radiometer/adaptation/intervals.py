@@ -33,6 +33,11 @@ class Interval:
     low: float
     high: float
 
+    @property
+    def is_closed(self) -> bool:
+        """Return whether the data bound both ends."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
     def holds(self, value: float) -> bool:
         """Return whether a value is inside."""
         return self.low <= value <= self.high

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -271,6 +271,12 @@ def counting_trials(journal: RunJournal) -> list[Event]:
     """Return the trials that count: all but those whose press turned out to be the long one that asks for a pause."""
     void = {event["voids"] for event in journal.of_kind("pause")} - {None}
     return [trial for trial in journal.of_kind("trial") if trial["sequence"] not in void]
+
+
+def devices_of(events: Iterable[Event]) -> dict[str, str]:
+    """Return what a journal states of the devices, by name, for table and report."""
+    stages = [event for event in events if event["kind"] == "stage"]
+    return {name: str(one[name]) for one in stages for name in DEVICE_FACTS if one.get(name) is not None}
 
 
 def outcome_of(journal: RunJournal, verdict: Verdict, protocol: AdaptationProtocol) -> Outcome:

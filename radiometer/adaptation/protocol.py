@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
 
@@ -38,16 +39,10 @@ KINETICS: Final[dict[Receptor, PigmentKinetics]] = {
 def _extremes(receptor: Receptor) -> tuple[PigmentKinetics, ...]:
     """Return the kinetics at all ends of the published spread."""
     if receptor == "rods":
-        return tuple(
-            PigmentKinetics(td_s, time_s)
-            for td_s in (ROD_EXPOSURE.low, ROD_EXPOSURE.high)
-            for time_s in (ROD_REGENERATION.low, ROD_REGENERATION.high)
-        )
-    return tuple(
-        PigmentKinetics(half_td * time_s, time_s)
-        for half_td in (CONE_HALF_BLEACH.low, CONE_HALF_BLEACH.high)
-        for time_s in (CONE_REGENERATION.low, CONE_REGENERATION.high)
-    )
+        ends = product((ROD_EXPOSURE.low, ROD_EXPOSURE.high), (ROD_REGENERATION.low, ROD_REGENERATION.high))
+        return tuple(PigmentKinetics(td_s, time_s) for td_s, time_s in ends)
+    ends = product((CONE_HALF_BLEACH.low, CONE_HALF_BLEACH.high), (CONE_REGENERATION.low, CONE_REGENERATION.high))
+    return tuple(PigmentKinetics(half_td * time_s, time_s) for half_td, time_s in ends)
 
 
 def pupil_diameter_mm(luminance_cd_m2: float, field_deg2: float = 100.0, age_years: float = 28.58) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -36,10 +36,6 @@ class Norm:
     found: str  # what was found, with ages
     conditions: str  # bleach, spot, place and number of eyes
     source: str  # author, year and where
-
-    def to_mapping(self) -> dict[str, str]:
-        """Return the documented JSON form."""
-        return {name: getattr(self, name) for name in self.__slots__}
 
 
 NORMS: Final = (
@@ -166,10 +162,9 @@ def _deviation(fit: AdaptationFit) -> Array:
 
 def _break(axes: Axes, fit: AdaptationFit) -> None:
     found = fit.estimates["break_min"]
-    interval = found.profile or found.bootstrap
     axes.axvline(found.value, color=MARK, lw=1.4)
-    if interval is not None and np.isfinite([interval.low, interval.high]).all():
-        axes.axvspan(interval.low, interval.high, color=MARK, alpha=0.18, lw=0)
+    if found.interval is not None and found.interval.is_closed:
+        axes.axvspan(found.interval.low, found.interval.high, color=MARK, alpha=0.18, lw=0)
     series = fit.chosen.series
     share = (found.value - float(series.time_min[0])) / float(np.ptp(series.time_min))
     side, way = ("left", 6) if share < _LEFT_PART else ("right", -6)
@@ -232,8 +227,8 @@ def short(fit: AdaptationFit, name: str) -> str:
     It stands alone where the interval is open or was not made.
     """
     estimate = fit.estimates[name]
-    interval = estimate.profile or estimate.bootstrap
-    if interval is None or not np.isfinite([interval.low, interval.high]).all():
+    interval = estimate.interval
+    if interval is None or not interval.is_closed:
         return f"{estimate.value:.3g}"
     wide = (interval.high - interval.low) / 2.0
     value, half = rounded(estimate.value, wide)
@@ -274,7 +269,7 @@ def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
         "criterion_log10": fit.criterion,
         "rod_intercept": intercept_verdict(fit),
         "reliability": Reliability.of_facts(fit.chosen.series.facts).to_mapping(),
-        "norms": [one.to_mapping() for one in norms_of(fit.estimates)],
+        "norms": [asdict(one) for one in norms_of(fit.estimates)],
         "taken": list(fit.chosen.series.taken),
         "facts": dict(fit.chosen.series.facts),
         "level_unit": fit.chosen.series.facts.get("level_unit"),
@@ -370,11 +365,8 @@ def _intercept(fit: AdaptationFit) -> str:
     met = intercept_verdict(fit)
     if met is None:
         return ""
-    time = (
-        f" The time is {_with_interval(fit, 'rod_intercept_min', 'min')}."
-        if "rod_intercept_min" in fit.estimates
-        else ""
-    )
+    known = "rod_intercept_min" in fit.estimates
+    time = f" The time is {_with_interval(fit, 'rod_intercept_min', 'min')}." if known else ""
     return paragraph(f"{met[0].upper()}{met[1:]}.{time}")
 
 
@@ -404,8 +396,8 @@ def meaning(fit: AdaptationFit) -> list[str]:
         sentences.append(f"From {_with_interval(fit, 'rod_rod_break_min', 'min')} on it falls more slowly (S3).")
     if "final_from_min" in values:
         sentences.append(f"From {_with_interval(fit, 'final_from_min', 'min')} on it stays at its final threshold.")
-    interval = fit.estimates["break_min"].profile or fit.estimates["break_min"].bootstrap
-    if interval is None or not np.isfinite([interval.low, interval.high]).all():
+    interval = fit.estimates["break_min"].interval
+    if interval is None or not interval.is_closed:
         sentences.append("The break's interval is open at an end: more thresholds around it would close it.")
     return sentences
 
@@ -448,7 +440,7 @@ def _with_interval(fit: AdaptationFit, name: str, unit: str) -> str:
 def _estimates(fit: AdaptationFit) -> str:
     rows = []
     for name, estimate in fit.estimates.items():
-        interval = estimate.profile or estimate.bootstrap
+        interval = estimate.interval
         half = 0.5 * (interval.high - interval.low) if interval is not None else math.nan
         value = rounded(estimate.value, half or CHOSEN_TO)[0]
         ends = [rounded(end, half)[0] for end in (interval.low, interval.high)] if interval is not None and half else []

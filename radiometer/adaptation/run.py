@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +49,42 @@ _SEEN: Final = {True: {"response": "seen"}, False: {"response": "unseen"}}
 
 
 @dataclass
-class QuestPlusSearch:
-    """One threshold by QUEST+, on the package `questplus`.
+class Search(ABC):
+    """The search for one threshold; where it steps from level to level, how."""
+
+    spot: Spot  # the spot's levels
+    method: Any  # its settings
+    last: float | None = None  # threshold before, log10; None at the start, where the search begins near the top
+    shift: float = 0.0  # part of a step, 0 to 1, by which it begins lower
+    threshold: float | None = None  # log10 threshold once it is found
+    exhausted: bool = False  # whether the search ended without one
+    u_log10: float | None = None  # standard uncertainty of the threshold; None where the method states none
+    level: float = field(init=False)  # log10 level of the next blink
+
+    def __post_init__(self) -> None:
+        first = self.spot.highest_log10 - 1.0 if self.last is None else self.last - self._below()
+        self.level = min(max(first, self.spot.lowest_log10), self.spot.highest_log10)
+
+    @abstractmethod
+    def answer(self, *, seen: bool) -> None:
+        """Take the answer to the blink at `level` and go on."""
+
+    def _below(self) -> float:
+        """Return how far below the threshold before the search begins, in log10 units."""
+        return float(self.method.start_below_log10 + self.shift * self.method.step_log10)
+
+    def _step(self, by_log10: float) -> None:
+        """Move the level; a search that stands at the end of the spot's levels is over."""
+        end = self.spot.highest_log10 if by_log10 > 0 else self.spot.lowest_log10
+        if abs(self.level - end) < 1e-9:
+            self.exhausted = True
+        else:
+            self.level = min(max(self.level + by_log10, self.spot.lowest_log10), self.spot.highest_log10)
+
+
+@dataclass
+class QuestPlusSearch(Search):
+    """One threshold by QUEST+, on the package `questplus`; the prior is centred on the threshold before, else flat.
 
     The psychometric function is a Weibull function of log10 luminance; its threshold is where the chance of an answer
     is 1 − 1/e (but for lapses and false alarms). The slope is a nuisance: it is marginalised out.
@@ -58,13 +92,7 @@ class QuestPlusSearch:
     Source: Watson 2017, QUEST+: a general multidimensional Bayesian adaptive psychometric method, J. Vision 17(3):10.
     """
 
-    spot: Spot  # the spot's levels
-    method: QuestPlusMethod  # its settings
-    last: float | None = None  # threshold before, log10, on which the prior is centred; None for a flat prior
-    threshold: float | None = None  # mean of the posterior, once its standard deviation is small enough
-    exhausted: bool = False
-    u_log10: float | None = None  # that standard deviation
-    level: float = field(init=False)
+    method: QuestPlusMethod
     _levels: NDArray[np.float64] = field(init=False)
     _quest: Any = field(init=False)
     _answers: list[bool] = field(default_factory=list)
@@ -76,7 +104,6 @@ class QuestPlusSearch:
         self.level = float(self._quest.next_stim["intensity"])
 
     def answer(self, *, seen: bool) -> None:
-        """Take the answer to the blink at `level` and go on."""
         self._answers.append(seen)
         self._quest.update(stim={"intensity": self.level}, outcome=_SEEN[seen])
         chances = self._quest.marginal_posterior["threshold"]
@@ -115,48 +142,6 @@ class QuestPlusSearch:
         )
 
 
-class Method(Protocol):
-    """The search for one threshold."""
-
-    level: float  # log10 level of the next blink
-    threshold: float | None  # log10 threshold once it is found
-    exhausted: bool  # whether the search ended without one
-    u_log10: float | None  # standard uncertainty of the threshold; None where the method states none
-
-    def answer(self, *, seen: bool) -> None:
-        """Take the answer to the blink at `level` and go on."""
-
-
-@dataclass
-class Search:
-    """What all searches have that step from level to level."""
-
-    spot: Spot  # the spot's levels
-    method: Any  # its settings
-    last: float | None = None  # threshold before, log10; None at the start, where the search begins near the top
-    shift: float = 0.0  # part of a step, 0 to 1, by which it begins lower
-    threshold: float | None = None
-    exhausted: bool = False
-    u_log10: float | None = None
-    level: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        first = self.spot.highest_log10 - 1.0 if self.last is None else self.last - self._below()
-        self.level = min(max(first, self.spot.lowest_log10), self.spot.highest_log10)
-
-    def _below(self) -> float:
-        """Return how far below the threshold before the search begins, in log10 units."""
-        return float(self.method.start_below_log10 + self.shift * self.method.step_log10)
-
-    def _step(self, by_log10: float) -> None:
-        """Move the level; a search that stands at the end of the spot's levels is over."""
-        end = self.spot.highest_log10 if by_log10 > 0 else self.spot.lowest_log10
-        if abs(self.level - end) < 1e-9:
-            self.exhausted = True
-        else:
-            self.level = min(max(self.level + by_log10, self.spot.lowest_log10), self.spot.highest_log10)
-
-
 @dataclass
 class Ascent(Search):
     """Ascending limits: up by a step per blink until it is seen; an ascent that is seen at once begins lower."""
@@ -165,7 +150,6 @@ class Ascent(Search):
     _missed: bool = False
 
     def answer(self, *, seen: bool) -> None:
-        """Take the answer to the blink at `level` and go on."""
         if seen and self._missed:
             self.threshold = self.level
         else:
@@ -182,7 +166,6 @@ class Staircase(Search):
     _went_up: bool | None = None
 
     def answer(self, *, seen: bool) -> None:
-        """Take the answer to the blink at `level` and go on."""
         up = not seen
         if self._went_up is not None and up != self._went_up:
             self._turns.append(self.level)
@@ -206,7 +189,6 @@ class DownUp(Search):
         return self.shift * self.method.up_log10 - self.method.start_above_log10
 
     def answer(self, *, seen: bool) -> None:
-        """Take the answer to the blink at `level` and go on."""
         if seen and self._rising:
             self.threshold = self.level
             return
@@ -215,9 +197,15 @@ class DownUp(Search):
 
 
 AnyMethod = LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlusMethod
+_SEARCHES: Final[dict[type[AnyMethod], type[Search]]] = {
+    LimitsMethod: Ascent,
+    StaircaseMethod: Staircase,
+    DownUpMethod: DownUp,
+    QuestPlusMethod: QuestPlusSearch,
+}
 
 
-def begin(spot: Spot, method: AnyMethod, last: float | None, shift: float = 0.0) -> Method:
+def begin(spot: Spot, method: AnyMethod, last: float | None, shift: float = 0.0) -> Search:
     """Return the search for the next threshold, begun near the last one.
 
     Args:
@@ -229,13 +217,7 @@ def begin(spot: Spot, method: AnyMethod, last: float | None, shift: float = 0.0)
     Raises:
         MissingLibrary: For QUEST+ without its library.
     """
-    if isinstance(method, LimitsMethod):
-        return Ascent(spot, method, last, shift)
-    if isinstance(method, StaircaseMethod):
-        return Staircase(spot, method, last, shift)
-    if isinstance(method, DownUpMethod):
-        return DownUp(spot, method, last, shift)
-    return QuestPlusSearch(spot, method, last)
+    return _SEARCHES[type(method)](spot, method, last, shift)
 
 
 Watcher = Callable[[Event], None]
@@ -599,7 +581,7 @@ class _Run:
         """Return the level that was seen; other methods' thresholds are between levels as it is."""
         return self.stage.shown_log10(threshold) if isinstance(self.protocol.method, LimitsMethod) else threshold
 
-    def _over(self, search: Method) -> bool:
+    def _over(self, search: Search) -> bool:
         """Return whether a search has found its threshold, has no way on, has taken too long, or met a hasty press."""
         ended = search.threshold is not None or search.exhausted
         return ended or self._hasty() or len(self._blinks) >= self.protocol.watch.most_blinks

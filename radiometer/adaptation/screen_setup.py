@@ -72,8 +72,7 @@ class SpotLevels:
         if first == codes.size:
             raise ConfigurationError(
                 f"screen {calibration.name}: no level of {channel} can be distinguished from its black; calibrate "
-                "it with more "
-                "repeats"
+                "it with more repeats"
             )
         # Above the first usable level all are used: an uncertain one between two good ones is bounded by them.
         value = np.maximum.accumulate(added[first:])
@@ -194,7 +193,7 @@ class ScreenStage(Stage):
                 "protocol with a steady bleach"
             )
         self.levels = SpotLevels.of(self.calibration, spot.channel, spot.filter_density)
-        red, _ = self._mark_code()
+        red, _ = self._red(mark.luminance_cd_m2)
         shown = self.viewing.ellipse(-half, mark.size_deg, red)
         self._spot = self.viewing.ellipse(half, spot.size_deg, self.levels.rgb(-1))
         self.viewing.require_room((shown, self._spot), self.screen.size)
@@ -208,7 +207,7 @@ class ScreenStage(Stage):
         check, spot = self.protocol.fixation_check, self.protocol.spot
         if check is None:
             return None
-        red, _ = mark_code(self.calibration, check.luminance_cd_m2 * 10.0**spot.filter_density)
+        red, _ = self._red(check.luminance_cd_m2)
         at_deg = side * (check.temporal_deg - spot.eccentricity_deg / 2)
         shape = self.viewing.ellipse(at_deg, check.size_deg, red, check.below_deg)
         try:
@@ -217,11 +216,9 @@ class ScreenStage(Stage):
             return None
         return shape
 
-    def _mark_code(self) -> tuple[Code, bool]:
-        """Return the red that is the mark's luminance at the eye, behind the filter; and whether it is calibrated."""
-        return mark_code(
-            self.calibration, self.protocol.fixation.luminance_cd_m2 * 10.0**self.protocol.spot.filter_density
-        )
+    def _red(self, luminance_cd_m2: float) -> tuple[Code, bool]:
+        """Return the red that has a luminance at the eye, behind the filter; and whether it is calibrated."""
+        return mark_code(self.calibration, luminance_cd_m2 * 10.0**self.protocol.spot.filter_density)
 
     def now_s(self) -> float:
         return self.clock() - self._zero_s
@@ -245,7 +242,7 @@ class ScreenStage(Stage):
             "coarsest_step_log10": round(self.levels.coarsest_step(self.protocol.spot.lowest_log10), 4),
             "u_level_log10": [round(float(self.levels.u_log10[i]), 4) for i in (0, -1)],
             "u_scale_log10": round(self.levels.u_common_log10, 4),
-            "mark_calibrated": self._mark_code()[1],
+            "mark_calibrated": self._red(self.protocol.fixation.luminance_cd_m2)[1],
             "u_press_s": round(self.u_press_s, 4),
             "warnings": self.screen.warnings(),
             "eye": self.eye,

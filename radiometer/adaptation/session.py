@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -14,7 +14,7 @@ import numpy as np
 from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.checks import Check
 from radiometer.adaptation.live import LivePage, LiveText, event_line, replayed
-from radiometer.adaptation.outcome import DEVICE_FACTS, Outcome, RunJournal
+from radiometer.adaptation.outcome import Outcome, RunJournal, devices_of
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach
 from radiometer.adaptation.request import SIMULATED_BOX, Controls, RunRequest
 from radiometer.adaptation.run import Stage, run_test
@@ -136,27 +136,31 @@ def prompts_after(event: Event) -> tuple[str, ...]:
             return ()
 
 
-@dataclass(frozen=True, slots=True)
-class Prompter:
-    """Journals prompts and has them sounded."""
+def with_prompts(journal: RunJournal, watch: Watcher, sound: Watcher) -> Watcher:
+    """Return a watcher that journals prompts and has them sounded as well; those that a crash left out at once.
 
-    journal: RunJournal  # the open journal of the test
-    sound: Callable[[Event], None]  # called with every prompt, as an event of kind "prompt"
+    Args:
+        journal: The open journal of the test.
+        watch: Called with every event.
+        sound: Called with every prompt, as an event of kind "prompt".
 
-    def after(self, event: Event) -> None:
-        """Give the prompts that an event calls for. Raises OutputError."""
-        self._give(event, prompts_after(event))
+    Raises:
+        OutputError: If the disk refuses a prompt; so does the watcher.
+    """
 
-    def catch_up(self) -> None:
-        """Give what a crash left out after the newest event, so that the journal holds the same. Raises OutputError."""
-        for given, event in enumerate(reversed(self.journal.events)):
-            if event["kind"] != "prompt":
-                self._give(event, prompts_after(event)[given:])
-                return
+    def give(event: Event, given: int = 0) -> None:
+        for say in prompts_after(event)[given:]:
+            sound(journal.write("prompt", float(event["time_s"]), say=say))
 
-    def _give(self, event: Event, prompts: tuple[str, ...]) -> None:
-        for say in prompts:
-            self.sound(self.journal.write("prompt", float(event["time_s"]), say=say))
+    def watch_and_prompt(event: Event) -> None:
+        watch(event)
+        give(event)
+
+    for given, event in enumerate(reversed(journal.events)):
+        if event["kind"] != "prompt":
+            give(event, given)
+            break
+    return watch_and_prompt
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,25 +218,12 @@ class Session:
             replayed(page, self.journal.events)
             yield page.publish
 
-    def with_prompts(self, watch: Watcher, sound: Watcher) -> Watcher:
-        """Return a watcher that journals prompts and has them sounded as well."""
-        prompter = Prompter(self.journal, sound)
-        prompter.catch_up()
-
-        def watch_and_prompt(event: Event) -> None:
-            watch(event)
-            prompter.after(event)
-
-        return watch_and_prompt
-
     def table(self, outcome: Outcome) -> str:
         """Return the thresholds as CSV, with the facts that belong to their fit."""
         shared = [event["u_scale_log10"] for event in self.journal.of_kind("stage") if event.get("u_scale_log10")]
         asked = self.request
-        devices: dict[str, str | float] = {}
-        for event in self.journal.of_kind("stage"):
-            devices |= {name: str(event[name]) for name in DEVICE_FACTS if event.get(name) is not None}
-        facts = facts_of(asked.protocol, shared[-1] if shared else None, outcome.reliability, asked.header() | devices)
+        visit = asked.header() | devices_of(self.journal.events)
+        facts = facts_of(asked.protocol, shared[-1] if shared else None, outcome.reliability, visit)
         return outcome.to_csv(facts)
 
     def reach_sentence(self) -> str | None:
@@ -293,12 +284,7 @@ def _stage(
     if on_screen and request.box is None and (request.screen is not None or request.simulate is None):
         return open_screen_stage(request, announce)
     if request.simulate is not None and request.box is None:
-        return _simulated(request, request.simulate)
+        return nullcontext((simulated_stage(protocol, request.simulate, seed=request.seed), ()))
     if request.simulate is None and request.box == SIMULATED_BOX:
         raise UsageError(f"the simulated box needs a simulated subject: --simulate {', '.join(BEHAVIOURS)}")
     return open_box_stage(request)
-
-
-@contextmanager
-def _simulated(request: RunRequest, behaviour: str) -> Iterator[tuple[Stage, Sequence[Check]]]:
-    yield simulated_stage(request.protocol, behaviour, seed=request.seed), ()

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.adaptation.outcome import DEVICE_FACTS
+from radiometer.adaptation.outcome import devices_of
 from radiometer.data import text_table
 from radiometer.data.event_journal import is_journal, read_events
 from radiometer.data.reader_limits import bounded_reader, unpacked
@@ -155,8 +155,6 @@ def read_r_lists(
         problem = f"no object with {names}" if not found else f"several objects: {', '.join(f[0] for f in found)}"
         raise InputError(f"{path}: holds {problem}; write one as text in R: {AS_TEXT}")
     name, when, levels = found[0]
-    if len(when[1]) != len(levels[1]):
-        raise InputError(f"{path}: its list has {len(when[1])} times and {len(levels[1])} thresholds")
     return name or "it", when, levels
 
 
@@ -213,21 +211,25 @@ def read_table(path: Path, mapped: StatementMap | None = None) -> TakenTable:
         named = [tuple(p.name for p in known.places.get(fact, ())[:1]) for fact in ("time", "threshold")]
         name, *columns = read_r_lists(path, named[0] or _TIME, named[1] or _THRESHOLD)
         header = [heading for heading, _ in columns]
-        rows = [[str(value) for value in pair] for pair in zip(*(numbers for _, numbers in columns), strict=True)]
+        rows = _paired(path, *([str(number) for number in numbers] for _, numbers in columns))
         how = [f"a file of R: {' and '.join(header)} of {name}"]
-        return _taken(path, header, list(enumerate(rows, 1)), facts, how, _settled(path, header, known))
-    text = text_table.decode_export(raw)
-    lists = _r_lists(path, text)
-    if lists is not None:
-        header, rows = ["time", "thrs"], [list(pair) for pair in zip(*lists, strict=False)]
-        how = ["an R list with time and thrs (dput of a Dark object)"]
-        if len(lists[0]) != len(lists[1]):
-            raise InputError(f"{path}: its list has {len(lists[0])} times and {len(lists[1])} thresholds")
-        numbered = list(enumerate(rows, 1))
     else:
-        header, numbered, facts, how = _cells(path, text)
+        text = text_table.decode_export(raw)
+        lists = _r_lists(path, text)
+        if lists is None:
+            header, rows, facts, how = _cells(path, text)
+        else:
+            header, rows = ["time", "thrs"], _paired(path, *lists)
+            how = ["an R list with time and thrs (dput of a Dark object)"]
     chosen = _settled(path, header, known)
-    return _taken(path, header, numbered, facts, how, chosen)
+    return _taken(path, header, rows, facts, how, chosen)
+
+
+def _paired(path: Path, times: list[str], thresholds: list[str]) -> list[tuple[int, list[str]]]:
+    """Return the rows of two lists with their numbers from 1. Raises InputError if one list is longer."""
+    if len(times) != len(thresholds):
+        raise InputError(f"{path}: its list has {len(times)} times and {len(thresholds)} thresholds")
+    return [(number, list(row)) for number, row in enumerate(zip(times, thresholds, strict=True), 1)]
 
 
 def _settled(path: Path, header: list[str], mapped: StatementMap) -> dict[str, int]:
@@ -257,9 +259,7 @@ def _of_journal(path: Path) -> TakenTable:
     start = events[0]
     named = ("subject", "eye", "visit", "age_years", "pupil_mm", "simulated", "protocol")
     facts = {name: str(start[name]) for name in named if start.get(name) is not None} | dict(start.get("facts") or {})
-    for event in events:
-        if event["kind"] == "stage":
-            facts |= {name: str(event[name]) for name in DEVICE_FACTS if event.get(name) is not None}
+    facts |= devices_of(events)
     shared = [str(event["u_scale_log10"]) for event in events if event.get("u_scale_log10")]
     facts |= {"u_scale_log10": shared[-1]} if shared else {}
     void = {event["voids"] for event in events if event["kind"] == "pause"} - {None}
@@ -372,12 +372,8 @@ def _of_trials(
     when = chosen.get("time")
     if when is None:
         when = column_of_onsets(path, header, [row for _, row in body], without=seen)
-    level = chosen.get("threshold")
-    level = (
-        level
-        if level is not None
-        else _position([_word(cell) for cell in header], (*LEVEL_WORDS, *THRESHOLD_WORDS), without=(when, seen))
-    )
+    words = [_word(cell) for cell in header]
+    level = chosen.get("threshold", _position(words, LEVEL_WORDS, without=(when, seen)))
     if level is None:
         raise InputError(f"{path}: a list of trials without a column `level` in its header ({', '.join(header)})")
     kept = [(number, [row[when], row[level]]) for number, row in body]

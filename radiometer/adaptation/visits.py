@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -41,10 +41,6 @@ class Bound:
     low: float
     high: float
 
-    def to_mapping(self) -> dict[str, float]:
-        """Return what is written to the JSON."""
-        return {"value": self.value, "low": self.low, "high": self.high}
-
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
@@ -54,11 +50,6 @@ class Agreement:
     sd: float  # their standard deviation
     lower: Bound  # lower limit of agreement: mean − 1.96·sd
     upper: Bound  # upper limit
-
-    def to_mapping(self) -> dict[str, Any]:
-        """Return what is written to the JSON."""
-        limits = {name: getattr(self, name).to_mapping() for name in ("mean", "lower", "upper")}
-        return {**limits, "sd": self.sd}
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +77,7 @@ class Compared:
             "u_of_the_visits": [[float(u) if math.isfinite(u) else None for u in pair] for pair in self.u],
             "u_difference_of_the_fits": self.u_fits if math.isfinite(self.u_fits) else None,
             "pairs_without_it": list(self.missing),
-            "agreement": None if self.agreement is None else self.agreement.to_mapping(),
+            "agreement": None if self.agreement is None else asdict(self.agreement),
         }
 
 

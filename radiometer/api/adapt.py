@@ -30,7 +30,7 @@ from radiometer.adaptation.request import Controls, RunRequest
 from radiometer.adaptation.run_facts import intercept_of
 from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
-from radiometer.adaptation.session import open_session
+from radiometer.adaptation.session import open_session, with_prompts
 from radiometer.adaptation.threshold_files import number_of
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import (
@@ -100,15 +100,9 @@ class AdaptationRun(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         one = self.outcome
-        return {
-            "verdict": str(one.verdict),
-            "explanation": one.explanation,
-            "thresholds": len(one.times_min),
-            "catches": one.catches,
-            "false_presses": one.false_presses,
-            "reliability": one.reliability.to_mapping(),
-            "csv": None if self.table is None else str(self.table),
-        }
+        counts = {"thresholds": len(one.times_min), "catches": one.catches, "false_presses": one.false_presses}
+        known = {"verdict": str(one.verdict), "explanation": one.explanation, **counts}
+        return self.plain(**known, reliability=one.reliability, csv=self.table)
 
     def lines(self) -> list[str]:
         """Return verdict, counts and reliability in words."""
@@ -254,7 +248,7 @@ def adapt_run(
         notify = _all_of(watchers, slow_s)
         if audio:
             ring = (lambda: None) if page or page_port > 0 else bell
-            notify = session.with_prompts(notify, _sounded(notify, ring))
+            notify = with_prompts(session.journal, notify, _sounded(notify, ring))
         outcome = session.run(notify)
         table = table_file if csv or outcome.can_be_fitted else None
         if table is not None:
@@ -311,7 +305,7 @@ class AdaptationCurve(Result):
         """Return each estimate with its interval, then the reliability of the run where it is known."""
         found = []
         for name, estimate in self.fit.estimates.items():
-            interval = estimate.profile or estimate.bootstrap
+            interval = estimate.interval
             expanded = 2.0 * estimate.u
             known = interval is not None and interval.low < interval.high  # ends of an area are chosen, not estimated
             ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval and known else []
@@ -615,9 +609,6 @@ class Bleach(Result):
     cones_bleached_range: tuple[float, float]
     scotopic_ratio: float
     natural_pupil: bool
-
-    def to_mapping(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __str__(self) -> str:
         return (

@@ -39,9 +39,7 @@ class Batch(Result):
     unfinished: tuple[Path, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
-        return {
-            **asdict(self.summary), "table": str(self.table), "unfinished": [str(path) for path in self.unfinished]
-        }  # fmt: skip
+        return self.plain("table", "unfinished", **asdict(self.summary))
 
     def __str__(self) -> str:
         one = self.summary
@@ -74,7 +72,7 @@ class Trends(Result):
     source: str
 
     def to_mapping(self) -> dict[str, Any]:
-        return {"trends": [one.to_mapping() for one in self.trends]}
+        return self.plain("trends")
 
     def write_report(self, path: PathLike) -> None:
         """Write the report (HTML): outcome, histories, figures. Raises OutputError."""
@@ -93,9 +91,6 @@ class Passports(Result):
     """
 
     cameras: tuple[Passport, ...]
-
-    def to_mapping(self) -> dict[str, Any]:
-        return {"cameras": [one.to_mapping() for one in self.cameras]}
 
     def __str__(self) -> str:
         lines = []

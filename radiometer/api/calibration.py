@@ -124,13 +124,9 @@ class Calibrated(Result):
 
     def to_mapping(self) -> dict[str, Any]:
         calibration = self.calibration
-        report: dict[str, Any] = {
-            "calibration": str(self.file) if self.file else None,
-            "scale": calibration.scale.model_dump(mode="json", exclude_none=True),
-            "spectrum": calibration.spectrum,
-            "assumptions": list(calibration.provenance.assumptions),
-            "notes": list(self.notes),
-        }
+        scale = calibration.scale.model_dump(mode="json", exclude_none=True)
+        known = {"calibration": self.file, "scale": scale, "spectrum": calibration.spectrum}
+        report = self.plain("notes", **known, assumptions=calibration.provenance.assumptions)
         if self.meter is not None:
             report["metered"] = _metered(self.meter, calibration)
         if self.ranged is not None:

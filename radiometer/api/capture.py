@@ -47,14 +47,7 @@ class BracketReport(Result):
     of: str = "pixels"
 
     def to_mapping(self) -> dict[str, Any]:
-        return {
-            "capture": str(self.capture),
-            "frames": self.frames,
-            "exposures_s": list(self.exposures_s),
-            "dark_frames": self.dark_frames,
-            **self.coverage,
-            "cut_short": self.cut_short,
-        }
+        return self.plain("capture", "frames", "exposures_s", "dark_frames", "cut_short", **self.coverage)
 
     def __str__(self) -> str:
         low, high = min(self.exposures_s), max(self.exposures_s)
@@ -144,19 +137,14 @@ def _exposures(
     return replace(plan, exposures_s=tuple(sorted(plan.exposures_s * repeat)))
 
 
-def _lit(written: CaptureSet) -> tuple[float, ...]:
-    return tuple(entry.exposure_s for entry in written.header.frames if entry.shutter == "open")
-
-
 def _planned(written: CaptureSet) -> BracketReport:
-    lit = _lit(written)
+    lit = tuple(entry.exposure_s for entry in written.header.frames if entry.shutter == "open")
     return BracketReport(written.path, len(written), lit, len(written) - len(lit), {})
 
 
 def _covered(written: CaptureSet, plan: ExposurePlan, region: Patch | None) -> BracketReport:
-    reach = assess_reach(written.frames(), written.header.camera, region)
-    lit = _lit(written)
-    late = len(plan.exposures_s) - len(lit)
+    report, reach = _planned(written), assess_reach(written.frames(), written.header.camera, region)
+    late = len(plan.exposures_s) - len(report.exposures_s)
     missing = [*reach.sentences(), *(["the time limit left out the longest exposures"] if plan.cut_short else [])]
     missing += [f"the deadline came before {late} of {len(plan.exposures_s)} exposures"] if late > 0 else []
     coverage = {
@@ -166,5 +154,4 @@ def _covered(written: CaptureSet, plan: ExposurePlan, region: Patch | None) -> B
         "below_noise": int(reach.below_noise.sum()),
     }
     cut_short, of = plan.cut_short or late > 0, "patch's pixels" if region else "pixels"
-    dark = len(written) - len(lit)
-    return BracketReport(written.path, len(written), lit, dark, coverage, tuple(missing), cut_short, of)
+    return replace(report, coverage=coverage, not_reached=tuple(missing), cut_short=cut_short, of=of)

@@ -45,12 +45,9 @@ class Devices(Result):
     note: str | None
 
     def to_mapping(self) -> dict[str, Any]:
-        return {
-            "cameras": [{**asdict(one), "serial_also": other_notation(one.serial)} for one in self.cameras],
-            "light_boxes": [asdict(one) for one in self.light_boxes],
-            "ports_in_use": list(self.ports_in_use),
-            "note": self.note,
-        }
+        cameras = [{**asdict(one), "serial_also": other_notation(one.serial)} for one in self.cameras]
+        boxes = [asdict(one) for one in self.light_boxes]
+        return self.plain("ports_in_use", "note", cameras=cameras, light_boxes=boxes)
 
     def lines(self) -> list[str]:
         """Return a line for every device, with the option that names it."""
@@ -109,7 +106,7 @@ class Diagnosis(Result):
         return not any(one.health is Health.FAULT for one in self.findings)
 
     def to_mapping(self) -> dict[str, Any]:
-        return {"sound": self.sound, "findings": [one.to_mapping() for one in self.findings]}
+        return self.plain("sound", "findings")
 
     def __str__(self) -> str:
         wrong = ", ".join(one.check for one in self.findings if one.health is Health.FAULT)

@@ -128,9 +128,7 @@ class Stack:
             )
         levels = [one.light[0].settings.source_level for one in lit]
         if levels.count(max(levels)) > 1:
-            raise UsageError(
-                f"{self.origin} holds {len(self.brackets)} brackets; choose one: stack[{next(iter(self.brackets))!r}]"
-            )
+            return self.bracket  # refused: there are several
         return lit[levels.index(max(levels))]
 
     def plot(self, axes: Axes | None = None) -> Axes:

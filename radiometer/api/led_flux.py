@@ -45,8 +45,7 @@ class DrivenFlux:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        known = {"channel": self.channel, "drive": self.drive, "flux": self.flux.to_mapping()}
-        return {**known, "drive_law": self.law.to_mapping()}
+        return {"channel": self.channel, "drive": self.drive, "flux": self.flux, "drive_law": self.law}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,11 +74,8 @@ class Flux(Result):
         return self.report.result
 
     def to_mapping(self) -> dict[str, Any]:
-        return {
-            **self.report.to_mapping(),
-            "notes": [*self.report.warnings, *self.notes],
-            "at_drive": None if self.driven is None else self.driven.to_mapping(),
-        }
+        notes = [*self.report.warnings, *self.notes]
+        return self.plain(**self.report.to_mapping(), notes=notes, at_drive=self.driven)
 
     def __str__(self) -> str:
         where = "emitted" if self.report.emitted else "through the sensor"

@@ -341,9 +341,6 @@ class ButtonPress(Result):
     time_s: float
     u_s: float
 
-    def to_mapping(self) -> dict[str, Any]:
-        return {"pressed": self.pressed, "time_s": self.time_s, "u_s": self.u_s}
-
     def __str__(self) -> str:
         what = "pressed" if self.pressed else "released"
         return f"{self.time_s:10.4f} s ± {2e3 * self.u_s:.2f} ms (k = 2)  {what}"
@@ -458,19 +455,13 @@ class CalibratedBox(Result):
     file: Path
 
     def to_mapping(self) -> dict[str, Any]:
-        known = self.calibration.channels
-        report = {
-            name: {
-                "limits_W_per_sr_m2": self.calibration.limits(name),
-                "points": len(known[name].points),
-                "common_u_rel": known[name].common_u_rel,
-                "drift_u_rel": known[name].drift_u_rel,
-                "settle_s": known[name].settle_s,
-                "drive_law": {one: law.to_mapping() for one, law in self.drive_laws(name).items()},
-            }
-            for name in self.channels
-        }
-        return {"box": self.calibration.box_serial, "file": str(self.file), "channels": report}
+        report = {}
+        for name in self.channels:
+            known = self.calibration.channels[name]
+            figures = {key: getattr(known, key) for key in ("common_u_rel", "drift_u_rel", "settle_s")}
+            points = {"limits_W_per_sr_m2": self.calibration.limits(name), "points": len(known.points)}
+            report[name] = {**points, **figures, "drive_law": self.drive_laws(name)}
+        return self.plain("file", box=self.calibration.box_serial, channels=report)
 
     def drive_laws(self, channel: str) -> dict[str, DriveLaw]:
         """Return the law of a channel over its duty on each current range that has points enough."""
@@ -593,16 +584,10 @@ class EngineLaws(Drawn):
 
     def to_mapping(self) -> dict[str, Any]:
         differences = self.differences
-        return {
-            "taken": list(self.table.taken),
-            "channels": {
-                name: {
-                    "drive_law": None if law is None else law.to_mapping(),
-                    "twin_at_half_drive": differences[name].to_mapping() if name in differences else None,
-                }
-                for name, law in self.laws.items()
-            },
+        channels = {
+            name: {"drive_law": law, "twin_at_half_drive": differences.get(name)} for name, law in self.laws.items()
         }
+        return self.plain(taken=self.table.taken, channels=channels)
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw each channel's light over its drive, as a share of that at full drive, and its law."""

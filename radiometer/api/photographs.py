@@ -6,13 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.meter import PatchLike
-from radiometer.api.reading import reading_record
+from radiometer.api.reading import reading_record, with_distribution
 from radiometer.api.result import Progress
 from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, Calibration, Patch, Provenance, Reading
@@ -128,8 +125,5 @@ def _reading(bracket: Bracket, patch: Patch, setup: Setup, ready: Photographs, *
         "alignment": ready.alignment,
         "notes": list(ready.notes),
     }
-    if drawn:
-        situation = patch_situation(bracket, patch, setup)
-        found = propagate_distributions(situation, np.random.default_rng(reading.sequence))
-        more["monte_carlo"] = found.to_mapping(reading)
-    return replace(reading, provenance=replace(origin, assumptions=assumed), more=more)
+    reading = replace(reading, provenance=replace(origin, assumptions=assumed), more=more)
+    return with_distribution(reading, patch_situation(bracket, patch, setup)) if drawn else reading

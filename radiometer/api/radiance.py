@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,9 @@ if TYPE_CHECKING:
 
 # What a response can be given as: as recovered, a curve, a file of one or several curves, or several of these.
 ResponseLike = Response | ResponseCurve | PathLike | Sequence[ResponseCurve | PathLike]
+
+
+_AXES: Final = {"y": "row of pixels, from the top", "x": "column of pixels, from the left"}
 
 
 def quantity_in_words(unit: str) -> str:
@@ -171,22 +174,12 @@ class Radiance(Drawn):
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form: figures of the only or the green channel, and of each by its name."""
         found = self.picture.first
-        return {
-            "files": [str(file) for file in self.files],
-            "width": found.shape[1],
-            "height": found.shape[0],
-            "channels": list(self.maps),
-            "unit": self.unit,
-            "exposures_s": list(found.exposures_s),
-            **_figures(found),
-            "by_channel": {name: _figures(one) for name, one in self.maps.items()},
-            "iso": found.provenance.parameters.get("iso", []),
-            "assumptions": list(self.assumptions),
-            "notes": list(self.notes),
-            "responses": [str(file) for file in self.responses],
-            "alignment": self.alignment,
-            "falloff": self.falloff,
-        }
+        own = ("files", "unit", "assumptions", "notes", "responses", "alignment", "falloff")
+        height, width = found.shape
+        frames = {"exposures_s": found.exposures_s, "iso": found.provenance.parameters.get("iso", [])}
+        by_channel = {name: _figures(one) for name, one in self.maps.items()}
+        figures = {**frames, **_figures(found), "by_channel": by_channel}
+        return self.plain(*own, width=width, height=height, channels=list(self.maps), **figures)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an xarray.Dataset with `radiance`, its uncertainties and `mask`: units and flags as in CF.
@@ -202,7 +195,8 @@ class Radiance(Drawn):
         return xarray.Dataset(
             _variables(self),
             coords={
-                name: (name, np.arange(size), _axis(name)) for name, size in zip("yx", self.map.shape, strict=True)
+                name: (name, np.arange(size), {"units": "1", "long_name": words})
+                for (name, words), size in zip(_AXES.items(), self.map.shape, strict=True)
             },
             attrs={
                 "Conventions": "CF-1.11",
@@ -295,13 +289,6 @@ def _correlation(form: str) -> dict[str, Any]:
         key = f"err_corr_{number}"
         found |= {f"{key}_dim": dimension, f"{key}_form": form, f"{key}_params": [], f"{key}_units": []}
     return found
-
-
-def _axis(name: str) -> dict[str, str]:
-    return {
-        "units": "1",
-        "long_name": {"y": "row of pixels, from the top", "x": "column of pixels, from the left"}[name],
-    }
 
 
 def merge(

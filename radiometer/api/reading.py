@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from radiometer.analysis.reading.budget import PatchSituation
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.api.files import PathLike
@@ -142,7 +143,7 @@ def readings(
             begun_s = clock()
             reading, frames = _one(instrument, number, u_rel, notice if watch else None, progress)
             if monte_carlo:
-                reading = _with_distribution(reading, instrument, frames)
+                reading = with_distribution(reading, instrument.situation(frames))
             if report is not None:
                 known = instrument.camera
                 write_reading_page(reading_record(reading, frames, known.description, known.lens), Path(report))
@@ -191,9 +192,9 @@ def _one(
         waiting(f"{camera.identity.model} {camera.identity.serial} is back")
 
 
-def _with_distribution(reading: Reading, instrument: Instrument, frames: Bracket) -> Reading:
+def with_distribution(reading: Reading, situation: PatchSituation) -> Reading:
     """Return the reading with its distribution from draws of all its inputs."""
-    drawn = propagate_distributions(instrument.situation(frames), np.random.default_rng(reading.sequence))
+    drawn = propagate_distributions(situation, np.random.default_rng(reading.sequence))
     return replace(reading, more={**reading.more, "monte_carlo": drawn.to_mapping(reading)})
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.calibration.shared import require_same_camera
-from radiometer.analysis.exports.curves import CURVE_SUFFIXES, draw_responses, write_curves
+from radiometer.analysis.exports.curves import CURVE_SUFFIXES, draw_curves, draw_responses, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
 from radiometer.analysis.response.limits import black_of_darks, with_stated_black
@@ -106,29 +106,14 @@ class Response(Drawn):
         self.curve.write(target)
 
     def to_mapping(self) -> dict[str, Any]:
-        return {
-            "format": "radiometer-response-result/1",
-            "curves": [estimate.to_mapping() for estimate in self.estimates],
-            "disagreements": [found.to_mapping() for found in compare_methods(self.estimates)],
-            "files": [str(file) for file in self.files],
-            "plot": None if self.plot_file is None else str(self.plot_file),
-            "notes": list(self.notes),
-        }
+        known = {"format": "radiometer-response-result/1", "curves": self.estimates, "plot": self.plot_file}
+        return self.plain("files", "notes", **known, disagreements=compare_methods(self.estimates))
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw ln H over the digital number with its k = 2 band, where the data support it."""
         where = axes if axes is not None else new_axes()
-        for estimate in self.estimates:
-            curve = estimate.curve
-            low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
-            dn = np.arange(low, high + 1)
-            g, u = curve.log_exposure[low : high + 1], curve.u_log_exposure[low : high + 1]
-            (line,) = where.plot(dn, g, label=f"{estimate.method}, {curve.channel}")
-            where.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
-        absolute = any(estimate.curve.absolute for estimate in self.estimates)
+        draw_curves(where, self.estimates)
         where.set_xlabel("digital number M (DN)")
-        where.set_ylabel("ln H  (J·m⁻²)" if absolute else "ln H, relative to the middle value")
-        where.grid(visible=True, alpha=0.3)
         return where
 
     def __repr__(self) -> str:
@@ -301,28 +286,21 @@ def _recovered(
 
 
 def _written(estimates: Sequence[ResponseEstimate], output: Path) -> list[Path]:
-    """Write one curve under the given name, several with channel and method in theirs."""
-    if output.suffix.lower() in CURVE_SUFFIXES:
-        return _written_for_others(estimates, output)
-    channels = {estimate.curve.channel for estimate in estimates}
-    methods = {estimate.method for estimate in estimates}
-    files = []
-    for estimate in estimates:
-        parts = [output.stem]
-        parts += [estimate.curve.channel] if len(channels) > 1 else []
-        parts += [estimate.method] if len(methods) > 1 else []
-        target = output.with_name("-".join(parts) + output.suffix)
-        estimate.curve.write(target)
-        files.append(target)
-    return files
+    """Write one curve under the given name, several with channel and method in theirs; return the files.
 
-
-def _written_for_others(estimates: Sequence[ResponseEstimate], output: Path) -> list[Path]:
-    """Write the channels of each method into one file of another program's form."""
-    methods = list(dict.fromkeys(estimate.method for estimate in estimates))
-    files = []
-    for method in methods:
-        target = output.with_name(f"{output.stem}-{method}{output.suffix}") if len(methods) > 1 else output
-        write_curves(target, {one.curve.channel: one.curve for one in estimates if one.method == method})
-        files.append(target)
-    return files
+    A form of another program holds the channels of a method together.
+    """
+    together = output.suffix.lower() in CURVE_SUFFIXES
+    several_channels = not together and len({one.curve.channel for one in estimates}) > 1
+    several_methods = len({one.method for one in estimates}) > 1
+    targets: dict[Path, dict[str, ResponseCurve]] = {}
+    for one in estimates:
+        parts = [output.stem, one.curve.channel if several_channels else "", one.method if several_methods else ""]
+        target = output.with_name("-".join(filter(None, parts)) + output.suffix)
+        targets.setdefault(target, {})[one.curve.channel] = one.curve
+    for target, curves in targets.items():
+        if together:
+            write_curves(target, curves)
+        else:
+            next(iter(curves.values())).write(target)
+    return list(targets)

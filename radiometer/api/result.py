@@ -61,8 +61,8 @@ class Result:
         with_checked_methods(cls)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form, as plain values."""
-        raise NotImplementedError
+        """Return the documented JSON form, as plain values: all attributes by name, unless a result has another."""
+        return self.plain(**vars(self))
 
     def plain(self, *names: str, **further: Any) -> dict[str, Any]:
         """Return attributes by name, and further entries, as plain values: what `to_mapping` is made of."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from radiometer.reconciliation.engine import plan_of, whole_catalogue
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, ReconcileResult
 from radiometer.reconciliation.separability import Separability as SeparabilityPlan
 from radiometer.reconciliation.sources import Done, DoneCapture, reconcile_source
+from radiometer.reporting.page import table
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.registry import register_file
 
@@ -161,14 +161,9 @@ class Reconciliation(Result):
         return f"<Reconciliation {self.verdict}: {names}; gap {before:.3g} → {after:.3g}>"
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{html.escape(effect.name)}</td><td>{html.escape(_parameters(effect))}</td>"
-            f"<td>{html.escape(effect.where)}</td><td>{html.escape(', '.join(effect.alternatives))}</td></tr>"
-            for effect in self.effects
-        )
-        head = "<tr><th>effect</th><th>parameters</th><th>where</th><th>alternatives</th></tr>"
-        table = f"<table>{head}{rows}</table>" if rows else ""
-        return picture(self.plot, repr(self)) + table
+        rows = [(one.name, _parameters(one), one.where, ", ".join(one.alternatives)) for one in self.effects]
+        head = ("effect", "parameters", "where", "alternatives")
+        return picture(self.plot, repr(self)) + table(head, rows, words=(1, 2, 3))
 
 
 def reconcile(

@@ -122,9 +122,6 @@ class ScreenLevel(Result):
     shown: Quantity
     target: float
 
-    def to_mapping(self) -> dict[str, Any]:
-        return {"channel": self.channel, "level": self.level, "shown": self.shown.to_mapping(), "target": self.target}
-
     def __str__(self) -> str:
         return f"level {self.level} of {self.channel} shows {self.shown.value:.5g} {unit_text(self.shown.unit)}"
 
@@ -273,23 +270,10 @@ class VerifiedScreen(Result):
         return self.verified.holds
 
     def to_mapping(self) -> dict[str, Any]:
-        return {
-            "screen": self.calibration.name,
-            "calibrated": self.calibration.created,
-            "holds": self.holds,
-            "coverage_factor": COVERAGE,
-            "levels": [
-                {
-                    "channel": one.channel,
-                    "level": one.level,
-                    "calibrated": one.calibrated.to_mapping(),
-                    "measured": one.measured.to_mapping(),
-                    "difference": one.difference.to_mapping(),
-                    "agrees": one.agrees,
-                }
-                for one in self.verified.levels
-            ],
-        }
+        names = ("channel", "level", "calibrated", "measured", "difference", "agrees")
+        levels = [{name: getattr(one, name) for name in names} for one in self.verified.levels]
+        known = {"screen": self.calibration.name, "calibrated": self.calibration.created}
+        return self.plain("holds", **known, coverage_factor=COVERAGE, levels=levels)
 
     def lines(self) -> list[str]:
         """Return each level as calibrated and as measured, then the verdict."""

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import html
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -42,6 +40,7 @@ from radiometer.errors import UsageError
 from radiometer.importing import open_capture
 from radiometer.numbers import unit_text, with_u
 from radiometer.plausible import ExposureSteps, KnownRadiance, RelativeUncertainty
+from radiometer.reporting.page import listed, table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,13 +130,8 @@ class Sensor(Result):
         return ", ".join(f"{name} = {_quantity(self[name])}" for name in telling)
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{html.escape(name)}</td><td>{html.escape(_quantity(figure))}</td></tr>"
-            for name, figure in self.figures.items()
-        )
-        notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.characterisation.notes)
-        table = f"<table><tr><th>EMVA 1288</th><th>value ± U</th></tr>{rows}</table>{notes}"
-        return picture(self.plot, repr(self)) + table
+        figures = table(("EMVA 1288", "value ± U"), [(name, _quantity(one)) for name, one in self.figures.items()])
+        return picture(self.plot, repr(self)) + figures + listed(self.characterisation.notes)
 
 
 def characterise(
@@ -253,12 +247,9 @@ def _take(
         return {key: list(value) if isinstance(value, tuple) else value for key, value in limits.items()}
 
 
-@contextmanager
-def _writer(folder: Path, camera: Camera, config: BenchConfig, region: Patch) -> Iterator[CaptureSetWriter]:
+def _writer(folder: Path, camera: Camera, config: BenchConfig, region: Patch) -> CaptureSetWriter:
     patch = PatchDescription(name="region", x=0, y=0, width=region.width, height=region.height)
-    lens, light = _shifted(camera, region), stated_source(config)
-    with CaptureSetWriter(folder, camera.description, lens, light, (patch,)) as writer:
-        yield writer
+    return CaptureSetWriter(folder, camera.description, _shifted(camera, region), stated_source(config), (patch,))
 
 
 def _shifted(camera: Camera, region: Patch) -> LensDescription:

@@ -130,7 +130,7 @@ def read_session(capture: CaptureSet, report: Callable[[str], None] = lambda lin
         notes = (str(error),)
     main = max(statistics, key=lambda s: s.pixels).region
     dark = [s for s in statistics if s.settings.is_dark and s.region == main]
-    found = typical_rates(dark, camera.code_step_dn or 1)
+    found = typical_rates(dark, subject.camera.code_step_dn or 1)
     rates = tuple((t, u, rate) for t, u, rate in found if t is not None)
     return Session(
         str(capture.path),

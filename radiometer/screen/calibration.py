@@ -144,10 +144,6 @@ def _judged(model: TransferModel, parameters: Array, v: Array, y: Array, u_gamma
 
 
 FORMAT = "radiometer-screen/1"
-_KEYS: Final = (
-    "format", "name", "created", "instrument", "pixel_mm", "chromaticities", "measured_with", "checks", "provenance",
-    "channels",
-)  # fmt: skip
 RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
 
 # Displays follow a power law of about this exponent, so its root is nearly a straight line of the level.
@@ -448,7 +444,7 @@ class ScreenCalibration:
         mapping = read_yaml(path)
         if mapping.get("format") != FORMAT:
             raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
-        refuse_unknown(mapping, _KEYS, str(path), CalibrationError)
+        refuse_unknown(mapping, ("format", *(one.name for one in fields(cls))), str(path), CalibrationError)
         channels, checks = mapping.get("channels"), mapping.get("checks") or {}
         if not isinstance(channels, dict) or "grey" not in channels:
             raise CalibrationError(f"{path}: holds no channel 'grey'; calibrate the screen again")

@@ -30,7 +30,6 @@ from radiometer.screen.run import (
     ScreenReading,
     ScreenStep,
     Uniformity,
-    WarmUp,
     additivity,
     as_mapping,
     curves_of,
@@ -251,10 +250,9 @@ class VerifiedLevel:
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """Levels of a screen measured again, and how it warmed up."""
+    """Levels of a screen measured again."""
 
     levels: tuple[VerifiedLevel, ...]
-    warm_up: WarmUp
 
     @property
     def holds(self) -> bool:
@@ -314,4 +312,4 @@ def verify_screen(
         curve = calibration.channel(name)
         shared = min(curve.u_common_rel, one.u_common_rel) if same_meter else 0.0
         found.append(VerifiedLevel(name, level, curve.radiance_at(level), Quantity(one.radiance, u, RADIANCE), shared))
-    return Verified(tuple(found), warm_up)
+    return Verified(tuple(found))

@@ -208,17 +208,22 @@ class Measured:
 
     @property
     def mean(self) -> ScreenReading:
-        """Return the mean of the readings; their scatter counts where it exceeds their own uncertainty."""
-        values = np.array([r.radiance for r in self.readings])
-        stated = math.sqrt(sum(r.u_independent**2 for r in self.readings)) / len(values)
-        seen = float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
-        return ScreenReading(
-            radiance=float(values.mean()),
-            u_independent=max(stated, seen),
-            u_common_rel=max(r.u_common_rel for r in self.readings),
-            time_s=float(np.mean([r.time_s for r in self.readings])),
-            flags=tuple(sorted({f for r in self.readings for f in r.flags})),
-        )
+        """Return the mean of the readings."""
+        return mean_of(self.readings)
+
+
+def mean_of(readings: Sequence[ScreenReading]) -> ScreenReading:
+    """Return the mean of readings; their scatter counts where it exceeds their own uncertainty."""
+    values = np.array([r.radiance for r in readings])
+    stated = math.sqrt(sum(r.u_independent**2 for r in readings)) / len(values)
+    seen = float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
+    return ScreenReading(
+        radiance=float(values.mean()),
+        u_independent=max(stated, seen),
+        u_common_rel=max(r.u_common_rel for r in readings),
+        time_s=float(np.mean([r.time_s for r in readings])),
+        flags=tuple(sorted({f for r in readings for f in r.flags})),
+    )
 
 
 Progress = Callable[[int, int, ScreenStep], None]
@@ -310,11 +315,9 @@ def _detection_limit(blacks: Sequence[ScreenReading]) -> float:
     """
     if not blacks:
         return 0.0
-    values = np.array([b.radiance for b in blacks])
-    noise = math.sqrt(sum(b.u_independent**2 for b in blacks)) / len(blacks)
-    scatter = float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
-    limit = 3.0 * max(noise, scatter)
-    return limit if values.mean() < limit else 0.0
+    black = mean_of(blacks)
+    limit = 3.0 * black.u_independent
+    return limit if black.radiance < limit else 0.0
 
 
 def _curve(

@@ -38,19 +38,14 @@ def fitted(observer: Observer, wavelength_nm: float) -> AdaptationFit:
 
 
 @pytest.mark.slow
-def test_blue_light_shows_the_break_where_it_is():
-    """At 453 nm the break lies within three standard uncertainties, and the method's own delay, of the eye's."""
+def test_breaks_of_eyes_are_found_and_other_bends_are_none():
+    """At 453 nm within three u; where S2 gives way to S3 no cones settle."""
     eye = Eye(s3_slope_per_min=-0.04)
     found = fitted(Observer(eye, rng=np.random.default_rng(0)), 453.0)
     assert found.has_break
     estimate = found.estimates["break_min"]
     assert abs(estimate.value - eye.break_min(453.0)) < 3 * estimate.u + 0.1
     assert found.estimates["s2_slope_per_min"].value == pytest.approx(-0.24, abs=0.03)
-
-
-@pytest.mark.slow
-def test_change_of_the_rods_own_slope_is_no_rod_cone_break():
-    """After 2 min of 300 cd/m² rods lead from half a minute on: where S2 gives way to S3 no cones have settled."""
     eye = eye_after_bleach(Eye(), 300.0, 120.0)
     assert eye.break_min(453.0) < 1.0
     found = fitted(Observer(eye, rng=np.random.default_rng(6)), 453.0)

@@ -100,15 +100,11 @@ def test_names_are_judged(found, first, exact, confident_wrong, junk):
     assert {name: bool(reported[name]) for name in expected} == expected
 
 
-def test_a_place_counts_among_the_first_three():
-    """The true covariate, by any of its names, must stand early."""
+def test_places_and_errors_are_counted_apart():
+    """The true covariate among the first three; a crash is no wrong name."""
     outsider = Secret("outsider", "flats", "dust", stage="optics", covariates=("image_xy",))
     assert judge(answer("unnamed_effect", places=("a", "b", "screen_x")), outsider)["place"]
     assert not judge(answer("unnamed_effect", places=("a", "b", "c", "screen_x")), outsider)["place"]
-
-
-def test_the_tally_counts_errors_apart():
-    """A crash is a session of its own, not a wrong name."""
     right = judge(answer("effects_found", effect("veiling_glare")), VEIL)
     table = tally([{"kind": "law", "judged": right}, {"kind": "law", "error": "x"}])
     assert table.splitlines()[-1] == "| variant | 2 | 1/1 | 1/1 | 1/1 | 0/1 | 0/1 | – | 1 |"

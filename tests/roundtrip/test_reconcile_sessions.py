@@ -42,7 +42,6 @@ def assert_alone(found: ReconcileResult, name: str) -> None:
 def assert_size(found: ReconcileResult, parameter: str, true: float, *, us: float = 4.0, allowed: float = 0.0) -> None:
     """Assert that a parameter of the first effect is the true one within some of its u, or what is allowed."""
     fitted = found.effects[0].parameters[parameter]
-    assert fitted.u is not None
     assert fitted.value == pytest.approx(true, abs=allowed or us * fitted.u)
 
 
@@ -233,7 +232,6 @@ def test_a_field_cut_by_another_law_takes_a_free_one():
     result = by_other_law("barrel")
     (found,) = result.effects
     assert "mechanical_vignetting" in (found.name, *found.alternatives)
-    assert found.curve is not None
     assert list(found.curve.along) == ["field_radius", "f_number"]
     mapping = found.to_mapping()
     assert mapping["law"] == "other than the catalogue's"
@@ -362,7 +360,6 @@ def stated() -> dict[str, Limit]:
 def test_half_the_limit_stays_hidden_and_twice_is_named(name, stated):
     """A limit is five sigma and a name asks for about four: 2.5 sigma (less, where it grows faster) pass, 10 do not."""
     limit = stated[name].amplitude
-    assert limit is not None
     assert not is_named(name, answer_at(name, 0.5 * limit, FIRST_SEED, "bracket"))
     assert is_named(name, answer_at(name, 2.0 * limit, FIRST_SEED, "bracket"))
 

@@ -65,7 +65,6 @@ def test_blue_spot_shows_the_break_of_the_eye_that_the_bleach_left(tmp_path):
     eye = eye_after_bleach(Eye(), BLEACH_CD_M2, 150.0)
     truth = eye.break_min(453.0)
     assert found.has_break
-    assert truth is not None
     assert abs(found.estimates["break_min"].value - truth) < 3 * found.estimates["break_min"].u + 0.3
     offset = math.log10(833.0 / scotopic_lm_per_w(453.0))
     late = [v for t, v in zip(outcome.times_min, outcome.thresholds_log10, strict=True) if t > 10]
@@ -112,7 +111,6 @@ def test_fixation_losses_are_found_as_they_were_planted(tmp_path, subject, plant
     """The red LED in the blind spot, in the protocol's bytes: the interval holds the share of glances elsewhere."""
     chosen = protocol(12.0, bleach_s=10.0)
     check = chosen.fixation_check
-    assert check is not None
     often = check.model_copy(update={"share": 0.3, "from_min": 1.0})
     watch = chosen.watch.model_copy(update={"lapse_share": 0.15})  # enough of them to know the lapses by
     chosen = chosen.model_copy(update={"fixation_check": often, "watch": watch})

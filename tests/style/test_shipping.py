@@ -29,20 +29,18 @@ def instructions() -> list[tuple[str, str]]:
     return [(line.split(maxsplit=1)[0], line.split(maxsplit=1)[1]) for line in lines]
 
 
-def test_the_manual_page_is_what_the_commands_say():
-    """After a command or an option changed: `make man`."""
+def test_the_manual_page_is_whole_and_shipped():
+    """Made by `make man`; each command and option stands in it; `pip install` puts it where man finds it."""
     stored = (ROOT / "docs" / "radiometer.1").read_text(encoding="utf-8")
     assert stored == manual_page(), "docs/radiometer.1 is out of date: run `make man`"
-
-
-def test_the_manual_page_holds_every_command_and_option():
-    """Each command has a section, each option stands in it as it is typed."""
     page = manual_page().replace("\\-", "-")
     for one in command_tree():
         assert f".SS {' '.join(one.path)}\n" in page
         section = page.split(f".SS {' '.join(one.path)}\n")[1].split("\n.SS ")[0]
         for name, _ in (*one.options, *one.arguments):
             assert name in section
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
+    assert build["targets"]["wheel"]["shared-data"] == {"docs/radiometer.1": "share/man/man1/radiometer.1"}
 
 
 @pytest.mark.skipif(not shutil.which("groff"), reason="groff is not installed")
@@ -54,23 +52,13 @@ def test_the_manual_page_is_set_without_a_warning():
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_the_wheel_carries_the_manual_page():
-    """`pip install` puts it where man finds it."""
-    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
-    assert build["targets"]["wheel"]["shared-data"] == {"docs/radiometer.1": "share/man/man1/radiometer.1"}
-
-
-def test_the_container_is_built_in_two_stages_of_the_same_system():
-    """Only what the first stage made is taken over; no compiler runs in the second."""
+def test_the_container_copies_what_exists_in_two_stages():
+    """Only what the first made; paths exist; packages and files of the build come before it runs."""
     places = [n for n, (word, _) in enumerate(instructions()) if word == "FROM"]
     bases = [instructions()[n][1].split() for n in places]
     assert [base[0] for base in bases] == ["debian:12-slim", "debian:12-slim"]
     assert bases[0][1:] == ["AS", "build"]
     assert not any("gcc" in rest for _, rest in instructions()[places[1] + 1 :])
-
-
-def test_every_path_that_the_container_copies_exists():
-    """Paths of the checkout exist and are not ignored; stages that are copied from are there."""
     ignored = set((ROOT / ".containerignore").read_text(encoding="utf-8").split())
     for word, rest in instructions():
         if word != "COPY":
@@ -82,10 +70,6 @@ def test_every_path_that_the_container_copies_exists():
         for source in sources:
             assert (ROOT / source).exists(), source
             assert source.partition("/")[0] not in ignored
-
-
-def test_the_container_holds_what_the_wheel_is_built_from():
-    """All packages, configurations and files that the build names are copied before it runs."""
     copied = {part for word, rest in instructions() if word == "COPY" for part in rest.split()[:-1]}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]

@@ -23,18 +23,14 @@ def folders(root: Path) -> set[str]:
     } - {"."}
 
 
-def test_every_folder_of_tests_is_one_of_the_source():
-    """A folder of tests/unit has the name of a part of radiometer, or of the drivers or simulators."""
+def test_folders_of_tests_are_those_of_the_source():
+    """Each part of the package has its own."""
     sources = folders(ROOT / "radiometer") | {
         f"{package}{'/' if name else ''}{name}"
         for package in ("drivers", "simulators")
         for name in {*folders(ROOT / package), ""}
     }
     assert folders(UNIT) - OTHERS - sources == set()
-
-
-def test_every_part_of_the_package_has_its_tests():
-    """Each folder right below radiometer, and the drivers and simulators, have a folder of tests."""
     parts = {name for name in folders(ROOT / "radiometer") if "/" not in name} | {"drivers", "simulators"}
     assert parts - folders(UNIT) == set()
 
@@ -69,14 +65,10 @@ def floor_of(module: str) -> int:
     return 1 + max((floor_of(lower) for lower in imported_by(module)), default=0)
 
 
-def test_imports_of_reconcile_go_in_no_circle():
-    """From no module do imports lead back to it: there is an order in which each stands above what it imports."""
+def test_imports_of_reconcile_go_in_no_circle_over_few_floors():
+    """There is an order in which each is above what it imports."""
     order = list(TopologicalSorter({module: imported_by(module) for module in FILES}).static_order())
     assert sorted(order) == sorted(FILES)
-
-
-def test_reconcile_stands_on_few_floors():
-    """The longest way of imports is short enough to be read from below."""
     floors: dict[int, list[str]] = {}
     for module in FILES:
         floors.setdefault(floor_of(module), []).append(module.removeprefix("radiometer.reconciliation."))

@@ -15,7 +15,7 @@ from radiometer.analysis.characterise.dark_signal import (
     unbent,
     with_open_current,
 )
-from radiometer.analysis.characterise.group_statistics import GroupStatistics
+from radiometer.analysis.characterise.group_statistics import GroupStatistics, dark_points
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, of_exposure, prnu
 from radiometer.analysis.characterise.partial import (
@@ -136,15 +136,9 @@ def _characterised_gains(
     """Return every gain that can be characterised, the one nearest to 0 dB first."""
     found, refused = list[_AtGain](), list[MeasurementError]()
     for gain in sorted({s.settings.gain_db for s in bright}, key=abs):
+        lit, unlit = ([s for s in groups if s.settings.gain_db == gain] for groups in (bright, dark))
         try:
-            found.append(
-                _at_gain(
-                    gain,
-                    [s for s in bright if s.settings.gain_db == gain],
-                    [s for s in dark if s.settings.gain_db == gain],
-                    step_dn,
-                )
-            )
+            found.append(_at_gain(gain, lit, unlit, step_dn))
         except MeasurementError as error:
             refused.append(error)
     if not found:
@@ -182,19 +176,14 @@ class _Work:
     gains: dict[float, Quantity]
 
     def result(self) -> Characterisation:
-        plateaus = [
-            (
-                group,
-                with_open_current(dark_signal(group, self._step_dn), group, self.at.transfer.K, self.subject.camera),
-            )
-            for group in by_temperature(self.at.dark)
-            if any(d.has_noise for d in group)
-        ]
+        K, camera = self.at.transfer.K, self.subject.camera
+        groups = [one for one in by_temperature(self.at.dark) if any(d.has_noise for d in one)]
+        plateaus = [(one, with_open_current(dark_signal(one, self._step_dn), one, K, camera)) for one in groups]
         # Bright frames are compared with darkness at their own temperature.
         bright_c = self.at.bright[0].settings.temperature_c or 0.0
         own = min(plateaus, key=lambda p: abs((p[1].temperature_c or 0.0) - bright_c))
         notes = list(self.subject.notes)
-        figures = {"K": self.at.transfer.K, "mu_y_dark": own[1].mean_dn}
+        figures = {"K": K, "mu_y_dark": own[1].mean_dn}
         figures |= self._sensitivity(own[1], notes)
         figures |= self._dark_current(own[1], [p[1] for p in plateaus], notes)
         figures |= self._nonuniformity(own[0])
@@ -203,7 +192,7 @@ class _Work:
         from_darks = gain_from_darks(self.subject, self.at.dark)
         if from_darks is not None:
             figures["K_dark"] = from_darks[0]
-            notes += disagreeing_gains(self.at.transfer.K, from_darks[0])
+            notes += disagreeing_gains(K, from_darks[0])
         if bent := [d.settings.exposure_s for d in own[0] if d not in unbent(own[0])]:
             notes.append(f"dark frames of {min(bent):g} s and longer are left out: their hot pixels are saturated")
         line = linearity(self.at.saturation.rising(self.at.steps), self.at.saturation.signal_dn)
@@ -211,15 +200,13 @@ class _Work:
             figures |= {"LE_min": line.LE_min, "LE_max": line.LE_max}
         self._warn(notes)
         return Characterisation(
-            believed=self.subject.camera,
+            believed=camera,
             gain_db=self.at.gain_db,
             figures=figures,
             gains=self.gains,
             transfer=self.at.transfer,
             steps=self.at.steps,
-            dark_points=tuple(
-                (d.settings.exposure_s, d.mean_dn, d.variance_dn2, d.settings.temperature_c) for d in self.at.dark
-            ),
+            dark_points=dark_points(self.at.dark),
             linearity=line,
             notes=tuple(notes),
             provenance=self.subject.provenance("EMVA 1288 release 4.0, linear", notes),
@@ -259,7 +246,7 @@ class _Work:
             )
         sat_dn = Quantity(saturation.linear_signal_dn, saturation.u_linear_signal_dn, "DN")
         found = sensitivity_figures(
-            K, dark.variance_dn2, sat_dn, eta, self._step_dn, is_bound=dark.quantisation_limited
+            K, dark.variance_dn2, sat_dn, eta, dark.noise_dn2, is_bound=dark.quantisation_limited
         )
         if not saturation.reached:
             notes.append(

@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics
+from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, mean_temperature_c
 from radiometer.analysis.characterise.line_fit import Line, fit_line
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.analysis.signal.model import FLOOR_SHARE
-from radiometer.analysis.signal.rounding import PLAIN_FROM
+from radiometer.analysis.signal.rounding import PLAIN_FROM, SHEPPARD, unrounded_variance
 from radiometer.data import CameraDescription, Quantity
 from radiometer.data.sensor_noise import SensorNoise, most_dark_e_per_s
 from radiometer.statistics.scale import robust_sigma, typical_pixels
@@ -43,6 +43,7 @@ class DarkSignal:
     variance_dn2: Quantity
     temperature_c: float | None  # mean sensor temperature; None where unknown
     quantisation_limited: bool  # the variance is below 0.24 DN², where rounding hides the noise
+    noise_dn2: Quantity  # the variance before rounding to whole codes in DN²
 
 
 def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal:
@@ -62,19 +63,15 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
     variance_line, variance = _variance([d for d in dark if d.has_noise])
     smallest = PLAIN_FROM * step_dn**2
     limited = variance.value < smallest and variance.u < smallest
+    least = min(dark, key=lambda d: d.settings.exposure_s)
+    noise = unrounded_variance(variance.value, variance.u, mean.value, least.ordinary_variance_dn2, step_dn)
     if variance.value < smallest and not limited:  # long exposures leave the noise at 0 s open
         variance = Quantity(smallest, math.hypot(variance.u, smallest - variance.value), "DN^2")
     if limited:  # all that is known is a bound; over [0, bound] the root mean square distance from it is bound/√3
         variance = Quantity(smallest, smallest / math.sqrt(3.0), "DN^2")
-    known = [d.settings.temperature_c for d in dark if d.settings.temperature_c is not None]
-    return DarkSignal(
-        mean_line,
-        variance_line,
-        mean,
-        variance,
-        float(np.mean(known)) if known else None,
-        limited,
-    )
+    if variance.value == smallest:
+        noise = Quantity(smallest - SHEPPARD * step_dn**2, variance.u, "DN^2")
+    return DarkSignal(mean_line, variance_line, mean, variance, mean_temperature_c(dark), limited, noise)
 
 
 def level_at_0_s(dark: Sequence[GroupStatistics], step_dn: int = 1) -> tuple[Quantity, Line | None]:
@@ -99,9 +96,8 @@ def with_open_current(
     u_dn = open_current_u_dn(dark, K, camera)
     mean = replace(found.mean_dn, u=math.hypot(found.mean_dn.u, u_dn))
     of_noise = 0.0 if K is None else K.value * u_dn
-    return replace(
-        found, mean_dn=mean, variance_dn2=replace(found.variance_dn2, u=math.hypot(found.variance_dn2.u, of_noise))
-    )
+    variance, noise = (replace(one, u=math.hypot(one.u, of_noise)) for one in (found.variance_dn2, found.noise_dn2))
+    return replace(found, mean_dn=mean, variance_dn2=variance, noise_dn2=noise)
 
 
 def open_current_u_dn(dark: Sequence[GroupStatistics], K: Quantity | None, camera: CameraDescription) -> float:
@@ -230,29 +226,26 @@ def pooled_frame_sd(dark: Sequence[GroupStatistics]) -> float:
     return math.sqrt(sum((d.frames - 1) * d.frame_variance_dn2 for d in repeated) / freedom) if freedom else 0.0
 
 
-def doubling_temperature(
-    rates: Sequence[tuple[float, Quantity]], u_temperatures_k: Sequence[float] | None = None
-) -> Quantity | None:
+def doubling_temperature(rates: Sequence[tuple[float | None, float, Quantity]]) -> Quantity | None:
     """Return the temperature step in K that doubles the dark current, from ln D over T.
 
     Args:
-        rates: (temperature in °C, dark current) per plateau.
-        u_temperatures_k: Standard uncertainty of each temperature in K; 0 where None.
+        rates: (temperature in °C, its standard uncertainty in K, dark current) per plateau, as of `typical_rates`.
 
     Returns:
-        None where fewer than two plateaus have a dark current above twice its uncertainty, or it does not rise.
+        None where fewer than two plateaus of known temperature have a dark current above twice its uncertainty, or it
+        does not rise.
 
     Source: EMVA Standard 1288, release 4.0, equation (17).
     """
-    spread = u_temperatures_k or [0.0] * len(rates)
-    usable = [(t, q, u) for (t, q), u in zip(rates, spread, strict=True) if q.value > 2 * q.u]
+    usable = [(t, u, q) for t, u, q in rates if t is not None and q.value > 2 * q.u]
     if len(usable) < 2:
         return None
     temperatures = np.array([t for t, _, _ in usable])
-    logs = [math.log(q.value) for _, q, _ in usable]
+    logs = [math.log(q.value) for _, _, q in usable]
     slope = 0.0
     for _ in range(2):
-        u = [max(math.hypot(q.u_rel, slope * u_t), 1e-9) for _, q, u_t in usable]
+        u = [max(math.hypot(q.u_rel, slope * u_t), 1e-9) for _, u_t, q in usable]
         line = fit_line(temperatures - temperatures.mean(), logs, u)
         slope = line.slope
     if line.slope <= 0:
@@ -386,7 +379,7 @@ def typical_dark_current(
     if K is not None:
         u = math.hypot(rate.u, rate.value * K.u_rel) / K.value
         figures = {"mu_I_typical": Quantity(rate.value / K.value, u, "e-/s")}
-    doubling = doubling_of(rates)
+    doubling = doubling_temperature(rates)
     return figures | ({"T_d": doubling} if doubling else {})
 
 
@@ -394,13 +387,6 @@ def _temperature_u(known: Sequence[float]) -> float:
     """Return the standard uncertainty of a plateau's temperature: the step of its readings, taken as rectangular."""
     steps = np.diff(np.unique(np.round(known, 3)))
     return max(float(steps.max()) if steps.size else 0.0, _FINEST_TEMPERATURE_K) / math.sqrt(12.0)
-
-
-def doubling_of(rates: Sequence[tuple[float | None, float, Quantity]]) -> Quantity | None:
-    """Return the doubling temperature in K of dark currents at two plateaus or more; None where they do not determine
-    it."""
-    known = [(t, u, q) for t, u, q in rates if t is not None]
-    return doubling_temperature([(t, q) for t, _, q in known], [u for _, u, _ in known])
 
 
 def gain_from_darks(

@@ -152,13 +152,17 @@ class GroupStatistics:
         noise = self.variance_dn2 if self.has_noise else self.spatial_variance_dn2
         return math.sqrt(max(noise, 1 / 12) / (self.frames * self.pixels))
 
+    @property
+    def ordinary_variance_dn2(self) -> float:
+        """Return the variance between pixels in DN² without hot ones, which do not show where the others are."""
+        return self.spatial_variance_dn2 if self.typical_variance_dn2 is None else self.typical_variance_dn2
+
     def u_of_rounding_dn(self, step_dn: int) -> float:
         """Return what rounding to codes of a distance in DN leaves uncertain in the mean, a standard uncertainty in DN.
 
         Hot pixels spread over other codes than the rest, and do not show where between two codes these are.
         """
-        spatial = self.spatial_variance_dn2 if self.typical_variance_dn2 is None else self.typical_variance_dn2
-        return rounding_u_of_mean(max(self.variance_dn2 + spatial, 0.0), step_dn)
+        return rounding_u_of_mean(max(self.variance_dn2 + self.ordinary_variance_dn2, 0.0), step_dn)
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -176,6 +180,17 @@ class GroupStatistics:
         measured = max(self.spatial_variance_dn2, 0.0) + self.variance_dn2 / self.frames
         u_measured = measured * math.sqrt(2.0 / max(self.pixels - 1, 1))
         return max(math.hypot(u_measured, self.u_variance_dn2 / self.frames), self.split.u_dn2 if self.split else 0.0)
+
+
+def mean_temperature_c(groups: Iterable[GroupStatistics]) -> float | None:
+    """Return the mean sensor temperature of groups in °C; None where none states it."""
+    known = [one.settings.temperature_c for one in groups if one.settings.temperature_c is not None]
+    return float(np.mean(known)) if known else None
+
+
+def dark_points(dark: Iterable[GroupStatistics]) -> tuple[tuple[float, float, float, float | None], ...]:
+    """Return (exposure in s, mean in DN, variance in DN², temperature in °C) of dark groups."""
+    return tuple((d.settings.exposure_s, d.mean_dn, d.variance_dn2, d.settings.temperature_c) for d in dark)
 
 
 def statistics_of_group(

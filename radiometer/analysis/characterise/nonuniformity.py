@@ -18,8 +18,7 @@ def dsnu(dark: GroupStatistics, K: Quantity) -> Quantity:
 
     Source: EMVA Standard 1288, release 4.0, equation (54).
     """
-    spread = _root(dark.spatial_variance_dn2, dark.u_spatial_variance_dn2)
-    return Quantity(spread.value / K.value, math.hypot(spread.u / K.value, spread.value / K.value * K.u_rel), "e-")
+    return _in_electrons(_root(dark.spatial_variance_dn2, dark.u_spatial_variance_dn2), K)
 
 
 def prnu(bright: GroupStatistics, dark: Sequence[GroupStatistics], signal_dn: float) -> Quantity:
@@ -35,7 +34,7 @@ def prnu(bright: GroupStatistics, dark: Sequence[GroupStatistics], signal_dn: fl
     """
     below = _at_exposure(dark, bright, lambda one: (one.spatial_variance_dn2, one.u_spatial_variance_dn2))
     spread = _root(bright.spatial_variance_dn2 - below[0], math.hypot(bright.u_spatial_variance_dn2, below[1]))
-    return Quantity(100.0 * spread.value / signal_dn, 100.0 * spread.u / signal_dn, "%")
+    return _in_percent(spread, signal_dn)
 
 
 def of_exposure(dark: Sequence[GroupStatistics], exposure_s: float) -> GroupStatistics:
@@ -96,19 +95,26 @@ def nonuniformity_by_part(
             return getattr(one.split, f"{part}_dn2"), getattr(one.split, f"u_{part}_dn2")
 
         if K is not None:
-            spread = _root(*of(near))
-            u = math.hypot(spread.u / K.value, spread.value / K.value * K.u_rel)
-            found[f"DSNU_{part}"] = Quantity(spread.value / K.value, u, "e-")
+            found[f"DSNU_{part}"] = _in_electrons(_root(*of(near)), K)
         if bright is not None and bright.split is not None:
             (above, u_above), (below, u_below) = of(bright), _at_exposure(known, bright, of)
             spread = _root(above - below, math.hypot(u_above, u_below))
-            found[f"PRNU_{part}"] = Quantity(100.0 * spread.value / signal_dn, 100.0 * spread.u / signal_dn, "%")
+            found[f"PRNU_{part}"] = _in_percent(spread, signal_dn)
     return found
 
 
 def best_stack(groups: Sequence[GroupStatistics], saturation_dn: float, black_dn: float) -> GroupStatistics:
     """Return the bright group for PRNU: most frames, then nearest to half of saturation."""
     return max(groups, key=lambda g: (g.frames, -abs(g.mean_dn - black_dn - 0.5 * saturation_dn)))
+
+
+def _in_electrons(spread: Quantity, K: Quantity) -> Quantity:
+    value = spread.value / K.value
+    return Quantity(value, math.hypot(spread.u / K.value, value * K.u_rel), "e-")
+
+
+def _in_percent(spread: Quantity, signal_dn: float) -> Quantity:
+    return Quantity(100.0 * spread.value / signal_dn, 100.0 * spread.u / signal_dn, "%")
 
 
 def _root(variance: float, u_variance: float) -> Quantity:

@@ -18,7 +18,7 @@ from radiometer.analysis.characterise.dark_signal import (
     unbent,
     with_open_current,
 )
-from radiometer.analysis.characterise.group_statistics import GroupStatistics
+from radiometer.analysis.characterise.group_statistics import GroupStatistics, dark_points, mean_temperature_c
 from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, of_exposure, prnu
 from radiometer.analysis.characterise.photon_transfer import (
     CLIPPED_SHARE,
@@ -56,7 +56,7 @@ def partial_characterisation(
     lit = [b for b in lit if b.settings.gain_db == gain_db]
     dark = [d for d in dark if d.settings.gain_db == gain_db]
     notes = list(subject.notes)
-    steps, transfer, K = _photon_transfer(lit, dark, notes)
+    steps, transfer, K = _photon_transfer(lit, dark, notes, subject.camera.code_step_dn or 1)
     figures = {"K": K} if K is not None else {}
     main = _main_region([*lit, *dark, *bright])
     own_dark = [d for d in dark if d.region == main]
@@ -65,7 +65,7 @@ def partial_characterisation(
         figures["K_dark"] = from_darks[0]
         notes += disagreeing_gains(K, from_darks[0])
     best = K or (from_darks[0] if from_darks else None)
-    of_darks, is_hidden = _dark_figures(own_dark, best, subject, _temperature(lit), notes)
+    of_darks, is_hidden = _dark_figures(own_dark, best, subject, mean_temperature_c(lit), notes)
     figures |= of_darks | _nonuniformity([b for b in lit if b.region == main], own_dark, best)
     if "mu_y_dark" not in figures and subject.masked_dn:
         figures["mu_y_dark"] = _of_masked_rows(subject.masked_dn)
@@ -84,13 +84,11 @@ def partial_characterisation(
         gains={gain_db: best} if best is not None else {},
         transfer=transfer,
         steps=tuple(s for s in steps if s.bright.region == main),
-        dark_points=tuple(
-            (d.settings.exposure_s, d.mean_dn, d.variance_dn2, d.settings.temperature_c) for d in own_dark
-        ),
+        dark_points=dark_points(own_dark),
         linearity=None,
         notes=tuple(notes),
         provenance=subject.provenance("EMVA 1288 release 4.0, linear, in part", notes),
-        reference_temperature_c=_temperature(own_dark),
+        reference_temperature_c=mean_temperature_c(own_dark),
         limited_by="unknown",
     )
 
@@ -149,19 +147,14 @@ def _main_region(groups: Sequence[GroupStatistics]) -> int:
     return max(groups, key=lambda s: (s.pixels, s.mean_dn)).region if groups else 0
 
 
-def _temperature(groups: Sequence[GroupStatistics]) -> float | None:
-    known = [g.settings.temperature_c for g in groups if g.settings.temperature_c is not None]
-    return float(np.mean(known)) if known else None
-
-
 def _photon_transfer(
-    lit: Sequence[GroupStatistics], dark: Sequence[GroupStatistics], notes: list[str]
+    lit: Sequence[GroupStatistics], dark: Sequence[GroupStatistics], notes: list[str], step_dn: int
 ) -> tuple[list[SignalStep], PhotonTransfer | None, Quantity | None]:
     if not lit:
         return [], None, None
     if any(d.has_noise for d in dark):
         try:
-            steps = make_steps(lit, dark)
+            steps = make_steps(lit, dark, step_dn)
         except MeasurementError as error:
             notes.append(str(error))
             return [], None, None
@@ -218,7 +211,7 @@ def _dark_figures(
     noisy = [p for p in by_temperature(dark) if any(d.has_noise for d in p)]
     if noisy:
         reference_c = -273.0 if temperature_c is None else temperature_c
-        own = min(noisy, key=lambda p: abs((_temperature(p) or 0.0) - reference_c))
+        own = min(noisy, key=lambda p: abs((mean_temperature_c(p) or 0.0) - reference_c))
         signal = with_open_current(dark_signal(own, step_dn), own, K, subject.camera)
         temperature_c = signal.temperature_c
         figures["mu_y_dark"] = signal.mean_dn
@@ -227,7 +220,7 @@ def _dark_figures(
         )
         is_hidden = signal.quantisation_limited
         if K is not None:
-            found = sensitivity_figures(K, signal.variance_dn2, None, None, step_dn, is_bound=is_hidden)
+            found = sensitivity_figures(K, signal.variance_dn2, None, None, signal.noise_dn2, is_bound=is_hidden)
             figures |= {name: found[name] for name in ("sigma_d", "mu_e_min")}
             if signal.mean_line is not None:
                 line = signal.mean_line

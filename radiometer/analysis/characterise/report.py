@@ -67,32 +67,20 @@ def draw_telling(axes: Axes, result: Characterisation) -> None:
 
 def further_pictures(result: Characterisation) -> list[str]:
     """Return the plots that the opening picture has no room for: variance and signal, and the dark signal."""
-    has_gain = result.transfer is not None and "K" in result.figures
-    drawn: list[str] = []
-    if has_gain:
-        drawn.append(
-            picture(
-                lambda figure, narrow: _variance(figure.subplots(), result),
-                "Variance over signal, as the standard draws it, and the line whose slope is K.",
-                _WIDE,
-                _NARROW,
-            )
-        )
-        drawn.append(
-            picture(lambda figure, narrow: _signal(figure.subplots(), result), "Signal over light.", _WIDE, _NARROW)
-        )
-        if result.dark_points:
-            drawn.append(_dark_picture(result))
-    return drawn
+    if result.transfer is None or "K" not in result.figures:
+        return []
+    line = "Variance over signal, as the standard draws it, and the line whose slope is K."
+    drawn = [_plot(_variance, result, line), _plot(_signal, result, "Signal over light.")]
+    return [*drawn, _dark_picture(result)] if result.dark_points else drawn
 
 
 def _dark_picture(result: Characterisation) -> str:
-    return picture(
-        lambda figure, narrow: _draw_dark(figure.subplots(), result),
-        "Dark signal over exposure: its height is the black level, its slope the dark current.",
-        _WIDE,
-        _NARROW,
-    )
+    caption = "Dark signal over exposure: its height is the black level, its slope the dark current."
+    return _plot(_draw_dark, result, caption)
+
+
+def _plot(draw: Callable[[Axes, Characterisation], None], result: Characterisation, caption: str) -> str:
+    return picture(lambda figure, narrow: draw(figure.subplots(), result), caption, _WIDE, _NARROW)
 
 
 def _light(result: Characterisation) -> str:

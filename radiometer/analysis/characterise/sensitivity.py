@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.photon_transfer import CLIPPED_SHARE
 from radiometer.analysis.characterise.steps import SignalStep
+from radiometer.analysis.signal.rounding import SHEPPARD
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 
@@ -147,7 +148,7 @@ def sensitivity_figures(
     dark_variance: Quantity,
     saturation_dn: Quantity | None,
     eta_percent: Quantity | None,
-    step_dn: int = 1,
+    noise: Quantity | None = None,
     *,
     is_bound: bool = False,
 ) -> dict[str, Quantity]:
@@ -158,14 +159,14 @@ def sensitivity_figures(
         dark_variance: σ_y.dark² at exposure 0 in DN².
         saturation_dn: Signal at saturation in DN; None where unknown, and then nothing follows from it.
         eta_percent: Quantum efficiency in %; None where unknown.
-        step_dn: Distance between codes in DN, whose rounding adds step²/12.
+        noise: The dark variance before rounding in DN²; None takes 1/12 DN² off.
         is_bound: The dark variance is a bound only: rounding hides the noise.
 
     Source: EMVA Standard 1288, release 4.0, sections 6.6 and 6.7.
     """
     figures = {
         "sigma_y_dark": propagated(math.sqrt, "DN", dark_variance),
-        "sigma_d": propagated(lambda var, k: sigma_d(var, k, step_dn), "e-", dark_variance, K),
+        "sigma_d": propagated(_noise_e, "e-", noise or replace(dark_variance, value=dark_variance.value - SHEPPARD), K),
         "mu_e_min": propagated(_threshold_e, "e-", dark_variance, K),
     }
     if is_bound:  # σ_d lies anywhere between 0 and this: a rectangular distribution
@@ -193,12 +194,8 @@ def _saturation_figures(K: Quantity, dark_variance: Quantity, saturation_dn: Qua
     }
 
 
-def sigma_d(dark_variance: float, K: float, step_dn: int = 1) -> float:
-    """Return the temporal dark noise in e- from its variance in DN², rounding (step²/12) taken out.
-
-    Source: EMVA Standard 1288, release 4.0, section 6.7.
-    """
-    return math.sqrt(max(dark_variance - step_dn**2 / 12, 0.0)) / K
+def _noise_e(noise: float, K: float) -> float:
+    return math.sqrt(max(noise, 0.0)) / K
 
 
 def _threshold_e(dark_variance: float, K: float) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 
 from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, statistics_of_group
 from radiometer.analysis.signal.lens import falloff_known, lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.rounding import code_step_of
 from radiometer.data import (
     CameraDescription,
     CaptureHeader,
@@ -36,6 +37,7 @@ from radiometer.importing.emva_listing import EmvaListing, find_descriptor
 from radiometer.importing.found import record_in
 from radiometer.units import photon_energy_j
 
+_PIXELS_OF_CODES: Final = 1 << 16  # of a frame: they show which codes occur
 _MEASURED_REL: Final = 1e-4  # by which measured exposures of one setting differ; steps of a ladder do by per cents
 
 
@@ -259,6 +261,7 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
     settings = [entry.settings for entry in header.frames]
     levels = white_levels_of(settings, capture.read_frame, header.camera.tap_parts)
     white = white_level_notes(level for level in levels.values() if level.disagrees)
+    camera, padded = _with_code_step(of_sensor(header.camera), kept)
     patches = _chosen_patches(header.patches, region)
     shape = capture.read_frame(0).shape
     fluxes = [photon_flux(p, pattern, header.camera, header.lens, header.source, f_number, shape) for p in patches]
@@ -266,12 +269,12 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
         notes.append("the whole frame was used: no patch is named, so unevenness of the scene counts")
     return Subject(
         str(capture.path),
-        of_sensor(header.camera),
+        camera,
         header.lens,
         tuple(kept),
         tuple(p.patch for p in patches) or (None,),
         tuple(fluxes) or (None,),
-        (*capture.mosaic_notes, *notes, *more, *white),
+        (*capture.mosaic_notes, *notes, *more, *white, *padded),
         masked_dn=tuple(
             float(entry.model_extra["masked_rows_dn"])
             for entry in header.frames
@@ -355,8 +358,24 @@ def _of_descriptor(path: Path, region: Patch | None) -> Subject:
         for one in listing.entries
     )
     levels = _white_levels(groups, camera)
-    notes = white_level_notes(level for level in levels.values() if level.disagrees)
+    camera, padded = _with_code_step(camera, groups)
+    notes = (*white_level_notes(level for level in levels.values() if level.disagrees), *padded)
     return Subject(str(path), camera, LensDescription(), groups, (region,), (None,), notes, white_levels=levels)
+
+
+def _with_code_step(
+    camera: CameraDescription, groups: Sequence[FrameGroup]
+) -> tuple[CameraDescription, tuple[str, ...]]:
+    """Return the camera with the distance between codes that light frames show where it states none, and a note."""
+    light = [one for one in groups if not one.settings.is_dark]
+    if camera.code_step_dn is not None or not light:
+        return camera, ()
+    first = (next(replace(one, files=one.files[:1]).read(camera.full_scale_dn)) for one in light)
+    step_dn = code_step_of(dn.ravel()[:: max(1, dn.size // _PIXELS_OF_CODES)] for dn in first)
+    if step_dn == 1:
+        return camera, ()
+    note = f"the codes are {step_dn} DN apart, though camera.code_step_dn is not stated: rounding counts by that step"
+    return camera.model_copy(update={"code_step_dn": step_dn}), (note,)
 
 
 def _white_levels(groups: Sequence[FrameGroup], camera: CameraDescription) -> dict[float, WhiteLevel]:

@@ -71,13 +71,8 @@ def _draw(figure: Figure, taps: Sequence[TapFigures], *, narrow: bool) -> None:
     panels = figure.subplots(*((3, 1) if narrow else (1, 3)))
     for axes, (symbol, name) in zip(panels, _DRAWN.items(), strict=True):
         known = [(number, q) for number, one in enumerate(taps) if (q := _figure(one, symbol)) is not None]
-        axes.errorbar(
-            [number for number, _ in known],
-            [q.value for _, q in known],
-            [2 * q.u for _, q in known],
-            fmt="o",
-            capsize=3,
-        )
+        figures = [q for _, q in known]
+        axes.errorbar([n for n, _ in known], [q.value for q in figures], [2 * q.u for q in figures], fmt="o", capsize=3)
         axes.set_xticks(range(len(taps)), [one.tap.name for one in taps])
         dress(axes, "tap", name)
         axes.ticklabel_format(axis="y", useOffset=False)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import comb
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,10 @@ from radiometer.data.drawing import check_plot_name, write_figure
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import InputError, UsageError
+from radiometer.typing import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 CURVE_SUFFIXES: Final = (".m", ".rsp")
 _CHANNELS: Final = {"red": "IR", "green": "IG", "blue": "IB"}
@@ -206,6 +210,28 @@ def _hdrgen(curve: ResponseCurve) -> str:
     return " ".join([str(coefficients.size - 1), *(f"{c:.12g}" for c in coefficients)]) + "\n"
 
 
+def draw_curves(axes: Axes, estimates: Sequence[ResponseEstimate]) -> list[tuple[Array, Array, Any]]:
+    """Draw ln H over the digital number with its k = 2 band, where the data support it.
+
+    Returns:
+        Digital numbers drawn, the standard uncertainty at each, and the colour, of every curve.
+    """
+    by_channel, drawn = len({one.method for one in estimates}) == 1, list[tuple[Array, Array, Any]]()
+    for estimate in estimates:
+        curve = estimate.curve
+        low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
+        dn = np.arange(low, high + 1, dtype=np.float64)
+        g, u = curve.log_exposure[low : high + 1], curve.u_log_exposure[low : high + 1]
+        colour = _COLOURS.get(curve.channel) if by_channel else None
+        (line,) = axes.plot(dn, g, label=f"{estimate.method}, {curve.channel}", color=colour, linewidth=1.2)
+        axes.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
+        drawn.append((dn, u, line.get_color()))
+    absolute = any(one.curve.absolute for one in estimates)
+    axes.set_ylabel("ln H  (J·m⁻²)" if absolute else "ln H, relative to the middle value")
+    axes.grid(visible=True, alpha=0.3)
+    return drawn
+
+
 def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
     """Draw ln H over the digital number with its k = 2 band, and below it the standard uncertainty.
 
@@ -218,25 +244,14 @@ def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
     check_plot_name(path)
     figure = Figure(figsize=(7.2, 6.4), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    least = np.inf
-    for estimate in estimates:
-        curve = estimate.curve
-        low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
-        dn = np.arange(low, high + 1)
-        g, u = curve.log_exposure[low : high + 1], curve.u_log_exposure[low : high + 1]
-        label = f"{estimate.method}, {curve.channel}"
-        colour = _COLOURS.get(curve.channel) if len({e.method for e in estimates}) == 1 else None
-        (line,) = upper.plot(dn, g, label=label, color=colour, linewidth=1.2)
-        upper.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
-        lower.semilogy(dn[u > 0], u[u > 0], color=line.get_color(), linewidth=1.0)
-        least = min(least, 0.1 * float(np.median(u)))
-    absolute = any(estimate.curve.absolute for estimate in estimates)
-    upper.set_ylabel("ln H  (J·m⁻²)" if absolute else "ln H, relative to the middle value")
+    drawn = draw_curves(upper, estimates)
     upper.legend(frameon=False)
+    for dn, u, colour in drawn:
+        lower.semilogy(dn[u > 0], u[u > 0], color=colour, linewidth=1.0)
     # Beyond a factor of e a curve says nothing; at the digital number that the curve is relative to, u is 0.
+    least = min(0.1 * float(np.median(u)) for _, u, _ in drawn)
     lower.set_ylim(max(least, lower.get_ylim()[0]), min(1.0, lower.get_ylim()[1]))
     lower.set_ylabel("u(ln H), k = 1")
     lower.set_xlabel("digital number M (DN)")
-    for axes in (upper, lower):
-        axes.grid(True, alpha=0.3)
+    lower.grid(visible=True, alpha=0.3)
     write_figure(path, lower)

@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -215,21 +215,6 @@ def merge(
     return merging.result()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Excused:
-    """Pixels where displacement explains how the frames disagree."""
-
-    pixels: NDArray[np.intp]  # their indices
-    excess: NDArray[np.float64]  # their squared scatter over what noise and displacement together make
-    # Relative change by a displacement at every pixel, flat; None where the frames are in one place
-    shift: NDArray[np.float32] | None
-
-    @classmethod
-    def none(cls) -> _Excused:
-        """Return no pixels."""
-        return cls(np.empty(0, np.intp), np.empty(0), None)
-
-
 class StreamingMerge:
     """Merges frames as they arrive; holds sums per pixel and the frames of a small batch.
 
@@ -262,6 +247,7 @@ class StreamingMerge:
         self._sums: MergeSums | None = None
         self._pending: list[MergeSample] = []
         self._finished = False
+        self._displacement: dict[str, float] = {}  # of the frames, for the provenance
         self._copies = Copies()
         self._darkest = math.inf  # signal x of the darkest pixels of all frames; 0 where masked pixels show the black
 
@@ -386,18 +372,18 @@ class StreamingMerge:
         batch = self._last_batch()
         images = self._merged(batch)
         self._leave_out_absent(batch, images, absent)
-        excused = _Excused.none()
-        if displacement_px:
-            excused = self._excuse(batch, images, absent, displacement_px)
+        shift = self._shift(images, displacement_px) if displacement_px else None
+        excused = self._excuse(batch, images, absent, shift)
         if without_ghosts:
-            self._leave_out_strays(batch, images, absent, excused.shift)
+            self._leave_out_strays(batch, images, absent, shift)
         if displacement_px:
             shift = self._shift(images, displacement_px)
             levels = merge_tables(self._terms, self._model).at_levels()
             with_shift(images[0], images[1], shift, self._factor(0, shift.size), levels)
-            images[1][excused.pixels] *= np.sqrt(np.maximum(excused.excess, 1.0)).astype(np.float32)
-        found = self._map(images)
-        return replace(found, provenance=_with_displacement(found, displacement_px)) if displacement_px else found
+            pixels, excess = excused
+            images[1][pixels] *= np.sqrt(np.maximum(excess, 1.0)).astype(np.float32)
+        self._displacement = {"displacement_px": displacement_px} if displacement_px else {}
+        return self._map(images)
 
     def _shift(self, images: Images, displacement_px: float) -> NDArray[np.float32]:
         """Return the relative change that a displacement by one standard deviation makes, flat."""
@@ -409,10 +395,16 @@ class StreamingMerge:
         batch: list[MergeSample],
         images: Images,
         absent: Sequence[NDArray[np.bool_]],
-        displacement_px: float,
-    ) -> _Excused:
-        """Take the flag off pixels where displacement explains how the frames disagree."""
-        shift, tables = self._shift(images, displacement_px), merge_tables(self._terms, self._model)
+        shift: NDArray[np.float32] | None,
+    ) -> tuple[NDArray[np.intp], Array]:
+        """Take the flag off pixels where displacement explains how the frames disagree.
+
+        Returns:
+            These pixels, and their squared scatter over what noise and displacement together make; none without shift.
+        """
+        if shift is None:
+            return np.empty(0, np.intp), np.empty(0)
+        tables = merge_tables(self._terms, self._model)
         doubtful = np.flatnonzero(images[2] & PixelMask.INCONSISTENT)
         excess = np.empty(doubtful.size)
         for start in range(0, doubtful.size, BLOCK_PIXELS):
@@ -421,9 +413,9 @@ class StreamingMerge:
             excess[start : start + pixels.size] = excess_scatter(
                 batch, tables, pixels, rate, shift[pixels].astype(np.float64), absent
             )
-        found = _Excused(doubtful[np.isfinite(excess)], excess[np.isfinite(excess)], shift)
-        images[2][found.pixels] &= ~np.uint8(PixelMask.INCONSISTENT)
-        return found
+        explained = np.isfinite(excess)
+        images[2][doubtful[explained]] &= ~np.uint8(PixelMask.INCONSISTENT)
+        return doubtful[explained], excess[explained]
 
     def _leave_out_absent(self, batch: list[MergeSample], images: Images, absent: Sequence[NDArray[np.bool_]]) -> None:
         """Merge pixels anew, in place, without the frames that show nothing there."""
@@ -890,6 +882,7 @@ class StreamingMerge:
                     "dark_frames": len(self._dark),
                     "saturated_dn": sorted({terms.high_dn for terms in self._terms}),
                     "origin": self._origin(),
+                    **self._displacement,
                 },
             ),
             not_in_u=not_in_u,
@@ -910,9 +903,3 @@ class StreamingMerge:
             if calibration is None
             else f"{calibration.scale.reference or 'as stated'}, {moment(calibration.created)}",
         }
-
-
-def _with_displacement(found: RadianceMap, displacement_px: float) -> Provenance:
-    """Return where a map comes from, with the displacement of its frames."""
-    parameters = {**found.provenance.parameters, "displacement_px": displacement_px}
-    return replace(found.provenance, parameters=parameters)

@@ -227,12 +227,10 @@ def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, floa
         u_ratios = np.hypot(u_ratios, ratios * np.abs(np.diff(1.0 / samples.exposures_s)) * offset.u_seconds)
     found_labels = [exposures.of_printed(label, stated_s) for label in wrong]
     inner = inner_range(supported_range(result.samples))
-    return ResponseEstimate(
-        curve=curve,
-        method=METHOD,
-        pixel_count=samples.pixel_count,
-        group_count=result.samples.group_count,
-        sample_count=int(result.samples.pixels.sum()),
+    return ResponseEstimate.of(
+        result.samples,
+        curve,
+        METHOD,
         residual_rms_log=result.residual_rms_log,
         smoothing=fit.smoothing,
         stability=None,

@@ -35,6 +35,10 @@ class RangePoint:
     # Digital number that it came out at there; None where that is the reference value itself
     landed_dn: float | None = None
 
+    def landed(self, reference_dn: float) -> float:
+        """Return the digital number that it came out at."""
+        return reference_dn if self.landed_dn is None else self.landed_dn
+
 
 @dataclass(frozen=True, slots=True)
 class DynamicRange:
@@ -96,9 +100,9 @@ def dynamic_range(
     exponent = float(weight @ exponents / weight.sum())
     chi2 = float(weight @ (exponents - exponent) ** 2)
     freedom = len(points) - 1
-    steps = tuple(
-        math.log(reference_s / one.exposure_s) + _landing(curve, one, reference_dn, exponent) for one in points
-    )
+    g, g_ref = curve.log_exposure, _at(curve.log_exposure, reference_dn)  # a region lands near the reference value
+    landings = [exponent * (_at(g, one.landed(reference_dn)) - g_ref) for one in points]
+    steps = tuple(math.log(reference_s / one.exposure_s) + more for one, more in zip(points, landings, strict=True))
     return DynamicRange(
         exponent,
         # Regions that disagree beyond their uncertainty widen that of the mean (Birge ratio).
@@ -126,12 +130,8 @@ def with_dynamic_range(curve: ResponseCurve, found: DynamicRange) -> ResponseCur
         g, u = _run_to(g, u, curve.valid_dn, one.dn, g_ref + step, u_step)
     old = curve.provenance
     text = f"exponent {found.exponent:.4f} ± {found.u_exponent:.4f} by the dynamic range of {len(found.points)} regions"
-    provenance = Provenance(
-        old.method,
-        old.inputs,
-        (*old.assumptions, text),
-        {**old.parameters, "dynamic_range": found.to_mapping()},
-    )
+    parameters = {**old.parameters, "dynamic_range": found.to_mapping()}
+    provenance = Provenance(old.method, old.inputs, (*old.assumptions, text), parameters)
     return replace(curve, log_exposure=g - g[middle], u_log_exposure=u, provenance=provenance)
 
 
@@ -139,7 +139,7 @@ def _one_exponent(
     curve: ResponseCurve, one: RangePoint, reference_s: float, reference_dn: float
 ) -> tuple[float, float]:
     """Return the exponent that one region calls for, and its standard uncertainty."""
-    landed = reference_dn if one.landed_dn is None else one.landed_dn
+    landed = one.landed(reference_dn)
     for dn in (one.dn, landed):
         if not 0.0 < dn < curve.log_exposure.size - 1:
             raise InputError(f"pixel value {dn:g}: allowed is above 0 and below {curve.log_exposure.size - 1}")
@@ -165,15 +165,7 @@ def _one_exponent(
 
 def _reading_u(curve: ResponseCurve, one: RangePoint, reference_dn: float) -> float:
     """Return the uncertainty in g of reading both digital numbers as whole ones."""
-    landed = reference_dn if one.landed_dn is None else one.landed_dn
-    return _ROUNDING_U_DN * math.hypot(_slope(curve.log_exposure, one.dn), _slope(curve.log_exposure, landed))
-
-
-def _landing(curve: ResponseCurve, one: RangePoint, reference_dn: float, exponent: float) -> float:
-    """Return ln H of where a region landed over H_ref."""
-    if one.landed_dn is None:
-        return 0.0
-    return exponent * (_at(curve.log_exposure, one.landed_dn) - _at(curve.log_exposure, reference_dn))
+    return _ROUNDING_U_DN * math.hypot(*(_slope(curve.log_exposure, dn) for dn in (one.dn, one.landed(reference_dn))))
 
 
 def _run_to(

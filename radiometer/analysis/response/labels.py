@@ -74,10 +74,8 @@ def refuse_equal_throughout(bracket: Bracket) -> None:
 
 def _alike(bracket: Bracket) -> tuple[int, list[str]]:
     """Return how many neighbouring frames have different labels, and which of them are alike in their middle tones."""
-    full_scale = bracket.light[0].full_scale_dn
     times = bracket.effective_exposures_s
-    step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
-    pixels = [frame.dn[::step, ::step].ravel().astype(np.float32) / full_scale for frame in bracket.light]
+    pixels = _compared_pixels(bracket) / bracket.light[0].full_scale_dn
     apart = np.flatnonzero(times[1:] >= _LEAST_LABEL_RATIO * times[:-1]).tolist()
     alike = []
     for i in apart:
@@ -126,8 +124,7 @@ def _pairwise_rise(bracket: Bracket) -> NDArray[np.float64]:
 
     Where two frames have hardly such a pixel in common, the rise of the whole picture is used.
     """
-    step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
-    pixels = np.array([frame.dn[::step, ::step].ravel().astype(np.float32) for frame in bracket.light])
+    pixels = _compared_pixels(bracket)
     inside = (pixels > 0) & (pixels < min(frame.saturated_dn for frame in bracket.light))
     full_scale = bracket.light[0].full_scale_dn
     count = len(bracket.light)
@@ -138,6 +135,12 @@ def _pairwise_rise(bracket: Bracket) -> NDArray[np.float64]:
             chosen = both if int(both.sum()) >= _LEAST_COMMON_PIXELS else np.ones_like(both)
             rise[i, j] = float(np.mean(pixels[j][chosen] - pixels[i][chosen]))
     return np.asarray(rise / full_scale)
+
+
+def _compared_pixels(bracket: Bracket) -> NDArray[np.float32]:
+    """Return some pixels of every frame, evenly over the picture, shape (frames, pixels)."""
+    step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
+    return np.array([frame.dn[::step, ::step].ravel().astype(np.float32) for frame in bracket.light])
 
 
 def _longest_rise(rise: NDArray[np.float64]) -> frozenset[int]:

@@ -258,7 +258,6 @@ def _samples(bracket: Bracket, curve: ResponseCurve, dn: Array) -> tuple[Respons
         bit_depth=bracket.bit_depth,
         limits=ValueLimits(max(low - 1, 0), min(high + 1, curve.log_exposure.size - 1)),
         frame_log_time=log_time,
-        frame_bracket=np.zeros(len(bracket.light), dtype=np.intp),
         pixel_count=dn.shape[0],
         channel=curve.channel,
     )

@@ -55,7 +55,6 @@ class ResponseSamples:
     bit_depth: int  # bits per digital number
     limits: ValueLimits  # digital numbers between which a value is neither black nor saturated
     frame_log_time: NDArray[np.float64]  # ln of the effective exposure of every frame, shape (frames,)
-    frame_bracket: NDArray[np.intp]  # index of every frame's bracket, shape (frames,)
     pixel_count: int  # pixels of all brackets
     channel: str = "mono"  # colour channel
     # Variance of equally bright pixels at edges over that on even ground where those at edges were left out for it; 0
@@ -149,8 +148,8 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
     limits = find_limits(several)
     parts: list[list[ResponseSamples]] = [[] for _ in range(2 * (_QUADRANTS + _SHARES) + 1)]
     frames = 0
-    for index, bracket in enumerate(several):
-        for them, part in zip(parts, _gather_one(bracket, limits, index, frames), strict=True):
+    for bracket in several:
+        for them, part in zip(parts, _gather_one(bracket, limits, frames), strict=True):
             first = max((other.group_count for other in them), default=0)
             them.append(replace(part, group=part.group + first))
         frames += len(bracket.light)
@@ -196,7 +195,7 @@ def _check(brackets: Sequence[Bracket]) -> None:
             )
 
 
-def _gather_one(bracket: Bracket, limits: ValueLimits, index: int, first_frame: int) -> tuple[ResponseSamples, ...]:
+def _gather_one(bracket: Bracket, limits: ValueLimits, first_frame: int) -> tuple[ResponseSamples, ...]:
     """Return the samples of all pixels, those without each quadrant's, each quadrant's own, and likewise of shares."""
     label, group_total = _label_groups(bracket, limits)
     place = (_at_edges(bracket, label) * _SHARES + _shares(bracket.shape)) * _QUADRANTS + _quadrants(bracket.shape)
@@ -208,7 +207,7 @@ def _gather_one(bracket: Bracket, limits: ValueLimits, index: int, first_frame: 
     cuts = [whole]
     for own in (parts.sum(axis=1), parts.sum(axis=2)):
         cuts += [*(whole[:, None] - own).swapaxes(0, 1), *own.swapaxes(0, 1)]
-    rows = [_rows(bracket, cut, limits, index, first_frame) for cut in cuts]
+    rows = [_rows(bracket, cut, limits, first_frame) for cut in cuts]
     if scatter > _EDGES_DIFFER:
         rows[0] = replace(rows[0], edge_scatter=scatter, pixel_count=int(whole[0, 0].sum()))
     return tuple(rows)
@@ -254,9 +253,7 @@ def _at_edges(bracket: Bracket, label: NDArray[np.intp]) -> NDArray[np.intp]:
     return edges
 
 
-def _rows(
-    bracket: Bracket, sums: NDArray[np.float64], limits: ValueLimits, index: int, first_frame: int
-) -> ResponseSamples:
+def _rows(bracket: Bracket, sums: NDArray[np.float64], limits: ValueLimits, first_frame: int) -> ResponseSamples:
     """Return the rows that sums (pixels, Σ dn, Σ dn², clipped pixels; each by frame and group) make."""
     size = sums[0, 0]
     count = np.maximum(size, 1.0)
@@ -281,7 +278,6 @@ def _rows(
         bit_depth=bracket.bit_depth,
         limits=limits,
         frame_log_time=log_time,
-        frame_bracket=np.full(len(bracket.light), index, dtype=np.intp),
         pixel_count=int(np.prod(bracket.shape)),
         channel=str(bracket.light[0].extra.get("channel", "mono")),
         frame_log_gain=log_time - np.log([frame.settings.exposure_s for frame in bracket.light]),
@@ -376,7 +372,7 @@ def _unmoved(bracket: Bracket, limits: ValueLimits) -> NDArray[np.bool_]:
 
 
 def _joined(parts: Sequence[ResponseSamples]) -> ResponseSamples:
-    names = (*_OF_ROWS, "group", "frame_log_time", "frame_bracket", "frame_log_gain")
+    names = (*_OF_ROWS, "group", "frame_log_time", "frame_log_gain")
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     count, edge_scatter = sum(part.pixel_count for part in parts), max(part.edge_scatter for part in parts)
     return replace(parts[0], **joined, pixel_count=count, edge_scatter=edge_scatter)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-from radiometer.analysis.signal.rounding import rounding_u_of_light, rounding_u_of_mean
+from radiometer.analysis.signal.rounding import code_step_of, rounding_u_of_light, rounding_u_of_mean
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -52,7 +52,6 @@ _STRUCK_SHARE = 0.01
 _HOT_SIGMAS = 10.0  # of the noise of dark frames: pixels that far above their middle are hot
 # Dark frames with more of their pixels at 0 have their noise cut off there: its mean is above the black level.
 FLOOR_SHARE = 0.01
-_CODES_OF_NOISE = 3  # numbers that occur where noise spreads them; two may be the scene's
 _LEAST_ROUNDING_DN = 1e-3  # noise of half a number leaves less, which is none next to any black level's u
 _HEADROOM_SIGMAS = 4.0  # of its noise above 0: there a black level keeps it whole
 # So many pixels of the whole picture give its mean.
@@ -489,18 +488,13 @@ def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: Sign
 def with_found_code_step(model: SignalModel, light: Iterable[DigitalNumbers]) -> SignalModel:
     """Return a model with the distance between the numbers that light frames hold, where nothing states it.
 
-    It is a power of two, as of padded low bits, and most numbers that occur are neighbours at that distance.
-
     Args:
         light: Digital numbers of pixels of light frames, any shape.
     """
     if model.camera.code_step_dn is not None:
         return model
-    codes = np.unique(np.concatenate([np.unique(dn) for dn in light]))
-    apart = np.diff(codes)
-    divisor = int(np.gcd.reduce(apart)) if codes.size >= _CODES_OF_NOISE else 1
-    step_dn = divisor & -divisor
-    if step_dn == 1 or np.median(apart) > step_dn:
+    step_dn = code_step_of(light)
+    if step_dn == 1:
         return model
     return replace(model, camera=model.camera.model_copy(update={"code_step_dn": step_dn}))
 

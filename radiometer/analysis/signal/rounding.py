@@ -8,6 +8,7 @@ between two codes the pixels are. This module inverts that dependence and states
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import cache
 from typing import Final
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from radiometer.data import Quantity
+from radiometer.data.frame import DigitalNumbers
 
 SHEPPARD: Final = 1.0 / 12.0  # squared code steps
 PLAIN_FROM: Final = 0.24  # variance after rounding; below it, EMVA 1288 (6.7) gives an upper limit only
@@ -27,6 +29,23 @@ _PHASES: Final = np.linspace(-0.5, 0.5, 41)  # places between codes, in steps
 # Pixel distributions are normal to a few per cent only; so is the predicted variance.
 _MODEL_REL: Final = 0.05
 _SEEN_SIGMAS: Final = 2.0
+_CODES_OF_NOISE: Final = 3  # numbers that occur where noise spreads them; two may be the scene's
+
+
+def code_step_of(light: Iterable[DigitalNumbers]) -> int:
+    """Return the distance in DN between the numbers that light frames hold: more than 1 where low bits are padding.
+
+    It is a power of two, and most numbers that occur are neighbours at that distance.
+
+    Args:
+        light: Digital numbers of pixels of light frames, any shape.
+    """
+    found = [np.unique(dn) for dn in light]
+    codes = np.unique(np.concatenate(found)) if found else np.empty(0, np.uint16)
+    apart = np.diff(codes)
+    divisor = int(np.gcd.reduce(apart)) if codes.size >= _CODES_OF_NOISE else 1
+    step_dn = divisor & -divisor
+    return 1 if step_dn == 1 or np.median(apart) > step_dn else step_dn
 
 
 def unrounded_variance(
@@ -49,7 +68,10 @@ def unrounded_variance(
     squared = float(step_dn) ** 2
     measured, u = variance_dn2 / squared, u_dn2 / squared
     if measured >= _SHEPPARD_FROM:
-        return Quantity((measured - SHEPPARD) * squared, u_dn2, "DN^2")
+        noise = measured - SHEPPARD
+        # The harmonic of the place between two codes, which is left: of a sine the root mean square is 1/√2.
+        u_place = (1.0 / math.pi**2 + 4.0 * noise) * math.exp(-2.0 * math.pi**2 * noise) / math.sqrt(2.0)
+        return Quantity(noise * squared, math.hypot(u, u_place) * squared, "DN^2")
     spread = math.sqrt(max(spatial_variance_dn2, 0.0)) / step_dn
     predicted = _predicted(mean_dn / step_dn, spread)
     tolerance = np.hypot(_SEEN_SIGMAS * u, _MODEL_REL * predicted + 1e-4)

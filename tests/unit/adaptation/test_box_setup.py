@@ -8,7 +8,7 @@ import pytest
 import radiometer as rm
 from radiometer.adaptation.box_setup import SIMULATED_CALIBRATION, BoxLights, BoxStage, open_box_stage
 from radiometer.adaptation.checks import judge_age, judge_room
-from radiometer.adaptation.protocol import SHIPPED, read_protocol
+from radiometer.adaptation.protocol import SHIPPED, FlashBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.bench.boxes import open_light_box
 from radiometer.bench.served import served_box
@@ -153,6 +153,19 @@ def test_bleach_beyond_the_exposure_limit_is_refused(quick):
         refused = checks[0]().refusal
     assert isinstance(refused, UnsafeStimulus)
     assert "IEC 62471" in str(refused)
+
+
+@pytest.mark.parametrize(("td_s", "count"), [(1.2e7, 8), (1.4e7, 9)])
+def test_a_box_fires_eight_flashes_in_a_row(quick, td_s, count):
+    """Some 1.6e6 td·s each: eight are foreseen with their hazard, a ninth is refused with the way out."""
+    flash = FlashBleach(kind="flash", retinal_td_s=td_s, pupil_mm=6.0, source="flash")
+    (safety,) = findings(quick.model_copy(update={"bleach": flash}))
+    (one,) = findings(quick.model_copy(update={"bleach": flash.model_copy(update={"retinal_td_s": 1e6})}))
+    if count > 8:
+        assert f"takes {count} flashes, the box fires 8 in a row" in str(safety.refusal)
+    else:
+        assert safety.refusal is None
+        assert safety.facts["blue_light"] > 1.5 * one.facts["blue_light"]
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from radiometer.adaptation.live import LivePage, LiveState, LiveText, event_line
 from radiometer.adaptation.outcome import RunJournal
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import Controls
-from radiometer.adaptation.session import Prompter, prompts_after
+from radiometer.adaptation.session import prompts_after, with_prompts
 from radiometer.errors import DeviceInUse, DeviceTimeout
 from radiometer.reporting.terminal_chart import TerminalChart
 from testing.patience import within
@@ -127,9 +127,8 @@ def test_prompts_that_a_crash_left_out_are_given_once(tmp_path, given):
         journal.write("dark", 120.0, steady=True)
         for say in ("dark", "mark")[:given]:
             journal.write("prompt", 120.0, say=say)
-        prompter = Prompter(journal, heard.append)
-        prompter.catch_up()
-        prompter.catch_up()
+        with_prompts(journal, journal.events.append, heard.append)
+        with_prompts(journal, journal.events.append, heard.append)
         assert [event["say"] for event in journal.of_kind("prompt")] == ["dark", "mark"]
     assert len(heard) == 2 - given
 

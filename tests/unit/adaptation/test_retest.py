@@ -1,6 +1,7 @@
 """Reliability of an eye's answers, and tests that are repeated."""
 
 import math
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -88,7 +89,7 @@ def test_json_says_the_limits_where_there_are_enough_pairs(pairs):
         "plateau", "log10", np.ones((pairs, 2)), np.full((pairs, 2), math.nan), (4,), agreement
     ).to_mapping()
     assert (shown["pairs"], shown["pairs_without_it"], shown["u_difference_of_the_fits"]) == (pairs, [4], None)
-    assert shown["agreement"] == (agreement and agreement.to_mapping())
+    assert shown["agreement"] == (agreement and asdict(agreement))
 
 
 FASTEST_S = 0.12

@@ -20,14 +20,26 @@ def map_of(values: np.ndarray, u: float = 0.01, common: float = 0.02, unit: str 
     return RadianceMap(value, np.full_like(value, u), np.zeros(value.shape, np.uint8), unit, common)
 
 
-def test_mean_and_uniformity_of_a_ramp_are_those_by_hand():
-    """Mean and uniformity of a ramp are those by hand."""
+def test_mean_and_uniformity_are_those_by_hand():
+    """Of a ramp; even light that is dim is uniform, and what all pixels share drops out of a contrast."""
     ramp = np.tile(np.linspace(1.0, 2.0, 101), (40, 1))
     found = region_figures(map_of(ramp, u=1e-6), "ramp", Patch(0, 0, 101, 40), box_px=1)
     assert found.mean.value == pytest.approx(1.5)
     assert found.mean.u == pytest.approx(0.02 * 1.5, rel=1e-3)
     assert found.uniformity.value == pytest.approx(0.5, rel=1e-5)
     assert found.deviation.value == pytest.approx(np.std(np.linspace(1, 2, 101)), rel=1e-2)
+    rng, even = np.random.default_rng(28), np.ones((60, 80))
+    for _ in range(10):
+        seen = map_of(even + rng.normal(0.0, 0.4, even.shape), u=0.4)
+        found = region_figures(seen, "even", Patch(0, 0, 80, 60)).uniformity
+        assert abs(found.value - 1.0) <= 2.0 * found.u < 0.6
+    values = np.full((20, 40), 100.0)
+    values[:, 20:] = 4.0
+    found = map_of(values, u=0.04, common=0.05)
+    bright, dark = (region_figures(found, name, Patch(x, 0, 20, 20)) for name, x in (("bright", 0), ("dark", 20)))
+    ratio = ratio_of(bright, dark, 0.05)
+    assert ratio.value == pytest.approx(25.0)
+    assert ratio.u == pytest.approx(25.0 * math.hypot(0.04 / 20 / 100, 0.04 / 20 / 4), rel=0.05)
 
 
 def test_a_map_in_another_unit_has_the_same_figures_in_it():
@@ -45,8 +57,8 @@ def test_a_map_in_another_unit_has_the_same_figures_in_it():
         assert (found.value, found.u) == pytest.approx((scale * expected.value, scale * expected.u)), name
 
 
-def test_the_uncertainties_hold_for_drawn_noise():
-    """The uncertainties hold for drawn noise."""
+def test_profiles_and_drawn_noise_have_their_uncertainty():
+    """Noise averages over the width of a profile."""
     rng = np.random.default_rng(46_003)
     truth = 5.0 + np.tile(np.linspace(0.0, 0.4, 60), (50, 1))
     exact = region_figures(map_of(truth, u=1e-9, common=0.0), "x", Patch(0, 0, 60, 50))
@@ -58,6 +70,10 @@ def test_the_uncertainties_hold_for_drawn_noise():
             one, right = getattr(found, name), getattr(exact, name).value
             inside[name] += abs(one.value - right) <= 2.0 * one.u
     assert min(inside.values()) >= 91, inside
+    found = map_of(np.tile(np.arange(50.0), (30, 1)), u=0.3, common=0.0)
+    distance, value, u = profile(found, (5.0, 10.0), (25.0, 10.0), 9)
+    assert value == pytest.approx(5.0 + distance)
+    assert u == pytest.approx(np.full(21, 0.1), rel=1e-3)
 
 
 @pytest.mark.parametrize("camera", [0.0, 0.005, 0.01])
@@ -70,26 +86,6 @@ def test_a_deviation_holds_whatever_pattern_the_camera_has(camera, scene):
     seen = light * (1.0 + camera * rng.standard_normal(even.shape)) + rng.normal(0.0, 0.02, even.shape)
     found = region_figures(replace(map_of(seen, u=u), u_rel_pattern=0.01), "x", Patch(0, 0, 100, 80)).deviation
     assert abs(found.value - light.std()) <= 2.0 * found.u <= 1.2 * 5.0 * math.hypot(camera, 0.01) + 0.04 * found.value
-
-
-def test_even_light_that_is_dim_is_uniform():
-    """Noise of 40 % of a pixel makes extremes of boxes; 1 is within U of the uniformity in all of ten maps."""
-    rng, even = np.random.default_rng(28), np.ones((60, 80))
-    for _ in range(10):
-        seen = map_of(even + rng.normal(0.0, 0.4, even.shape), u=0.4)
-        found = region_figures(seen, "even", Patch(0, 0, 80, 60)).uniformity
-        assert abs(found.value - 1.0) <= 2.0 * found.u < 0.6
-
-
-def test_what_all_pixels_share_drops_out_of_a_contrast():
-    """What all pixels share drops out of a contrast."""
-    values = np.full((20, 40), 100.0)
-    values[:, 20:] = 4.0
-    found = map_of(values, u=0.04, common=0.05)
-    bright, dark = (region_figures(found, name, Patch(x, 0, 20, 20)) for name, x in (("bright", 0), ("dark", 20)))
-    ratio = ratio_of(bright, dark, 0.05)
-    assert ratio.value == pytest.approx(25.0)
-    assert ratio.u == pytest.approx(25.0 * math.hypot(0.04 / 20 / 100, 0.04 / 20 / 4), rel=0.05)
 
 
 @pytest.mark.parametrize("sigmas", [0.0, 1.0, 2.0, 3.0])
@@ -107,8 +103,8 @@ def test_near_the_noise_a_mean_is_not_that_of_the_pixels_that_noise_made_brighte
     assert min(inside.values()) >= 89, inside
 
 
-def test_pixels_that_are_black_in_every_frame_count_as_bounds():
-    """Their value is the most that they can be: u holds light anywhere from 0 to there, and the flag says so."""
+def test_dim_light_counts_as_bounds():
+    """Pixels black in every frame, and light outside the response's data: from nothing to its value."""
     found = map_of(np.full((10, 10), 5.0), u=0.05, common=0.0)
     found.radiance[:3] = found.u_radiance[:3] = 0.6
     found.mask[:3] = PixelMask.BELOW_NOISE
@@ -116,10 +112,6 @@ def test_pixels_that_are_black_in_every_frame_count_as_bounds():
     assert figures.mean.u == pytest.approx(0.3 * 0.6 / math.sqrt(3.0), rel=0.2)
     assert "upper bounds" in figures.flags[0]
     assert "30 of 100 pixels" in figures.flags[0]
-
-
-def test_dim_light_outside_the_responses_data_is_anywhere_from_nothing_to_its_value():
-    """2 ± 0.7 (noise, 100 pixels of u = 7) that the curve's data do not reach: u holds 2/√3 as well."""
     found = map_of(np.full((10, 10), 2.0), u=7.0, common=0.0)
     found.mask[:] = PixelMask.BELOW_NOISE | PixelMask.EXTRAPOLATED
     figures = region_figures(found, "x", Patch(0, 0, 10, 10))
@@ -154,8 +146,8 @@ def test_a_picture_of_a_part_of_the_hemisphere_has_no_illuminance(field_deg, rad
         vertical_illuminance(map_of(np.full((401, 401), 50.0)), "equidistant", field_deg, 0.0, radius_px)
 
 
-def test_a_small_source_on_the_axis_and_off_it():
-    """A small source on the axis and off it."""
+def test_saturated_and_missing_pixels_are_refused_and_sources_measured():
+    """A small one on the axis and off it."""
     values = np.zeros((401, 401))
     values[200, 200] = values[200, 300] = 1000.0  # on the axis, and at 45° of an equidistant lens of 180°
     per_area = (math.pi / 2.0) ** 2 / 200.5**2
@@ -163,14 +155,15 @@ def test_a_small_source_on_the_axis_and_off_it():
     assert vertical_illuminance(map_of(values), "equidistant", 180.0, 0.0, None).value == pytest.approx(
         by_hand, rel=1e-3
     )
-
-
-def test_a_profile_follows_its_line_and_its_noise_averages_over_the_width():
-    """A profile follows its line and its noise averages over the width."""
-    found = map_of(np.tile(np.arange(50.0), (30, 1)), u=0.3, common=0.0)
-    distance, value, u = profile(found, (5.0, 10.0), (25.0, 10.0), 9)
-    assert value == pytest.approx(5.0 + distance)
-    assert u == pytest.approx(np.full(21, 0.1), rel=1e-3)
+    found = map_of(np.full((10, 10), 3.0))
+    found.mask[0, 0] = PixelMask.SATURATED
+    assert "saturated" in region_figures(found, "x", Patch(0, 0, 10, 10)).flags[0]
+    found.mask[:6] = PixelMask.UNLIT | PixelMask.BELOW_NOISE
+    with pytest.raises(MeasurementError, match="40 %"):
+        region_figures(found, "x", Patch(0, 0, 10, 10))
+    found.mask[5, 5] = PixelMask.SATURATED
+    with pytest.raises(MeasurementError, match="saturated"):
+        vertical_illuminance(found, "equisolid", 180.0, 0.0, None)
 
 
 @pytest.mark.parametrize(
@@ -184,19 +177,6 @@ def test_a_profile_goes_in_equal_steps_from_its_start_to_its_end(start, end):
     assert distance == pytest.approx(np.linspace(0.0, length, math.ceil(length) + 1))
     ends = [1.0 + 2.0 * one[0] + 3.0 * one[1] for one in (start, end)]
     assert value == pytest.approx(ends[0] + (ends[1] - ends[0]) * distance / length)
-
-
-def test_saturated_and_missing_pixels_are_flagged_or_refused():
-    """Saturated and missing pixels are flagged or refused."""
-    found = map_of(np.full((10, 10), 3.0))
-    found.mask[0, 0] = PixelMask.SATURATED
-    assert "saturated" in region_figures(found, "x", Patch(0, 0, 10, 10)).flags[0]
-    found.mask[:6] = PixelMask.UNLIT | PixelMask.BELOW_NOISE
-    with pytest.raises(MeasurementError, match="40 %"):
-        region_figures(found, "x", Patch(0, 0, 10, 10))
-    found.mask[5, 5] = PixelMask.SATURATED
-    with pytest.raises(MeasurementError, match="saturated"):
-        vertical_illuminance(found, "equisolid", 180.0, 0.0, None)
 
 
 def test_a_written_map_is_analysed_as_the_map(tmp_path):
@@ -231,8 +211,8 @@ def test_a_written_map_is_analysed_as_the_map(tmp_path):
     assert bright.unit == "cd m-2"
 
 
-def test_lowest_and_highest_show_their_difference_below_what_all_pixels_share(tmp_path):
-    """Of (682 ± 164) and (671 ± 161), the digits of the difference; of light that may be noise, the limit."""
+def test_what_pixels_share_is_kept_in_files_and_under_differences(tmp_path):
+    """Lowest and highest show their difference below it."""
     values = np.full((20, 20), 671.0)
     values[:, 10:], values[:5, :5] = 682.0, 0.0
     write_tiff(tmp_path / "map.tiff", MapPicture({"mono": map_of(values, u=0.5, common=0.12)}))
@@ -242,6 +222,13 @@ def test_lowest_and_highest_show_their_difference_below_what_all_pixels_share(tm
     assert dark[1].startswith("< 0.")
     assert [row[0] for row in found.profile_rows()] == ["start", "lowest", "highest", "end"]
     assert found.profile_rows()[0][1:] == ("0.0", "(6.71 ± 1.61)·10²")
+    own = map_of(np.full((6, 8), 2.0))
+    for shared in (None, np.full((6, 8), 0.005, np.float32)):
+        write_tiff(tmp_path / "map.tiff", MapPicture({"mono": replace(own, u_shared=shared, u_rel_pattern=0.01)}))
+        back = read_tiff(tmp_path / "map.tiff").first
+        assert back.u_rel_pattern == 0.01
+        assert (back.u_shared is None) == (shared is None)
+        assert np.array_equal(back.parts_of_u(np.s_[:, :])[1], np.zeros((6, 8)) if shared is None else shared)
 
 
 @pytest.mark.parametrize(
@@ -405,14 +392,3 @@ def test_what_pixels_of_one_level_share_is_not_averaged_away():
     nothing = region_figures(replace(even, radiance=np.zeros((40, 80), np.float32)), "dark", Patch(0, 0, 40, 40))
     assert [nothing.mean.u, nothing.lowest.u] == pytest.approx([0.3, 0.3], rel=1e-5)
     assert ratio_of(nothing, bright, 0.0).u == pytest.approx(0.003, rel=1e-5)
-
-
-def test_a_file_keeps_what_pixels_share(tmp_path):
-    """TIFF writes it as a page of its own and reads it back; a map without has three pages as before."""
-    own = map_of(np.full((6, 8), 2.0))
-    for shared in (None, np.full((6, 8), 0.005, np.float32)):
-        write_tiff(tmp_path / "map.tiff", MapPicture({"mono": replace(own, u_shared=shared, u_rel_pattern=0.01)}))
-        back = read_tiff(tmp_path / "map.tiff").first
-        assert back.u_rel_pattern == 0.01
-        assert (back.u_shared is None) == (shared is None)
-        assert np.array_equal(back.parts_of_u(np.s_[:, :])[1], np.zeros((6, 8)) if shared is None else shared)

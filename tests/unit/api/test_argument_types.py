@@ -183,15 +183,11 @@ def test_the_error_names_the_argument_and_what_it_takes(call, says):
         call()
 
 
-def test_public_functions_keep_their_signatures_and_travel():
-    """Every argument has a default or a type for the error; another process finds the function by its name."""
+def test_public_functions_keep_signatures_and_pythons_own_errors():
+    """Each argument has a default or a type; a missing one is named."""
     for name in FUNCTIONS:
         function = getattr(rm, name)
         assert set(typing.get_type_hints(function)) == {*inspect.signature(function).parameters, "return"}, name
         assert pickle.loads(pickle.dumps(function)) is function
-
-
-def test_a_call_without_its_arguments_is_pythons_own_error():
-    """As of every function: the name of what is missing stands in it."""
     with pytest.raises(TypeError, match="missing 1 required positional argument: 'source'"):
         rm.merge()

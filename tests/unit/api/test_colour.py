@@ -54,18 +54,21 @@ def test_each_light_is_read_within_its_uncertainty(bench: Path, name: str) -> No
     xy = coordinates(true, np.zeros((3, 3))).xy
     for quantity, value in zip("XYZxy", [*true, *xy], strict=True):
         one = found[quantity]
-        assert one is not None
         assert abs(one.value - value) < 2.5 * one.u
     assert found["Y"].unit == "cd m-2"
     assert "other_light" not in found.flags
 
 
 def test_spectra_and_tristimulus_values_give_one_calibration(bench: Path) -> None:
-    """The places are those of capture.yaml, the X, Y, Z those of the spectra."""
+    """The X, Y, Z are those of the spectra; a patch over several filters has no one radiance."""
     of_spectra = rm.colour_calibrate(bench / "set", spectra=bench / "spectra.csv", kind="leds").calibration
     of_chart = rm.colour_calibrate(bench / "set", bench / "chart.csv").calibration
     assert of_spectra.matrices["all"].matrix == pytest.approx(of_chart.matrices["all"].matrix, rel=1e-4)
     assert of_spectra.unit == "cd m-2"
+    with pytest.raises(UsageError, match="mosaic of colours"):
+        rm.measure(bench=bench / "bench.yaml", patch=(0, 0, 8, 8), uncalibrated=True)
+    assert rm.read(bench / "set").bracket.shape == (30, 48)
+    assert set(rm.merge(bench / "set").maps) == {"red", "green", "blue"}
 
 
 def test_every_pixel_has_the_colour_of_its_patch(bench: Path, tmp_path: Path) -> None:
@@ -190,14 +193,6 @@ def test_a_chart_that_determines_nothing_is_refused(bench: Path, tmp_path: Path,
     with pytest.raises(error, match=said):
         rm.colour_calibrate(bench / "set", tmp_path / "chart.csv", out=tmp_path / "colour.yaml")
     assert not (tmp_path / "colour.yaml").exists()
-
-
-def test_a_radiance_of_a_mosaic_is_refused(bench: Path) -> None:
-    """A patch over several filters has no one radiance; the capture set is read in green."""
-    with pytest.raises(UsageError, match="mosaic of colours"):
-        rm.measure(bench=bench / "bench.yaml", patch=(0, 0, 8, 8), uncalibrated=True)
-    assert rm.read(bench / "set").bracket.shape == (30, 48)
-    assert set(rm.merge(bench / "set").maps) == {"red", "green", "blue"}
 
 
 def test_a_colour_calibration_past_its_time_or_for_other_conditions(bench: Path) -> None:

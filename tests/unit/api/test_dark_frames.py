@@ -208,8 +208,8 @@ def test_the_response_of_frames_that_state_no_black_level_starts_at_that_of_thei
     assert column[0] / column[-1] == pytest.approx(0.05, rel=0.03)
 
 
-def test_dark_frames_whose_noise_is_cut_off_show_no_black_level():
-    """Black at 0: half of the noise is gone, so that their mean is above black and is not taken for it."""
+def test_dark_frames_that_are_cut_off_or_fill_show_no_black_level_of_their_own():
+    """Half of the noise is gone; hot pixels bend no line."""
     rng = np.random.default_rng(3)
     frames = {}
     for level in (0.0, 20.0):
@@ -219,10 +219,6 @@ def test_dark_frames_whose_noise_is_cut_off_show_no_black_level():
         frames[level] = black_of_darks(Bracket.from_frames([Frame(dn, 12, settings), light]))
     assert frames[0.0] is None
     assert frames[20.0] == pytest.approx(20.0, abs=0.3)
-
-
-def test_hot_pixels_that_fill_up_do_not_bend_the_black_level():
-    """One pixel in twenty gathers 900 DN/s and is full from 8 s on, the rest 10 DN/s: the line begins at 64 DN."""
     rate = np.where(np.arange(480) % 20 == 0, 900.0, 10.0)
     darks = [
         Frame(np.minimum(64.0 + rate * t, 4095.0).astype(np.uint16)[None], 12, FrameSettings(t, shutter="closed"))

@@ -109,15 +109,15 @@ def test_threads_that_share_a_meter_take_turns():
     assert all(reading.radiance.value > 0 for reading in readings)
 
 
-def test_a_bracket_keeps_light_and_dark_apart(stack):
-    """Two dark frames per distinct exposure; size and count stand in the line."""
+def test_a_bracket_is_one_channel_as_it_was_taken(stack, capture):
+    """Two dark frames per exposure, camera and lens from disk; a stack of two is refused."""
     exposures = {frame.settings.exposure_s for frame in stack.bracket.light}
     assert len(stack.bracket.dark) == 2 * len(exposures)
     assert f"{len(stack.bracket.light)} + {2 * len(exposures)} dark frames of 96 × 64 pixels, 12 bits" in repr(stack)
-
-
-def test_a_capture_set_is_read_as_it_was_taken(stack, capture):
-    """Frames, camera and lens come back from disk; that it is no folder of photographs is stated with the way out."""
+    double = rm.Stack({"red": stack.bracket, "blue": stack.bracket}, stack.camera, stack.lens, "here")
+    with pytest.raises(UsageError, match=r"here holds 2 brackets; choose one: stack\['red'\]"):
+        rm.merge(double)
+    assert rm.merge(double["blue"]).value.shape == (64, 96)
     again = rm.read(capture)
     assert again.camera == stack.camera
     assert again.lens.f_number == stack.lens.f_number
@@ -125,14 +125,6 @@ def test_a_capture_set_is_read_as_it_was_taken(stack, capture):
         assert np.array_equal(mine.dn, theirs.dn)
     with pytest.raises(CaptureError, match=r"use radiometer\.read"):
         rm.read_photographs(capture)
-
-
-def test_several_channels_must_be_chosen_from(stack):
-    """A stack of two brackets is refused where one is needed, with the way out."""
-    double = rm.Stack({"red": stack.bracket, "blue": stack.bracket}, stack.camera, stack.lens, "here")
-    with pytest.raises(UsageError, match=r"here holds 2 brackets; choose one: stack\['red'\]"):
-        rm.merge(double)
-    assert rm.merge(double["blue"]).value.shape == (64, 96)
 
 
 def test_a_merged_bracket_is_arrays_with_unit_and_uncertainty(stack, tmp_path):
@@ -255,17 +247,13 @@ def in_a_new_process(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
-def test_all_names_can_be_had_and_are_listed():
-    """Every name of `__all__` is there, documented, shown by dir(); another is refused with the nearest that is."""
+def test_all_names_can_be_had_and_those_of_pages_exist(project_root):
+    """Documented, in dir(), with the nearest of a wrong one; programs of README and docs import."""
     for name in rm.__all__:
         assert getattr(rm, name).__doc__
     assert set(rm.__all__) <= set(dir(rm))
     with pytest.raises(AttributeError, match=r"no attribute 'Bracket'; did you mean 'bracket'\?"):
         _ = rm.Bracket
-
-
-def test_every_name_of_a_page_is_there(project_root):
-    """What the programs of README and docs import, and what they take from `rm`, exists."""
     used = set()
     for page in (project_root / "README.md", *sorted((project_root / "docs").rglob("*.md"))):
         for program in re.findall(r"^```py[^\n]*\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S):

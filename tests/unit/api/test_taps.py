@@ -121,22 +121,18 @@ def test_steps_between_taps_are_doubted_until_their_gains_are_known(tmp_path, ho
     assert abs(other.radiance.value - 1.0) < 2.0 * other.radiance.u
 
 
-def test_black_levels_of_undescribed_taps_show_in_dark_frames(tmp_path):
-    """A busy scene hides the border between taps; a dark frame shows it."""
+def test_only_dark_frames_show_black_levels_of_undescribed_taps(tmp_path):
+    """A busy scene hides the border; bars that meet at the middle are a scene."""
     rng = np.random.default_rng(4707)
     light = np.kron(rng.uniform(0.1, 1.0, (8, 14)), np.ones((8, 8))) * E_PER_S * 0.1
     frames = [frame(rng, 0.1, 0.0, dark=True), frame(rng, 0.1, light)]
     folder = write(tmp_path / "set", None, frames, black_level_dn=310.0)
     assert any("dark frames step along" in text for text in rm.merge(folder).assumptions)
-
-
-def test_scenes_of_one_amplifier_raise_no_doubt_of_taps(tmp_path):
-    """Bars of other radiances that meet at the middle of the frame are a scene."""
     light = np.repeat([1.0, 0.5, 0.7, 0.3], 24)[None, :] * np.ones((64, 1))
     rng = np.random.default_rng(4704)
     shots = [np.rint(300 + rng.poisson(light * E_PER_S * t) * 0.5).astype(np.uint16) for t in TIMES_S]
     frames = [Frame(dn, 14, FrameSettings(t)) for dn, t in zip(shots, TIMES_S, strict=True)]
-    folder = write(tmp_path / "set", None, frames, black_level_dn=300.0)
+    folder = write(tmp_path / "bars", None, frames, black_level_dn=300.0)
     assert not any("step along" in text for text in rm.merge(folder).assumptions)
 
 

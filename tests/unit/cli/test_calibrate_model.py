@@ -93,17 +93,18 @@ def test_an_effect_and_its_uncertainty_reach_the_calibration(tmp_path, effect, p
     assert getattr(kept.uncertainties, figure[0]) == pytest.approx(figure[1])
 
 
-def test_a_black_level_offset_carries_its_own_uncertainty(tmp_path):
-    """In place of ±1 DN."""
+def test_what_was_found_carries_its_own_uncertainty(tmp_path):
+    """A black level in place of ±1 DN, gains by the largest; what the user states stays."""
     path = model_file(tmp_path, "black_level_offset", {"offset_dn": 1.0}, {"offset_dn": 0.02})
     made = with_found_effects(BASE, path, stated=())
     assert (made.found.black_offset_dn, made.black_level.u_dn) == (1.0, 0.02)
-
-
-def test_what_the_user_states_stays(tmp_path):
-    """--stated comes before what reconcile says of the uncertainty."""
     path = model_file(tmp_path, "veiling_glare", {"share": 0.01}, {"share": 5e-4})
     assert with_found_effects(BASE, path, stated=("glare_u",)).uncertainties.glare_u == BASE.uncertainties.glare_u
+    table = {"gains_db": (0.0, 6.0, 12.0), "errors_rel": (0.0, 0.01, 0.02)}
+    path = model_file(tmp_path, "gain_step_error", table, {"errors_rel[1]": 1e-3, "errors_rel[2]": 2e-3})
+    made = with_found_effects(BASE, path, stated=())
+    assert (made.found.gains_db, made.found.gain_errors_rel) == (table["gains_db"], table["errors_rel"])
+    assert made.uncertainties.gain_step_u_rel == pytest.approx(2e-3)
 
 
 @pytest.mark.parametrize(
@@ -121,25 +122,12 @@ def test_what_readings_cannot_be_corrected_for_is_refused(tmp_path, effect, para
         with_found_effects(BASE, path, stated=())
 
 
-def test_a_table_of_gains_is_carried_with_its_largest_uncertainty(tmp_path):
-    """2 % at 12 dB, straight to 0 dB; the law's parameter is at rest and asks for nothing."""
-    table = {"gains_db": (0.0, 6.0, 12.0), "errors_rel": (0.0, 0.01, 0.02)}
-    path = model_file(tmp_path, "gain_step_error", table, {"errors_rel[1]": 1e-3, "errors_rel[2]": 2e-3})
-    made = with_found_effects(BASE, path, stated=())
-    assert (made.found.gains_db, made.found.gain_errors_rel) == (table["gains_db"], table["errors_rel"])
-    assert made.uncertainties.gain_step_u_rel == pytest.approx(2e-3)
-
-
-def test_a_bend_is_carried_with_the_well_that_it_is_stated_of(tmp_path):
-    """z is the electrons over the model's full well; u per full scale follows: 4095 DN of 5.95 e⁻ over 24,500 e⁻."""
+def test_a_bend_is_carried_with_its_well_and_not_next_to_a_curve(tmp_path):
+    """z is electrons over the model's full well; both would straighten the same bend."""
     path = model_file(tmp_path, "response_nonlinearity", {"a2": 0.03, "a3": -0.01}, {"a2": 3e-3, "a3": 4e-3})
     made = with_found_effects(BASE, path, stated=())
     assert (made.found.well_a2, made.found.well_a3, made.found.well_e) == (0.03, -0.01, 24500.0)
     assert made.uncertainties.bend_u_rel == pytest.approx(5e-3 * 4095 * 5.95 / 24500.0)
-
-
-def test_a_bend_next_to_a_response_curve_is_refused(tmp_path):
-    """Both would straighten the same bend."""
     path = model_file(tmp_path, "response_nonlinearity", {"a2": 0.03}, {"a2": 3e-3})
     curve = ResponseCurve(np.log(np.maximum(np.arange(4096.0) - 64.0, 0.1)), np.full(4096, 1e-3))
     with pytest.raises(InputError, match="Give one of them"):

@@ -111,8 +111,8 @@ def real(monkeypatch):
     return made
 
 
-def test_a_bracket_without_a_bench_holds_nothing_of_the_simulated_one(real, tmp_path, capsys):
-    """No lens, no source, no patch and no f-number of the simulated bench stand in capture.yaml."""
+def test_brackets_and_readings_without_a_bench_take_nothing_of_the_simulated_one(real, tmp_path, capsys):
+    """Neither lens nor scale."""
     assert run(["bracket", str(tmp_path / "set"), "--camera", "20497219"]) == 0
     written = yaml.safe_load((tmp_path / "set" / "capture.yaml").read_text(encoding="utf-8"))
     assert "lens" not in written
@@ -120,6 +120,9 @@ def test_a_bracket_without_a_bench_holds_nothing_of_the_simulated_one(real, tmp_
     assert written["patches"] == []
     assert all("f_number" not in frame for frame in written["frames"])
     assert real[0].stated == LensDescription()
+    assert run(["measure", "--camera", "20497219", "--patch", "42,22,8,6", "--json"]) == 0
+    reading = json.loads(capsys.readouterr().out)
+    assert "uncalibrated" in reading["flags"]
 
 
 @pytest.mark.slow
@@ -129,13 +132,6 @@ def test_a_bracket_of_the_simulated_camera_keeps_its_bench(tmp_path):
     written = yaml.safe_load((tmp_path / "set" / "capture.yaml").read_text(encoding="utf-8"))
     assert written["lens"]["focal_length_mm"] == 16
     assert written["source"]["wavelength_nm"] == 550
-
-
-def test_a_reading_without_a_bench_is_not_calibrated_by_the_simulated_one(real, capsys):
-    """The simulated bench's calibration is of its own camera: the reading is relative, and says so."""
-    assert run(["measure", "--camera", "20497219", "--patch", "42,22,8,6", "--json"]) == 0
-    reading = json.loads(capsys.readouterr().out)
-    assert "uncalibrated" in reading["flags"]
 
 
 def test_a_bracket_of_a_patch_speaks_of_the_patch_only(real, tmp_path, capsys):

@@ -46,7 +46,7 @@ def calibration() -> Calibration:
 
 
 def test_a_written_calibration_reads_back_the_same(calibration, tmp_path):
-    """Every part survives the file, the curve to nine digits."""
+    """A serial number fits in either notation."""
     calibration.write(tmp_path / "cal.yaml")
     back = Calibration.read(tmp_path / "cal.yaml")
     for name in ("camera", "lens", "scale", "noise", "black_level", "flat_field", "spectrum", "defects", "created"):
@@ -55,6 +55,11 @@ def test_a_written_calibration_reads_back_the_same(calibration, tmp_path):
     np.testing.assert_allclose(back.response.log_exposure[1:], calibration.response.log_exposure[1:], atol=1e-8)
     assert back.response.valid_dn == (10, 4000)
     assert back.validity_days == 365.0
+    known = replace(calibration, camera=CAMERA.model_copy(update={"serial": "20497219"}))
+    require_camera(known, CameraDescription(bit_depth=12, serial="0138C343"))
+    require_camera(known, CameraDescription(bit_depth=12))  # what is unknown is not compared
+    with pytest.raises(CalibrationError, match="its serial is 20497219"):
+        require_camera(known, CameraDescription(bit_depth=12, serial="0138C344"))
 
 
 @pytest.mark.parametrize(
@@ -64,15 +69,6 @@ def test_another_camera_is_refused(calibration, change, named):
     """The message names what differs."""
     with pytest.raises(CalibrationError, match=named):
         require_camera(calibration, CAMERA.model_copy(update=change))
-
-
-def test_a_serial_number_fits_in_either_notation(calibration):
-    """A file that was written with the label's number fits the camera that USB reports; another camera's does not."""
-    known = replace(calibration, camera=CAMERA.model_copy(update={"serial": "20497219"}))
-    require_camera(known, CameraDescription(bit_depth=12, serial="0138C343"))
-    require_camera(known, CameraDescription(bit_depth=12))  # what is unknown is not compared
-    with pytest.raises(CalibrationError, match="its serial is 20497219"):
-        require_camera(known, CameraDescription(bit_depth=12, serial="0138C344"))
 
 
 @pytest.mark.parametrize(("focal_mm", "taken"), [(16.16, True), (16.17, False), (15.85, True), (15.84, False)])
@@ -112,8 +108,8 @@ def test_a_wrong_entry_is_refused_by_name(calibration, key, value, message):
         Calibration.from_mapping(mapping, "cal.yaml")
 
 
-def test_a_missing_key_and_a_damaged_table_are_named(calibration):
-    """A calibration without its scale, and letters among the numbers of the curve."""
+def test_damaged_calibrations_and_curves_are_refused(calibration):
+    """By the key that is missing; a curve neither falls nor changes."""
     mapping = calibration.to_mapping()
     mapping["response"]["log_exposure"] = "0 1 two"
     with pytest.raises(CalibrationError, match=r"response\.log_exposure"):
@@ -121,6 +117,12 @@ def test_a_missing_key_and_a_damaged_table_are_named(calibration):
     del mapping["scale"]
     with pytest.raises(CalibrationError, match="'scale' is missing"):
         Calibration.from_mapping(mapping, "cal.yaml")
+    with pytest.raises(ValueError, match="read-only"):
+        curve().log_exposure[0] = 1.0
+    values = curve().log_exposure.copy()
+    values[100] = 5.0
+    with pytest.raises(InputError, match="must not fall"):
+        ResponseCurve(values, np.zeros(256))
 
 
 # Response curves: files round trip to the last bit; what is no curve is refused.
@@ -145,16 +147,6 @@ def test_a_curve_survives_the_disk_bit_for_bit(tmp_path, name):
     np.testing.assert_array_equal(read.log_exposure, curve().log_exposure)
     np.testing.assert_array_equal(read.u_log_exposure, curve().u_log_exposure)
     assert read.absolute is False
-
-
-def test_a_curve_neither_falls_nor_changes():
-    """More light never gives a lower digital number; results are frozen."""
-    with pytest.raises(ValueError, match="read-only"):
-        curve().log_exposure[0] = 1.0
-    values = curve().log_exposure.copy()
-    values[100] = 5.0
-    with pytest.raises(InputError, match="must not fall"):
-        ResponseCurve(values, np.zeros(256))
 
 
 @pytest.mark.parametrize(
@@ -266,17 +258,13 @@ def light_calibration(*points: LightPoint, common_u_rel: float = 0.0) -> LightCa
     return LightCalibration("LB000001", {"spot": channel})
 
 
-def test_proportional_channel_is_reproduced_at_every_step():
-    """Where radiance goes as duty, any step between two points comes out exactly."""
+def test_levels_give_their_radiance_within_the_stated_error():
+    """Every step in proportion; a droop of 10 % within k = √3."""
     found = light_calibration(point(16, 16.0), point(256, 256.0), point(4096, 4096.0))
     for step in (16, 17, 100, 1000, 4095, 4096):
         choice = found.choose("spot", float(step))
         assert choice.radiance_w_sr_m2 == pytest.approx(step, rel=1e-9)
         assert (choice.level * STEPS + 32768) // 65536 == step
-
-
-def test_smooth_departure_stays_within_the_stated_interpolation_error():
-    """With a droop of 10 % every step lies within k = √3 (the half width) of its own stated error."""
 
     def radiance(step: float) -> float:
         return step * (1 - 0.1 * step / STEPS)
@@ -289,31 +277,32 @@ def test_smooth_departure_stays_within_the_stated_interpolation_error():
     assert np.max(np.abs(ratios)) > 0.2  # and the bound is not idle
 
 
-def test_common_uncertainty_is_in_every_level_of_a_calibrated_channel():
-    """What all points share is not averaged away; a channel that was not measured says how to."""
+def test_every_level_holds_the_common_u_and_a_bound_above_it():
+    """Not averaged away; unmeasured levels have none."""
     found = light_calibration(point(16, 16.0), point(4096, 4096.0), common_u_rel=0.01)
     choice = found.choose("spot", 300.0)
     assert choice.u_w_sr_m2 / choice.radiance_w_sr_m2 == pytest.approx(0.01, rel=1e-3)
     with pytest.raises(CalibrationError, match="light calibrate --channel bleach"):
         found.choose("bleach", 15.5)
+    assert found.highest_radiance("spot", 8 * 100, True) == pytest.approx(102.0, rel=1e-3)
+    assert found.highest_radiance("spot", 8 * 5000, True) is None
+    assert found.highest_radiance("spot", 8 * 100, False) is None
 
 
-def test_both_ranges_serve_and_the_nearer_step_wins():
-    """Where the ranges overlap the finer one is taken."""
+def test_ranges_serve_to_their_ends():
+    """Where both do, the nearer step wins; nothing beyond is given."""
     found = light_calibration(
         point(16, 16.0), point(4096, 4096.0), point(16, 16 / 256, "low"), point(8192, 8192 / 256, "low")
     )
     choice = found.choose("spot", 20.4)
     assert choice.current_range == "low"
     assert choice.radiance_w_sr_m2 == pytest.approx(20.4, rel=2e-4)
-
-
-def test_safety_bound_is_above_the_radiance():
-    """The radiance for the safety check has its expanded uncertainty added; unmeasured levels have none."""
-    found = light_calibration(point(16, 16.0), point(4096, 4096.0), common_u_rel=0.01)
-    assert found.highest_radiance("spot", 8 * 100, True) == pytest.approx(102.0, rel=1e-3)
-    assert found.highest_radiance("spot", 8 * 5000, True) is None
-    assert found.highest_radiance("spot", 8 * 100, False) is None
+    found = light_calibration(point(16, 16.0), point(4096, 4096.0))
+    assert [found.choose("spot", end).level for end in (16.0, 4096.0)] == [128, 32768]
+    for beyond in (15.9, 4097.0, math.nan, math.inf):
+        with pytest.raises(SettingOutOfRange, match=r"16 .* 4096"):
+            found.choose("spot", beyond)
+    assert found.limits("spot") == (16.0, 4096.0)
 
 
 @pytest.mark.parametrize("dip", range(1, 4))
@@ -361,16 +350,6 @@ def test_a_file_whose_low_current_is_not_the_darker_one_is_refused(current, step
     else:
         with pytest.raises(CalibrationError, match=r"box\.yaml: channel spot: .* current_range is swapped"):
             LightCalibration.read(tmp_path / "box.yaml")
-
-
-def test_both_ends_of_what_was_measured_are_held_and_nothing_beyond():
-    """16 and 4096 to a part in a thousand million; a hundredth beyond is refused with both limits."""
-    found = light_calibration(point(16, 16.0), point(4096, 4096.0))
-    assert [found.choose("spot", end).level for end in (16.0, 4096.0)] == [128, 32768]
-    for beyond in (15.9, 4097.0, math.nan, math.inf):
-        with pytest.raises(SettingOutOfRange, match=r"16 .* 4096"):
-            found.choose("spot", beyond)
-    assert found.limits("spot") == (16.0, 4096.0)
 
 
 @pytest.mark.parametrize(("start_rel", "bound"), [(1.1, 110.0), (0.9, 100.0)])

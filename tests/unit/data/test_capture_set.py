@@ -138,21 +138,10 @@ def test_frames_that_contradict_the_header_or_each_other_are_refused(capture, pi
         list(CaptureSet.read(capture).frames())
 
 
-@pytest.mark.parametrize(
-    ("remove", "message"),
-    [
-        (("capture.yaml", "frames"), "it is no capture set"),
-        (("capture.yaml", "frames", ""), "does not exist"),
-        (("frames/0002.png",), r"0002\.png' does not exist; the capture set is incomplete"),
-    ],
-)
-def test_a_folder_that_lacks_something_is_refused(capture, remove, message):
-    """Nothing of a capture, no folder at all, one frame less: each is stated, and none is read as fewer frames."""
-    for name in remove:
-        target = capture / name
-        shutil.rmtree(target) if target.is_dir() else target.unlink()
-    with pytest.raises(CaptureError, match=message):
-        CaptureSet.read(capture)
+def test_a_folder_that_holds_nothing_of_a_capture_is_refused(tmp_path):
+    """It is no capture set; what is unfinished or lacks a frame is taken up below."""
+    with pytest.raises(CaptureError, match="it is no capture set"):
+        CaptureSet.read(tmp_path)
 
 
 def test_a_file_that_is_no_picture_is_refused(capture):

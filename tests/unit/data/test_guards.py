@@ -181,8 +181,8 @@ def test_deep_yaml_is_refused(tmp_path, text):
         read_yaml(path)
 
 
-def test_yaml_that_repeats_itself_is_refused(tmp_path):
-    """Nine levels of nine repetitions are a billion entries; a few repetitions are none."""
+def test_repetitions_count_as_if_written_out(tmp_path):
+    """Nine levels of nine are refused; long lists, 64 levels and 4.9 million entries are not."""
     lines = ["l0: &l0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9)}]" for n in range(1, 9)]
     path = tmp_path / "laughs.yaml"
@@ -191,6 +191,16 @@ def test_yaml_that_repeats_itself_is_refused(tmp_path):
         read_yaml(path)
     path.write_text("\n".join(lines[:3]), encoding="utf-8")
     assert read_yaml(path)["l2"][0][0] == ["x"] * 9
+    refuse_deep_yaml("a: [" + "1, " * 100_000 + "1]", "here")
+    refuse_deep_yaml("[" * 64 + "]" * 64, "here")
+    with pytest.raises(InputError):
+        refuse_deep_yaml("[" * 65 + "]" * 65, "here")
+    with pytest.raises(InputError):
+        refuse_deep_yaml("\n".join(" " * n + f"k{n}:" for n in range(66)), "here")
+    lines = ["a: &a [" + "1, " * 999 + "1]", "b: &b [" + "*a, " * 99 + "*a]"]
+    refuse_deep_yaml("\n".join([*lines, "c: [" + "*b, " * 48 + "]"]), "here")
+    with pytest.raises(InputError, match="more than 5000000 entries"):
+        refuse_deep_yaml("\n".join([*lines, "c: [" + "*b, " * 50 + "]"]), "here")
 
 
 @pytest.mark.parametrize("subject", ["../../x", "/etc/x", "..", ".hidden", "-o", "a/b", "a\\b", "a\0b", "", "x" * 65])
@@ -253,21 +263,6 @@ def test_numbers_and_plain_texts_stay_as_they_are(tmp_path):
     (tmp_path / "a").write_bytes(b"")
     names = ("a", ".", "b", "c" * 5000, "a\0")
     assert [is_file(tmp_path / name) for name in names] == [True, False, False, False, False]
-
-
-def test_nesting_and_repetitions_of_real_files_are_fine():
-    """Long lists, long texts and 64 levels pass; what is repeated counts as if it were written out.
-
-    A thousand numbers, a hundred times, 48 times and once: 4.9 million entries are read, 5.1 million not.
-    """
-    refuse_deep_yaml("a: [" + "1, " * 100_000 + "1]", "here")
-    refuse_deep_yaml("[" * 64 + "]" * 64, "here")
-    with pytest.raises(InputError):
-        refuse_deep_yaml("[" * 65 + "]" * 65, "here")
-    lines = ["a: &a [" + "1, " * 999 + "1]", "b: &b [" + "*a, " * 99 + "*a]"]
-    refuse_deep_yaml("\n".join([*lines, "c: [" + "*b, " * 48 + "]"]), "here")
-    with pytest.raises(InputError, match="more than 5000000 entries"):
-        refuse_deep_yaml("\n".join([*lines, "c: [" + "*b, " * 50 + "]"]), "here")
 
 
 @pytest.mark.parametrize("start", [b"text about ", b"\xff\xd8\xff\xfe\x00\x40", b"v/1\x02"])
@@ -387,13 +382,20 @@ def test_what_a_library_does_in_another_process_ends_that_process_at_most(read, 
     assert facts == {"a": 3.0}
 
 
-def test_readers_of_several_threads_work_apart_at_the_same_time(tmp_path):
-    """Each thread gets its own answer."""
+def test_readers_work_apart_and_within_each_other(tmp_path):
+    """Each thread gets its own answer; an inner reader's error keeps its words."""
     for number in range(8):
         (tmp_path / f"{number}").write_bytes(b"x" * number)
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda number: faulty_readers.read(tmp_path / f"{number}")[2]["a"], range(8)))
     assert found == list(range(8))
+
+    @bounded_reader()
+    def inner(path):
+        raise CaptureError("the inner one")
+
+    with pytest.raises(CaptureError, match=r"^the inner one$"):
+        bounded_reader()(lambda path: inner(path))(tmp_path)
 
 
 @pytest.mark.slow
@@ -443,17 +445,6 @@ def test_packed_bytes_come_out_as_they_went_in(pack, tmp_path):
     for wrong, most in ((content, 5), (content[:-1], 9), (content[:30], 9)):
         with pytest.raises(InputError):
             unpacked(tmp_path, wrong, most)
-
-
-def test_a_reader_of_another_is_within_its_limits(tmp_path):
-    """An error of the inner reader keeps its own words."""
-
-    @bounded_reader()
-    def inner(path):
-        raise CaptureError("the inner one")
-
-    with pytest.raises(CaptureError, match=r"^the inner one$"):
-        bounded_reader()(lambda path: inner(path))(tmp_path)
 
 
 # TIFF files of every layout: as photographs and as frames they hold what was written, or are refused in one line.
@@ -532,17 +523,20 @@ def test_no_orientation_is_applied(samples, compression, tmp_path):
 
 
 @pytest.mark.parametrize("samples", [1, 3])
-def test_a_reduced_picture_is_not_the_picture(samples, tmp_path):
-    """Before or after the picture, a smaller copy of it (NewSubfileType 1) is left alone; two pictures are refused."""
-    values = picture(np.uint16, samples)
+@pytest.mark.parametrize("big", [False, True], ids=["classic", "BigTIFF"])
+def test_a_reduced_picture_is_not_the_picture(samples, big, tmp_path):
+    """Before or after the picture a smaller copy (NewSubfileType 1) is left alone; of two pictures none is taken."""
+    values, file = picture(np.uint16, samples), tmp_path / "a.tif"
     smaller = np.ascontiguousarray(values[::2, ::2])
     for kinds, refused in (((1, 0), False), ((0, 1), False), ((0, 0), True)):
-        with tifffile.TiffWriter(tmp_path / "a.tif") as tiff:
+        with tifffile.TiffWriter(file, bigtiff=big) as tiff:
             for kind in kinds:
                 tiff.write(smaller if kind else values, subfiletype=kind, metadata=None)
         for read in (lambda path: read_photograph(path).values, *[read_digital_numbers] * (samples == 1)):
             with pytest.raises(CaptureError, match="a TIFF of 2 pages") if refused else contextlib.nullcontext():
-                assert np.array_equal(read(tmp_path / "a.tif"), values)
+                assert np.array_equal(read(file), values)
+    tifffile.imwrite(file, values, subfiletype=1, metadata=None, bigtiff=big)  # a writer that marks all as reduced
+    assert samples > 1 or np.array_equal(read_tiff_pixels(file, 0), values)
 
 
 @pytest.mark.parametrize(
@@ -568,18 +562,14 @@ def test_other_numbers_are_refused_in_one_line(values, layout, message, tmp_path
     assert "\n" not in str(refusal.value)
 
 
-def test_samples_that_no_decoder_reads_whole_are_refused(tmp_path):
-    """16 bits in planes apart under LZW, and grey with a transparency: decoders mix them up or cut them to 8 bits."""
+def test_tiffs_that_decoders_mix_up_are_refused_and_mosaics_are_frames(tmp_path):
+    """16 bits in planes apart under LZW; grey with a transparency."""
     for samples in (2, 3):
         write(tmp_path / "a.tif", picture(np.uint16, samples), planes_apart=samples == 3)
         with tifffile.TiffFile(tmp_path / "a.tif", mode="r+b") as tiff:
             tiff.pages[0].tags["Compression"].overwrite(5)
         with pytest.raises(CaptureError, match="save it without compression"):
             read_photograph(tmp_path / "a.tif")
-
-
-def test_a_mosaic_is_a_frame(tmp_path):
-    """A frame may hold pixels under filters of several colours, which capture.yaml describes."""
     values = picture(np.uint16)
     tifffile.imwrite(tmp_path / "a.tif", values, photometric=32803, metadata=None)
     assert np.array_equal(read_digital_numbers(tmp_path / "a.tif"), values)

@@ -100,11 +100,22 @@ def _tiff(path):
     return codes, np.fromfile(path, np.uint8)
 
 
-def test_codes_come_back_and_nothing_is_reported(tmp_path, capfd):
-    """Every code is as written; standard error, also that of the library itself, stays empty."""
+def test_codes_of_pictures_come_back_and_nothing_is_reported(tmp_path, capfd):
+    """Palette and transparency too; a program's own level of remarks stays."""
     codes, content = _tiff(tmp_path / "a.tif")
     assert np.array_equal(decoded(content), codes)
     assert capfd.readouterr().err == ""
+    before = logging.setLogLevel(logging.LOG_LEVEL_INFO)
+    content = _tiff(tmp_path / "a.tif")[1]
+    assert [decoded(content[:end]) for end in (0, 1, 60)] == [None] * 3
+    assert decoded(content) is not None
+    assert logging.setLogLevel(before) == logging.LOG_LEVEL_INFO
+    image, written = Image.fromarray(np.array([[0, 1], [1, 2]], np.uint8), "P"), io.BytesIO()
+    image.putpalette([10, 20, 30, 40, 50, 60, 70, 80, 90])
+    image.save(written, "png", transparency=1)
+    found = decoded(np.frombuffer(written.getvalue(), np.uint8))
+    assert found[..., :3].tolist() == [[[30, 20, 10], [60, 50, 40]], [[60, 50, 40], [90, 80, 70]]]
+    assert found[..., 3].tolist() == [[255, 0], [0, 255]]
 
 
 def _png(codes, *chunks):
@@ -128,16 +139,6 @@ def test_remarks_of_a_png_cost_no_picture_and_no_word(chunk, damaged, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_what_belongs_to_the_picture_of_a_png_stays():
-    """The palette, and which of its colours is transparent, are no remarks: they come back as written."""
-    image, written = Image.fromarray(np.array([[0, 1], [1, 2]], np.uint8), "P"), io.BytesIO()
-    image.putpalette([10, 20, 30, 40, 50, 60, 70, 80, 90])
-    image.save(written, "png", transparency=1)
-    found = decoded(np.frombuffer(written.getvalue(), np.uint8))
-    assert found[..., :3].tolist() == [[[30, 20, 10], [60, 50, 40]], [[60, 50, 40], [90, 80, 70]]]
-    assert found[..., 3].tolist() == [[255, 0], [0, 255]]
-
-
 @pytest.mark.parametrize("place", [36, -30])
 def test_a_damaged_png_is_none_and_nothing_is_reported(place, capfd):
     """One wrong bit in the picture's data is recognised by its check sum, not by the library on standard error."""
@@ -145,12 +146,3 @@ def test_a_damaged_png_is_none_and_nothing_is_reported(place, capfd):
     content[place] ^= 4
     assert decoded(content) is None
     assert capfd.readouterr().err == ""
-
-
-def test_what_is_no_picture_is_none_and_a_program_s_own_level_of_remarks_stays(tmp_path):
-    """Nothing, a byte, a file cut within its first strip; whoever uses OpenCV next to this keeps what they set."""
-    before = logging.setLogLevel(logging.LOG_LEVEL_INFO)
-    content = _tiff(tmp_path / "a.tif")[1]
-    assert [decoded(content[:end]) for end in (0, 1, 60)] == [None] * 3
-    assert decoded(content) is not None
-    assert logging.setLogLevel(before) == logging.LOG_LEVEL_INFO

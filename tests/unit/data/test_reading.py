@@ -42,14 +42,23 @@ def test_a_reading_speaks_the_documented_json():
     assert (few["U_rel"], few["coverage_factor"], few["degrees_of_freedom"]) == (4.53 * 0.011 / 1.234, 4.53, 2.0)
 
 
-def test_flags_are_the_documented_words():
-    """Nothing else may appear in `flags`."""
+def test_flags_are_the_documented_words_and_bounds_have_limits() -> None:
+    """What clips in every frame has a lower one."""
     words = (
         "below_noise dark_assumed drift exposure_unconfirmed extrapolated falloff_assumed few_frames flicker gain "
         "lens_changed linearity nonuniform other_tap polarisation repeated_frame saturated short_exposure "
         "small_patch spectrum_assumed stale_calibration stray_light temperature uncalibrated"
     )
     assert " ".join(sorted(Flag)) == words
+    budget = (Contribution("scale", 0.1), Contribution("clipping", 1.0))
+    reading = Reading(
+        Quantity(2.0, 2.01, "W sr-1 m-2"), Patch(0, 0, 9, 9), "4711", flags=(Flag.SATURATED,), budget=budget
+    )
+    limit = reading.to_mapping()["lower_limit"]
+    assert (limit["probability"], limit["unit"]) == (0.95, "W sr-1 m-2")
+    assert limit["value"] == pytest.approx(2.0 * (1 - 1.645 * 0.1))
+    assert "upper_limit" not in reading.to_mapping()
+    assert not {"lower_limit", "upper_limit"} & replace(reading, flags=()).to_mapping().keys()
 
 
 def bracket() -> Bracket:
@@ -123,16 +132,3 @@ def test_a_hash_over_no_source_is_refused() -> None:
     """A folder that was renamed has no source: its hash would never change, and stored results would never age."""
     with pytest.raises(ValueError, match="no source"):
         source_hash("analysis", "no_such_room")
-
-
-def test_what_clips_in_every_frame_has_a_lower_limit() -> None:
-    """JSON gives it with its probability, without the part of the uncertainty that says "a bound"; others have none."""
-    budget = (Contribution("scale", 0.1), Contribution("clipping", 1.0))
-    reading = Reading(
-        Quantity(2.0, 2.01, "W sr-1 m-2"), Patch(0, 0, 9, 9), "4711", flags=(Flag.SATURATED,), budget=budget
-    )
-    limit = reading.to_mapping()["lower_limit"]
-    assert (limit["probability"], limit["unit"]) == (0.95, "W sr-1 m-2")
-    assert limit["value"] == pytest.approx(2.0 * (1 - 1.645 * 0.1))
-    assert "upper_limit" not in reading.to_mapping()
-    assert not {"lower_limit", "upper_limit"} & replace(reading, flags=()).to_mapping().keys()

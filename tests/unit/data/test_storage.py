@@ -26,8 +26,8 @@ def _raising(number):
     return fail
 
 
-def test_a_full_disk_leaves_the_old_file_whole(tmp_path, monkeypatch):
-    """The new content never appears in part; the old stays; nothing else is left in the folder."""
+def test_results_survive_a_full_disk_and_a_vanished_folder(tmp_path, monkeypatch):
+    """The old file stays whole; the new one is saved elsewhere, which is named."""
     target = tmp_path / "result.yaml"
     target.write_text("old")
 
@@ -36,10 +36,7 @@ def test_a_full_disk_leaves_the_old_file_whole(tmp_path, monkeypatch):
         storage.write_text_atomic(target, "new")
     assert target.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["result.yaml"]
-
-
-def test_a_result_whose_folder_vanished_is_saved_elsewhere(tmp_path, monkeypatch):
-    """The message says which file, why, and where the result is now; the state folder comes first."""
+    monkeypatch.undo()
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     with pytest.raises(OutputError, match=r"cannot write .*absent/x: No such file") as refusal:
         storage.write_text_atomic(tmp_path / "absent" / "x", "text")
@@ -81,8 +78,8 @@ def test_an_output_is_refused_before_the_work(tmp_path, name, force, reason):
         storage.check_outputs(tmp_path / name, None, force=force)
 
 
-def test_two_outputs_are_two_files_and_a_link_to_itself_is_none(tmp_path):
-    """By whatever way it is named the second would overwrite the first; a loop is one line with --force, too."""
+def test_outputs_are_two_files_and_folders_never_replaced(tmp_path):
+    """By whatever way they are named; a new or empty folder is filled."""
     (tmp_path / "a").mkdir()
     with pytest.raises(OutputRefused, match="two outputs"):
         storage.check_outputs(tmp_path / "x", tmp_path / "a" / ".." / "x")
@@ -92,6 +89,14 @@ def test_two_outputs_are_two_files_and_a_link_to_itself_is_none(tmp_path):
         storage.check_outputs(loop, force=True)
     with pytest.raises(OutputError, match="cannot write"):
         storage.write_text_atomic(loop, "new")
+    storage.check_new_folder(tmp_path / "a")
+    storage.check_new_folder(tmp_path / "b" / "c")
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputRefused, match="Not a directory"):
+        storage.check_new_folder(tmp_path / "file" / "b")
+    for taken in (tmp_path, tmp_path / "file"):
+        with pytest.raises(OutputRefused, match="name a new folder"):
+            storage.check_new_folder(taken)
 
 
 @pytest.mark.parametrize("links", [True, False])
@@ -115,18 +120,6 @@ def test_a_file_that_another_program_wrote_meanwhile_is_kept(tmp_path, monkeypat
         storage.write_text_atomic(target, "second")
     assert target.read_text() == "second"
     assert [one.name for one in tmp_path.iterdir() if one.name.startswith(".")] == []
-
-
-def test_a_folder_is_never_replaced(tmp_path):
-    """A new or empty one is filled, and made with those above it; one with content or below a file is refused."""
-    storage.check_new_folder(tmp_path)
-    storage.check_new_folder(tmp_path / "a" / "b")
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputRefused, match="Not a directory"):
-        storage.check_new_folder(tmp_path / "file" / "b")
-    for taken in (tmp_path, tmp_path / "file"):
-        with pytest.raises(OutputRefused, match="name a new folder"):
-            storage.check_new_folder(taken)
 
 
 def test_a_replaced_file_keeps_its_mode_and_its_link(tmp_path):
@@ -165,8 +158,8 @@ def test_only_a_file_is_replaced(tmp_path, monkeypatch, make, linked):
     assert {path.name for path in tmp_path.iterdir()} == {"there"} | ({"link"} if linked else set())
 
 
-def test_text_is_read_without_an_editor_s_mark(tmp_path):
-    """A byte order mark is no part of the first word; no text is reported with its first wrong byte."""
+def test_text_is_read_without_marks_and_names_written_with_escapes(tmp_path):
+    """A byte order mark is no part of a word; a folder of an old archive can be shown."""
     path = tmp_path / "t.csv"
     path.write_bytes(b"\xef\xbb\xbfwavelength_nm,W\n")
     assert read_text(path) == "wavelength_nm,W\n"
@@ -175,10 +168,6 @@ def test_text_is_read_without_an_editor_s_mark(tmp_path):
         read_text(path)
     with pytest.raises(InputError, match=r"cannot read .*no\.csv: No such file"):
         read_text(tmp_path / "no.csv")
-
-
-def test_names_that_are_not_utf_8_are_written_with_escapes(tmp_path):
-    """A folder of an old archive stands in text and YAML as what an editor can show."""
     write_text_atomic(tmp_path / "t.txt", "by\udcff")
     write_yaml_atomic(tmp_path / "y.yaml", {"by\udcff": ["µm", "\udcff"]})
     assert read_text(tmp_path / "t.txt") == r"by\udcff"

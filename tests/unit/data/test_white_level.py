@@ -137,8 +137,8 @@ def test_a_stated_level_that_the_frames_contradict_is_reported(stated, used, wor
     assert re.search(words, note)
 
 
-def test_a_single_exposure_says_what_is_assumed():
-    """One frame cannot show where pixels saturate: the bit depth is taken, and the note states it."""
+def test_each_gain_has_its_own_end():
+    """One frame assumes the bit depth; a well of 9000 DN at 0 dB, the converter's end at 12 dB."""
     rng = np.random.default_rng(47)
     ((frame, _),) = Sensor(13_000).bracket(40_000 * ramp(rng), (1.0,), rng)
     level = level_of([frame])
@@ -147,10 +147,6 @@ def test_a_single_exposure_says_what_is_assumed():
     assert camera.saturated_dn == 65_520
     assert CameraDescription(bit_depth=16, white_level_dn=50_000).saturated_dn == 50_000
     assert "the bit depth gives: a single exposure cannot show" in level.note
-
-
-def test_a_full_well_ends_lower_than_the_converter_at_low_gain():
-    """A well of 9000 DN at 0 dB is found there; at 12 dB the converter's end comes first."""
     rng = np.random.default_rng(53)
     low = Sensor(BLACK + 9_000.0, 2.0).bracket(40_000 * ramp(rng), (1 / 16, 1 / 4, 1.0), rng)
     high = Sensor(FULL, 0.0, dn_per_e=1.2).bracket(40_000 * ramp(rng), (1 / 16, 1 / 4, 1.0), rng, gain_db=12.0)

@@ -31,8 +31,8 @@ def _dark(settings, rng, offset=lambda n: 0.0, size=SIZE):
     return design, *reduce_frames(design, frames.__getitem__)
 
 
-def test_a_black_level_that_wanders_is_measured():
-    """Frames that scatter by 0.6 DN as a whole show 0.6 DN; frames of pixel noise alone, or that drift, none."""
+def test_a_black_level_that_wanders_is_measured_up_to_a_share_of_the_noise():
+    """0.6 DN as a whole; 0.3 of the noise is the most."""
     rng = np.random.default_rng(5)
     repeats = [(0.01, 20.0)] * 40
     steps = rng.normal(0.0, 0.6, 40)
@@ -41,10 +41,6 @@ def test_a_black_level_that_wanders_is_measured():
     for steady in (lambda n: 0.0, lambda n: 0.1 * n, lambda n: 3.0 if n == 0 else 0.0):
         design, seen, _ = _dark(repeats, rng, steady)
         assert wander_of_black(design, seen) == 0.0
-
-
-def test_a_wander_is_no_more_than_a_share_of_the_pixels_noise():
-    """Frames that scatter by more than their pixels are something to name: 0.3 of the noise is the most."""
     rng = np.random.default_rng(6)
     steps = rng.normal(0.0, 40.0, 30)
     design, seen, _ = _dark([(0.01, 20.0)] * 30, rng, lambda n: float(steps[n]))
@@ -83,17 +79,13 @@ def test_the_weights_hold_a_black_level_that_walks_at_random():
         assert 0.5 < squares.mean() < 1.0 + 3.0 * np.sqrt(2.0 / squares.size), name
 
 
-def test_readings_in_steps_are_known_to_a_step():
-    """Two readings 0.42 K apart in turn: 0.42 K/√12; readings that all differ, or plateaus alone, tell no step."""
+def test_readings_in_steps_are_known_to_a_step_and_one_setting():
+    """0.42 K/√12; −4.82 and −5.23 °C belong together, −10.2 °C does not."""
     turns = np.array([-4.82, -5.23, -4.82, -5.23, -5.23, -10.2, -10.2, -10.2])
     assert uncertainty_of_readings(turns) == pytest.approx(0.41 / np.sqrt(12.0))
     assert uncertainty_of_readings(25.0 + np.random.default_rng(1).normal(0, 0.15, 40)) == 0.0
     assert uncertainty_of_readings(np.repeat([25.0, 35.0, 45.0], 9)) == 0.0
     assert uncertainty_of_readings(np.full(5, np.nan)) == 0.0
-
-
-def test_two_readings_of_one_plateau_are_one_setting():
-    """−4.82 and −5.23 °C lie on both sides of an odd number and yet belong together; −10.2 °C does not."""
     warm = [-4.82, -5.23, -10.2, -4.82, -10.2, -5.23]
     entries = tuple(
         FrameEntry.of(f"{n}.tif", FrameSettings(t, temperature_c=w, shutter="closed"))
@@ -117,8 +109,8 @@ def _temperatures(header):
     return [entry.temperature_C for entry in regulated(header).frames]
 
 
-def test_readings_in_turn_are_one_temperature():
-    """Two neighbouring steps in turn are one regulated temperature; a drift, and steps alone, stay as read."""
+def test_readings_in_turn_are_one_temperature_known_to_a_step():
+    """0.41 K/√12; a drift, and steps alone, stay as read."""
     turns = (-4.82, -5.23, -4.82, -5.23, -5.23, -10.2, -10.2, -10.2)
     mean = (2 * -4.82 + 3 * -5.23) / 5
     assert _temperatures(_read_at(*turns)) == pytest.approx([mean] * 5 + [-10.2] * 3)
@@ -126,10 +118,6 @@ def test_readings_in_turn_are_one_temperature():
     assert _temperatures(_read_at(*drift)) == pytest.approx(list(drift))
     wide = (-4.82, -5.23, -5.64, -4.82, -5.64, -5.23, -4.82, -5.23, -5.64)  # over three steps: it moves
     assert _temperatures(_read_at(*wide)) == pytest.approx(list(wide))
-
-
-def test_readings_in_turn_keep_their_uncertainty():
-    """What is one temperature is known to a step still: 0.41 K/√12."""
     design = Design.of(_read_at(-4.82, -5.23, -4.82, -5.23, -4.82, -5.23), SIZE)
     assert np.ptp(design.temperature_c) == 0.0
     assert design.reading_u_k == pytest.approx(0.41 / np.sqrt(12.0))
@@ -152,8 +140,8 @@ def test_darkness_moves_all_tiles_of_a_capture_together():
     assert {name for error in moving for name in error.parts} == {"mean", "first", "slope_y"}
 
 
-def test_a_coarse_thermometer_moves_what_leaks_add_to_variances():
-    """Leaks that grow by 0.2 in ln of their variance per kelvin, at 0.5 K: 0.1 in all tiles of a capture alike."""
+def test_warmth_moves_tiles_and_variances_of_leaks_together():
+    """Kelvins by 4 DN², leaks by 0.2 in ln of their variance per kelvin; 2·ln 2/7 of a pattern."""
     design, _, _ = _dark([(0.01, 20.0)] * 4, np.random.default_rng(7))
     shape = (len(design.captures), len(design.tiles))
     usable = {name: np.ones(shape, np.bool_) for name in ("mean", "first", "spatial")}
@@ -165,10 +153,6 @@ def test_a_coarse_thermometer_moves_what_leaks_add_to_variances():
     assert errors_of_darkness(design, usable, Darkness(1.0, 0.0, np.zeros(shape), swelling))[-1].parts.keys() == {
         "first"
     }
-
-
-def test_leaks_swell_with_the_temperature():
-    """Of a pattern of 100 e- that doubles in 7 K, ln of the spatial variance grows by 2·ln 2/7 per K nearly."""
     settings = [(10.0, warm) for warm in (20.0, 20.4, 20.0, 20.4, 20.0, 20.4)]
     design, seen, images = _dark(settings, np.random.default_rng(9))
     state = with_effects(first_state(design, seen, images), [DarkCurrentNonuniformity(10.0, 20.0, 7.0)])
@@ -179,25 +163,21 @@ def test_leaks_swell_with_the_temperature():
     assert tile == pytest.approx(share * 2.0 * np.log(2.0) / 7.0 * 0.4 / np.sqrt(12.0), rel=0.1)
 
 
-def test_a_particle_in_one_frame_correlates_no_neighbours():
-    """A track of ten pixels in one of eight frames leaves the neighbours' correlation where noise has it."""
+def test_patterns_and_particles_move_what_they_may():
+    """A track correlates no neighbours; without light no pattern of responsivity is asked for."""
     rng = np.random.default_rng(8)
     track = np.zeros((240, 360))
     track[20, 20:30] = 600.0
     _, seen, _ = _dark([(0.01, 20.0)] * 8, rng, lambda n: track if n == 4 else 0.0, track.shape)
     assert float(np.nanmax(np.abs(seen.neighbour_x))) < 0.1
     assert float(np.nanmax(np.abs(seen.neighbour_y))) < 0.1
-
-
-def test_a_pattern_that_goes_with_light_is_asked_for_in_darks_alone():
-    """Where no frame has light a pattern of responsivity moves nothing, and no statistic of nothing is taken."""
     design, seen, images = _dark([(0.01, 20.0)] * 8, np.random.default_rng(10))
     state = reweighted(with_effects(first_state(design, seen, images), [Prnu(0.01)]))
     assert np.isfinite(state.cost)
 
 
-def test_exposures_of_zero_get_a_stand_in():
-    """Bias frames of 0 s count as a thousandth of the shortest exposure; other headers stay as they are."""
+def test_times_of_exposure_and_since_light_are_never_nothing():
+    """Bias frames count as a thousandth of the shortest; darks by the last lit frame."""
     entries = tuple(
         FrameEntry.of(f"{n}.tif", FrameSettings(t, shutter="closed")) for n, t in enumerate((0.0, 10.0, 60.0))
     )
@@ -205,10 +185,6 @@ def test_exposures_of_zero_get_a_stand_in():
     assert sorted(Design.of(header, SIZE).exposure_s.tolist()) == pytest.approx([0.01, 10.0, 60.0])
     plain = header.model_copy(update={"frames": entries[1:]})
     assert Design.of(plain, SIZE).header is plain
-
-
-def test_time_since_light_counts_from_the_last_lit_frame():
-    """Darks after a lit frame at 20 s stand 10 and 30 s behind it; before it there is no light."""
     entries = tuple(
         FrameEntry.of(f"{n}.tif", FrameSettings(t, timestamp_s=at, shutter=shutter))
         for n, (t, at, shutter) in enumerate(

@@ -90,13 +90,19 @@ def test_a_score_is_what_more_columns_would_explain(seed, start, terms):
     assert fit.score(rows, np.zeros((15, terms))) == (0.0, 0)
 
 
-def test_what_the_parameters_explain_already_scores_nothing():
-    """A column of the fit itself leaves nothing to be tested; next to one of its own, that alone counts."""
+def test_what_explains_nothing_scores_and_predicts_nothing():
+    """A column of the fit itself, and one of noughts; next to one of its own that alone counts."""
     fit, jacobian, _, rng = fit_of(3)
     assert fit.score(slice(0, 40), jacobian[:, -1:])[1] == 0
     own = rng.standard_normal((40, 1))
     chi2, rank = fit.score(slice(0, 40), np.hstack([own, jacobian[:, -1:]]))
     assert (chi2, rank) == (pytest.approx(fit.score(slice(0, 40), own)[0], rel=1e-3), 1)
+    fit, *_ = fit_of(5)
+    group, counts = np.repeat(np.arange(10), 4), np.ones(40, bool)
+    idle = LinearFit(fit.residual, fit.nuisances, np.column_stack([fit.effects, np.zeros(40)]), fit.followers)
+    without, found = (leave_one_group_out(one, Groups(fit.nuisances, group, counts)) for one in (fit, idle))
+    assert found.log_density == pytest.approx(without.log_density, rel=1e-7)
+    assert found.chi2 == pytest.approx(without.chi2, rel=1e-7)
 
 
 @quick
@@ -132,12 +138,22 @@ def test_a_block_keeps_the_rows_that_hold_something(seed):
     assert block.factor @ block.factor.T == pytest.approx(whole.T @ whole, rel=1e-6)
 
 
-def test_a_ridge_keeps_the_factor_of_a_singular_matrix():
-    """Two equal columns have a factor still, right to the ridge."""
+def test_singular_factors_priors_waves_and_ranks():
+    """Two equal columns have a factor; a prior is an observation; the n-th wave has n changes of sign."""
     normal = np.array([[4.0, 4.0], [4.0, 4.0]])
     factor = cholesky(normal)
     assert factor @ factor.T == pytest.approx(normal, rel=1e-9)
     assert factor[0, 1] == 0.0
+    prior = np.array([2.0, np.inf])
+    assert prior_residual(prior, np.array([6.0, 5.0])).tolist() == [-3.0, 0.0]
+    assert inverse(prior).tolist() == [0.5, 0.0]
+    basis = Covariate("time_waves", np.linspace(3.0, 9.0, 201)[:, None], per_capture=True, waves=6).basis()
+    assert basis.shape == (201, 1, 6)
+    assert basis[[0, 100, 200], 0, 0] == pytest.approx([1.0, 0.0, -1.0], abs=1e-12)
+    for number, wave in enumerate(basis[:, 0].T, 1):
+        assert np.count_nonzero(np.diff(np.sign(wave[np.abs(wave) > 1e-9]))) == number
+    values = np.array([3.0, 1.0, 3.0, 2.0, 1.0, 1.0])
+    assert ranks(values).tolist() == rankdata(values).tolist()
 
 
 @quick
@@ -158,25 +174,6 @@ def test_a_group_left_out_is_predicted_by_a_fit_to_the_others(seed, sizes):
         expected = -0.5 * chi2 - 0.5 * np.linalg.slogdet(spread)[1]
         assert found.log_density[number] == pytest.approx(expected, rel=1e-4, abs=1e-6)
     assert found.count.tolist() == list(sizes)
-
-
-def test_an_effect_that_changes_nothing_predicts_nothing():
-    """A column of noughts next to others leaves every group's density as it is."""
-    fit, *_ = fit_of(5)
-    group, counts = np.repeat(np.arange(10), 4), np.ones(40, bool)
-    idle = LinearFit(fit.residual, fit.nuisances, np.column_stack([fit.effects, np.zeros(40)]), fit.followers)
-    without, found = (leave_one_group_out(one, Groups(fit.nuisances, group, counts)) for one in (fit, idle))
-    assert found.log_density == pytest.approx(without.log_density, rel=1e-7)
-    assert found.chi2 == pytest.approx(without.chi2, rel=1e-7)
-
-
-def test_waves_begin_with_half_a_turn():
-    """Over an axis from end to end: the first wave falls once from 1 to −1, the n-th has n changes of sign."""
-    basis = Covariate("time_waves", np.linspace(3.0, 9.0, 201)[:, None], per_capture=True, waves=6).basis()
-    assert basis.shape == (201, 1, 6)
-    assert basis[[0, 100, 200], 0, 0] == pytest.approx([1.0, 0.0, -1.0], abs=1e-12)
-    for number, wave in enumerate(basis[:, 0].T, 1):
-        assert np.count_nonzero(np.diff(np.sign(wave[np.abs(wave) > 1e-9]))) == number
 
 
 @pytest.mark.parametrize("kind", whole_catalogue().values(), ids=lambda kind: kind.name)
@@ -236,12 +233,6 @@ def test_chances_of_chi2(freedom):
         assert chi2_quantile(chance, freedom) == pytest.approx(chi2.ppf(chance, freedom), rel=1e-12)
 
 
-def test_equal_values_share_their_mean_rank():
-    """Ranks with ties are SciPy's."""
-    values = np.array([3.0, 1.0, 3.0, 2.0, 1.0, 1.0])
-    assert ranks(values).tolist() == rankdata(values).tolist()
-
-
 def of_chi2(function, dof):
     """Return the mean of a function of s² over its own expectation, s² of `dof` degrees of freedom, by quadrature."""
     chance = (np.arange(20_000) + 0.5) / 20_000
@@ -262,8 +253,8 @@ def test_scores_and_logarithms_of_a_variance(dof):
     assert log_variance(entry)[0] == pytest.approx(spread, rel=5e-3)
 
 
-def test_a_score_follows_its_expectation_along_a_straight_line():
-    """At the accepted expectation it is the score itself; away from it falls by slope·ln; what is masked is 0."""
+def test_scores_go_straight_and_few_frames_of_a_sine_tell_less():
+    """Slope·ln away from the expectation; a sine scatters less than noise."""
     seen, dof, mask = np.array([2.0, 2.0, 5.0]), np.full(3, 9.0), np.array([True, True, False])
     plain = followed_scores(seen, np.full(3, 1.5), None, dof, mask)
     assert plain == pytest.approx([normal_score(np.array([2.0 / 1.5]), dof[:1])[0]] * 2 + [0.0])
@@ -273,10 +264,6 @@ def test_a_score_follows_its_expectation_along_a_straight_line():
     assert (plain - moved)[:2] == pytest.approx(score_slope(dof)[:2] * np.log(2.0))
     found = deviances(np.array([2.0, 4.0, 1.0]), np.array([4.0, 2.0, 1.0]), np.full(3, 3.0), mask)
     assert found == pytest.approx([3.0 * (0.5 + np.log(4.0)), 3.0 * (2.0 + np.log(2.0)), 0.0])
-
-
-def test_few_frames_of_a_sine():
-    """One mean is taken off more than two frames; a sine scatters less than noise does, and nothing of it nothing."""
     assert frames_counted(np.array([1.0, 2.0, 3.0, 10.0])).tolist() == [2.0, 2.0, 2.0, 9.0]
     frames = np.array([11.0])  # ten that count: 2/9 of noise; the whole a sine: less 1.5·(1 − 0.16)/10
     assert sine_freedom(frames, np.zeros(1))[0] == pytest.approx(9.0)
@@ -285,10 +272,3 @@ def test_few_frames_of_a_sine():
 
 
 # Priors.
-
-
-def test_a_prior_is_an_observation_that_the_parameter_is_nothing():
-    """Residual 0 − 6 over 2, and its derivative with the sign turned 1/2; without a stated size neither."""
-    prior = np.array([2.0, np.inf])
-    assert prior_residual(prior, np.array([6.0, 5.0])).tolist() == [-3.0, 0.0]
-    assert inverse(prior).tolist() == [0.5, 0.0]

@@ -8,7 +8,7 @@ import pytest
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.reconciliation.design import Design, group_captures
 from radiometer.reconciliation.engine import examine, jumps
-from radiometer.reconciliation.frame_order import FrameLight, periodic
+from radiometer.reconciliation.repeatability import FrameLight, periodic
 from testing.reconciled import reconcile
 
 EXPOSURES = [{"t": float(t)} for t in np.geomspace(2e-4, 5e-3, 7)]
@@ -145,35 +145,27 @@ def asked(head, pictures):
     return reconcile(head, frames, with_limits=False)
 
 
-def test_a_long_series_is_cut_into_captures_of_four_and_more():
-    """Sixteen frames make four captures, a thousand no more than 64; none is left out and none stands twice."""
+def test_long_series_are_cut_where_they_jump():
+    """Four to 64 captures of which none is lost; among many settings a series stays whole."""
     assert [len(one.frames) for one in group_captures(header(16))] == [4, 4, 4, 4]
     many = group_captures(header(1000))
     assert len(many) == 64
     assert {len(one.frames) for one in many} == {15, 16}
     assert [frame for one in many for frame in one.frames] == list(range(1000))
+    frames = [entry.model_copy(update={"exposure_s": 0.01 * (1 + n)}) for n in range(20) for entry in header(40).frames]
+    head = header(1).model_copy(update={"frames": tuple(frames)})
+    assert [len(one.frames) for one in group_captures(head)] == [40] * 20
+    pieces = [one.frames for one in group_captures(header(40), (0, 13))]
+    assert 13 in [frames[0] for frames in pieces]
+    assert not any(12 in frames and 13 in frames for frames in pieces)
+    assert sorted(frame for frames in pieces for frame in frames) == list(range(40))
+    assert len(pieces) == 10
 
 
 @pytest.mark.parametrize("head", [header(15), header(100, timed=False)])
 def test_a_short_series_and_one_without_times_stay_whole(head):
     """What does not tell the time is one capture of one setting."""
     assert [len(one.frames) for one in group_captures(head)] == [len(head.frames)]
-
-
-def test_a_series_among_many_settings_stays_whole():
-    """Twenty series of 40 frames have their own covariates: 64 pieces would be three for each."""
-    frames = [entry.model_copy(update={"exposure_s": 0.01 * (1 + n)}) for n in range(20) for entry in header(40).frames]
-    head = header(1).model_copy(update={"frames": tuple(frames)})
-    assert [len(one.frames) for one in group_captures(head)] == [40] * 20
-
-
-def test_captures_begin_where_a_series_jumps():
-    """Parts on either side are cut in proportion; a jump in front of the first frame is none."""
-    pieces = [one.frames for one in group_captures(header(40), (0, 13))]
-    assert 13 in [frames[0] for frames in pieces]
-    assert not any(12 in frames and 13 in frames for frames in pieces)
-    assert sorted(frame for frames in pieces for frame in frames) == list(range(40))
-    assert len(pieces) == 10
 
 
 def found_at(level):

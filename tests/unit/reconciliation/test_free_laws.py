@@ -41,21 +41,19 @@ def late(make_capture):
     return start_of(captured)
 
 
-def test_knots_lie_where_the_effect_does_something(late):
-    """Five and nine of them, from the shortest to the longest exposure with light; the dark second holds none."""
+def test_knots_and_starts_lie_where_the_effect_does_something(late):
+    """Not in darkness, not where nothing varies; a gamma starts at 1.2."""
     forms = free_forms(late, ExposureTimeOffset(8e-6))
     assert [len(form.law) for form in forms] == [5, 9]
     for form in forms:
         knots = form.knots("exposure_s")
         assert (knots[0], knots[-1]) == pytest.approx((1e-4, 6e-3), rel=1e-4)
         assert set(form.law) == {1.0}
-
-
-def test_no_law_is_free_where_nothing_varies(late):
-    """One stop and one gain give no curve along them; a table along radius and stop needs both."""
     assert free_forms(late, FnumberTstopError(0.01)) == ()
     assert free_forms(late, GainStepError(0.01)) == ()
     assert {form.axes for form in free_forms(late, AngleDependence(0.1))} == {("field_radius",)}
+    captured = best_start(late, (GammaEnabled(1.02),))
+    assert all(abs(start.gamma - 1.0) < 0.5 for start in (captured.effect, *captured.others))
 
 
 @pytest.mark.slow
@@ -69,14 +67,8 @@ def test_a_free_law_follows_what_the_data_do(late):
     assert scatter_of(found) == 1.0
 
 
-def test_starts_are_sized_about_where_they_do_nothing(late):
-    """A gamma of 1.02 that must be ten times as strong starts at 1.2, not at 10."""
-    captured = best_start(late, (GammaEnabled(1.02),))
-    assert all(abs(start.gamma - 1.0) < 0.5 for start in (captured.effect, *captured.others))
-
-
-def test_a_curve_stands_in_json_with_its_band(late):
-    """Knots by covariate, factors and their u; a plain effect has none."""
+def test_a_curve_is_reported_with_its_band_and_size(late):
+    """Knots, factors and u in JSON; 8 to 24 µs are as uncertain as the own equation's size is off."""
     form = free_forms(late, ExposureTimeOffset(8e-6))[0]
     fitted = {name: FittedParameter(1.5, 0.1, "1") for name in form.law_names()}
     curve = LawCurve.of(form, fitted)
@@ -84,20 +76,11 @@ def test_a_curve_stands_in_json_with_its_band(late):
     assert list(mapping["along"]) == ["exposure_s"]
     assert (mapping["factor"], mapping["u"]) == ([1.5] * 5, [0.1] * 5)
     assert LawCurve.of(ExposureTimeOffset(8e-6), {}) is None
-
-
-def test_the_size_of_another_law_is_reported_with_its_u(late):
-    """Exposures 8 to 24 µs too long: a law about 12 µs gives these, as uncertain as the own equation's size is off."""
     form = free_forms(late, ExposureTimeOffset(12e-6))[0]
     reported = sizes_by_own_law(with_effects(late, [form]), form)["offset_s"]
     plain = refit(with_effects(late, [ExposureTimeOffset(12e-6)])).effects[0]
-    assert isinstance(plain, ExposureTimeOffset)
     assert reported.value == 12e-6
     assert abs(plain.offset_s - 12e-6) <= reported.u < 16e-6
-
-
-def test_each_variant_is_fitted(late):
-    """A gamma above the black level and one of all codes are two."""
     starts = (GammaEnabled(1.02), GammaEnabled(1.02, above_black=1.0))
     both = fit_candidate(late, Candidate(starts[0], 0.0, 1, others=starts[1:]))
     assert {form.above_black for form in both.forms} == {0.0, 1.0}
@@ -128,16 +111,12 @@ def _left(where, block, nats):
     return Step("unnamed", where, nats, 1.1, 1.0, block=block)
 
 
-def test_what_stays_in_a_names_own_place_is_its_law(late_alike):
-    """A curve along the exposure next to an exposure's error is no second cause; the verdict stays provisional."""
+def test_what_stays_is_a_law_in_its_own_place_and_else_no_name(late_alike):
+    """A curve along the exposure is no second cause; elsewhere it has no name."""
     outcome = _outcome(late_alike, _left("exposure_s", "mean", 30.0))
     assert [effect.name for effect in with_other_functional_form(outcome)] == ["exposure_time_offset"]
     assert rest_of(outcome) is None
     assert verdict_of(outcome, []) is Verdict.INCOMPLETE
-
-
-def test_what_stays_elsewhere_or_is_most_of_it_is_left_without_a_name(late_alike):
-    """Along the picture, in the noise, or where the name brings less than four fifths, it stands as the rest."""
     for step in (_left("image_x", "mean", 30.0), _left("exposure_s", "variance", 30.0)):
         outcome = _outcome(late_alike, step)
         rest = rest_of(outcome)

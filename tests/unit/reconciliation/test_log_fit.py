@@ -50,15 +50,10 @@ def test_planted_term_is_named_with_its_size(tmp_path, camera, name, parameter, 
 
 
 @pytest.mark.slow
-def test_bent_response_is_found_or_reported_as_the_rival(tmp_path):
-    """Automatic exposure hardly moves the signal: a bend may look like a black level, and is then named next to it."""
+def test_other_columns_and_bends_are_recognised(tmp_path):
+    """A bent response is found or the rival; what has no name by its column."""
     effect = _fitted(tmp_path, Camera(bends_at_dn=6000.0)).result.effects[0]
     assert "response_nonlinearity" in (effect.name, *effect.alternatives)
-
-
-@pytest.mark.slow
-def test_what_has_no_name_is_recognised_by_its_column(tmp_path):
-    """A lens that dirties is none of the terms: the verdict says along which column it lies."""
     result = _fitted(tmp_path, Camera(share_per_day=-0.02)).result
     assert str(result.verdict) == "unnamed_effect"
     assert [(effect.name, effect.where) for effect in result.effects] == [("unnamed", "time")]
@@ -176,8 +171,8 @@ def test_a_unit_that_no_heading_states_stops_until_the_user_states_it(fact, tmp_
     assert found == pytest.approx(expected * (factor or 1.0), rel=1e-6)
 
 
-def test_nights_are_split_at_gaps_and_at_noon(tmp_path):
-    """Three hours without a reading end a night; without such gaps noon does."""
+def test_tables_are_split_into_nights_and_their_columns_named(tmp_path):
+    """Three hours without a reading, else noon; a column that is not there is refused."""
     rows = sky_log(1, Camera())
     assert read_log(write(rows, tmp_path / "a.csv")).nights == 8
     lines = ["adu,exposure_s,lux,utc", *(f"1000,1,5,{1.7e9 + 3600 * n}" for n in range(96))]
@@ -186,6 +181,13 @@ def test_nights_are_split_at_gaps_and_at_noon(tmp_path):
     log = read_log(path)
     assert any("noon" in line for line in log.assumptions)
     assert log.nights in (4, 5)
+    path = write(sky_log(1, Camera(), 3, 5), tmp_path / "t.csv")
+    with pytest.raises(UnsettledError, match="no column 'lumen', which --map reference names; it has utc, adu"):
+        read_log(path, StatementMap.parse(["reference=lumen"]))
+    other = tmp_path / "m.csv"
+    other.write_text("utc,mpsas\n2001-01-01T00:00:00,20\n2001-01-01T00:01:00,20\n", encoding="utf-8")
+    with pytest.raises(InputError, match="both are in UTC"):
+        read_log(path, reference=other)
 
 
 @pytest.mark.parametrize(
@@ -207,14 +209,3 @@ def test_unusable_table_is_refused_in_one_line(tmp_path, capsys, text, message):
     printed = capsys.readouterr().err.strip()
     assert message in printed
     assert len(printed.splitlines()) == 1
-
-
-def test_misnamed_column_is_refused(tmp_path):
-    """A column that is not there is named with those that are."""
-    path = write(sky_log(1, Camera(), 3, 5), tmp_path / "t.csv")
-    with pytest.raises(UnsettledError, match="no column 'lumen', which --map reference names; it has utc, adu"):
-        read_log(path, StatementMap.parse(["reference=lumen"]))
-    other = tmp_path / "m.csv"
-    other.write_text("utc,mpsas\n2001-01-01T00:00:00,20\n2001-01-01T00:01:00,20\n", encoding="utf-8")
-    with pytest.raises(InputError, match="both are in UTC"):
-        read_log(path, reference=other)

@@ -5,7 +5,7 @@ import pytest
 
 from radiometer.acquire.capture_plan import read_capture_plan
 from radiometer.reconciliation.engine import examine, whole_catalogue
-from radiometer.reconciliation.next_capture import write_plan
+from radiometer.reconciliation.separability import write_plan
 from simulators.scenes.kinds import ScreenPatch, ScreenScene
 from testing.reduced import start_of
 
@@ -33,26 +33,25 @@ def veiled(make_capture):
     return _veiled(make_capture)
 
 
-def test_plan_holds_the_captures_of_the_set_and_the_next(veiled, tmp_path):
-    """`bracket` reads it; its frames are a set of their own."""
+def test_plans_hold_what_is_captured_and_what_would_settle_it(veiled, tmp_path, make_capture):
+    """`bracket` reads them; a shading at one f-number asks for a second."""
     design = veiled.outcome.state.design
     assert write_plan(tmp_path / "plan.yaml", veiled.result, design)
     plan = read_capture_plan(tmp_path / "plan.yaml")
     assert plan.total == 4 * (len(design.captures) + 1)
     assert sum(frames.shutter == "closed" for frames in plan.frames) == len(DARKS)
+    (effect,) = _shaded(make_capture).result.effects
+    assert {"mechanical_vignetting", "angle_dependence"} & {effect.name, *effect.alternatives}
+    assert effect.next_capture["frames"][0]["f_number"] != 4.0
 
 
-def test_unknown_scene_is_blind_to_a_veil_and_says_so(make_capture):
-    """Free patches take the veil up: nothing is claimed, its limit lies above it, and a capture is asked for."""
+def test_an_unknown_scene_is_fitted_and_blind_to_a_veil(make_capture):
+    """Still the least χ² is reached to 0.01; its limit lies above it."""
     result = _veiled(make_capture, known=False).result
     assert [effect.name for effect in result.effects if effect.name != "unnamed"] == []
     assert (result.limits["veiling_glare"].amplitude or np.inf) > 0.01
     assert result.limits["ambient_light_leak"].amplitude is None, "without any radiance W/m² has no scale"
     assert result.next_capture["opens"]
-
-
-def test_fit_of_an_unknown_scene_converges(make_capture):
-    """Responsivity and free radiances stand for each other; still the least χ² is reached, to 0.01."""
     captured = make_capture(seed=22, plan=[*BRACKET, *DARKS], known=False)
     state = start_of(captured)
     assert state.cost == pytest.approx(float(np.sum(state.fit.projected**2)), abs=0.01)
@@ -75,10 +74,3 @@ def _shaded(make_capture):
     shade = 1.0 - 0.04 * (((x - 47.5) / 47.5) ** 2 + ((y - 31.5) / 47.5) ** 2)
     captured = make_capture(seed=23, plan=[*BRACKET, *DARKS], picture=lambda image, s: image * shade)
     return examine(captured.header, captured.frames.__getitem__, captured.frames[0].shape, catalogue=ENTRIES)
-
-
-def test_shading_at_one_f_number_may_be_any_that_would_change_with_it(make_capture):
-    """Without a second f-number a shading that grows with the aperture looks the same; a second one is asked for."""
-    (effect,) = _shaded(make_capture).result.effects
-    assert {"mechanical_vignetting", "angle_dependence"} & {effect.name, *effect.alternatives}
-    assert effect.next_capture["frames"][0]["f_number"] != 4.0

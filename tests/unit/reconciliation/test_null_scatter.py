@@ -130,15 +130,11 @@ def test_dark_parts_of_a_scene_are_no_disagreement(dark):
     assert kstest(chances, "uniform").pvalue > 0.01
 
 
-def test_a_step_of_two_codes_is_seen_in_a_scene_all_the_same():
-    """Codes of which every second is missing are the largest disagreement of all."""
+def test_coarse_codes_show_and_dark_pixels_do_not():
+    """Every second code missing is the largest disagreement; a comb at black is that of normal numbers."""
     tests = localise(start_of(scene_with_dark_parts(1, step=2)))
     assert tests[0].block == "comb"
     assert tests[0].log_p < -100.0
-
-
-def test_comb_of_dark_pixels_is_that_of_rounded_normal_numbers():
-    """The largest terms of codes at black are √2 times what is stated, to 5 % and the scatter of 400,000 numbers."""
     state = start_of(scene_with_dark_parts(0))
     codes = np.rint(SCENE_READ_E / SCENE_E_PER_DN * np.random.default_rng(9).standard_normal(400_000))
     largest = [np.mean(np.cos(2.0 * np.pi * codes / period)) for period in COMB_PERIODS]

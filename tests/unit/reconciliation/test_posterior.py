@@ -15,20 +15,11 @@ from radiometer.reconciliation.result import FittedParameter, FoundEffect
 from radiometer.reconciliation.state import ModelFit
 from radiometer.reconciliation.thresholds import TABLE
 from radiometer.reconciliation.verdict import UNNAMED, posterior, pseudo_bma, uncertain, without_essential
-from simulators.effects.angle_dependence import AngleDependence
-from simulators.effects.black_level_offset import BlackLevelOffset
-from simulators.effects.conversion_gain_error import ConversionGainError
-from simulators.effects.crosstalk import Crosstalk
-from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
-from simulators.effects.exposure_time_offset import ExposureTimeOffset
-from simulators.effects.natural_vignetting import NaturalVignetting
-from simulators.effects.psf_blur import PsfBlur
-from simulators.effects.rolling_shutter_banding import RollingShutterBanding
-from simulators.effects.stray_light_kernel import StrayLightKernel
+from testing import effect_kinds as fx
 
 CATALOGUE = ("black_level_offset", "crosstalk")
 SETTINGS = 200
-OFFSET, CROSSTALK = BlackLevelOffset(offset_dn=1.0), Crosstalk(share=0.01)
+OFFSET, CROSSTALK = fx.BlackLevelOffset(offset_dn=1.0), fx.Crosstalk(share=0.01)
 
 
 def _fit(*effects, nats=0.0, curves=0, u=None):
@@ -37,41 +28,25 @@ def _fit(*effects, nats=0.0, curves=0, u=None):
     return ModelFit(effects, curves, density, len(effects) + curves, 1.0, u or {})
 
 
-def test_two_names_that_predict_alike_share_the_probability():
-    """Neither is more than possible, and one of the two is almost certain."""
+def test_names_share_and_pay_for_their_probability_and_uncertainty():
+    """Three nats for a parameter; 1 ± 0.3 and 2 ± 0.4 make 1.5 with the choice in it."""
     found = posterior([_fit(), _fit(OFFSET, nats=100.0), _fit(CROSSTALK, nats=100.0)], CATALOGUE)
     assert found.probability("black_level_offset") == pytest.approx(0.5, abs=1e-3)
     assert found.probability("crosstalk") == pytest.approx(0.5, abs=1e-3)
     assert sum(model.weight for model in found.models) == pytest.approx(1.0)
-
-
-def test_one_setting_gives_no_certainty_and_many_do():
-    """Where one setting holds all Δ nats, the other model keeps ∫ e^−x/(1 + e^Δx) dx, near ln 2/Δ; else nothing."""
     nats = 40.0
     alone, spread = np.zeros((2, SETTINGS)), np.zeros((2, SETTINGS))
     alone[1, 0], spread[1] = nats, nats / SETTINGS
     assert pseudo_bma(alone, np.zeros(2))[0] == pytest.approx(math.log(2.0) / nats, rel=0.5)
     assert pseudo_bma(spread, np.zeros(2))[0] < 1e-6
-
-
-def test_what_no_entry_explains_has_no_name():
-    """A curve, or an effect that is no entry of the catalogue, counts as unnamed."""
     found = posterior([_fit(), _fit(nats=300.0, curves=3), _fit(CROSSTALK, nats=200.0)], CATALOGUE)
     assert found.models[0].names == (UNNAMED,)
     assert posterior([_fit(CROSSTALK)], ("black_level_offset",)).models[0].names == (UNNAMED,)
-
-
-def test_a_name_must_pay_for_its_parameter_and_the_entries_that_might_have_fitted():
-    """Three nats for a parameter and ln 2 for two entries: at 3 + ln 2 nats it is as likely as nothing."""
     found = posterior([_fit(), _fit(OFFSET, nats=3.0 + math.log(2.0))], CATALOGUE)
     assert found.probability("black_level_offset") == pytest.approx(0.5, abs=0.01)
-
-
-def test_uncertainties_contain_the_choice_among_models():
-    """Two models of equal weight with 1 ± 0.3 and 2 ± 0.4: 1.5 ± √((0.09 + 0.16)/2 + 0.25)."""
     key = ("black_level_offset", "offset_dn")
     one = _fit(OFFSET, nats=100.0, u={key: 0.3})
-    both = (BlackLevelOffset(offset_dn=2.0), CROSSTALK)
+    both = (fx.BlackLevelOffset(offset_dn=2.0), CROSSTALK)
     other = ModelFit(both, 0, np.full(SETTINGS, (103.0 + math.log(2.0)) / SETTINGS), 2, 1.0, {key: 0.4})
     found = posterior([_fit(), one, other], CATALOGUE).averaged("black_level_offset")["offset_dn"]
     assert (found.value, found.u) == (pytest.approx(1.5, abs=0.01), pytest.approx(math.sqrt(0.125 + 0.25), rel=0.01))
@@ -108,7 +83,7 @@ def test_weights_are_probabilities_in_the_order_of_what_models_predict(nats):
 # What makes names provisional though nothing structured is left next to them.
 
 
-BLUR_AND_GAIN = (PsfBlur(0.3), ConversionGainError(0.01))
+BLUR_AND_GAIN = (fx.PsfBlur(0.3), fx.ConversionGainError(0.01))
 
 
 def _weighed(*models):
@@ -117,15 +92,11 @@ def _weighed(*models):
     return posterior(fits, ("psf_blur", "conversion_gain_error", "crosstalk"))
 
 
-def test_a_name_that_another_replaces_is_doubted_unless_the_plan_cannot_separate_them():
-    """Of two that predict alike neither is certain; that it is one of the two is, where both are reported."""
+def test_names_that_others_replace_are_doubted():
+    """Unless the plan cannot separate them; one alternative to all doubts them all."""
     weighed = _weighed((BLUR_AND_GAIN[:1], 100.0), ((CROSSTALK,), 100.0), ((), 0.0))
     assert uncertain(["psf_blur"], weighed, {})["psf_blur"] == pytest.approx(0.5, abs=0.01)
     assert uncertain(["psf_blur"], weighed, {"psf_blur": ("crosstalk",)}) == {}
-
-
-def test_one_alternative_to_all_names_doubts_them():
-    """Crosstalk blurs and takes noise away: a blur and a gain error may both be it, unless it predicts far worse."""
     names = [effect.name for effect in BLUR_AND_GAIN]
     alike = dict.fromkeys(names, ("crosstalk",))
     alone = _weighed((BLUR_AND_GAIN, 100.0), ((CROSSTALK,), 100.0))
@@ -133,9 +104,9 @@ def test_one_alternative_to_all_names_doubts_them():
     assert uncertain(names, _weighed((BLUR_AND_GAIN, 100.0), ((CROSSTALK,), 0.0)), alike) == {}
 
 
-def test_fall_off_without_its_oblique_part_lacks_its_essential():
-    """A fall-off that only the term beyond the cos⁴ law carries is no natural vignetting; an offset has none."""
-    lens, late = NaturalVignetting(0.001, 0.02), ExposureTimeOffset(2e-6)
+def test_what_a_form_does_not_fit_is_missed_only_where_it_is_essential():
+    """A fall-off without its oblique part; a shading without a cone."""
+    lens, late = fx.NaturalVignetting(0.001, 0.02), fx.ExposureTimeOffset(2e-6)
 
     def fitted(strength):
         k4, offset = FittedParameter(0.02, 0.002, "1"), FittedParameter(2e-6, 1e-6, "s")
@@ -144,11 +115,7 @@ def test_fall_off_without_its_oblique_part_lacks_its_essential():
 
     assert without_essential((lens, late), fitted(0.001)) == ["natural_vignetting"]
     assert without_essential((lens, late), fitted(0.01)) == []
-
-
-def test_what_a_form_does_not_fit_is_not_missed():
-    """Shading by slant with powers of its own has no cone to fit; a power of the stop that is nothing is missed."""
-    shading = (AngleDependence(0.01, 2.1, -0.5),)
+    shading = (fx.AngleDependence(0.01, 2.1, -0.5),)
 
     def fitted(stop_power):
         sizes = {"strength": 0.01, "radius_power": 2.1, "stop_power": stop_power}
@@ -161,7 +128,7 @@ def test_what_a_form_does_not_fit_is_not_missed():
 
 def test_scatter_of_any_width_lacks_its_essential():
     """A wing whose width the data do not tell may be any glare; darks without noise, at the end of it, are none."""
-    wing = (StrayLightKernel(0.002, 0.7),)
+    wing = (fx.StrayLightKernel(0.002, 0.7),)
 
     def fitted(u):
         return {
@@ -171,13 +138,13 @@ def test_scatter_of_any_width_lacks_its_essential():
     assert without_essential(wing, fitted(0.3)) == ["stray_light_kernel"]
     assert without_essential(wing, fitted(0.1)) == []
     darks = {"dark_frame_subtracted": {"share": FittedParameter(0.0, None, "1")}}
-    assert without_essential((DarkFrameSubtracted(0.0),), darks) == ["dark_frame_subtracted"]
+    assert without_essential((fx.DarkFrameSubtracted(0.0),), darks) == ["dark_frame_subtracted"]
 
 
 @pytest.mark.parametrize(("u_s", "doubted"), [(1e-5, True), (1e-6, False)])
 def test_bands_without_a_time_from_row_to_row_are_any_flicker(u_s, doubted):
     """What comes from the rolling shutter is the wave along the rows: light that shakes whole frames has none."""
-    bands = RollingShutterBanding(0.02, 200.0, 2e-5)
+    bands = fx.RollingShutterBanding(0.02, 200.0, 2e-5)
     fitted = {"rolling_shutter_banding": {"row_time_s": FittedParameter(2e-5, u_s, "s")}}
     assert bool(without_essential((bands,), fitted)) is doubted
 
@@ -188,7 +155,7 @@ def test_law_that_leaves_structure_in_its_own_place_departs():
     def test(block, where, p_value):
         return Disagreement(block, where, "multiplicative", 20.0, 4, p_value)
 
-    late = (ExposureTimeOffset(2e-6),)
+    late = (fx.ExposureTimeOffset(2e-6),)
     quiet = [test("mean", "exposure_s", 0.02), test("mean", "image_x", 0.001), test("variance", "exposure_s", 0.001)]
     assert departing(quiet, late) == []
     assert departing([*quiet, test("mean", "exposure_s", 0.001)], late) == ["exposure_time_offset"]
@@ -197,14 +164,10 @@ def test_law_that_leaves_structure_in_its_own_place_departs():
 # The thresholds that decide about names: one table.
 
 
-def test_every_row_is_the_constant_of_its_name():
-    """What the search reads is what the table says, and each row says why."""
+def test_every_row_has_its_constant_and_every_prior_its_reason():
+    """What the search reads is what the table says."""
     assert [getattr(thresholds, row.name) for row in TABLE] == [row.value for row in TABLE]
     assert all(row.reason and row.measured and row.unit for row in TABLE)
-
-
-def test_prior_odds_that_are_not_even_have_a_reason():
-    """An effect that is less likely beforehand says why, and one that is not says nothing."""
     odd = {
         name: kind for name, kind in whole_catalogue().items() if bool(kind.log_prior_odds) != bool(kind.prior_reason)
     }

@@ -43,16 +43,12 @@ def _layout(values):
     return NuisanceLayout.of(Design.of(header, (8, 8 * len(values))))
 
 
-def test_number_stated_twice_was_measured_once():
-    """Under a chart that was turned the error of calibration goes with the patch, which its number reports."""
+def test_numbers_stated_twice_go_with_what_was_measured():
+    """With the patch under a turned chart; two patches of one value show nothing."""
     chart, turned = _layout([(1.0, 3.0), (2.0, 2.0), (3.0, 1.0)]).shared
     assert chart[0] == turned[2]
     assert chart[2] == turned[0]
     assert len({*chart.tolist()}) == 3
-
-
-def test_number_that_two_patches_share_shows_nothing():
-    """Two patches of one stated value may be two measurements: their errors go with the place."""
     chart, turned = _layout([(1.0, 2.0), (1.0, 3.0), (2.0, 1.0)]).shared
     assert chart.tolist() != [chart[0]] * 3
     assert chart[0] == turned[0] or chart[2] == turned[0]
@@ -67,26 +63,16 @@ def _deviances(wander, seed):
     return np.asarray(3.0 * (ratio / expected + np.log(expected)))
 
 
-def test_lamp_that_wanders_as_stated_is_fitted():
-    """0.1 % from frame to frame at all exposures is found to its uncertainty, within a stated 0.1 %."""
+def test_lamps_wander_no_more_than_stated():
+    """0.1 % is found, 0.2 % is beyond it, and what long exposures even out is none."""
     exposure = np.geomspace(1e-4, 1e-1, 80)
     found = steady_wander2(TRIED, _deviances(np.full(80, 1e-3), 1), exposure, 1e-3)
     assert found == pytest.approx(1e-6, rel=4 * np.sqrt(2 / (3 * 80)))
-
-
-def test_light_that_long_exposures_even_out_is_no_wander():
-    """What averages out in long exposures flickers, and is left to be named; so is nothing, or one capture."""
-    exposure = np.geomspace(1e-4, 1e-1, 80)
     flicker = 1e-3 * np.minimum(1.0, 1e-3 / exposure)
     assert steady_wander2(TRIED, _deviances(flicker, 2), exposure, 1e-3) == 0.0
     assert steady_wander2(TRIED, _deviances(np.zeros(80), 3), exposure, 1e-3) == 0.0
     one_of_them = np.where(np.arange(80) == 40, 3e-3, 0.0)
     assert steady_wander2(TRIED, _deviances(one_of_them, 3), exposure, None) == 0.0
-
-
-def test_lamp_wanders_no_more_than_stated():
-    """A wander of 0.2 % is beyond a stated reproducibility of 0.1 %, but not beyond none; 0.5 % is beyond both."""
-    exposure = np.geomspace(1e-4, 1e-1, 80)
     weak, strong = _deviances(np.full(80, 2e-3), 4), _deviances(np.full(80, 5e-3), 4)
     assert steady_wander2(TRIED, weak, exposure, 1e-3) <= (1.3e-3) ** 2
     assert steady_wander2(TRIED, weak, exposure, None) == pytest.approx(4e-6, rel=4 * np.sqrt(2 / (3 * 80)))
@@ -149,16 +135,12 @@ def _with_offset(captured):
     return refit(reweighted(refit(with_effects(start_of(captured), [ExposureTimeOffset(offset_s=1e-6)]))))
 
 
-def test_uncertainties_stay_where_no_structure_is_left(make_capture):
-    """A model that is right keeps the covariance of its fit."""
+def test_structure_along_a_covariate_alone_widens_uncertainties(make_capture):
+    """A right model keeps its covariance; under waves of 2 % an offset that is none lies within 3 u."""
     state = _with_offset(make_capture(3, plan=LADDER))
     assert not is_misfit(state)
     first = state.layout.size + state.weights.size
     assert effect_covariance(state) == pytest.approx(state.fit.covariance[first:, first:])
-
-
-def test_uncertainties_are_widened_by_structure_along_a_covariate(make_capture):
-    """Where light goes in waves of 2 % with the exposure, an offset that is none lies within three of its u."""
 
     def wavy(image, setting):
         return image * (1.0 + 0.02 * np.sin(2.0 * np.log(setting["t"])))
@@ -173,8 +155,8 @@ def test_uncertainties_are_widened_by_structure_along_a_covariate(make_capture):
     assert abs(offset.value) > 3.0 * plain
 
 
-def test_an_effect_of_temperature_moves_the_first_frame_of_a_series(make_capture):
-    """Of frames that warm up by 0.3 K after the first, that one is darker by 0.3 K times the drift."""
+def test_temperature_moves_the_first_frame_of_a_series(make_capture):
+    """By 0.3 K times the drift; declared dark electrons by 2^(0.1) − 1 at 0.7 K."""
     captured = make_capture(1, plan=[{"t": 1e-3}, {"t": 3e-3}])
     entries = captured.header.frames
     warm_c = [30.0 + 0.3 * (number % 4 > 0) + 5.0 * (number // 4) for number in range(len(entries))]
@@ -182,10 +164,6 @@ def test_an_effect_of_temperature_moves_the_first_frame_of_a_series(make_capture
     state = start_of(replace(captured, header=captured.header.model_copy(update={"frames": warming})))
     drifting = state.model.with_effects([BlackLevelDrift(drift_dn_per_K=2.0)])
     assert drifting.predict(state.nuisance).first == pytest.approx(-0.6, abs=2e-4)  # and a little dark current
-
-
-def test_declared_dark_current_moves_the_first_frame_of_a_series(make_capture):
-    """Dark electrons of 1 s at 25 °C, 1 e-/s doubling in 7 K, differ by 2^(0.1) − 1 when it is 0.7 K warmer."""
     captured = make_capture(1, plan=[{"t": 1.0, "shutter": "closed"}, {"t": 1e-3}])
     entries = captured.header.frames
     warm_c = [25.0 + 0.7 * (number % 4 > 0) + 5.0 * (number // 4) for number in range(len(entries))]

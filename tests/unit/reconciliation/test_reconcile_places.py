@@ -27,8 +27,11 @@ def _design(times_s, warm_c):
     return Design.of(CaptureHeader(camera=CameraDescription(bit_depth=12), frames=frames), (32, 48))
 
 
-def test_swinging_lamp_is_not_taken_for_poor_repeatability():
-    """A swing of 0.6 % within 13 minutes leaves τ near the 0.1 % by which neighbouring captures differ."""
+def test_settings_repeat_whatever_rounding_and_swings_do():
+    """34.7 to 35.3 °C are one; τ stays at the 0.1 % of neighbours."""
+    warm = [34.7, 34.9, 35.1, 35.3, 34.8, 35.2, 44.9, 45.1]
+    ids = _design(list(np.arange(8) * 25.0), warm).setting_id
+    assert ids.tolist() == [0, 1, 0, 1, 0, 1, 2, 3]
     rng = np.random.default_rng(5)
     captures = 120
     design = _design(np.cumsum(rng.uniform(20.0, 30.0, captures)).tolist(), [35.0] * captures)
@@ -39,10 +42,6 @@ def test_swinging_lamp_is_not_taken_for_poor_repeatability():
     assert still == pytest.approx(1e-3, rel=4 / np.sqrt(2 * captures))
     # All captures together may raise it, but no further than the repeats allow: a factor of two at least stays open.
     assert still <= estimate_tau(design, steady + swing, noise) < 2.0 * still
-
-
-def test_one_wrong_capture_is_no_poor_repeatability():
-    """A capture that is 26 % brighter than its repeats leaves τ at the 0.1 % of the others, to its uncertainty."""
     rng = np.random.default_rng(6)
     captures = 60
     design = _design((np.arange(captures) * 25.0).tolist(), [20.0 + 5.0 * (i // 4) for i in range(captures)])
@@ -52,13 +51,6 @@ def test_one_wrong_capture_is_no_poor_repeatability():
     found = estimate_tau(design, np.where(others, scale, 0.0), np.where(others, 1e-10, np.inf))
     assert found == pytest.approx(1e-3, rel=4 / np.sqrt(captures))
     assert estimate_tau(design, scale, np.full(captures, 1e-10)) < 3 * found
-
-
-def test_setting_repeats_whatever_the_rounding_of_its_temperature():
-    """34.7 to 35.3 °C is one temperature although 35 lies on the edge of an even step of 2 K; 45 °C is another."""
-    warm = [34.7, 34.9, 35.1, 35.3, 34.8, 35.2, 44.9, 45.1]
-    ids = _design(list(np.arange(8) * 25.0), warm).setting_id
-    assert ids.tolist() == [0, 1, 0, 1, 0, 1, 2, 3]
 
 
 @pytest.mark.slow
@@ -74,18 +66,13 @@ def test_one_cause_is_one_place(make_capture):
 
 
 @pytest.mark.slow
-def test_stronger_half_is_a_step_in_the_picture(make_capture):
-    """A right half that is 2 % stronger is placed along the width of the picture, as a step of halves."""
+def test_places_of_halves_and_of_time_are_found(make_capture):
+    """2 % along the width of the picture, 1 % three times in the session."""
     state = start_of(
         make_capture(seed=4, picture=lambda image, setting: image * (1 + 0.02 * (np.arange(image.shape[1]) >= 48)))
     )
     first = places(state, 1)[0]
     assert (first.block, first.where, axis_of(first.where, first.block)) == ("mean", "half_x", "image_x")
-
-
-@pytest.mark.slow
-def test_swinging_lamp_is_placed_along_time(make_capture):
-    """A lamp that swings by 1 % three times in the session is placed along time."""
     clock = iter(range(10_000))
 
     def swing(image, setting):
@@ -140,23 +127,19 @@ def _reported(apart_dn, *, light_dn=0.0, seed=1, tiles=None, first_dn=0.0):
     return repeats_of(design, lambda f: means[list(f)], usable, sensitivity, np.full(shape, first_dn), (0.1, 0.1))
 
 
-def test_the_scatter_of_dark_frames_is_reported_in_dn():
-    """Frames of 0.4 DN scatter are reported 0.4 DN within three of the u that 24 degrees of freedom give."""
+def test_scatter_is_reported_in_dn_and_relative_to_light():
+    """0.4 DN within 3 u of 24 degrees of freedom; 8 of 4000 DN are 0.2 %."""
     (dark,) = _reported(np.random.default_rng(2).normal(0.0, 0.4, (SERIES, FRAMES)))
     assert dark.scatter.u == pytest.approx(dark.scatter.value / np.sqrt(2 * SERIES * (FRAMES - 1)), rel=0.01)
     assert dark.scatter.value == pytest.approx(0.4, abs=3 * float(dark.scatter.u or 0))
     assert (dark.kind, dark.scatter.unit) == ("dark", "DN")
-
-
-def test_the_scatter_of_a_lamp_is_reported_relative_to_its_light():
-    """Frames that differ by 8 DN of 4000 DN of light differ by 0.2 %."""
     (lit,) = _reported(np.random.default_rng(3).normal(0.0, 8.0, (SERIES, FRAMES)), light_dn=4000.0)
     assert lit.scatter.value == pytest.approx(0.002, abs=3 * float(lit.scatter.u or 0))
     assert "%" in lit.sentences()[0]
 
 
-def test_a_first_frame_is_reported_with_the_scatter_of_its_tiles():
-    """A first frame 3 DN above the others is reported so, within three u; u is the tiles' scatter over √24."""
+def test_first_frames_are_reported_with_the_scatter_of_their_tiles():
+    """3 DN within three u, and so in JSON; of four tiles within five."""
     apart = np.zeros((SERIES, FRAMES))
     apart[2, 0] = 3.0
     (dark,) = _reported(apart)
@@ -166,54 +149,11 @@ def test_a_first_frame_is_reported_with_the_scatter_of_its_tiles():
     assert dark.series[2].standing_out == (0,)
     assert sum(len(one.standing_out) for one in dark.series) == 1
     assert "first frame of a series" in dark.sentences()[1]
-
-
-def test_equal_frames_seldom_stand_out():
-    """Of 200 sets without an odd frame at most 0.1 % and three of its sigmas name one."""
-    rng, sets = np.random.default_rng(4), 200
-    reported = [_reported(rng.normal(0.0, 0.4, (SERIES, FRAMES)), seed=n)[0] for n in range(sets)]
-    named = sum(any(one.standing_out for one in dark.series) for dark in reported)
-    assert named <= 0.001 * sets + 3 * np.sqrt(0.001 * sets)
-
-
-def test_what_tiles_scatter_by_is_no_wander():
-    """Frames that differ by their pixels alone: no scatter beyond two u in nine of ten sets, and nothing stated."""
-    reported = [_reported(np.zeros((SERIES, FRAMES)), seed=n)[0] for n in range(40)]
-    printed = [dark for dark in reported if dark.scatter.value > 2.0 * float(dark.scatter.u or 0.0)]
-    assert len(printed) <= 4 + 3 * 2
-    assert all(dark.scatter.value < TILE_DN for dark in reported)
-    assert all(
-        "series of one setting" not in text for dark in reported if dark not in printed for text in dark.sentences()
-    )
-
-
-def test_single_frames_tell_nothing():
-    """Without repeats nothing is stated."""
-    entries = tuple(FrameEntry.of(f"{n}.tif", FrameSettings(1.0 + n, shutter="closed")) for n in range(4))
-    design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=16), frames=entries), SIZE)
-    shape = (len(design.captures), len(design.tiles))
-    usable, nothing = np.ones(shape, np.bool_), np.zeros(shape)
-    assert repeats_of(design, lambda f: np.zeros((len(f), shape[1])), usable, nothing, nothing, (0.0, 0.0)) == ()
-
-
-def test_what_is_reported_stands_in_json():
-    """Scatter, what was fitted aside, each frame of each series, and the words."""
     (dark,) = _reported(np.random.default_rng(5).normal(0.0, 0.4, (SERIES, FRAMES)))
     mapping = dark.to_mapping()
     assert mapping["fitted_aside"] == 0.1
     assert [len(one["frames"]) for one in mapping["series"]] == [FRAMES] * SERIES
     assert mapping["said"][0].startswith(f"{SERIES * FRAMES} dark frames in {SERIES} series")
-
-
-@pytest.mark.parametrize("tiles", [1, 3])
-def test_frames_of_too_few_tiles_tell_nothing(tiles):
-    """One tile has no scatter to say how well a frame's offset is known: nothing is stated, and never ± 0."""
-    apart = np.random.default_rng(4).normal(0.0, 0.4, (SERIES, FRAMES))
-    assert _reported(apart, tiles=tiles) == ()
-
-
-def test_four_tiles_tell_a_frame_with_a_u():
-    """Of four tiles a frame 3 DN off is reported within five of its u, and the u is that of tiles of 0.02 DN."""
     apart = np.zeros((SERIES, FRAMES))
     apart[2, 0] = 3.0
     (dark,) = _reported(apart, tiles=4)
@@ -221,6 +161,33 @@ def test_four_tiles_tell_a_frame_with_a_u():
     assert (u > 0).all()
     assert np.median(u) == pytest.approx(1.2533 * TILE_DN * np.sqrt(FRAMES / (FRAMES - 1)) / np.sqrt(4), rel=0.5)
     assert dark.series[2].apart[0] == pytest.approx(3.0, abs=0.1)
+
+
+def test_frames_without_repeats_or_odd_ones_tell_nothing():
+    """At most 0.1 % of 200 sets name one; pixels' own scatter is no wander."""
+    rng, sets = np.random.default_rng(4), 200
+    reported = [_reported(rng.normal(0.0, 0.4, (SERIES, FRAMES)), seed=n)[0] for n in range(sets)]
+    named = sum(any(one.standing_out for one in dark.series) for dark in reported)
+    assert named <= 0.001 * sets + 3 * np.sqrt(0.001 * sets)
+    reported = [_reported(np.zeros((SERIES, FRAMES)), seed=n)[0] for n in range(40)]
+    printed = [dark for dark in reported if dark.scatter.value > 2.0 * float(dark.scatter.u or 0.0)]
+    assert len(printed) <= 4 + 3 * 2
+    assert all(dark.scatter.value < TILE_DN for dark in reported)
+    assert all(
+        "series of one setting" not in text for dark in reported if dark not in printed for text in dark.sentences()
+    )
+    entries = tuple(FrameEntry.of(f"{n}.tif", FrameSettings(1.0 + n, shutter="closed")) for n in range(4))
+    design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=16), frames=entries), SIZE)
+    shape = (len(design.captures), len(design.tiles))
+    usable, nothing = np.ones(shape, np.bool_), np.zeros(shape)
+    assert repeats_of(design, lambda f: np.zeros((len(f), shape[1])), usable, nothing, nothing, (0.0, 0.0)) == ()
+
+
+@pytest.mark.parametrize("tiles", [1, 3])
+def test_frames_of_too_few_tiles_tell_nothing(tiles):
+    """One tile has no scatter to say how well a frame's offset is known: nothing is stated, and never ± 0."""
+    apart = np.random.default_rng(4).normal(0.0, 0.4, (SERIES, FRAMES))
+    assert _reported(apart, tiles=tiles) == ()
 
 
 @pytest.mark.parametrize("light_dn", [0.0, 400.0])

@@ -7,15 +7,16 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.errors import CaptureError
-from radiometer.reconciliation.descent import converged_fit, first_state, fitted_parameters, refit
+from radiometer.reconciliation.descent import converged_fit, first_state, fitted_parameters, is_misfit, refit
 from radiometer.reconciliation.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
-from radiometer.reconciliation.lines import RowBins, edge_shares
+from radiometer.reconciliation.lines import RowBins, TileBands, edge_shares, wave_power
 from radiometer.reconciliation.localise import localise, significant
 from radiometer.reconciliation.reduce import CaptureSums, add_tiles, coarse_cells, reduce_frames
 from radiometer.reconciliation.separability import limits
 from radiometer.reconciliation.shared_errors import fixed_errors
 from radiometer.reconciliation.state import LinearTerm, with_effects
 from radiometer.reconciliation.statistics import usable_entries
+from radiometer.reconciliation.verdict import place_of_scatter
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.pixel_mixing import disc_edge_share
@@ -29,20 +30,16 @@ def _header(exposures):
     return CaptureHeader(camera=CameraDescription(bit_depth=12), frames=frames)
 
 
-def test_neighbouring_frames_of_one_setting_are_one_capture():
-    """A run of one exposure is a capture; a run twice the usual length is two."""
+def test_frames_of_one_setting_are_gathered():
+    """Neighbours as captures of the usual length, interleaved ones as repeats."""
     captures = group_captures(_header([1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0]))
     assert [capture.frames for capture in captures] == [(0, 1), (2, 3), (4, 5), (6, 7)]
-
-
-def test_interleaved_single_frames_are_gathered_by_setting():
-    """Where no two neighbours share a setting, the repeats make the capture."""
     captures = group_captures(_header([1.0, 2.0, 1.0, 2.0]))
     assert [capture.frames for capture in captures] == [(0, 2), (1, 3)]
 
 
-def test_a_patch_keeps_a_margin_and_lies_in_the_frame(make_capture):
-    """From eight pixels on a tile is a pixel smaller on each side; a patch that does not fit names itself."""
+def test_patches_keep_a_margin_and_frames_one_size(make_capture):
+    """A pixel on each side from eight on; what does not fit is named."""
     captured = make_capture(plan=[{"t": 1e-3}], frames=1)
     for side, kept in ((7, 7), (8, 6), (9, 7)):
         small = captured.header.patches[0].model_copy(update={"width": side, "height": side})
@@ -50,6 +47,11 @@ def test_a_patch_keeps_a_margin_and_lies_in_the_frame(make_capture):
         assert Design.of(header, captured.frames[0].shape).tiles[0].width == kept
     with pytest.raises(CaptureError, match=r"patch 'p05' .* is outside"):
         Design.of(captured.header, (64, 90))
+    captured = make_capture(plan=[{"t": 3e-3}], frames=2)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    smaller = Frame(captured.frames[1].dn[:-1], 12, captured.frames[1].settings)
+    with pytest.raises(CaptureError, match="frame 1 is 96 × 63 pixels"):
+        reduce_frames(design, [captured.frames[0], smaller].__getitem__)
 
 
 def test_mean_and_variance_agree_with_numpy(make_capture):
@@ -130,8 +132,8 @@ def test_hot_and_unsteady_pixels_of_a_dark_are_left_out_everywhere():
     assert seen.unsteady.tolist() == [0.0, 1.0]
 
 
-def test_a_histogram_cut_off_below_full_scale_is_not_compared():
-    """Codes that a saturation of 900 DN removes are no missing codes of the converter; a dimmer capture's count."""
+def test_what_ends_below_full_scale_is_neither_comb_nor_defect():
+    """A saturation of 900 DN removes codes; noise cut off belongs to the mean."""
     rng = np.random.default_rng(12)
     frames = [
         Frame(np.minimum(rng.poisson(level, (96, 144)), 900).astype(np.uint16), 12, FrameSettings(level / 400.0))
@@ -140,10 +142,6 @@ def test_a_histogram_cut_off_below_full_scale_is_not_compared():
     state = start_of(taken(frames))
     counts = usable_entries(state.design, state.seen, state.prediction)["comb"]
     assert counts.any(axis=1).tolist() == [True, False]
-
-
-def test_values_cut_off_below_full_scale_make_no_defects():
-    """Noise cut off from 0 to 1.5 sigmas below its middle: what stays below the cut belongs to the tile's mean."""
     rng = np.random.default_rng(9)
     cuts = [500.0 - share * 20.0 for share in (0.0, 0.5, 0.8, 1.0, 1.2, 1.5)]
     frames = [
@@ -156,8 +154,8 @@ def test_values_cut_off_below_full_scale_make_no_defects():
     assert float(seen.mean.mean()) == pytest.approx(float(np.mean([frame.dn for frame in frames])), abs=0.05)
 
 
-def test_structure_of_an_unknown_scene_is_no_outlier():
-    """Without patches a tile that holds a bright spot keeps it at every exposure: its mean grows with the exposure."""
+def test_structure_and_flicker_of_an_unknown_scene_are_no_outlier_nor_noise():
+    """A bright spot grows with the exposure and moves with the light."""
     rng = np.random.default_rng(4)
     scene = np.full((48, 72), 100.0)
     scene[2:5, 2:5] = 900.0
@@ -168,10 +166,6 @@ def test_structure_of_an_unknown_scene_is_no_outlier():
     expected = scene[:12, :12].mean()
     sigma = np.sqrt(expected * 2.0 / 144)
     np.testing.assert_allclose(seen.mean[:, 0] - 64.0, expected * np.array([0.5, 1.0, 2.0]), atol=5 * sigma)
-
-
-def test_flicker_of_an_unknown_scene_is_no_noise_of_its_structure():
-    """Light that all of a frame shares moves a bright spot more than its tile; noise and rows are those of photons."""
     rng = np.random.default_rng(6)
     scene = np.full((96, 144), 200.0)
     scene[8:18, 5:20] = 2000.0  # in the first tile of 24 × 24
@@ -219,19 +213,12 @@ def test_rows_alone_move_the_tiles_of_a_grid_as_one():
     assert np.sum(large > 1e-2 * large[0]) == 4
 
 
-def test_frames_of_another_size_are_refused(make_capture):
-    """The message names the frame and both sizes."""
-    captured = make_capture(plan=[{"t": 3e-3}], frames=2)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    smaller = Frame(captured.frames[1].dn[:-1], 12, captured.frames[1].settings)
-    with pytest.raises(CaptureError, match="frame 1 is 96 × 63 pixels"):
-        reduce_frames(design, [captured.frames[0], smaller].__getitem__)
-
-
 @pytest.mark.slow
-def test_repeatability_is_found(declared):
-    """τ comes out at the 0.1 % that the lamp has, within the 99 % interval of 50 captures."""
+def test_captures_show_repeatability_but_no_blur_that_borders_feign(declared):
+    """τ of 0.1 % within its interval; five times 0.05 % is the least."""
     assert declared.tau == pytest.approx(1e-3, rel=0.3)
+    limit = limits(declared, {"psf_blur": PsfBlur})["psf_blur"].amplitude
+    assert 5.0 * 5e-4 * 0.95 < np.exp(-0.5 / limit**2) < 5.0 * 5e-4 * 4.0
 
 
 def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture):
@@ -276,12 +263,17 @@ def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture):
 
 
 @pytest.mark.slow
-def test_parameter_on_its_bound_hides_nothing(make_capture):
-    """A drift with temperature cannot stand for a constant offset, however far its reference: the tests say so."""
+def test_what_stands_still_hides_nothing(make_capture):
+    """A drift on its bound is no offset; a blur of a tenth of a pixel stays."""
     state = start_of(make_capture(extra_dn=lambda setting: 4.0))
     found = converged_fit(refit(with_effects(state, [BlackLevelDrift(0.1, -20.0)])))
     assert found.parameters.on_bounds()[0].any(), "the reference temperature runs to its bound"
     assert ("mean", "temperature_C") in {(test.block, test.where) for test in significant(localise(found))}
+    state = start_of(make_capture(extra_dn=lambda setting: 0.9))
+    found = converged_fit(refit(with_effects(state, [PsfBlur(0.1), BlackLevelOffset(0.1)])))
+    entry = fitted_parameters(found)["black_level_offset"]["offset_dn"]
+    assert entry.value == pytest.approx(0.9, abs=3.0 * entry.u)
+    assert found.effects[0] == PsfBlur(0.1)
 
 
 @pytest.mark.slow
@@ -298,23 +290,6 @@ def test_source_of_unknown_reproducibility_may_wander(make_capture):
     assert "common" not in {test.block for test in significant(localise(unstated))}
     freedom = 2 * len(plan)  # of four frames the first has a statistic of its own
     assert np.sqrt(unstated.comparison.wander2) == pytest.approx(0.003, rel=4.0 / np.sqrt(2.0 * freedom))
-
-
-@pytest.mark.slow
-def test_blur_that_moves_nothing_stands_still(make_capture):
-    """A blur of a tenth of a pixel reaches no neighbour: the fit leaves it where it is and still finds the offset."""
-    state = start_of(make_capture(extra_dn=lambda setting: 0.9))
-    found = converged_fit(refit(with_effects(state, [PsfBlur(0.1), BlackLevelOffset(0.1)])))
-    entry = fitted_parameters(found)["black_level_offset"]["offset_dn"]
-    assert entry.value == pytest.approx(0.9, abs=3.0 * entry.u)
-    assert found.effects[0] == PsfBlur(0.1)
-
-
-@pytest.mark.slow
-def test_no_number_of_captures_shows_a_blur_that_borders_feign(declared):
-    """What makes borders unsharp by 0.05 % is the same in all pictures: five times that is the least that shows."""
-    limit = limits(declared, {"psf_blur": PsfBlur})["psf_blur"].amplitude
-    assert 5.0 * 5e-4 * 0.95 < np.exp(-0.5 / limit**2) < 5.0 * 5e-4 * 4.0
 
 
 # The pass over a frame's tiles, compiled and as it is written.
@@ -370,19 +345,14 @@ def test_sums_of_tiles_are_those_of_their_pixels(frame, form):
 
 
 @BOTH
-def test_a_second_frame_is_added(frame, form):
-    """Sums of the same frame twice are twice those of once."""
+def test_sums_count_each_frame_and_whole_tiles(frame, form):
+    """A second frame doubles them; every number where a tile is whole and wide; else no mean."""
     once, twice, good = _sums(), _sums(), np.ones(frame.shape, np.bool_)
     form(add_tiles)(frame, good, TOP, LEFT, FULL, 0.0, *once.values())
     for _ in range(2):
         form(add_tiles)(frame, good, TOP, LEFT, FULL, 0.0, *twice.values())
     for name in ("total", "square", "pair_x", "pair_y", "histogram"):
         assert twice[name] == pytest.approx(2 * once[name])
-
-
-@BOTH
-def test_numbers_are_counted_where_a_tile_is_whole_and_wide(frame, form):
-    """Every number occurs; only the tile without clipped pixels, wider than the comb's limit, enters the histogram."""
     good = np.ones(frame.shape, np.bool_)
     wide, narrow = _sums(), _sums()
     form(add_tiles)(frame, good, TOP, LEFT, FULL, 0.0, *wide.values())
@@ -391,20 +361,113 @@ def test_numbers_are_counted_where_a_tile_is_whole_and_wide(frame, form):
     assert np.flatnonzero(wide["occurring"]).tolist() == sorted({int(value) for tile in both for value in tile.flat})
     assert wide["histogram"].tolist() == np.bincount(both[1].ravel(), minlength=64).tolist()
     assert narrow["histogram"].sum() == 0
-
-
-@BOTH
-def test_a_tile_without_a_good_pixel_has_no_mean(frame, form):
-    """No number stands where none was measured."""
     sums = _sums()
     mean, *_ = form(add_tiles)(frame, np.zeros(frame.shape, np.bool_), TOP, LEFT, FULL, 0.0, *sums.values())
     assert np.isnan(mean).all()
-
-
-@BOTH
-def test_cells_hold_mean_and_largest_value(frame, form):
-    """Two by two pixels each; what is beyond the last whole cell is left out."""
     mean, largest = form(coarse_cells)(frame, 2, 3, 4)
     cells = frame[:6, :8].reshape(3, 2, 4, 2)
     assert mean == pytest.approx(cells.mean(axis=(1, 3)))
     assert largest == pytest.approx(cells.max(axis=(1, 3)))
+
+
+# Bands of a rolling shutter: their statistic, what they leave in tiles, and scatter that no trend explains.
+
+
+PERIODS_PER_ROW = 0.0217
+AMPLITUDE = 0.01
+
+
+def _bands(seed, periods_per_row):
+    """Return what a wave along the rows does to each frame's picture, at a phase of its own."""
+    rng = np.random.default_rng(seed)
+
+    def picture(image, setting):
+        rows = np.arange(image.shape[0])[:, None]
+        phase = rng.uniform(0, 2 * np.pi)
+        return image * (1 + AMPLITUDE * np.sin(2 * np.pi * periods_per_row * rows + phase))
+
+    return picture
+
+
+def _one_after_the_other(captures):
+    """Return exposures that differ a little, so that each has a capture of its own."""
+    return [{"t": 3e-3 + 1e-5 * number} for number in range(captures)]
+
+
+def test_without_bands_rows_are_noise_and_bins_whole(make_capture):
+    """Ratios of mean 1 within 4 sigma; a tile covers no further bin than its own."""
+    captured = make_capture(plan=[*_one_after_the_other(24), {"t": 1e-3, "shutter": "closed"}], seed=4)
+    seen = statistics_of(captured)
+    lit = np.isfinite(seen.bands)
+    assert lit.sum(axis=1).max() > 10
+    assert np.mean(seen.bands[lit]) == pytest.approx(1.0, abs=4 * np.sqrt(1.0 / lit.sum()))
+    captured = make_capture(plan=[{"t": 3e-3}], frames=1)
+    small = Design.of(captured.header, captured.frames[0].shape)
+    tiles = [dataclasses.replace(small.tiles[0], y=10, height=height) for height in (22, 23)]
+    ending, reaching = (RowBins.of(dataclasses.replace(small, shape=(480, 96), tiles=(tile,))) for tile in tiles)
+    assert (ending.step, ending.number, ending.orders) == (2, 240, 3)
+    assert reaching.orders == 4
+    np.testing.assert_array_equal(ending.middle[:3], [0.5, 2.5, 4.5])
+
+
+def test_bands_have_the_power_that_a_wave_predicts(make_capture):
+    """Over 24 captures the ratios summed over all frequencies agree with 1 + A²/2·|z|² within 4 sigma of the phases."""
+    captured = make_capture(plan=_one_after_the_other(24), picture=_bands(5, PERIODS_PER_ROW), seed=5)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    seen, _ = reduce_frames(design, captured.frames.__getitem__)
+    power, common = wave_power(RowBins.of(design), seen.bands_basis, PERIODS_PER_ROW)
+    measured = np.nansum(seen.bands, axis=1)
+    expected = np.sum(np.where(np.isfinite(seen.bands), 1 + AMPLITUDE**2 / 2 * power, 0.0), axis=1)
+    assert expected.min() > 10 * seen.bands.shape[1]
+    ratio = measured / expected
+    assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std(ddof=1) / np.sqrt(ratio.size))
+    shared = seen.common * seen.common_unit / (AMPLITUDE**2 / 2 * common)
+    assert shared.mean() == pytest.approx(1.0, abs=4 * shared.std(ddof=1) / np.sqrt(shared.size))
+
+
+def test_a_tile_keeps_of_a_wave_what_random_phases_show(make_capture):
+    """Mean, rise, spread and neighbours of a tile's rows over 20 000 phases, against the closed forms."""
+    captured = make_capture(plan=[{"t": 3e-3}])
+    design = Design.of(captured.header, captured.frames[0].shape)
+    left = TileBands.of(design, PERIODS_PER_ROW)
+    height = design.tiles[0].height
+    phases = np.linspace(0, 2 * np.pi, 20_000, endpoint=False)[:, None]
+    y = np.arange(height) - (height - 1) / 2
+    waves = np.sqrt(2.0) * np.cos(2 * np.pi * PERIODS_PER_ROW * y + phases)
+    fitted = np.polynomial.polynomial.polyfit(y / (height / 2), waves.T, 1)
+    quadratic = np.polynomial.polynomial.polyfit(y, waves.T, 2)
+    rough = waves - np.polynomial.polynomial.polyval(y, quadratic)
+    inside = waves - waves.mean(axis=1, keepdims=True)
+    assert left.mean[0] ** 2 == pytest.approx(np.mean(waves.mean(axis=1) ** 2), rel=1e-6)
+    assert left.rise[0] ** 2 == pytest.approx(np.mean(fitted[1] ** 2), rel=1e-6)
+    assert left.within[0] == pytest.approx(np.mean(inside**2), rel=1e-6)
+    assert left.rough[0] == pytest.approx(np.mean(rough**2), rel=1e-6)
+    assert left.lag[0] == pytest.approx(np.mean(inside[:, 1:] * inside[:, :-1]), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture):
+    """Bands lead in `bands`; a flicker that all rows share leaves nothing there."""
+    plan = [{"t": t, "d": d} for t in (1e-3, 2e-3, 3e-3) for d in (0.5, 0.9) for _ in range(3)]
+    banded = significant(localise(start_of(make_capture(plan=plan, picture=_bands(6, PERIODS_PER_ROW), seed=6))))
+    assert banded[0].block == "bands"
+    shaken = {test.block for test in significant(localise(start_of(make_capture(plan=plan, picture=_bands(7, 0.0)))))}
+    assert "common" in shaken
+    assert "bands" not in shaken
+
+
+@pytest.mark.slow
+def test_scatter_without_any_trend_is_reported(make_capture):
+    """Patches that differ at random from frame to frame by 0.5 % scatter the means beyond their noise."""
+    rng = np.random.default_rng(9)
+
+    def uneasy(image, setting):
+        height, width = image.shape
+        patches = 1 + 0.005 * rng.standard_normal((4, 6))
+        return image * np.kron(patches, np.ones((height // 4, width // 6)))
+
+    plan = [{"t": t, "d": d} for t in (1e-3, 2e-3, 4e-3) for d in (0.3, 0.5, 0.9) for _ in range(3)]
+    calm, restless = (start_of(make_capture(plan=plan, seed=8, **hidden)) for hidden in ({}, {"picture": uneasy}))
+    assert not is_misfit(calm)
+    assert is_misfit(restless)
+    assert place_of_scatter(restless, localise(restless))[0] in ("mean", "first", "bands")

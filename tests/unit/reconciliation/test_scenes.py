@@ -7,8 +7,8 @@ from scipy.ndimage import gaussian_filter
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
 from radiometer.errors import CaptureError
 from radiometer.reconciliation.design import Design
-from radiometer.reconciliation.frame_order import FineStructure, scenes_of
 from radiometer.reconciliation.reduce import with_even_tiles
+from radiometer.reconciliation.repeatability import FineStructure, scenes_of
 from testing.reconciled import reconcile
 
 BLACK, E_PER_DN, READ_E, FULL = 100.0, 2.0, 4.0, 4095
@@ -32,11 +32,15 @@ def shown(*pictures):
     return [scenes_of(seen)[n] for n in range(len(pictures))]
 
 
-def test_scenes_are_numbered_in_the_order_in_which_they_come():
-    """One that comes back has its number again, whatever the exposures."""
+def test_scenes_are_told_by_their_details():
+    """Numbered as they come; from noise, even fields and clipped frames none is seen."""
     one, other = scene(1), scene(2)
     lights = zip((one, one, other, one, other, scene(3)), (400.0, 3000.0, 1000.0, 800.0, 3000.0, 900.0), strict=True)
     assert shown(*(taken(radiance, e, n) for n, (radiance, e) in enumerate(lights))) == [0, 0, 1, 0, 1, 2]
+    even = [taken(np.ones((HEIGHT, WIDTH)), 2000.0, n) for n in range(3)]
+    assert shown(*even) == [0, 0, 0]
+    assert shown(taken(scene(1, 0.02), 5000.0, 1), taken(scene(2, 0.02), 5000.0, 2)) == [0, 0]
+    assert shown(taken(scene(8), 2000.0, 1), taken(scene(9), 4.0, 2), taken(scene(9), 60_000.0, 3)) == [0, 0, 0]
 
 
 def test_what_cameras_and_lamps_do_is_no_other_scene():
@@ -53,26 +57,14 @@ def test_what_cameras_and_lamps_do_is_no_other_scene():
     assert shown(*pictures) == [0] * len(pictures)
 
 
-def test_even_fields_and_frames_too_dark_or_clipped_show_no_scene():
-    """Nothing is recognised from noise, what differs by two hundredths, and where most of either frame is clipped."""
-    even = [taken(np.ones((HEIGHT, WIDTH)), 2000.0, n) for n in range(3)]
-    assert shown(*even) == [0, 0, 0]
-    assert shown(taken(scene(1, 0.02), 5000.0, 1), taken(scene(2, 0.02), 5000.0, 2)) == [0, 0]
-    assert shown(taken(scene(8), 2000.0, 1), taken(scene(9), 4.0, 2), taken(scene(9), 60_000.0, 3)) == [0, 0, 0]
-
-
-def test_the_noise_of_a_block_is_that_of_its_pixels_over_their_root():
-    """A block of four by four pixels: twenty even frames scatter by what is stated of each."""
+def test_blocks_of_a_scene_scatter_as_their_pixels():
+    """Over their root; of large frames as the pixels that are looked at."""
     seen = [FineStructure.of(taken(np.ones((HEIGHT, WIDTH)), 800.0, n), BLACK, FULL) for n in range(20)]
     assert seen[0].log_light.shape == (24, 32)
     scatter = np.var([one.log_light for one in seen], axis=0, ddof=1).mean()
     assert scatter == pytest.approx((800.0 + READ_E**2 + E_PER_DN**2 / 12.0) / 800.0**2 / 16.0, rel=0.05)
     assert np.mean([one.noise2.mean() for one in seen]) == pytest.approx(scatter * 15.0 / 16.0, rel=0.05)
     assert seen[0].log_light.mean() == pytest.approx(np.log(400.0), abs=1e-3)
-
-
-def test_of_large_frames_every_nth_pixel_is_looked_at():
-    """32 blocks along the longer side whatever the size; as noisy as the pixels that were looked at, no less."""
     even = taken(np.ones((800, 1200)), 800.0, 3)
     seen = FineStructure.of(even, BLACK, FULL)
     assert seen.log_light.shape == (20, 30)  # blocks of 13 × 13 of every third pixel
@@ -103,8 +95,8 @@ def test_each_scene_has_radiances_of_its_own():
     assert not any("scene" in line for line in reconciled((one, 1e-3), (one, 4e-3)).assumptions if "shown" in line)
 
 
-def test_a_scene_of_one_frame_is_refused_by_name():
-    """Nothing can be held against it: the error names the frame and the way out."""
+def test_one_frame_and_black_borders_say_nothing_of_a_scene():
+    """It is refused by name; half-black tiles leave no gap in the codes."""
     radiance, entries, frames = scene(12), [], []
     for number, shows in enumerate((radiance, radiance, scene(13))):
         entries.append(FrameEntry(file=f"{number}.png", exposure_s=0.002 * (1 + number), gain_db=0.0))
@@ -112,6 +104,13 @@ def test_a_scene_of_one_frame_is_refused_by_name():
     header = CaptureHeader(camera=CameraDescription(bit_depth=12, black_level_dn=BLACK), frames=tuple(entries))
     with pytest.raises(CaptureError, match=r"show 2 scenes, and no other frame shows that of 2\.png: .* two frames"):
         reconcile(header, frames)
+    chart = np.zeros((HEIGHT, WIDTH))
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    bright = (y % 24 > 5) & (x % 32 > 7)
+    chart[bright] = np.random.default_rng(31).uniform(0.2, 1.5, (4, 4))[y[bright] // 24, x[bright] // 32]
+    result = reconciled(*((chart, exposure_s) for exposure_s in np.geomspace(0.002, 0.01, 8)))
+    assert result.effects == ()
+    assert result.global_p[0] > 0.02
 
 
 def test_tile_is_the_even_part_of_its_cell_and_all_of_an_even_cell():
@@ -126,14 +125,3 @@ def test_tile_is_the_even_part_of_its_cell_and_all_of_an_even_cell():
     assert all(chart[tile.slices].all() for tile in even.tiles)
     pairs = list(zip(cells.tiles, even.tiles, strict=True))
     assert all((cell == tile) == (cell.x >= 63) for cell, tile in pairs)
-
-
-def test_a_black_border_between_bright_patches_is_no_gap_in_the_codes():
-    """Half of each tile is black with noise of a digital number, in eight settings: what is expected of chance."""
-    chart = np.zeros((HEIGHT, WIDTH))
-    y, x = np.mgrid[:HEIGHT, :WIDTH]
-    bright = (y % 24 > 5) & (x % 32 > 7)
-    chart[bright] = np.random.default_rng(31).uniform(0.2, 1.5, (4, 4))[y[bright] // 24, x[bright] // 32]
-    result = reconciled(*((chart, exposure_s) for exposure_s in np.geomspace(0.002, 0.01, 8)))
-    assert result.effects == ()
-    assert result.global_p[0] > 0.02

@@ -20,14 +20,7 @@ from radiometer.reconciliation.separability import (
     separability,
 )
 from radiometer.reconciliation.state import with_effects
-from simulators.effects.adc_saturation import AdcSaturation
-from simulators.effects.ambient_light_leak import AmbientLightLeak
-from simulators.effects.exposure_time_offset import ExposureTimeOffset
-from simulators.effects.full_well_saturation import FullWellSaturation
-from simulators.effects.mains_ripple import MainsRipple
-from simulators.effects.psf_blur import PsfBlur
-from simulators.effects.series_settling import SeriesSettling
-from simulators.effects.veiling_glare import VeilingGlare
+from testing import effect_kinds as fx
 from testing.reduced import start_of
 
 BRACKET = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 8) for _ in range(2)]
@@ -59,30 +52,20 @@ def _sets(found):
 
 
 @pytest.mark.slow
-def test_bracket_of_one_chart_cannot_tell_stray_light_apart(separated):
-    """A veil, light from the room and a black that glows stand together, and a capture is asked for that shows more."""
+def test_one_chart_cannot_separate_stray_lights_nor_flickers(separated):
+    """They stand together, and a capture that shows more is asked for."""
     entry = next(entry for entry in separated.together if {entry.name, *entry.others} >= STRAY)
     assert entry.capture["frames"][0]["shutter"] == "open"
     assert "polarisation" in separated.blind
-
-
-@pytest.mark.slow
-def test_short_exposures_do_not_tell_one_flicker_from_another(separated):
-    """Mains and dimming shake frames alike where no exposure holds a period."""
     assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(separated))
 
 
 @pytest.mark.slow
-def test_stated_radiances_count_against_a_name(make_capture):
-    """Next to a bright surround, light from the room leaves hundreds of χ² of a veil: of what is stated, too."""
-    state, veil = _state(make_capture, [*BRACKET, *DARKS, OTHERS[0]]), VeilingGlare(0.02)
-    left, _ = left_by_fit(noiseless(state, veil), veil, Candidate(AmbientLightLeak(0.01), 0.0, 1))
+def test_stated_radiances_and_other_surrounds_separate_them(make_capture):
+    """Hundreds of χ² next to a bright surround; no two of the three stand together."""
+    state, veil = _state(make_capture, [*BRACKET, *DARKS, OTHERS[0]]), fx.VeilingGlare(0.02)
+    left, _ = left_by_fit(noiseless(state, veil), veil, Candidate(fx.AmbientLightLeak(0.01), 0.0, 1))
     assert left > 100.0
-
-
-@pytest.mark.slow
-def test_another_surround_level_and_the_source_off_tell_them_apart(make_capture):
-    """With these captures no two of the three stand together, nor are they blind to any."""
     state = _state(make_capture, [*BRACKET, *DARKS, *OTHERS])
     found = separability(state, {name: whole_catalogue()[name] for name in STRAY})
     assert all(len(names & STRAY) < 2 for names in _sets(found))
@@ -91,7 +74,10 @@ def test_another_surround_level_and_the_source_off_tell_them_apart(make_capture)
 
 @pytest.mark.parametrize(
     ("truth", "other", "alike"),
-    [(VeilingGlare(0.004), AmbientLightLeak(0.002), True), (ExposureTimeOffset(8e-6), AmbientLightLeak(0.002), False)],
+    [
+        (fx.VeilingGlare(0.004), fx.AmbientLightLeak(0.002), True),
+        (fx.ExposureTimeOffset(8e-6), fx.AmbientLightLeak(0.002), False),
+    ],
 )
 def test_names_that_stand_together_fit_each_other_without_noise(plain, truth, other, alike):
     """Fitted to what a model with the one expects, without noise, the other leaves less than 10 of χ², or hundreds."""
@@ -103,10 +89,10 @@ def test_names_that_stand_together_fit_each_other_without_noise(plain, truth, ot
     assert alike or foreign - own > 100.0
 
 
-@pytest.mark.parametrize(("other", "alike"), [(AmbientLightLeak(0.1), True), (ExposureTimeOffset(8e-6), False)])
+@pytest.mark.parametrize(("other", "alike"), [(fx.AmbientLightLeak(0.1), True), (fx.ExposureTimeOffset(8e-6), False)])
 def test_large_effect_is_held_against_fits_to_its_noiseless_data(plain, other, alike):
     """A veil of 30 % is fitted by light from the room to less than 10 of χ², not by a longer exposure."""
-    truth = VeilingGlare(0.3)
+    truth = fx.VeilingGlare(0.3)
     exact = noiseless(plain, truth)
     assert exact.comparison.residual(plain.predicted_with((truth,))) == pytest.approx(0.0)
     left, fitted = left_by_fit(exact, truth, Candidate(other, 0.0, 1))
@@ -114,7 +100,7 @@ def test_large_effect_is_held_against_fits_to_its_noiseless_data(plain, other, a
     assert fitted.name == other.name
 
 
-class _FromNothing(AmbientLightLeak):
+class _FromNothing(fx.AmbientLightLeak):
     """Light from the room whose first start is far below what any frame shows."""
 
     @classmethod
@@ -123,10 +109,13 @@ class _FromNothing(AmbientLightLeak):
         return cls(1e-13), cls(0.002)
 
 
-def test_entry_is_asked_about_from_whichever_start_shows(plain):
-    """A first start too small to be scaled up does not make a plan blind to the entry."""
+def test_entries_are_asked_about_where_they_show(plain):
+    """From whichever start does; a converter that ends at half its codes as it is."""
     asked = asked_sizes(plain, {"ambient_light_leak": _FromNothing})
     assert asked["ambient_light_leak"].values()["irradiance_w_m2"] > 1e-9
+    effect = asked_sizes(plain, {"adc_saturation": fx.AdcSaturation})["adc_saturation"]
+    assert effect in fx.AdcSaturation.starts(plain.model.context)
+    assert _brought(plain, effect) > 400.0
 
 
 def _brought(state, effect):
@@ -135,25 +124,17 @@ def _brought(state, effect):
     return refit(exact).cost - refit(with_effects(exact, [effect])).cost
 
 
-@pytest.mark.parametrize("kind", [ExposureTimeOffset, PsfBlur, VeilingGlare])
+@pytest.mark.parametrize("kind", [fx.ExposureTimeOffset, fx.PsfBlur, fx.VeilingGlare])
 def test_entry_is_asked_about_at_twenty_sigma(plain, kind):
     """What is asked about leaves 400 of χ² where it is not fitted, whether it grows in proportion or as a square."""
     effect = asked_sizes(plain, {kind.name: kind})[kind.name]
     assert _brought(plain, effect) == pytest.approx(400.0, rel=0.15)  # looked for to a tenth of ln χ²
 
 
-def test_limit_of_the_signal_is_asked_about_where_it_ends_light(plain):
-    """A converter that ends at half its codes cannot be made larger or smaller: it is asked about as it is, or a later
-    one that the frames show."""
-    effect = asked_sizes(plain, {"adc_saturation": AdcSaturation})["adc_saturation"]
-    assert effect in AdcSaturation.starts(plain.model.context)
-    assert _brought(plain, effect) > 400.0
-
-
 def test_limit_is_followed_by_another_whole_and_not_in_part(plain):
     """Half of what a limit ends is no limit: a lower well than another leaves the square of what it takes away more."""
-    own = FullWellSaturation(6000.0)
-    lower = FullWellSaturation(4500.0)
+    own = fx.FullWellSaturation(6000.0)
+    lower = fx.FullWellSaturation(4500.0)
     directions = Directions.of(plain, {"own": (own,), "lower": (lower,)})
     (target,), (other,) = directions.forms["own"], directions.forms["lower"]
     assert directions.left(target, target) == pytest.approx((0.0, 1.0), abs=1e-6 * directions.shown(target))
@@ -169,8 +150,8 @@ def test_limit_is_followed_by_another_whole_and_not_in_part(plain):
 def test_likeness_by_derivatives_is_held_to_a_fit(plain):
     """A lamp that settles within a series is, as a small difference of large changes, what mains do to frames; no such
     lamp does it."""
-    shaken = asked_sizes(plain, {"mains_ripple": MainsRipple})["mains_ripple"]
-    settling = SeriesSettling.starts(plain.model.context)
+    shaken = asked_sizes(plain, {"mains_ripple": fx.MainsRipple})["mains_ripple"]
+    settling = fx.SeriesSettling.starts(plain.model.context)
     directions = Directions.of(plain, {"mains_ripple": (shaken,), "series_settling": settling})
     (target,) = directions.forms["mains_ripple"]
     assert min(directions.left(target, form)[0] for form in directions.forms["series_settling"]) < 10.0

@@ -26,7 +26,7 @@ from radiometer.reconciliation.shared_errors import (
     shared_errors,
     whiteners,
 )
-from radiometer.reconciliation.statistics import STATISTICS, Given, Prediction, Scale, family_of, named
+from radiometer.reconciliation.statistics import STATISTICS, Given, Prediction, Scale, Scatter, family_of, named
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.brighter_fatter import push_of
 from simulators.effects.catalogue import Scaling
@@ -47,22 +47,14 @@ def design():
     return Design.of(header, (100, 80))
 
 
-def test_basis_and_variance_give_the_covariance():
-    """Two z of variance 4 and 9 with known bases give B·Φ·Bᵀ, amplitudes on both sides."""
+def test_shared_errors_give_the_covariance_beyond_own_uncertainty():
+    """B·Φ·Bᵀ of two z; the whitener times it is the identity."""
     basis = np.array([[1.0, 0.0], [1.0, 2.0]])
     part = Part(np.array([[2.0, 3.0]]), np.broadcast_to(basis, (1, 2, 2)))
     found = SharedError("test", {"mean": part}, np.array([[4.0, 9.0]])).covariance("mean")[0]
     assert found.tolist() == [[4.0 * 4.0, 6.0 * 4.0], [6.0 * 4.0, 9.0 * (4.0 + 4.0 * 9.0)]]
-
-
-def test_what_the_uncertainty_holds_already_correlates_only():
-    """An error within a statistic's own uncertainty adds nothing to its variance."""
     error = SharedError("test", {"bands": Part(np.ones((1, 3)), np.ones((3, 1)))}, np.array([0.5]), within=True)
     assert error.covariance("bands")[0].tolist() == [[0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]]
-
-
-def test_whitened_errors_have_unit_variance():
-    """The whitener times the covariance of entries that share two errors is the identity; what is left out stays 1."""
     errors = [
         SharedError("one", {"mean": Part(np.array([[1.0, 2.0, 0.0]]), np.ones((3, 1)))}, np.array([0.3])),
         SharedError("two", {"mean": Part(np.array([[1.0, -1.0, 0.0]]), np.ones((3, 1)))}, np.array([2.0])),
@@ -88,16 +80,12 @@ def test_noise_of_all_tiles_follows_the_light_of_the_same_few_frames(design, fli
         assert error.covariance("variance")[0][0] == pytest.approx(flicker2 / n[0] * 0.9 * response[0])
 
 
-def test_tiles_side_by_side_share_their_rows(design):
-    """Row noise gives two tiles on the same 40 rows the covariance 1/40, one below them none."""
+def test_tiles_share_rows_and_waves(design):
+    """1/40 side by side; by the cosine of their distance in a wave."""
     shared = design.rows_of_tiles @ design.rows_of_tiles.T
     assert shared[0, 1] * design.tile_height[0] == pytest.approx(1.0, abs=0.1)  # a margin may take rows off
     assert shared[0, 2] == 0.0
     assert shared[0, 1] == pytest.approx(shared[0, 0])
-
-
-def test_a_wave_correlates_tiles_by_the_cosine_of_their_distance(design):
-    """Two tiles half a period apart move against each other, at a quarter they do not move together."""
     distance = float(np.diff(TileBands.of(design, 0.1).middle[[0, 2]])[0])
     for periods, correlation in ((0.5, -1.0), (0.25, 0.0), (1.0, 1.0)):
         left = TileBands.of(design, periods / distance)
@@ -129,16 +117,12 @@ def test_a_row_of_the_table_is_measured(name, design):
     assert (len(row.shape(design)) == 1) == (row.given is Given.CAPTURE)
 
 
-def test_what_follows_the_light_is_predicted(design):
-    """What reports or follows the light of a tile is given per tile and stands in the prediction."""
+def test_what_follows_the_light_is_predicted_by_its_sensitivity(design):
+    """d(mean)/d(log light) of the tiles that count, and no other."""
     for name, row in STATISTICS.items():
         if row.determines_light or row.follows_light:
             assert row.given is Given.TILE
             assert name in Prediction.__dataclass_fields__
-
-
-def test_light_moves_what_counts_by_its_sensitivity(design):
-    """A capture's light moves the means of the tiles that count by d(mean)/d(log light) each, and no other."""
     captures = len(design.captures)
     sensitivity = np.tile([120.0, 35.0, 7.0], (captures, 1))
     counts = np.tile([True, True, False], (captures, 1))
@@ -157,8 +141,12 @@ def test_light_moves_what_counts_by_its_sensitivity(design):
 # What noise reports and what counts, by laws and at exact bounds.
 
 
-def test_the_light_of_a_capture_is_the_weighted_mean_of_its_tiles():
-    """Each deviation over its sensitivity, by the information of its own noise; the same without it is infinite."""
+def test_rows_of_the_table_have_kinds_and_captures_their_light():
+    """The weighted mean of tiles over their sensitivity."""
+    assert {family_of(name) for name in ("slope_x", "slope_y")} == {"slope"}
+    assert family_of("mean") == "mean"
+    assert {"mean", "variance", "first"} <= set(named(given=Given.TILE)) < set(named())
+    assert named(scale=Scale.COMB) == named(given=Given.PERIOD) == ("comb",)
     rng = np.random.default_rng(3)
     sensitivity, deviation = rng.uniform(50.0, 500.0, (3, 8)), rng.uniform(0.5, 2.0, (3, 8))
     usable = np.ones((3, 8), bool)
@@ -169,14 +157,6 @@ def test_the_light_of_a_capture_is_the_weighted_mean_of_its_tiles():
     assert (scale[2], variance[2]) == (0.0, math.inf)
     assert 1.0 / variance[0] == pytest.approx(np.sum((sensitivity[0] / deviation[0]) ** 2))
     assert 1.0 / variance[1] == pytest.approx(np.sum((sensitivity[1, 1::2] / deviation[1, 1::2]) ** 2))
-
-
-def test_rows_of_the_table_are_found_by_their_kind():
-    """Both slopes are of one family; kinds of rows part the table."""
-    assert {family_of(name) for name in ("slope_x", "slope_y")} == {"slope"}
-    assert family_of("mean") == "mean"
-    assert {"mean", "variance", "first"} <= set(named(given=Given.TILE)) < set(named())
-    assert named(scale=Scale.COMB) == named(given=Given.PERIOD) == ("comb",)
 
 
 @pytest.mark.parametrize(("levels", "terms"), [(1, 0), (2, 1), (8, 7), (9, 4)])
@@ -205,7 +185,6 @@ def test_search_for_a_flicker_begins_near_it(make_capture):
 
     state = start_of(make_capture(5, picture=flickering))
     (first, *_) = StartPool().likeliest(state, PwmFlicker)
-    assert isinstance(first, PwmFlicker)
     assert first.frequency_hz == pytest.approx(480.0, rel=0.02)
     if first.duty == 0:
         assert first.modulation == pytest.approx(0.09, rel=0.4)
@@ -320,3 +299,14 @@ def test_effect_that_cannot_be_is_refused_by_name(declared):
     """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
     with pytest.raises(UnfitError, match="impossible"):
         included(declared, _Impossible(0.5))
+
+
+@pytest.mark.parametrize("electrons", [0.2, 50.0])
+def test_noise_of_photons_has_the_excess_kurtosis_of_their_number(declared, electrons):
+    """One over it, up to 1: a pixel that counts 50 e- at half a DN each has 0.02 beyond that of rounding."""
+    ones, found = np.ones_like(declared.prediction.variance), declared.prediction
+    photons = replace(
+        found, signal=electrons * ones, gain=np.full_like(found.gain, 0.5), variance=0.25 * electrons * ones
+    )
+    scatter = Scatter(declared.design, declared.comparison.seen, photons, ones > 0.0)
+    assert scatter.kurtosis - photons.kurtosis == pytest.approx(min(1.0 / electrons, 1.0) * ones, rel=1e-6)

@@ -23,20 +23,8 @@ from radiometer.reconciliation.nuisances import NuisanceLayout
 from radiometer.reconciliation.reduce import reduce_frames
 from radiometer.reconciliation.state import reweighted, with_effects
 from radiometer.reconciliation.tile_model import predict_several
-from simulators.effects.black_level_offset import BlackLevelOffset
-from simulators.effects.brighter_fatter import BrighterFatter
-from simulators.effects.dark_current import DarkCurrent
-from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
-from simulators.effects.exposure_quantisation import ExposureQuantisation
-from simulators.effects.exposure_time_offset import ExposureTimeOffset
-from simulators.effects.full_well_saturation import FullWellSaturation
-from simulators.effects.image_lag import ImageLag
-from simulators.effects.missing_codes import MissingCodes
-from simulators.effects.prnu import Prnu
-from simulators.effects.reciprocity_failure import ReciprocityFailure
-from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.tile_moments import TileMoments
-from simulators.effects.veiling_glare import VeilingGlare
+from testing import effect_kinds as fx
 from testing.reduced import start_of
 
 LADDER = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(1e-4, 5e-3, 6)]
@@ -79,27 +67,23 @@ def off_by(one, other):
     return np.abs(one.parameters.values - other.parameters.values) / uncertainty_of(other)
 
 
-def test_a_fit_that_is_not_confirmed_ends_at_the_least_squares(plain):
-    """Going on from where it ends moves nothing by a thirtieth of its uncertainty."""
-    start = with_effects(plain, [ExposureTimeOffset(4e-6), ResponseNonlinearity(0.02)])
+def test_fits_end_at_the_least_squares_of_their_own_weights(plain):
+    """Going on moves nothing by a thirtieth of its uncertainty."""
+    start = with_effects(plain, [fx.ExposureTimeOffset(4e-6), fx.ResponseNonlinearity(0.02)])
     near = coarse_fit(start)
     whole = refit(refit(near))
     assert start.cost - whole.cost > 100.0, "the start must lie far off"
     assert near.cost - whole.cost == pytest.approx(0.0, abs=0.01)
     assert (off_by(near, whole) < 0.03).all()
-
-
-def test_settled_parameters_are_those_of_their_own_weights(plain):
-    """Another round of new weights moves them by far less than they are known to."""
-    found = converged_fit(coarse_fit(with_effects(plain, [ExposureTimeOffset(2e-6), Prnu(0.02)])))
+    found = converged_fit(coarse_fit(with_effects(plain, [fx.ExposureTimeOffset(2e-6), fx.Prnu(0.02)])))
     again = refit(reweighted(found))
     assert (off_by(found, again) < 0.1).all()
 
 
 def test_what_is_next_to_is_followed_without_new_derivatives(plain):
     """All else follows an effect that is held, as in a fit of its own; the effect does not move."""
-    state = refit(with_effects(plain, [ExposureTimeOffset(1e-6)]))
-    held = ResponseNonlinearity(0.02)
+    state = refit(with_effects(plain, [fx.ExposureTimeOffset(1e-6)]))
+    held = fx.ResponseNonlinearity(0.02)
     assert state.fit.effects.shape[1] == 1  # the derivatives that are used
     with derivatives_counted() as taken:
         found = refit_with(state, held)
@@ -167,16 +151,12 @@ def test_a_patch_that_two_amplifiers_read_has_one_radiance(make_capture, known):
     assert own[cut] == pytest.approx(change[cut], rel=5e-3, abs=1e-3 * np.abs(change[cut]).max())
 
 
-def test_length_of_a_tilt_is_that_of_its_tiles(plain):
-    """The closed form is the length of the tilt over the very pixels."""
+def test_tilts_and_copies_of_moments_are_exact(plain):
+    """The length over the very pixels; a copy is what the constructor gives."""
     across, down = slope_lengths(plain.design)
     for group in tile_groups(plain.design):
         assert across[group.index] == pytest.approx(group.slope_norm[0])
         assert down[group.index] == pytest.approx(group.slope_norm[1])
-
-
-def test_moments_are_changed_as_by_their_constructor():
-    """A copy with other values is what the constructor gives; the original stays."""
     before = TileMoments.exactly(np.ones((1, 2, 4)))
     after, built = before.changed(comb_step=4.0), dataclasses.replace(before, comb_step=4.0)
     assert vars(after).keys() == vars(built).keys()
@@ -188,9 +168,9 @@ def test_moments_are_changed_as_by_their_constructor():
 
 def test_chain_goes_on_from_the_first_step_that_differs(plain):
     """What comes behind that step is the same as of a chain that runs anew, and steps in front of it are not run."""
-    curved = with_effects(plain, (ExposureTimeOffset(4e-6), ResponseNonlinearity(0.01), Prnu(0.01)))
+    curved = with_effects(plain, (fx.ExposureTimeOffset(4e-6), fx.ResponseNonlinearity(0.01), fx.Prnu(0.01)))
     here, model = curved.trace, curved.model
-    stronger = (curved.effects[0], ResponseNonlinearity(0.02), curved.effects[2])
+    stronger = (curved.effects[0], fx.ResponseNonlinearity(0.02), curved.effects[2])
     nuisance = here.nuisance.with_off(log_responsivity=here.nuisance.off.log_responsivity + 0.01)
     for other, moved in ((model.with_effects(stronger), here.nuisance), (model, nuisance)):
         again, anew = other.trace(moved, here), other.trace(moved)
@@ -205,7 +185,7 @@ def test_chain_goes_on_from_the_first_step_that_differs(plain):
 
 def test_predictions_are_compared_with_one_another_as_with_the_data(plain):
     """Residuals of several predictions at once are those of each; what they expect alike differs by nothing at all."""
-    effects = (ExposureTimeOffset(4e-6), Prnu(0.01))
+    effects = (fx.ExposureTimeOffset(4e-6), fx.Prnu(0.01))
     alone = np.stack([plain.comparison.residual(plain.predicted_with((effect,))) for effect in effects], axis=1)
     models = [(plain.model.with_effects((effect,)), plain.nuisance) for effect in effects]
     ((numbers, several),) = predict_several(models, plain.trace)
@@ -218,18 +198,22 @@ def test_predictions_are_compared_with_one_another_as_with_the_data(plain):
     assert changes[spatial, 1].any()
 
 
-def test_a_threshold_is_fitted_though_by_default_there_is_none(make_capture):
-    """A power of −0.02 up to a millisecond is found from another power and threshold, within four u of both."""
+def test_thresholds_and_taken_off_black_are_fitted_to_their_end(make_capture):
+    """A power of −0.02 up to 1 ms; darks without noise are none."""
     captured = make_capture(5, plan=LADDER * 2, exposure=lambda t: t * (min(t, 1e-3) / 1e-3) ** -0.02)
-    found = converged_fit(refit(with_effects(start_of(captured), [ReciprocityFailure(-0.01, 6e-4)])))
+    found = converged_fit(refit(with_effects(start_of(captured), [fx.ReciprocityFailure(-0.01, 6e-4)])))
     assert (abs(found.parameters.values - (-0.02, 1e-3)) < 4.0 * uncertainty_of(found)).all()
+    start = start_of(make_capture(5, plan=LADDER, extra_dn=lambda s: -64.0))
+    with pytest.raises(UnfitError, match="dark_frame_subtracted"):
+        included(start, fx.DarkFrameSubtracted(0.1, 0.0))
+    assert [fit.effects for fit in start.models] == [()]
 
 
 def test_what_jumps_is_fitted_anew_next_to_a_further_effect(make_capture):
     """Exposures are whole lines of 12 µs: next to an offset each has its true number of lines, which some had not."""
     captured = make_capture(5, plan=LADDER * 2, exposure=lambda t: 12e-6 * round(t / 12e-6), extra_dn=lambda s: 3.0)
-    wrong = refit(with_effects(start_of(captured), [ExposureQuantisation(12.012e-6, 0.5)]))
-    found = included(wrong, BlackLevelOffset(2.0))
+    wrong = refit(with_effects(start_of(captured), [fx.ExposureQuantisation(12.012e-6, 0.5)]))
+    found = included(wrong, fx.BlackLevelOffset(2.0))
     lines, before = (
         np.rint([setting["t"] / state.effects[0].values()["quantum_s"] for setting in LADDER])
         for state in (found, wrong)
@@ -239,24 +223,16 @@ def test_what_jumps_is_fitted_anew_next_to_a_further_effect(make_capture):
     assert (before != true).any()
 
 
-def test_a_black_level_that_is_taken_off_is_no_dark_frame(make_capture):
-    """Darks without noise are none: the fit ends at a share of zero, and the entry is refused as a model, too."""
-    start = start_of(make_capture(5, plan=LADDER, extra_dn=lambda s: -64.0))
-    with pytest.raises(UnfitError, match="dark_frame_subtracted"):
-        included(start, DarkFrameSubtracted(0.1, 0.0))
-    assert [fit.effects for fit in start.models] == [()]
-
-
 def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_capture):
     """A ceiling's spread goes to zero, where the ceiling is sharp and has one parameter less; the veil stays held."""
     plan = [*({"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)), {"t": 1e-2, "shutter": "closed"}]
     captured = make_capture(seed=32, plan=plan)
     start = start_of(captured)
-    added = with_effects(start, [FullWellSaturation(9_000.0, 0.05), VeilingGlare(0.01)])
+    added = with_effects(start, [fx.FullWellSaturation(9_000.0, 0.05), fx.VeilingGlare(0.01)])
     assert added.parameters.names == ("full_well_e", "spread_rel", "share")
     fitted = refit(dataclasses.replace(added, frozen=frozenset({2})))
     assert fitted.parameters.names == ("full_well_e", "share")
-    assert fitted.effects[1] == VeilingGlare(0.01)
+    assert fitted.effects[1] == fx.VeilingGlare(0.01)
 
 
 # Models that walk the rest of a chain together expect what each of them does alone.
@@ -271,7 +247,7 @@ def named(make_capture):
     """A camera with an effect at either end of the chain."""
     captured = make_capture(5, plan=PLAN)
     plain = start_of(captured)
-    return with_effects(plain, (ExposureTimeOffset(4e-6), ResponseNonlinearity(0.01), BrighterFatter(0.005)))
+    return with_effects(plain, (fx.ExposureTimeOffset(4e-6), fx.ResponseNonlinearity(0.01), fx.BrighterFatter(0.005)))
 
 
 def differing(expected, row, alone):
@@ -293,7 +269,7 @@ def test_every_entry_expects_the_same_next_to_others(named, name):
     if not starts or not kind.usable(context):
         pytest.skip("these settings do not show it")
     there = with_effects(named, (*named.effects, starts[0]))  # as a step that the others go through together
-    earlier = [(ExposureTimeOffset(size), *there.effects[1:]) for size in (3e-6, 5e-6)]
+    earlier = [(fx.ExposureTimeOffset(size), *there.effects[1:]) for size in (3e-6, 5e-6)]
     for state, sets in ((named, [(*named.effects, start) for start in starts]), (there, earlier)):
         models = [(state.model.with_effects(effects), state.trace.nuisance) for effects in sets]
         seen = []
@@ -311,13 +287,13 @@ def test_models_of_other_light_other_links_and_other_effects_go_together(named):
     darker = known.with_off(log_gain=known.off.log_gain + 0.02)
     effects = named.effects
     models = [
-        (named.model.with_effects((*effects, Prnu(0.02))), known),
+        (named.model.with_effects((*effects, fx.Prnu(0.02))), known),
         (named.model, brighter),
-        (named.model.with_effects((*effects, MissingCodes(2.0))), known),
+        (named.model.with_effects((*effects, fx.MissingCodes(2.0))), known),
         (named.model, darker),
         (named.model, known),
-        (named.model.with_effects((DarkCurrent(40.0), *effects[:1])), known),
-        (named.model.with_effects((*effects, ImageLag(0.01))), brighter),
+        (named.model.with_effects((fx.DarkCurrent(40.0), *effects[:1])), known),
+        (named.model.with_effects((*effects, fx.ImageLag(0.01))), brighter),
     ]
     groups = [*predict_several(models, named.trace)]
     assert len(groups) == 2  # one alone has a step of codes of its own

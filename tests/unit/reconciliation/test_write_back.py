@@ -48,16 +48,12 @@ def test_the_effect_is_written_with_its_value_and_evidence(late, tmp_path):
     assert entry.notes["found_by"] == "radiometer reconcile"
 
 
-def test_what_may_still_change_its_name_is_switched_off(late):
-    """Effects of an incomplete result stand in the file and do nothing, unless provisional ones are asked for."""
+def test_names_that_may_change_are_off_and_responsivity_is_efficiency(late):
+    """Provisional ones are asked for; what no efficiency can be becomes larger pixels."""
     incomplete = replace(late, result=replace(late.result, verdict=Verdict.INCOMPLETE))
     assert not entry_of(reconciled_model(incomplete)).enabled
     assert entry_of(reconciled_model(incomplete, provisional=True)).enabled
     assert "capture_sha256" not in entry_of(reconciled_model(incomplete)).notes
-
-
-def test_the_responsivity_goes_into_the_quantum_efficiency(late):
-    """It is the declared one times the fitted factor; what no efficiency can be becomes larger pixels."""
     state = late.outcome.state
     camera = state.design.header.camera
     model = reconciled_model(late)

@@ -15,8 +15,8 @@ from radiometer.reporting.pictures import dress, label, mark, picture, shortened
 from testing.report_checks import HOSTILE
 
 
-def test_no_text_becomes_markup():
-    """Whatever is handed over is shown as it is written, in every part of a page."""
+def test_text_is_shown_as_written_with_printed_signs():
+    """No markup, a minus that is no hyphen, no line break within a value."""
     parts = [
         paragraph(HOSTILE),
         heading(HOSTILE, [HOSTILE]),
@@ -31,6 +31,10 @@ def test_no_text_becomes_markup():
     assert "\x1b" not in whole
     assert whole.count("&lt;script&gt;alert(1)&lt;/script&gt;") == 15
     assert "&amp;amp;" in whole
+    assert prose("-0.5 ± 0.1 %, k = 2") == "−0.5\u00a0±\u00a00.1\u00a0%, k\u00a0=\u00a02"
+    assert prose("S-12, 2026-11-22, a-b, DN/e-") == "S-12, 2026-11-22, a-b, DN/e⁻"
+    assert escaped("-0.5 %") == "-0.5 %"
+    assert [shortened(text, 6) for text in ("abcdef", "abcdefg")] == ["abcdef", "abcde…"]
 
 
 def test_a_page_forbids_scripts_and_its_outcome_comes_before_the_parts():
@@ -38,7 +42,6 @@ def test_a_page_forbids_scripts_and_its_outcome_comes_before_the_parts():
     parts = [paragraph("first"), "", section("empty"), section("last", "x")]
     whole = page("subject", "outcome", parts, kind="k", origin=Origin())
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', whole)
-    assert policy is not None
     assert policy[1] == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     assert whole.index("Content-Security-Policy") < whole.index("<style>")
     places = [whole.index(text) for text in ("subject</h1>", "outcome</p>", "<p>first</p>", "<h2>last</h2>")]
@@ -58,14 +61,6 @@ def test_every_page_states_what_its_data_come_from_and_what_is_not_known():
         ("eye", "right"),
     ]
     assert rows[4:] == [("program", f"radiometer {radiometer.__version__}")]
-
-
-def test_prose_has_printed_signs_and_keeps_numbers_together():
-    """A minus is no hyphen, no line breaks within a value, names keep their hyphens; one too long ends in dots."""
-    assert prose("-0.5 ± 0.1 %, k = 2") == "−0.5\u00a0±\u00a00.1\u00a0%, k\u00a0=\u00a02"
-    assert prose("S-12, 2026-11-22, a-b, DN/e-") == "S-12, 2026-11-22, a-b, DN/e⁻"
-    assert escaped("-0.5 %") == "-0.5 %"
-    assert [shortened(text, 6) for text in ("abcdef", "abcdefg")] == ["abcdef", "abcde…"]
 
 
 @pytest.mark.slow

@@ -54,20 +54,12 @@ def test_patches_hold_the_radiance_that_they_state(kind: str) -> None:
             assert image.radiance[patch.patch.slices] == pytest.approx(stated, rel=1e-6)
 
 
-def test_every_kind_of_scene_has_an_example() -> None:
-    """A new kind is tested by being listed; the image scene is tested below."""
+def test_charts_span_their_decades_and_reverse() -> None:
+    """Every kind has an example; neighbours differ by 10^(5/19); each patch is seen at two radiances."""
     assert set(SCENES) == {*EXAMPLES, "image"}
-
-
-def test_step_chart_spans_its_decades_evenly() -> None:
-    """Twenty steps over five decades: neighbours differ by 10^(5/19)."""
     chart = StepChartScene.model_validate(EXAMPLES["step_chart"] | {"scramble_seed": None})
     steps = chart.radiances()[1:] / chart.radiances()[:-1]
     assert steps == pytest.approx(np.full(19, 10 ** (5 / 19)), rel=1e-12)
-
-
-def test_inverted_pattern_reverses_the_patches() -> None:
-    """Every patch is seen at two radiances."""
     chart = StepChartScene.model_validate(EXAMPLES["step_chart"])
     assert np.array_equal(chart.radiances("inverted"), chart.radiances()[::-1])
 
@@ -80,16 +72,12 @@ def test_defocus_keeps_the_led_total(blur: float) -> None:
     assert total == pytest.approx(math.pi * 20**2 * led.axial_radiance, rel=2e-3)
 
 
-def test_led_radiance_integrates_to_its_flux() -> None:
-    """Radiance × area × cosᵐ integrated over the hemisphere is the stated flux."""
+def test_leds_and_pictures_have_the_stated_radiance(tmp_path: Path) -> None:
+    """A·cosᵐ over the hemisphere is the flux; half of full scale half the peak."""
     led = LedScene(flux_mW=5.0, half_angle_deg=30.0)
     theta = np.linspace(0, np.pi / 2, 20001)
     intensity = led.axial_radiance * led.emitting_area_m2 * np.cos(theta) ** led.intensity_exponent
     assert np.trapezoid(2 * np.pi * intensity * np.sin(theta), theta) == pytest.approx(5e-3, rel=1e-6)
-
-
-def test_image_file_is_scaled_to_the_sensor(tmp_path: Path) -> None:
-    """A 16-bit picture at half of full scale is half the peak radiance; a relative path counts from the folder."""
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((40, 60), 32768, np.uint16))
     mapping = {"kind": "image", "file": "grey.png", "peak_radiance_W_per_sr_m2": 3.0}
     image = scene_from_mapping(mapping, folder=tmp_path).render(30, 20, "default")

@@ -59,7 +59,7 @@ def test_a_scale_from_a_known_source_reads_other_patches_right(rig, capture, tmp
 
 
 def test_the_meter_puts_the_reference_pixel_at_its_exposure(curve, tmp_path, capsys):
-    """At face value the thesis's settings give its luminance, its spectral radiance, and ln H(127) of (2.10)'s kind."""
+    """At face value the thesis's figures; a dial's 1/60 s is 15.625 ms, which the report states."""
     command = ["calibrate", "--response", str(curve), *METER, "--as-printed", "--reference-dn", "127", "--json"]
     assert run([*command, "-o", str(tmp_path / "cal.yaml")]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -73,10 +73,6 @@ def test_the_meter_puts_the_reference_pixel_at_its_exposure(curve, tmp_path, cap
     of_iso_2720 = (13.4 - 10.6) / (13.4 + 10.6) / math.sqrt(3)
     expected = math.hypot(math.log(2) / 6 / math.sqrt(3), of_iso_2720, 0.005)
     assert calibration.scale.u_rel == pytest.approx(expected, rel=1e-3)
-
-
-def test_printed_settings_are_reported_with_the_stops_behind_them(curve, tmp_path, capsys):
-    """1/60 s of a dial is 15.625 ms; frames of another camera may really have 16.67 ms, so the report states it."""
     command = ["calibrate", "--response", str(curve), "--luminance-meter-k", "12.5", "--f-number", "16", "--iso", "100"]
     command += ["--exposure", "1/60", "--reference-dn", "127", "--json"]
     for name, more, shown in (("a", [], True), ("b", ["--as-printed"], False)):
@@ -161,13 +157,18 @@ def test_a_clipped_source_carries_no_scale(rig, tmp_path, capsys):
 
 
 def test_the_scale_says_what_it_is_made_up_from(capture, tmp_path, capsys):
-    """The squares of the contributions sum to the square of u, and the largest is printed first."""
+    """Squares of the contributions sum to that of u, the largest first; stated ones take the default's place."""
     folder, _ = capture
     assert run(["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml")]) == 0
     scale = Calibration.read(tmp_path / "cal.yaml").scale
     assert math.hypot(*scale.budget.values()) == pytest.approx(scale.u_rel, rel=1e-9)
     printed = capsys.readouterr().out
     assert printed.index("reference source") < printed.index("response curve")
+    command = ["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml"), "--force"]
+    assert run([*command, "--stated", "glare_u=0.002"]) == 0
+    assert Calibration.read(tmp_path / "cal.yaml").uncertainties.glare_u == 0.002
+    assert run([*command, "--stated", "glare=0.002"]) == 2
+    assert "glare_u" in capsys.readouterr().err
 
 
 def test_frames_at_lower_source_levels_are_left_aside(rig, tmp_path):
@@ -201,16 +202,6 @@ def test_a_spectrum_without_a_statement_is_known_to_43_percent(capture, tmp_path
     calibration = Calibration.read(tmp_path / "cal.yaml")
     assert calibration.uncertainties.efficacy_u_rel == u_rel
     assert any("43 %" in text for text in calibration.provenance.assumptions) == (not words)
-
-
-def test_stated_uncertainties_reach_the_file(capture, tmp_path, capsys):
-    """What the user knows better takes the default's place; a name that there is not is refused with all names."""
-    folder, _ = capture
-    command = ["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml"), "--force"]
-    assert run([*command, "--stated", "glare_u=0.002"]) == 0
-    assert Calibration.read(tmp_path / "cal.yaml").uncertainties.glare_u == 0.002
-    assert run([*command, "--stated", "glare=0.002"]) == 2
-    assert "glare_u" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("known", [0, 2])

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,9 +17,11 @@ from radiometer.analysis.calibration.calibrate import (
     scales_ratio,
     unscaled_calibration,
 )
+from radiometer.analysis.calibration.shared import TABLE, Handling, State, require_flat_field
 from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.analysis.photometry.responses import unknown_mismatch_u_rel
 from radiometer.analysis.reading import budget
+from radiometer.analysis.reading.reading import read_patch
 from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_in_use, relative_sensitivity
 from radiometer.data import (
@@ -27,15 +30,20 @@ from radiometer.data import (
     Calibration,
     CameraDescription,
     FlatField,
+    Frame,
+    FrameSettings,
     LensDescription,
     Patch,
+    ResponseCurve,
     Scale,
+    ScaleConditions,
     SensorNoise,
     SpectralResponse,
     StatedUncertainties,
 )
-from radiometer.data.setup import Setup
-from radiometer.errors import CalibrationError, InputError
+from radiometer.data.setup import AS_CALIBRATED, Setup
+from radiometer.errors import CalibrationError, InputError, RadiometerError
+from radiometer.photographs.scene import Photographs, prepared
 
 PATCH = Patch(1, 1, 10, 10)
 NOTHING = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
@@ -45,11 +53,24 @@ def scale(value=2.0, u_rel=0.0, **more):
     return Scale(value=value, u_rel=u_rel, method="known_radiance", **more)
 
 
-def test_two_scales_are_compared_by_their_ratio():
-    """2.04 to 2 with 3 and 4 % is 1.02 with 5 % of it, whichever is the surer."""
+def test_two_scales_are_compared_and_their_doubts_add_in_squares(rig):
+    """1.02 with 5 % of it; clock, straightness, scale, spectrum and flat field."""
     found = scales_ratio(scale(2.04, 0.03), scale(2.0, 0.04))
     assert (found.value, found.u, found.unit) == (pytest.approx(1.02), pytest.approx(0.05 * 1.02), "1")
     assert scales_ratio(scale(2.0, 0.04), scale(2.04, 0.03)).u_rel == pytest.approx(0.05)
+    stated = NOTHING.model_copy(update={"exposure_u_rel": 0.01, "linearity_u_rel": 0.02, "spectral_u_rel": 0.04})
+    flat = FlatField(
+        principal_point_px=(8.0, 8.0), radius_px=12.0, coefficients=(0.0, 0.0, 0.0), shape=(16, 16), u_rel=0.1
+    )
+    calibration = rig.calibration(u_rel=0.2, uncertainties=stated, flat_field=flat)
+    settled = situation.situation_of(Setup(calibration.camera, calibration.lens, calibration))
+    parts = (0.01, 0.02, 0.2, 0.04, 0.1)
+    assert budget.common_u_rel(settled) == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
+    alone = replace(settled, setup=Setup(calibration.camera, calibration.lens))
+    assert budget.common_u_rel(alone) == pytest.approx(math.hypot(0.01, 0.02))
+    assert situation.flat_field_for(calibration, (16, 16)) is flat
+    with pytest.raises(CalibrationError, match="16 × 16"):
+        situation.flat_field_for(calibration, (12, 16))
 
 
 @pytest.mark.parametrize(("source_u_rel", "times"), [(0.0, 1.0), (1.0, 4.0)])
@@ -128,7 +149,7 @@ def test_pixels_under_a_filter_may_pass_far_less_of_another_light(mosaic, channe
 
 
 def test_what_the_lens_in_use_brings_to_the_budget(rig):
-    """Focus: 2·u·Δ(m/p)/(1 + m/p). Filter: that of use and of calibration in squares; a data sheet knows no lens."""
+    """Focus by Δ(m/p), filters of use and calibration in squares; a transmittance must be comparable."""
     base = rig.calibration(uncertainties=NOTHING.model_copy(update={"magnification_u_rel": 0.1}))
     near = base.lens.model_copy(update={"magnification": 0.5, "pupil_magnification": 2.0})
     assert budget.magnification_u_rel(base, near)[0] == pytest.approx(2.0 * 0.1 * 0.25 / 1.25)
@@ -140,23 +161,12 @@ def test_what_the_lens_in_use_brings_to_the_budget(rig):
     sheet = replace(base, scale=base.scale.model_copy(update={"method": "datasheet"}))
     assert budget.transmittance_u_rel(sheet, filtered)[0] == pytest.approx(0.04)
     assert budget.transmittance_u_rel(sheet, vague)[0] == 0.0
-
-
-def test_what_all_readings_of_a_map_share(rig):
-    """Exposure clock, straightness, scale, spectrum and flat field, in squares."""
-    stated = NOTHING.model_copy(update={"exposure_u_rel": 0.01, "linearity_u_rel": 0.02, "spectral_u_rel": 0.04})
-    flat = FlatField(
-        principal_point_px=(8.0, 8.0), radius_px=12.0, coefficients=(0.0, 0.0, 0.0), shape=(16, 16), u_rel=0.1
-    )
-    calibration = rig.calibration(u_rel=0.2, uncertainties=stated, flat_field=flat)
-    settled = situation.situation_of(Setup(calibration.camera, calibration.lens, calibration))
-    parts = (0.01, 0.02, 0.2, 0.04, 0.1)
-    assert budget.common_u_rel(settled) == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
-    alone = replace(settled, setup=Setup(calibration.camera, calibration.lens))
-    assert budget.common_u_rel(alone) == pytest.approx(math.hypot(0.01, 0.02))
-    assert situation.flat_field_for(calibration, (16, 16)) is flat
-    with pytest.raises(CalibrationError, match="16 × 16"):
-        situation.flat_field_for(calibration, (12, 16))
+    base = rig.calibration()
+    with pytest.raises(CalibrationError, match="the calibration states none"):
+        lens_in_use(base, base.lens.model_copy(update={"transmittance": 0.5}))
+    used = lens_in_use(base, LensDescription(f_number=8.0, since_calibration=("reseated",), magnification=0.2))
+    assert (used.f_number, used.since_calibration, used.magnification) == (8.0, ("reseated",), 0.2)
+    assert used.focal_length_mm == base.lens.focal_length_mm
 
 
 def test_the_corner_is_dimmer_by_the_fourth_power():
@@ -170,16 +180,6 @@ def test_the_corner_is_dimmer_by_the_fourth_power():
     moved = lens.model_copy(update={"principal_point_px": (0.0, 0.0)})
     assert relative_sensitivity(camera, moved, None, (201, 201), [0, 60], [0, 80]) == pytest.approx([1.0, 0.25])
     assert relative_sensitivity(camera, LensDescription(), None, (201, 201), [0], [0]).tolist() == [1.0]
-
-
-def test_a_transmittance_must_be_comparable(rig):
-    """Stated in use and not at calibration it is refused; handling and f-number are those of the lens in use."""
-    base = rig.calibration()
-    with pytest.raises(CalibrationError, match="the calibration states none"):
-        lens_in_use(base, base.lens.model_copy(update={"transmittance": 0.5}))
-    used = lens_in_use(base, LensDescription(f_number=8.0, since_calibration=("reseated",), magnification=0.2))
-    assert (used.f_number, used.since_calibration, used.magnification) == (8.0, ("reseated",), 0.2)
-    assert used.focal_length_mm == base.lens.focal_length_mm
 
 
 @pytest.mark.parametrize(
@@ -275,3 +275,166 @@ def test_what_the_sensor_leaves_unknown_is_assumed_in_the_same_words_by_calibrat
     both = (*done.provenance.assumptions, *situation.situation_of(Setup(done.camera, done.lens, done)).assumptions)
     once = list(dict.fromkeys(both))
     assert sum("read_noise_e" in one for one in once) == sum("dark current" in one for one in once) == 1
+
+
+# What a calibration and a reading must share: every state of every quantity is handled as the table says.
+
+
+CAMERA = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.4, full_well_e=10_500)
+# Two values of every quantity that may differ; a reading of either is of the same light.
+VALUES = {
+    "model": ("A", "B"),
+    "serial": ("1", "2"),
+    "bit depth": (12, 10),
+    "pixel pitch": (4.5, 9.0),
+    "mosaic": ("RGGB", "BGGR"),
+    "mode": ("GAIN 0", "GAIN 300"),
+    "filter": ("V", "R"),
+    "band": ("Red", "Green"),
+    "binning": ("1", "2"),
+    "white_balance": ("set to daylight", "set to shade"),
+    "conversion gain": (2.6, 1.3),
+    "focal length": (16.0, 25.0),
+    "f-number": (4.0, 5.6),
+    "ISO speed": (100.0, 200.0),
+    "gain": (0.0, 6.0),
+    "channel": ("green", "red"),
+    "spectrum": ("equal_energy", "cie_a"),
+    "temperature": (25.0, 40.0),
+    "response support": (128.0, 2.0),
+    "focus of a flat field": (0.0, 1.0),
+    "place of a flat field": ((10.0, 20.0), (12.0, 20.0)),
+}
+STATES = [(name, state) for name, rules in TABLE.items() for state in rules]
+
+
+def test_every_quantity_of_the_table_is_tried():
+    """A new line of the table needs its two values here."""
+    assert set(VALUES) == set(TABLE)
+
+
+# What a camera's description states, by its name in the table.
+MARKS = {name: name for name in ("model", "serial", "mosaic", *CameraDescription.SETTINGS)} | {
+    "pixel pitch": "pixel_pitch_um",
+    "conversion gain": "conversion_gain_e_per_dn",
+}
+
+
+def calibration(quantity: str, there: object) -> Calibration:
+    """Return a calibration by which 2000 DN above black, at f/4, 1 ms, 0 dB, ISO 100, are 1 W·sr⁻¹·m⁻²."""
+    stated = {quantity: there}
+    camera = CAMERA.model_copy(update={MARKS[k]: stated[k] for k in MARKS if k in stated})
+    conditions = ScaleConditions(
+        inverse_exposure_per_s=1000.0,
+        level=0.5,
+        temperature_c=stated.get("temperature", 25.0),
+        channel=stated.get("channel", "green"),
+    )
+    f_number = stated.get("f-number", 4.0)
+    scale = Scale(
+        value=math.pi / 64.0 * 1e-3 / 2000.0,
+        u_rel=0.01,
+        method="known_radiance",
+        f_number=f_number,
+        iso=stated.get("ISO speed", 100.0),
+        spectrum="equal_energy",
+        conditions=conditions,
+    )
+    wavelength = tuple(float(nm) for nm in range(380, 781, 10))
+    silicon = SpectralResponse(wavelength_nm=wavelength, relative=wavelength)
+    lens = LensDescription(focal_length_mm=stated.get("focal length"))
+    black = BlackLevel(dn=64.0)
+    noise = SensorNoise.of(CAMERA)
+    return Calibration(camera, lens, scale, None, noise, black, spectral_response=silicon)
+
+
+def reading(quantity: str, there: object, here: object) -> tuple[float, dict[str, float]]:
+    """Return a reading of 1 W·sr⁻¹·m⁻², and the relative uncertainties of its budget."""
+    stated = {quantity: here}
+    known = calibration(quantity, there)
+    camera = CAMERA.model_copy(update={MARKS[k]: stated[k] for k in MARKS if k in stated})
+    depth = int(stated.get("bit depth", 12))
+    camera = camera.model_copy(update={"bit_depth": depth})
+    f_number, gain_db = stated.get("f-number", 4.0), stated.get("gain", 0.0)
+    iso, spectrum = stated.get("ISO speed", 100.0), stated.get("spectrum", "equal_energy")
+    level = 2000.0 * (4.0 / (f_number or 4.0)) ** 2 * 10 ** (gain_db / 20.0) * (iso or 100.0) / 100.0
+    settings = FrameSettings(1e-3, gain_db, f_number, 64.0, stated.get("temperature", 25.0), iso=iso)
+    rng = np.random.default_rng(5)
+    top = (1 << depth) - 1
+    frames = [
+        Frame(
+            np.clip(np.rint(rng.normal(64.0 + 0.5 * level, 3.0, (40, 40))), 0, top).astype(np.uint16),
+            depth,
+            replace(settings, exposure_s=5e-4),
+            extra={"channel": stated.get("channel", "green")} if stated.get("channel", "green") else {},
+        )
+        for _ in range(5)
+    ]
+    taken = Photographs({"green": Bracket.from_frames(frames)}, Path("here"))
+    if quantity in ("ISO speed", "channel"):
+        taken = prepared(taken, calibration=known, align="off")
+    if spectrum is not None:
+        known = replace(known, spectrum=spectrum)
+    lens = LensDescription(focal_length_mm=stated.get("focal length"))
+    found = read_patch(
+        taken.only,
+        Patch(0, 0, 40, 40),
+        Setup(camera, lens, known, spectrum=AS_CALIBRATED if spectrum is not None else None),
+    )
+    return found.radiance.value, {line.name: line.u_rel for line in found.budget}
+
+
+def sides(quantity: str, state: State) -> tuple[object, object]:
+    """Return what the calibration and what the reading state."""
+    one, other = VALUES[quantity]
+    return {
+        State.EQUAL: (one, one),
+        State.DIFFERENT: (one, other),
+        State.READING_SILENT: (one, None),
+        State.CALIBRATION_SILENT: (None, one),
+        State.BOTH_SILENT: (None, None),
+    }[state]
+
+
+def of_response_support(here: float) -> float:
+    """Return the scale of a meter reading at a pixel value, by a curve with data from 4 to 252 DN."""
+    g = np.log(np.maximum(np.arange(256.0), 0.25) / 128.0)
+    curve = ResponseCurve(g, np.full(256, 1e-3), valid_dn=(4, 252))
+    camera = CameraDescription(bit_depth=8)
+    base = replace(calibration("", None), camera=camera, response=curve, black_level=BlackLevel(dn=0.0))
+    return scale_by_meter(base, MeterReading(12.5, MeterSettings(1 / 128, 8.0, 100.0), here)).value
+
+
+def accepted(quantity: str, there: object, here: object) -> bool:
+    """Return that a scale by a meter, or a flat field, was taken where the calibration differs from it."""
+    if quantity == "response support":
+        return of_response_support(here) > 0.0
+    key = "magnification" if quantity.startswith("focus") else "principal_point_px"
+    lenses = [LensDescription(**{key: value}) for value in (there, here)]
+    require_flat_field(replace(calibration("", None), lens=lenses[0]), CAMERA, lenses[1])
+    return True
+
+
+@pytest.mark.parametrize(("quantity", "state"), STATES)
+def test_every_state_is_handled_as_the_table_says(quantity, state):
+    """Kept: right as it is. Corrected: right, with a doubt in the budget. Widened: with a doubt. Refused: an error."""
+    rule, (there, here) = TABLE[quantity][state], sides(quantity, state)
+    of_itself = quantity == "response support" or quantity.endswith("flat field")
+    if rule.handling is Handling.REFUSED:
+        with pytest.raises(RadiometerError) as refusal:
+            accepted(quantity, there, here) if of_itself else reading(quantity, there, here)
+        assert refusal.type is rule.error
+        return
+    if of_itself:
+        assert accepted(quantity, there, here)
+        return
+    value, budget = reading(quantity, there, here)
+    _, same = reading(quantity, *sides(quantity, State.EQUAL))
+    if quantity != "spectrum" or state is State.EQUAL:
+        assert value == pytest.approx(1.0, rel=2e-3)
+    if rule.term:
+        assert budget[rule.term] > same[rule.term] + 1e-4
+    else:
+        dark = "dark and black level"  # of a camera without an ISO speed an unstated dark current may be larger
+        assert budget.pop(dark) >= same.pop(dark) * 0.95
+        assert budget == pytest.approx(same, rel=0.05, abs=1e-4)

@@ -14,7 +14,16 @@ from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, meaning
 from radiometer.analysis.characterise.result import SYMBOLS
 from radiometer.analysis.characterise.subject import Subject
-from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
+from radiometer.data import (
+    CameraDescription,
+    CaptureSet,
+    CaptureSetWriter,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Patch,
+    Quantity,
+)
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
 from radiometer.errors import CalibrationError, InputError, MeasurementError, OutputRefused, UsageError
@@ -78,24 +87,37 @@ def test_camera_file_is_read_as_a_camera_preset(capture):
     assert preset.sources["read_noise_e"].startswith("measured: sigma_d")
 
 
-def test_uncertainty_of_the_light_goes_into_the_quantum_efficiency(capture):
-    """A radiance known to 5 % gives a quantum efficiency known to no better, while K stays as it is."""
+def test_one_light_s_uncertainty_and_snr_stand_in_the_file(capture):
+    """5 % of radiance in η, none of it in K; each step's SNR."""
     header = read_yaml(capture.path / "capture.yaml")
     header["patches"][0]["u_rel"] = 0.05
     write_yaml_atomic(capture.path / "capture.yaml", header)
     loose, tight = (characterise(subject_of_capture(c)) for c in (CaptureSet.read(capture.path), capture))
     assert loose.figures["eta"].u_rel == pytest.approx(np.hypot(0.05, tight.figures["eta"].u_rel), rel=1e-3)
     assert loose.figures["K"] == tight.figures["K"]
+    steps = characterise(subject_of_capture(capture)).to_mapping()["emva1288"]["steps"]
+    assert len(steps) == len(EXPOSURES)
+    for step in steps:
+        if step["sigma2_y_dn2"] == 0:
+            assert step["SNR"] is None
+            continue
+        expected = (step["mu_y_dn"] - step["mu_y_dark_dn"]) / step["sigma2_y_dn2"] ** 0.5
+        assert step["SNR"] == pytest.approx(expected, rel=1e-12)
 
 
-def test_every_gain_has_its_own_system_gain(tmp_path):
-    """K rises by the factor of the gain, within 4 standard deviations; the figures hold at 0 dB."""
+def test_gains_and_patches_have_their_own_k(tmp_path):
+    """By the factor of the gain; six patches agree within 4 standard deviations."""
     capture = _capture(tmp_path / "set", _plan(12.0) + _plan(0.0))
     result = characterise(subject_of_capture(capture))
     assert result.gain_db == 0.0
     assert list(result.gains) == [0.0, 12.0]
     for gain_db, K in result.gains.items():
         assert K.value == pytest.approx(10 ** (gain_db / 20) / 2.6, abs=4 * K.u)
+    chart = StepChartScene(radiances_W_per_sr_m2=(0.02, 0.05, 0.08, 0.1, 0.12, 0.14))
+    capture = _capture(tmp_path / "chart", _plan(), scene=chart)
+    result = characterise(subject_of_capture(capture))
+    assert len({step.bright.region for step in result.transfer.used}) == 6
+    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
 
 
 @pytest.mark.parametrize(
@@ -110,15 +132,6 @@ def test_an_ideal_sensor_raises_no_alarm_whatever_it_looks_at(scene, tmp_path):
     capture = _capture(tmp_path / "set", _plan(), scene=scene)
     notes = characterise(subject_of_capture(capture, Patch(0, 0, 96, 72))).notes
     assert not re.search("scatters|bends|differs from|conversion_gain_error", " ".join(notes))
-
-
-def test_patches_of_a_chart_all_take_part_in_the_photon_transfer(tmp_path):
-    """Six patches give six times the steps, and K agrees with the truth within 4 standard deviations."""
-    chart = StepChartScene(radiances_W_per_sr_m2=(0.02, 0.05, 0.08, 0.1, 0.12, 0.14))
-    capture = _capture(tmp_path / "set", _plan(), scene=chart)
-    result = characterise(subject_of_capture(capture))
-    assert len({step.bright.region for step in result.transfer.used}) == 6
-    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
 
 
 def test_of_a_mosaic_the_pixels_of_one_colour_are_read(tmp_path):
@@ -210,32 +223,33 @@ def test_other_plans_give_the_gain_too_and_a_note(plan, note, unknown, tmp_path)
     assert unknown & set(result.figures) == set()
 
 
-def test_curve_of_the_signal_to_noise_ratio_stands_in_the_file(capture):
-    """Each step's SNR is its signal over the root of its variance; none where every pixel clips."""
-    steps = characterise(subject_of_capture(capture)).to_mapping()["emva1288"]["steps"]
-    assert len(steps) == len(EXPOSURES)
-    for step in steps:
-        if step["sigma2_y_dn2"] == 0:
-            assert step["SNR"] is None
-            continue
-        expected = (step["mu_y_dn"] - step["mu_y_dark_dn"]) / step["sigma2_y_dn2"] ** 0.5
-        assert step["SNR"] == pytest.approx(expected, rel=1e-12)
+@pytest.mark.parametrize("step_dn", [4, 16])
+def test_padded_codes_count_as_such_though_nothing_states_them(capture, tmp_path, step_dn):
+    """The same frames on codes 4 or 16 DN apart: noise in electrons as before, K as many times larger, and a note."""
+    before = characterise(subject_of_capture(capture)).figures
+    with CaptureSetWriter(tmp_path / "padded", CameraDescription(bit_depth=16), LensDescription()) as writer:
+        for number, entry in enumerate(capture.header.frames):
+            dn = capture.read_frame(number).dn * np.uint16(step_dn)
+            writer.add(Frame(dn, 16, replace(entry.settings, black_level_dn=None)))
+    found = characterise(subject_of_capture(CaptureSet.read(tmp_path / "padded")))
+    assert any(f"codes are {step_dn} DN apart" in note for note in found.notes)
+    assert found.figures["sigma_d"].value == pytest.approx(before["sigma_d"].value, rel=0.02)
+    assert found.figures["K"].value == pytest.approx(step_dn * before["K"].value, rel=0.01)
 
 
-def test_averaged_frames_are_refused_as_showing_no_shot_noise(capture):
-    """Where both frames of each pair are the same file, the variance does not rise with the signal."""
+def test_what_cannot_be_characterised_is_refused(capture):
+    """One file twice in each pair, a region outside the frame, an export without photons."""
     header = read_yaml(capture.path / "capture.yaml")
     for first, second in zip(header["frames"][::2], header["frames"][1::2], strict=True):
         second["file"] = first["file"]
     write_yaml_atomic(capture.path / "capture.yaml", header)
     with pytest.raises(MeasurementError, match=r"show no shot noise|needs at least"):
         characterise(read_subject(capture.path))
-
-
-def test_region_outside_the_frame_is_refused(capture):
-    """The message gives the region and the size of the frame."""
     with pytest.raises(MeasurementError, match=r"90,0,40,40 is not on the frame of 96 × 72"):
         characterise(subject_of_capture(capture, Patch(90, 0, 40, 40)))
+    subject: Subject = replace(subject_of_capture(capture), fluxes=(None,))
+    with pytest.raises(InputError, match="photons per pixel are unknown; give the radiance"):
+        export_descriptor(subject, characterise(subject), capture.path / "emva.txt")
 
 
 def test_descriptor_export_gives_the_same_figures_when_read_back(capture, tmp_path):
@@ -288,13 +302,6 @@ def test_descriptor_export_refuses_an_implausible_efficiency(capture, factor):
     write_yaml_atomic(capture.path / "capture.yaml", header)
     subject = read_subject(capture.path)
     with pytest.raises(InputError, match=r"a quantum efficiency of .* would follow, outside 5 to 100 %"):
-        export_descriptor(subject, characterise(subject), capture.path / "emva.txt")
-
-
-def test_descriptor_export_without_photons_is_refused(capture):
-    """Where the radiance is unknown the message says how to give it."""
-    subject: Subject = replace(subject_of_capture(capture), fluxes=(None,))
-    with pytest.raises(InputError, match="photons per pixel are unknown; give the radiance"):
         export_descriptor(subject, characterise(subject), capture.path / "emva.txt")
 
 

@@ -54,18 +54,14 @@ def test_borders_are_found_where_one_figure_alone_differs(tmp_path, which):
     ]  # fmt: skip
 
 
-def test_borders_of_sixteen_taps_are_found(tmp_path):
-    """Two rows of eight narrow taps step in either direction: every border is found, and no other."""
+def test_borders_of_sixteen_taps_are_found_and_of_one_none(tmp_path):
+    """Where each amplifier's columns end."""
     truth = Taps.drawn(np.random.default_rng(9109), 2, 8)
     found = rm.characterise(write_frames(tmp_path / "set", 9109, truth), taps="find")
     assert [(t.tap.x, t.tap.y, t.tap.width, t.tap.height) for t in found.taps] == truth.rectangles((128, 192))
-
-
-def test_one_amplifier_shows_no_border(tmp_path):
-    """Frames of one amplifier are not parted: the search says that nothing was found and how to state taps."""
     alike = Taps(np.full((1, 1), 0.5), np.full((1, 1), 200.0), np.full((1, 1), 6.0))
     with pytest.raises(MeasurementError, match="COLUMNSxROWS"):
-        rm.characterise(write_frames(tmp_path / "set", 9104, alike), taps="find")
+        rm.characterise(write_frames(tmp_path / "one", 9104, alike), taps="find")
 
 
 def test_units_of_amplifiers_make_one_frame_of_taps(tmp_path):

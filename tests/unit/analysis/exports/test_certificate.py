@@ -52,7 +52,6 @@ def test_a_certificate_states_value_uncertainty_budget_item_and_conditions(tmp_p
     made = rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="2026-7")
     root = ET.parse(tmp_path / "c.xml").getroot()
     radiance = root.find(".//si:real[si:label='radiance']", NAMES)
-    assert radiance is not None
     assert float(radiance.findtext("si:value", "", NAMES)) == 0.3
     assert radiance.findtext("si:unit", "", NAMES) == r"\watt\steradian\tothe{-1}\metre\tothe{-2}"
     assert float(radiance.findtext(".//si:uncertainty", "", NAMES)) == pytest.approx(2.13 * 0.003)
@@ -73,7 +72,6 @@ def test_a_certificate_states_k_to_three_digits_and_u_times_that_k(tmp_path, lab
         replace(reading(), coverage_factor=k), tmp_path / "c.xml", laboratory=laboratory, identifier="2"
     )
     radiance = ET.parse(tmp_path / "c.xml").getroot().find(".//si:real[si:label='radiance']", NAMES)
-    assert radiance is not None
     assert radiance.findtext(".//si:coverageFactor", "", NAMES) == stated
     assert float(radiance.findtext(".//si:uncertainty", "", NAMES)) == pytest.approx(float(stated) * 0.003, rel=1e-12)
     assert made.to_mapping()["results"]["radiance"]["coverage_factor"] == float(stated)
@@ -88,15 +86,8 @@ def test_a_printed_reading_is_certified_with_its_budget_and_calibration(tmp_path
     assert "calibration</dt><dd>simulated.yaml, 2026-11-21" in (tmp_path / "c.html").read_text(encoding="utf-8")
 
 
-def test_a_certified_source_gives_a_calibration_its_value_and_uncertainty(tmp_path, laboratory):
-    """A certified source gives a calibration its value and uncertainty."""
-    rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="1")
-    assert read_certificate(tmp_path / "c.xml", "W sr-1 m-2") == Quantity(0.3, pytest.approx(0.003), "W sr-1 m-2")
-    assert read_certificate(tmp_path / "c.xml", "cd m-2").u == pytest.approx(1.2)
-
-
-def test_a_calibration_is_certified_as_its_camera(project_root, laboratory, tmp_path):
-    """A calibration is certified as its camera."""
+def test_a_calibration_and_what_is_read_are_certified(project_root, laboratory, tmp_path):
+    """As its camera; a certified source gives value and u back."""
     stored = project_root / "configs" / "calibrations" / "simulated.yaml"
     made = rm.certificate(stored, tmp_path / "c.xml", laboratory=laboratory, identifier="2")
     assert made.content.item.name == "camera"  # not the laboratory's item, which is the source that it reads
@@ -106,6 +97,12 @@ def test_a_calibration_is_certified_as_its_camera(project_root, laboratory, tmp_
     name, scale, k = made.content.results[0]
     assert (name, scale.unit, k) == ("exposure per unit of the linear signal", "J m-2", 2.0)
     assert scale.u > 0
+    rm.certificate(reading(), tmp_path / "s.xml", laboratory=laboratory, identifier="1")
+    assert read_certificate(tmp_path / "s.xml", "W sr-1 m-2") == Quantity(0.3, pytest.approx(0.003), "W sr-1 m-2")
+    assert read_certificate(tmp_path / "s.xml", "cd m-2").u == pytest.approx(1.2)
+    (tmp_path / "r.json").write_text(json.dumps(reading().to_mapping()))
+    of_file = rm.certificate(tmp_path / "r.json", laboratory=laboratory, identifier="1")
+    assert of_file.content.results == rm.certificate(reading(), laboratory=laboratory, identifier="1").content.results
 
 
 def test_certificates_are_valid_against_the_schema(project_root, tmp_path, laboratory):
@@ -123,13 +120,6 @@ def test_certificates_are_valid_against_the_schema(project_root, tmp_path, labor
         rm.certificate(source, tmp_path / "c.xml", laboratory=laboratory, identifier="1", force=True)
         found = judge.validate_file(str(tmp_path / "c.xml"))
         assert found.is_valid, [str(error) for error in found.errors]
-
-
-def test_a_reading_in_a_file_is_certified_as_the_reading(tmp_path, laboratory):
-    """A reading in a file is certified as the reading."""
-    (tmp_path / "r.json").write_text(json.dumps(reading().to_mapping()))
-    of_file = rm.certificate(tmp_path / "r.json", laboratory=laboratory, identifier="1")
-    assert of_file.content.results == rm.certificate(reading(), laboratory=laboratory, identifier="1").content.results
 
 
 @pytest.mark.parametrize("read", ["source", "laboratory"])

@@ -39,8 +39,8 @@ def colour(grey):
     }
 
 
-def test_exr_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
-    """All in 32 bits, exactly."""
+def test_exr_and_tiff_carry_value_uncertainty_mask_and_unit(grey, tmp_path):
+    """Read back by a program that knows the form."""
     reported = replace(grey, not_in_u=("no stray light", "no offset"))
     writer_for(tmp_path / "map.exr")(tmp_path / "map.exr", MapPicture({"mono": reported}))
     file = OpenEXR.File(str(tmp_path / "map.exr"), separate_channels=True)
@@ -50,10 +50,6 @@ def test_exr_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
     np.testing.assert_array_equal(channels["Y.mask"], grey.mask)
     assert file.header()["unit"] == "W sr-1 m-2"
     assert file.header()["not_in_u"] == "no stray light; no offset"
-
-
-def test_tiff_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
-    """One page each; the description of each is JSON."""
     writer_for(tmp_path / "map.tiff")(tmp_path / "map.tiff", MapPicture({"mono": grey}))
     with tifffile.TiffFile(tmp_path / "map.tiff") as tiff:
         value, u, mask = (page.asarray() for page in tiff.pages)
@@ -75,17 +71,13 @@ def test_hdr_is_read_back_by_opencv_to_its_resolution(grey, tmp_path, unit, per_
     assert abs(np.mean(back[..., 1].ravel()[1:] / grey.radiance.ravel()[1:]) - 1) < 5e-4  # rounded, not cut
 
 
-def test_hdr_states_exposure_once_at_the_line_s_beginning(grey, tmp_path):
-    """As Radiance's readers demand."""
+def test_hdr_states_its_exposure_once_and_never_overflows(grey, tmp_path):
+    """At the beginning of a line; mantissas stay below 256."""
     writer_for(tmp_path / "map.hdr")(tmp_path / "map.hdr", MapPicture({"mono": grey}))
     header = (tmp_path / "map.hdr").read_bytes().split(b"\n\n")[0].decode()
     lines = header.splitlines()
     assert lines[0] == "#?RADIANCE"
     assert [line for line in lines if "EXPOSURE" in line] == ["EXPOSURE=1"]
-
-
-def test_hdr_mantissas_never_overflow():
-    """Values just below a power of two round up into the next exponent."""
     below = np.nextafter(np.float32(2.0), np.float32(0.0))
     quadruple = rgbe(np.full((1, 1, 3), below, np.float32))[0, 0]
     assert quadruple.tolist() == [128, 128, 128, 130]
@@ -241,8 +233,8 @@ def gamma_curve(power=2.2, size=256):
         return ResponseCurve(power * np.log(np.arange(size) / (size // 2)), np.zeros(size))
 
 
-def test_pfstools_reads_ratios_back(tmp_path):
-    """Three named matrices; columns two and three are the number and a response in proportion to exposure."""
+def test_curves_are_read_back_by_pfstools_and_hdrgen(tmp_path):
+    """Three matrices; a polynomial within 0.2 % of the curve."""
     write_curves(tmp_path / "c.m", {"mono": gamma_curve()})
     text = (tmp_path / "c.m").read_text()
     assert [line.split()[-1] for line in text.splitlines() if line.startswith("# name")] == ["IR", "IG", "IB"]
@@ -253,10 +245,6 @@ def test_pfstools_reads_ratios_back(tmp_path):
     np.testing.assert_allclose(first[200, 2] / first[100, 2], 2**2.2, rtol=1e-6)
     np.testing.assert_allclose(10 ** first[50:, 0], first[50:, 2], rtol=1e-6)
     assert first[0, 0] == -6.0
-
-
-def test_hdrgen_s_polynomial_follows_the_curve(tmp_path):
-    """Three lines; the polynomial, highest power first, is 1 at full scale and within 0.2 % of it elsewhere."""
     write_curves(tmp_path / "c.rsp", {"mono": gamma_curve()})
     lines = (tmp_path / "c.rsp").read_text().splitlines()
     assert len(lines) == 3
@@ -269,10 +257,14 @@ def test_hdrgen_s_polynomial_follows_the_curve(tmp_path):
     np.testing.assert_allclose(found, x**2.2, atol=3e-3)
 
 
-def test_missing_channels_are_refused(tmp_path):
-    """Two curves are neither one nor three."""
+def test_curves_of_other_programs_have_one_or_three_channels(tmp_path):
+    """Two are refused; `curve-red.csv` is red's, any other name of no colour."""
     with pytest.raises(UsageError, match="blue"):
         write_curves(tmp_path / "c.m", {"red": gamma_curve(), "green": gamma_curve()})
+    gamma_curve().write(tmp_path / "curve-red.csv")
+    gamma_curve().write(tmp_path / "plain.csv")
+    assert list(read_curves(tmp_path / "curve-red.csv")) == ["red"]
+    assert list(read_curves(tmp_path / "plain.csv")) == ["mono"]
 
 
 @pytest.mark.parametrize("ending", [".m", ".rsp"])
@@ -288,14 +280,6 @@ def test_what_we_write_for_others_we_read_back(tmp_path, ending):
         assert curve.log_exposure[128] == 0.0
         assert np.median(curve.u_log_exposure[10:250]) == pytest.approx(0.03)
         assert "states none" in curve.provenance.assumptions[0]
-
-
-def test_a_csv_file_is_of_the_channel_in_its_name(tmp_path):
-    """`curve-red.csv` is red's; any other name is of no colour."""
-    gamma_curve().write(tmp_path / "curve-red.csv")
-    gamma_curve().write(tmp_path / "plain.csv")
-    assert list(read_curves(tmp_path / "curve-red.csv")) == ["red"]
-    assert list(read_curves(tmp_path / "plain.csv")) == ["mono"]
 
 
 @pytest.mark.parametrize(

@@ -238,16 +238,12 @@ def test_the_worked_example_of_the_thesis():
     assert f"{math.exp(round(math.log(exposure), 4)):.5e}" == f"{thesis.REFERENCE_EXPOSURE_J_M2:.5e}"
 
 
-def test_the_gaussian_has_the_area_of_the_thesis():
-    """∫V dλ of (2.9) is 0.1068 µm; the tabulated V(λ) has 0.10686 µm."""
+def test_the_thesis_has_the_gaussian_s_area_and_radiance_per_micrometre():
+    """∫V dλ of (2.9) is 0.1068 µm; (2.10) times 0.4 µm is the band's."""
     wavelength, gaussian = photometry.luminous_efficiency("photopic_gaussian")
     assert round(float(np.trapezoid(gaussian, wavelength * 1e-3)), 4) == 0.1068
     _, tabulated = photometry.luminous_efficiency("photopic")
     assert float(tabulated.sum()) == pytest.approx(106.856917, abs=1e-5)
-
-
-def test_the_thesis_conversion_is_the_radiance_of_one_micrometre():
-    """Times the 0.4 µm of the band it is the equal-energy radiance: (2.10) is per µm."""
     right = photometry.radiance_w_sr_m2(3882.3529, spectrum("equal_energy"))
     assert right == pytest.approx(photometry.radiance_thesis_w_sr_m2_um(3882.3529) * 0.4, rel=1e-3)
 
@@ -273,12 +269,6 @@ def test_an_unknown_spectrum_is_refused(name):
     """With the names there are, or what is wrong with the number or file."""
     with pytest.raises(InputError):
         spectrum(name)
-
-
-def test_invisible_light_has_no_luminance():
-    """An infrared line is refused rather than divided by zero."""
-    with pytest.raises(InputError, match="no visible light"):
-        photometry.radiance_w_sr_m2(1.0, spectrum("line:940"))
 
 
 def _table(*points):
@@ -307,9 +297,11 @@ def test_integrals_of_coarse_tables_are_those_of_their_straight_lines(power, wei
     assert Spectrum("x", *_table(*power)).integral(*_table(*weighting)) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def test_a_line_is_not_a_band():
-    """Its integral is its power, whatever is next to it."""
+def test_a_line_is_no_band_and_infrared_has_no_luminance():
+    """Its integral is its power; 940 nm is refused rather than divided by zero."""
     assert Spectrum("x", np.array([550.0]), np.array([2.0])).integral() == 2.0
+    with pytest.raises(InputError, match="no visible light"):
+        photometry.radiance_w_sr_m2(1.0, spectrum("line:940"))
 
 
 @pytest.mark.parametrize(("name", "visible"), [("line:555", True), ("line:780", True), ("line:850", False)])
@@ -487,32 +479,24 @@ def test_light_of_unknown_spectrum_may_be_of_any_kind(rig):
     assert "spectrum_assumed" not in known.flags
 
 
-def test_a_camera_that_counts_all_light_alike_leaves_the_radiance_alone():
-    """Of a flat response per watt every light's radiance is right, to the response's own u; its luminance is not."""
+def test_unknown_light_is_doubted_by_what_the_camera_counts():
+    """A flat response leaves the radiance alone; one that ends before the light says nothing."""
     assert unstated_light_u_rel("white_led", FLAT) == pytest.approx(0.03)
     efficacy = {name: luminous_efficacy_lm_per_w(spectrum(name)) for names in KINDS.values() for name in names}
     off = [[(efficacy[one] / efficacy["white_led"] - 1.0) ** 2 for one in names] for names in KINDS.values()]
     expected = math.hypot(math.sqrt(np.mean([np.mean(kind) for kind in off])), 0.03)
     assert unstated_light_u_rel("white_led", FLAT, "photopic") == pytest.approx(expected, rel=1e-3)
-
-
-def test_a_response_that_ends_before_the_light_says_nothing():
-    """A table from 300 to 400 nm under a line at 600: as if there were none."""
     short = SpectralResponse(wavelength_nm=(300.0, 400.0), relative=(1.0, 1.0))
     assert unstated_light_u_rel("line:600", short) == unstated_light_u_rel("line:600", None)
 
 
-def test_a_stated_figure_stands_in_place_of_all_kinds(rig):
-    """`--stated spectral_u_rel=0.05` is what the user knows better; the flag stays."""
+def test_stated_spectral_figures_take_the_place_of_all_kinds(rig):
+    """The flag stays; relative readings have no spectrum."""
     stated = StatedUncertainties(spectral_u_rel=0.05)
     found = unstated(rig, rig.calibration(spectrum="white_led", uncertainties=stated))
     assert spectral_line(found).u_rel == pytest.approx(0.05)
     assert spectral_line(found).note.endswith("as stated")
     assert "spectrum_assumed" in found.flags
-
-
-def test_relative_readings_have_no_spectrum(rig):
-    """Without an absolute scale there is nothing that a spectrum could shift."""
     base = rig.calibration(spectrum="white_led")
     relative = replace(base, scale=base.scale.model_copy(update={"method": "relative"}))
     assert spectral_u_rel(relative, StatedUncertainties(), spectrum_stated=False) == 0.0

@@ -198,20 +198,13 @@ def test_what_was_not_captured_is_listed_as_not_measured(tmp_path):
     assert all("not captured" in one.reason for one in sheet.indices if one.procedure.steps and not one.figure)
 
 
-def test_a_missing_step_names_itself(tmp_path):
-    """The veiling glare index needs both its captures."""
+def test_folders_without_a_step_are_refused_by_name(tmp_path):
+    """A missing step names itself, an empty folder is none, a clipped patch no reading."""
     stations.capture(tmp_path / "glare" / "white", stations.uniform())
     assert index_of(tmp_path, "glare").reason == "not captured: black"
-
-
-def test_an_empty_folder_is_refused(tmp_path):
-    """Nothing to read is an error that says how captures are taken."""
+    (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="radiometer quality take"):
-        evaluate(tmp_path, STEADY)
-
-
-def test_a_clipped_patch_is_no_reading(tmp_path):
-    """A patch that clips in every frame gives no index and says so."""
+        evaluate(tmp_path / "empty", STEADY)
     stations.capture(tmp_path / "focus" / "far", stations.uniform(50.0))
     stations.capture(tmp_path / "focus" / "near", stations.uniform(50.0))
     assert "clips in every frame" in index_of(tmp_path, "focus").reason

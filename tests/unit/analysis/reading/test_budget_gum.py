@@ -83,8 +83,8 @@ def test_linear_and_monte_carlo_budgets_agree(rig, case):
     assert drawn.high - drawn.low == pytest.approx(4.0 * linear.u, rel=0.08)
 
 
-def test_the_curve_is_shared_only_at_the_same_level():
-    """A ratio of 1 to 10 keeps the response curve's uncertainty of both; a ratio of equals loses it."""
+def test_a_ratio_of_readings_shares_curve_and_scale(rig):
+    """The curve at the same level only; of one calibration the noise of both is left; none to nothing."""
 
     def curved(value):
         lines = (Contribution("response curve", 0.01, correlated=True),)
@@ -92,14 +92,13 @@ def test_the_curve_is_shared_only_at_the_same_level():
 
     assert budget.ratio(curved(1.0), curved(1.0)).u_rel == pytest.approx(0.0, abs=1e-9)
     assert budget.ratio(curved(1.0), curved(10.0)).u_rel == pytest.approx(0.01 * math.sqrt(2))
-
-
-def test_ratios_to_nothing_are_refused():
-    """Neither a ratio to zero nor the mean of none has a value."""
     with pytest.raises(MeasurementError):
         budget.ratio(reading(1.0, 0.1, 0.1), reading(0.0, 0.1, 0.1))
     with pytest.raises(MeasurementError):
         budget.mean([])
+    (one, first), (two, second) = (read_with_gtc(rig, *of, 0.05) for of in ((0.02, 1), (0.01, 9)))
+    scale = GTC.ureal(rig.true_scale, 0.05 * rig.true_scale)
+    assert budget.ratio(one, two).u == pytest.approx((first(scale) / second(scale)).u, rel=0.01)
 
 
 def test_monte_carlo_next_to_the_budget_says_where_they_differ(rig):
@@ -166,8 +165,8 @@ positive = st.floats(0.1, 10.0)
 parts = st.floats(0.001, 0.1)
 
 
-def test_the_end_gauge():
-    """H.1: u = 32 nm of 16 degrees of freedom, k = 2.92 for 99 %, U = 93 nm."""
+def test_the_gauge_and_the_thermometer_of_the_guide():
+    """H.1: u = 32 nm of 16 degrees of freedom, U = 93 nm; H.3: line, uncertainties and scatter."""
     terms = [Term(str(n), u, degrees_of_freedom=freedom) for n, (u, freedom) in enumerate(gum.END_GAUGE)]
     assert combined_u(terms) == pytest.approx(gum.END_GAUGE_U_NM, abs=0.5)
     freedom = effective_degrees_of_freedom(terms)
@@ -175,6 +174,14 @@ def test_the_end_gauge():
     factor = coverage_factor(math.floor(freedom), 0.99)
     assert round(factor, 2) == gum.END_GAUGE_K99
     assert factor * combined_u(terms) == pytest.approx(gum.END_GAUGE_U99_NM, abs=1.0)
+    t, b = np.array(gum.THERMOMETER).T
+    line = fit_line(t, b, np.full(t.size, 1e-6))
+    assert (round(line.intercept, 4), round(line.u_intercept, 4)) == gum.THERMOMETER_INTERCEPT
+    assert (round(line.slope, 5), round(line.u_slope, 5)) == gum.THERMOMETER_SLOPE
+    assert round(line.birge_ratio * 1e-6, 4) == gum.THERMOMETER_SCATTER
+    assert line.degrees_of_freedom == 9
+    honest = fit_line(t, b, np.full(t.size, 1.0))  # scatter below what is stated narrows nothing
+    assert honest.u_slope == pytest.approx(1.0 / math.sqrt(float(((t - t.mean()) ** 2).sum())))
 
 
 def test_the_impedance_of_correlated_voltage_and_current():
@@ -204,20 +211,8 @@ def test_student_s_factors(row):
     assert found == pytest.approx(factors, rel=1e-3, abs=0.0051)
 
 
-def test_the_thermometer():
-    """H.3: line, uncertainties and scatter; readings of unit weight with the scatter in the Birge ratio."""
-    t, b = np.array(gum.THERMOMETER).T
-    line = fit_line(t, b, np.full(t.size, 1e-6))
-    assert (round(line.intercept, 4), round(line.u_intercept, 4)) == gum.THERMOMETER_INTERCEPT
-    assert (round(line.slope, 5), round(line.u_slope, 5)) == gum.THERMOMETER_SLOPE
-    assert round(line.birge_ratio * 1e-6, 4) == gum.THERMOMETER_SCATTER
-    assert line.degrees_of_freedom == 9
-    honest = fit_line(t, b, np.full(t.size, 1.0))  # scatter below what is stated narrows nothing
-    assert honest.u_slope == pytest.approx(1.0 / math.sqrt(float(((t - t.mean()) ** 2).sum())))
-
-
-def test_a_line_through_the_origin_and_one_of_unequal_weights():
-    """Σwxy/Σwx²; and the weighted mean and slope by hand."""
+def test_lines_and_bends_are_those_by_hand():
+    """Through the origin, with unequal weights; 0.01·x² bends by many u of 0.001 and none of 1."""
     x, y, u = np.array([1.0, 2.0, 4.0]), np.array([1.1, 1.9, 4.2]), np.array([0.1, 0.2, 0.4])
     tied = fit_line(x, y, u, through_origin=True)
     w = u**-2
@@ -231,10 +226,6 @@ def test_a_line_through_the_origin_and_one_of_unequal_weights():
     assert line.intercept == pytest.approx(middle_y - slope * middle_x)
     with pytest.raises(ValueError, match="1 points"):
         fit_line([1.0], [1.0], [1.0])
-
-
-def test_a_bend_is_seen_above_the_noise_only():
-    """y = x + 0.01·x² over 0 to 10 bends by many u of 0.001 and by none of 1; three points show no bend."""
     x = np.linspace(0.0, 10.0, 21)
     for tied in (False, True):
         assert is_bent(x, x + 0.01 * x**2, np.full(21, 1e-3), through_origin=tied)
@@ -312,10 +303,3 @@ def test_scale_of_few_degrees_of_freedom(rig):
     assert found.radiance.u == pytest.approx(expected.u, rel=0.01)
     assert found.degrees_of_freedom == pytest.approx(expected.df, rel=0.01)
     assert found.coverage_factor == pytest.approx(GTC.reporting.k_factor(found.degrees_of_freedom, 95.45), rel=0.01)
-
-
-def test_a_ratio_of_readings_that_share_their_scale(rig):
-    """Two radiances by one calibration known to 5 %: what is left of their ratio is the noise of both."""
-    (one, first), (two, second) = (read_with_gtc(rig, *of, 0.05) for of in ((0.02, 1), (0.01, 9)))
-    scale = GTC.ureal(rig.true_scale, 0.05 * rig.true_scale)
-    assert budget.ratio(one, two).u == pytest.approx((first(scale) / second(scale)).u, rel=0.01)

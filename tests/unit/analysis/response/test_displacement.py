@@ -84,17 +84,13 @@ def test_what_is_reported_not_to_have_shown_would_not_have_and_twice_that_does()
     assert more.px > 0.0
 
 
-def test_even_ground_shows_no_displacement():
-    """Without a gradient nothing can be displaced: δ is 0 however far the frames lie apart."""
+def test_nothing_is_displaced_where_nothing_shows_it():
+    """Without a gradient δ is 0; a curve of another depth is left to the merge."""
     rng = np.random.default_rng(3)
     found = find_displacement(
         _bracket(rng, rng.standard_normal((TIMES.size, 2)), scene=lambda row, column: 0.0 * (row + column)), _curve()
     )
     assert found.px == 0.0
-
-
-def test_a_curve_of_another_bit_depth_shows_nothing():
-    """Frames of 8 bits through a curve of 10 are left to the merge to refuse; through none they are linear."""
     bracket = _bracket(np.random.default_rng(6), np.zeros((TIMES.size, 2)))
     assert displacement_of(bracket, ResponseCurve(np.arange(1024.0), np.zeros(1024))) is None
     known = displacement_of(bracket, _curve())

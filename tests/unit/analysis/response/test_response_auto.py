@@ -113,7 +113,6 @@ def test_black_level_is_respected(make_stack):
         for f in make_stack("linear").light
     ]
     curve = recover_response_auto(Bracket.from_frames(frames)).curve
-    assert curve.valid_dn is not None
     assert curve.valid_dn[0] > 64
     g = np.exp(curve.log_exposure[[564, 1064, 2064]])
     assert g / g[0] == pytest.approx([1, 2, 4], rel=0.01)
@@ -265,8 +264,8 @@ def test_reciprocal_times_are_recognised(make_stack):
         reject_inconsistent_exposures(Bracket.from_frames(frames))
 
 
-def test_equal_frames_with_different_labels_are_refused_by_name(make_stack):
-    """Four copies of one frame stated to be 0.5 to 4 s long are refused with the names of those alike."""
+def test_equal_frames_are_refused_unless_one_can_tell_which_label_is_wrong(make_stack):
+    """Four copies of one frame stated to be 0.5 to 4 s long are named."""
     frame = make_stack("gamma", bit_depth=8).light[4]
     frames = [
         replace(frame, settings=replace(frame.settings, exposure_s=0.5 * 2.0**k), extra={"file": f"{k}.jpg"})
@@ -276,10 +275,6 @@ def test_equal_frames_with_different_labels_are_refused_by_name(make_stack):
         reject_inconsistent_exposures(Bracket.from_frames(frames))
     with pytest.raises(CaptureError, match=r"0\.jpg \(0\.5 s\) and 1\.jpg \(1 s\)"):
         refuse_equal_throughout(Bracket.from_frames(frames))
-
-
-def test_one_frame_that_is_brighter_can_tell_which_label_is_wrong(make_stack):
-    """Where not all are alike, or all labels are the same, nothing is refused before labels are judged."""
     first, brighter = make_stack("gamma", bit_depth=8).light[4:6]
     times = [replace(first.settings, exposure_s=one) for one in (0.5, 1.0, 2.0)]
     alike = [replace(first, settings=one) for one in times]

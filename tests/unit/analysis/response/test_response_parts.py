@@ -33,10 +33,15 @@ from radiometer.errors import InputError, MeasurementError, UsageError
 from radiometer.statistics.scale import jackknife_u
 
 
-def test_saturation_below_full_scale_is_found(make_stack):
-    """A sensor that stops at 3500 DN gathers its highlights there: that is its saturation level."""
+def test_saturation_and_noisy_white_are_found(make_stack):
+    """A sensor that stops at 3500 DN; noise of 0.6 DN behind the clipping to 5 %."""
     frames = [Frame(np.minimum(f.dn, 3500), 12, f.settings) for f in make_stack("linear").light]
     assert find_limits([Bracket.from_frames(frames)]).saturated_dn == 3500
+    bracket = _noisy_behind_the_clipping(0.6)
+    limits = find_limits([bracket])
+    g = np.log(np.maximum(np.arange(256) / 255.0 + 0.01, 1e-9))
+    curve = ResponseCurve(g, np.zeros(256), valid_dn=(limits.black_dn + 3, limits.saturated_dn - 1))
+    assert find_displacement(bracket, curve).noise.digital == pytest.approx(0.36, rel=0.1)
 
 
 def _noisy_behind_the_clipping(sigma_dn, seed=5):
@@ -56,15 +61,6 @@ def test_noise_behind_the_clipping_is_black_and_white_with_it(sigma_dn, black_dn
     """What was clipped and got noise afterwards lies at several values: the next one too is no light."""
     limits = find_limits([_noisy_behind_the_clipping(sigma_dn)])
     assert (limits.black_dn, limits.saturated_dn) == (black_dn, saturated_dn)
-
-
-def test_white_that_is_noisy_does_not_pass_for_the_noise_of_pixels():
-    """Noise of 0.6 DN behind the clipping is found to 5 %: some thousand residuals tell it to 2 %."""
-    bracket = _noisy_behind_the_clipping(0.6)
-    limits = find_limits([bracket])
-    g = np.log(np.maximum(np.arange(256) / 255.0 + 0.01, 1e-9))
-    curve = ResponseCurve(g, np.zeros(256), valid_dn=(limits.black_dn + 3, limits.saturated_dn - 1))
-    assert find_displacement(bracket, curve).noise.digital == pytest.approx(0.36, rel=0.1)
 
 
 def test_every_pixel_counts_once_per_frame_where_it_does_not_clip(make_stack):
@@ -115,13 +111,16 @@ def _film(rng, fog, knee, times):
     return Bracket.from_frames(frames)
 
 
-def test_fog_and_knee_are_seen_where_values_stand_still():
-    """Values that do not move while the exposure grows are black (fog at 15) and white (a knee at 240), others not."""
+def test_fog_knee_and_stated_black_are_black():
+    """Values that stand still at 15 and 240; a fraction counts up."""
     limits = find_limits([_film(np.random.default_rng(3), 15, 240, 2.0 ** np.arange(-14, 16, 2))])
     assert limits.black_dn == pytest.approx(15, abs=1)
     assert 235 <= limits.saturated_dn <= 240
     moving = find_limits([_film(np.random.default_rng(3), 15, 240, 2.0 ** np.arange(-2, 4))])
     assert (moving.black_dn, moving.saturated_dn) == (0, 255)
+    shown = [find_limits([Bracket.from_frames(frames_of_black((1.0, 2.0), black))]).black_dn for black in (None, 2.5)]
+    assert shown[0] < 3
+    assert shown[1] == 3
 
 
 def test_samples_without_a_quadrant_lack_its_pixels():
@@ -173,17 +172,13 @@ def _ramp_frames(times):
     return [Frame(np.round(ramp * t).astype(np.uint8), 8, FrameSettings(t)) for t in times]
 
 
-def test_levelling_listens_to_what_is_known():
-    """A fall among values of large u levels these, and leaves the well-known ones where they were."""
+def test_ratios_of_exposures_are_means_by_inverse_variance():
+    """Steps of 1 ± 1 and 2 ± 2 make 1.2; a fall among values of large u levels these alone."""
     g = np.array([0.0, 1.0, 2.0, 3.0, 9.0, 4.0, 5.0, 6.0])
     u = np.array([0.1, 0.1, 0.1, 0.1, 9.0, 0.1, 0.1, 0.1])
     level = rising(g, u, (0, 7))
     assert np.all(np.diff(level) >= 0)
     assert np.max(np.abs(level - g)[[0, 1, 2, 3, 5, 6, 7]]) < 0.01
-
-
-def test_ratios_of_exposures_are_means_by_inverse_variance():
-    """Steps of 1 ± 1 and 2 ± 2 in ln H make 1.2; frames without a common row keep the ratio that they state."""
     pairs = Pairs(
         shorter=np.array([10, 10]),
         longer=np.array([20, 30]),
@@ -234,15 +229,6 @@ def test_a_gauge_brings_ratios_to_what_is_known_of_them(samples):
     for bad in ({7: 2.0}, {0: 1.0}, {0: math.nan}):
         with pytest.raises(UsageError, match="expected a ratio above 1 of one of the pairs 0, 1, 2"):
             Gauge.of(pairs, bad)
-
-
-def test_recovered_ratios_become_times_from_the_first_frame_on(samples):
-    """ln t of the first stays; the others follow by the ratios, in rows and in frames; stated ones change nothing."""
-    pairs = Pairs.of(samples, LINE)
-    assert with_log_ratios(samples, pairs, pairs.nominal_log_ratio).frame_log_time == pytest.approx(np.log(TIMES))
-    found = with_log_ratios(samples, pairs, np.log([3.0, 1.5, 2.0]))
-    assert np.exp(found.frame_log_time) == pytest.approx([0.5, 1.5, 2.25, 4.5])
-    assert found.log_time == pytest.approx(found.frame_log_time[found.frame])
 
 
 @pytest.mark.parametrize("gamma", [0.45, 1.0, 2.2])
@@ -303,10 +289,15 @@ def test_noise_of_a_pixel_is_that_of_electrons_above_black():
     assert endless.full_well_e == pytest.approx(1e7)
 
 
-def test_what_a_curve_does_not_say_is_held_at_its_ends():
-    """From the first and last finite number on; a gap is bridged by a line."""
+def test_a_curve_is_held_at_its_ends_and_moved_by_half_its_noise_at_most():
+    """A gap is bridged by a line; g = 20·ln M bends more than second order can follow."""
     g = np.array([-np.inf, np.nan, 1.0, np.nan, 3.0, np.inf])
     assert finite(g).tolist() == [1.0, 1.0, 1.0, 2.0, 3.0, 3.0]
+    steep = 20.0 * LINE
+    moved = mean_exposure_dn(np.array([120.0]), np.array([400.0 + 1 / 12]), steep, ValueLimits(0, 255))
+    assert moved == pytest.approx([130.0])
+    flat = mean_exposure_dn(np.array([120.0]), np.array([400.0 + 1 / 12]), 1e-3 * LINE, ValueLimits(0, 255))
+    assert flat == pytest.approx([120.0 - 400.0 / 240.0], rel=0.01)
 
 
 @pytest.mark.parametrize("alike", [1, 3])
@@ -327,8 +318,8 @@ def test_places_differ_beyond_chance_from_fourfold_on(ratio, counts):
     assert places_as_one(ratio * expected[::-1], expected) == pytest.approx(counts)
 
 
-def test_fewer_groups_than_folds_are_left_out_one_by_one(samples):
-    """Five groups make five folds; nothing is known of one part."""
+def test_folds_and_their_jackknife(samples):
+    """Five groups make five folds; s² = (F − 1)/F·Σ(θ_f − θ̄)², widened by (F − 1)/(F − 3), of ten."""
     few = samples.kept(samples.group < 5)
     seen = []
     u_by_groups(few, lambda part: seen.append(part.group_count) or np.zeros(1))
@@ -336,28 +327,25 @@ def test_fewer_groups_than_folds_are_left_out_one_by_one(samples):
     assert jackknife_u([np.ones(3)]).tolist() == [0.0] * 3
     assert jackknife_u([]).tolist() == [0.0]
     assert jackknife_u([np.array([1.0]), np.array([3.0])]) == pytest.approx([1.0])
+    left = []
+
+    def solve(part):
+        left.append(np.array([part.dn.mean()]))
+        return left[-1]
+
+    found = u_by_groups(samples, solve)
+    values = np.array(left)
+    assert len(left) == 10
+    assert found == pytest.approx(np.sqrt(0.9 * ((values - values.mean(0)) ** 2).sum(0) * 9 / 7))
 
 
-def test_a_mean_is_moved_by_half_its_noise_at_most():
-    """g = 20·ln M bends more than second order can follow: half a standard deviation, to the side of more light."""
-    steep = 20.0 * LINE
-    moved = mean_exposure_dn(np.array([120.0]), np.array([400.0 + 1 / 12]), steep, ValueLimits(0, 255))
-    assert moved == pytest.approx([130.0])
-    flat = mean_exposure_dn(np.array([120.0]), np.array([400.0 + 1 / 12]), 1e-3 * LINE, ValueLimits(0, 255))
-    assert flat == pytest.approx([120.0 - 400.0 / 240.0], rel=0.01)
-
-
-def test_methods_are_called_by_name():
-    """One, or all of them; another name is refused with those that there are."""
+def test_methods_are_called_by_name_and_thirds_compared():
+    """Another name is refused; offsets by rms over pairs in units of their u."""
     assert method_names("auto") == ["auto"]
     assert method_names("all") == list(METHODS)
     assert DEFAULT_METHOD in METHODS
     with pytest.raises(UsageError, match="'gamma'; choose one of auto, debevec1997"):
         method_names("gamma")
-
-
-def test_thirds_are_compared_where_all_are_valid():
-    """Offsets of 0.1 and 0.2: rms over pairs √((0.01 + 0.04 + 0.01)/3), in units of √2·0.05; 3 numbers tell nothing."""
     thirds = [curve(LINE + off, 0.05) for off in (0.0, 0.1, 0.2)]
     found = compare_thirds(thirds, curve(LINE))
     assert found.rms_log == pytest.approx(math.sqrt(0.02))
@@ -388,22 +376,8 @@ def test_repeats_of_an_exposure_are_no_step(apart, slope, samples):
     assert slope_at(kinked, np.array([101.0]), near) == pytest.approx([slope], rel=1e-6)
 
 
-def test_a_grouped_jackknife_of_a_mean(samples):
-    """s² = (F − 1)/F·Σ(θ_f − θ̄)², widened by (F − 1)/(F − 3), of ten folds."""
-    left = []
-
-    def solve(part):
-        left.append(np.array([part.dn.mean()]))
-        return left[-1]
-
-    found = u_by_groups(samples, solve)
-    values = np.array(left)
-    assert len(left) == 10
-    assert found == pytest.approx(np.sqrt(0.9 * ((values - values.mean(0)) ** 2).sum(0) * 9 / 7))
-
-
-def test_residuals_are_from_the_group_s_weighted_mean(samples):
-    """ln H − ln t less the weighted mean of the group, and the row's share in it, by a loop."""
+def test_residuals_and_slopes_are_those_by_hand(samples):
+    """From the group's weighted mean; over half a stop to either side ln 2."""
     rng = np.random.default_rng(2)
     log_exposure, weight = rng.normal(size=samples.dn.size), rng.uniform(0.5, 2.0, samples.dn.size)
     residual, share = group_residual(samples, log_exposure, weight)
@@ -412,10 +386,6 @@ def test_residuals_are_from_the_group_s_weighted_mean(samples):
         light = (log_exposure - samples.log_time)[rows]
         assert residual[rows] == pytest.approx(light - np.average(light, weights=weight[rows]))
         assert share[rows] == pytest.approx(weight[rows] / weight[rows].sum())
-
-
-def test_the_slope_is_taken_over_a_whole_step(samples):
-    """g = ln M: half a stop to either side of M are M·√2 and M/√2: ln 2 over that distance."""
     g = np.log(np.maximum(np.arange(256.0), 0.5))
     found = slope_at(g, np.array([60.0, 100.0]), samples)
     assert found == pytest.approx(np.log(2.0) / (np.array([60.0, 100.0]) * (2**0.5 - 2**-0.5)), rel=2e-3)
@@ -434,11 +404,16 @@ def frames_of_black(times, black_dn=None, top=250.0):
     ]
 
 
-def test_ratios_of_exposures_stand_in_the_order_of_the_frames():
-    """1, 2 and 8 s are ratios of 2 and then of 4, exact as given."""
+def test_ratios_of_exposures_become_times(samples):
+    """1, 2 and 8 s are ratios of 2 and 4; ln t of the first stays, the others follow by the ratios."""
     found = debevec.recover_response_debevec1997(Bracket.from_frames(frames_of_black((1.0, 2.0, 8.0))))
     assert found.exposure_ratios == pytest.approx([2.0, 4.0])
     assert found.u_exposure_ratios.tolist() == [0.0, 0.0]
+    pairs = Pairs.of(samples, LINE)
+    assert with_log_ratios(samples, pairs, pairs.nominal_log_ratio).frame_log_time == pytest.approx(np.log(TIMES))
+    found = with_log_ratios(samples, pairs, np.log([3.0, 1.5, 2.0]))
+    assert np.exp(found.frame_log_time) == pytest.approx([0.5, 1.5, 2.25, 4.5])
+    assert found.log_time == pytest.approx(found.frame_log_time[found.frame])
 
 
 def test_what_no_difference_shows_counts_by_its_square(samples, monkeypatch):
@@ -485,13 +460,6 @@ def test_methods_are_held_against_both_their_uncertainties():
     assert (found.at_dn, found.largest_sigma) == (100, pytest.approx(4.0, rel=0.02))
     colours = [estimate(line, 0.03, channel=c) for c in ("red", "green")]
     assert compare_methods(colours) == []
-
-
-def test_a_stated_black_level_is_black():
-    """Though nothing piles up there; a fraction counts up."""
-    shown = [find_limits([Bracket.from_frames(frames_of_black((1.0, 2.0), black))]).black_dn for black in (None, 2.5)]
-    assert shown[0] < 3
-    assert shown[1] == 3
 
 
 FULL = 4095  # a 128th of it, by which a peak may move, is 31
@@ -555,14 +523,15 @@ def test_fog_is_seen_whatever_one_label_says(wrong, ratio):
 
 
 @pytest.mark.parametrize(
-    ("neighbour", "count", "piled"), [(10, 80, False), (10, 81, True), (1, 8, False), (1, 9, True)]
+    ("counts", "black_dn"),
+    [([80, 10], 0), ([81, 10], 1000), ([8, 1], 0), ([9, 1], 1000), ([500, 400, 10], 1001)],
 )
-def test_the_lowest_value_is_black_where_it_piles_up(neighbour, count, piled):
-    """Above eight times the mean of the eight values next above it."""
-    counts = {1000: count, **dict.fromkeys(range(1001, 1009), neighbour)}
-    dn = np.repeat([*counts, 2000], [*counts.values(), 10 - sum(counts.values()) % 10])
+def test_the_lowest_value_is_black_where_it_piles_up(counts, black_dn):
+    """Above eight times the mean of the eight values next above it, and with it the next one that does."""
+    many = dict(zip(range(1000, 1010), counts + counts[-1:] * 8, strict=False))
+    dn = np.repeat([*many, 2000], [*many.values(), 10 - sum(many.values()) % 10])
     found = find_limits([Bracket.from_frames([frame(dn), frame(dn, 2.0)])])
-    assert found.black_dn == (1000 if piled else 0)
+    assert found.black_dn == black_dn
 
 
 def _frames(power, times=(1.0, 2.0, 4.0, 8.0, 16.0), black_dn=0.0, stated=None, scene=(-6.0, 0.0)):

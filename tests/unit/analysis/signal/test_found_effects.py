@@ -23,29 +23,17 @@ def corrected(settings=STATED, **found):
     return corrected_settings(settings, FoundEffects(**found), 50.0)
 
 
-def test_an_exposure_is_longer_by_what_was_found():
-    """2 ms beyond the stated 10 ms; 3 ms more above 6 dB, and at 6 dB itself not; never below a nanosecond."""
+def test_found_errors_change_the_settings_of_frames():
+    """Exposures, black levels with and without gain, and gains by size and table."""
     found = {"exposure_offset_s": 0.002, "exposure_further_s": 0.003, "exposure_above_db": 6.0}
     shown = [corrected(replace(STATED, gain_db=gain), **found).exposure_s for gain in (0.0, 6.0, 6.1)]
     assert shown == pytest.approx([0.012, 0.012, 0.015])
     assert corrected(exposure_offset_s=-1.0).exposure_s == 1e-9
-
-
-def test_a_black_level_is_higher_by_what_was_found():
-    """5 DN over the frame's own 64, or over the 50 of the calibration where the frame states none."""
     assert corrected(black_offset_dn=5.0).black_level_dn == pytest.approx(69.0)
     assert corrected(replace(STATED, black_level_dn=None), black_offset_dn=5.0).black_level_dn == pytest.approx(55.0)
-
-
-def test_the_gain_amplifies_the_black_level():
-    """From 6.02 dB (a factor of 2) to 18.06 dB it is a factor of 4 more: 10·(3 + 0.1·9) = 39 DN; below, nothing."""
     found = {"black_slope_dn": 10.0, "black_from_db": 6.0206, "black_bend": 0.1}
     shown = [corrected(replace(STATED, gain_db=gain), **found).black_level_dn for gain in (0.0, 6.0206, 18.0618)]
     assert shown == pytest.approx([64.0, 64.0, 103.0], abs=1e-3)
-
-
-def test_a_gain_is_in_error_by_its_size_and_by_its_table():
-    """5 % of 12 dB is 0.6 dB; a factor of 1.1 at 12 dB is 0.828 dB, half the way to it a factor of 1.05 is 0.424 dB."""
     assert corrected(gain_error_rel=0.05).gain_db == pytest.approx(12.6)
     table = {"gains_db": (0.0, 12.0), "gain_errors_rel": (0.0, 0.1)}
     assert corrected(**table).gain_db == pytest.approx(12.8279, abs=1e-4)

@@ -87,8 +87,8 @@ def test_rounding_behind_a_curve_is_the_curve_s_slope(number, gain_db):
     assert float(CURVED.variance(x, setting)) == pytest.approx(expected, rel=2e-3)
 
 
-def test_below_its_data_a_curve_is_a_line_to_black():
-    """Half as far above black is half the light; u is that of the lowest value with data; the gauge is kept."""
+def test_without_data_the_model_stands_alone():
+    """Below a curve's data a line to black; without dark frames what is stated."""
     low = CURVED.signal[120]
     assert CURVED.signal[110] == pytest.approx(low / 2)
     assert CURVED.signal[100] == pytest.approx(0.0)
@@ -96,6 +96,14 @@ def test_below_its_data_a_curve_is_a_line_to_black():
     assert CURVED.u_rel[50] == CURVED.u_rel[120] == 0.01
     assert CURVED.valid_dn == (120, 4000)
     assert LINEAR.u_rel[5] == 0.001
+    (level,) = dark_levels([LIGHT], [], LINEAR, DOUBT)
+    assert (level.signal, level.source) == (pytest.approx(2.5), "black level")
+    assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
+    camera = CAMERA.model_copy(update={"pixel_pitch_um": 4.5})
+    unknown = signal_model(camera, None, SensorNoise(2.0, 6.0, assumed=("dark_current_e_per_s",)), BLACK)
+    (most,) = dark_levels([LIGHT], [], unknown, DOUBT, darkest=(1000.0,))
+    e_per_s = 1e-9 * 4.5e-4**2 / 1.602e-19  # 1 nA/cm²
+    assert most.u_unstated == pytest.approx(e_per_s * 0.1 / 2.0 / 2.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 6.0, 20.0])
@@ -117,18 +125,6 @@ def dark_frame(number, exposure_s, gain_db=0.0, size=10):
 LIGHT, DARK = (FrameSettings(0.1, temperature_c=25.0, shutter=one) for one in ("open", "closed"))
 WARMTH = math.log(2.0) / 7.0 * 0.5 / math.sqrt(6.0)  # of dark signal, by two thermometers in steps of 0.5 K
 DOUBT = BlackLevel(dn=BLACK, u_dn=0.5, dark_u_rel=0.4)
-
-
-def test_without_dark_frames_the_model_stands_alone():
-    """Dark current 50 e⁻/s for 0.1 s are 2.5 DN, known to 40 %; the black level to half a number: all shared."""
-    (level,) = dark_levels([LIGHT], [], LINEAR, DOUBT)
-    assert (level.signal, level.source) == (pytest.approx(2.5), "black level")
-    assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
-    camera = CAMERA.model_copy(update={"pixel_pitch_um": 4.5})
-    unknown = signal_model(camera, None, SensorNoise(2.0, 6.0, assumed=("dark_current_e_per_s",)), BLACK)
-    (most,) = dark_levels([LIGHT], [], unknown, DOUBT, darkest=(1000.0,))
-    e_per_s = 1e-9 * 4.5e-4**2 / 1.602e-19  # 1 nA/cm²
-    assert most.u_unstated == pytest.approx(e_per_s * 0.1 / 2.0 / 2.0, rel=1e-3)
 
 
 def test_dark_frames_of_the_exposure_show_the_dark_signal():
@@ -192,18 +188,14 @@ def test_what_two_codes_leave_open_is_how_far_their_mean_is_from_midway(share):
     assert level.u_common == pytest.approx((0.5 - share) / math.sqrt(3.0), abs=0.02)
 
 
-def test_a_dark_frame_of_another_exposure_corrects_the_black_level():
-    """Measured less modelled, on the modelled level of the frame; what the model doubts is the difference."""
+def test_long_dark_frames_correct_the_black_level_and_widen_no_stated_one():
+    """One at another exposure corrects it; a stated one keeps its u."""
     other = dark_frame(110, 0.2)  # modelled 5 DN: the offset is 5
     (level,) = dark_levels([LIGHT], [other], LINEAR, DOUBT)
     assert level.signal == pytest.approx(2.5 + 5.0)
     noise = math.sqrt(float(LINEAR.variance(0.0, other.settings)) / 100)
     u = math.hypot(noise, 0.4 * 2.5, WARMTH * 5.0)
     assert (level.u_independent, level.u_common) == (0.0, pytest.approx(u))
-
-
-def test_a_long_dark_frame_does_not_widen_a_black_level_that_is_stated():
-    """After 30 s a dark current of 50 e⁻/s ± 40 % leaves 300 DN in doubt: black level and model alone are ± 1.1 DN."""
     stated = replace(LINEAR, camera=LINEAR.camera.model_copy(update={"black_level_dn": BLACK}))
     (level,) = dark_levels([LIGHT], [dark_frame(850, 30.0)], stated, DOUBT)
     assert (level.signal, level.u_common) == (pytest.approx(2.5), pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
@@ -211,17 +203,13 @@ def test_a_long_dark_frame_does_not_widen_a_black_level_that_is_stated():
     assert unknown.u_common > 100.0
 
 
-def test_dark_frames_of_two_other_exposures_show_black_level_and_dark_current():
-    """10 DN after 0.2 s and 14 after 0.4 are 8 after 0.1, whatever the model; that far off noise counts √2.5 fold."""
+def test_other_dark_frames_show_the_dark_signal_of_the_light_s():
+    """Two exposures by their line, warmer ones by their doubling."""
     frames = [dark_frame(110, 0.2), dark_frame(114, 0.4)]
     (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
     noise = math.sqrt(sum(float(LINEAR.variance(0.0, one.settings)) / 100 for one in frames) / 2.0)
     assert level.signal == pytest.approx(8.0)
     assert level.u_common == pytest.approx(math.hypot(noise * math.sqrt(2.5), WARMTH * 2.0))
-
-
-def test_warmer_dark_frames_are_scaled_to_the_light_frame():
-    """14 K warmer are two doublings of 7 K: of 4 and 16 DN above a black of 2 a quarter is there in the light frame."""
     frames = [replace(dark_frame(dn, t), settings=replace(dark_frame(dn, t).settings, temperature_c=44.0))
               for dn, t in ((106, 0.1), (118, 0.4))]  # fmt: skip
     (level,) = dark_levels([replace(LIGHT, temperature_c=30.0)], frames, LINEAR, DOUBT)

@@ -13,7 +13,7 @@ import pytest
 from radiometer.data import CameraDescription, FrameSettings
 from radiometer.reconciliation.propose.grammar import FORMS, Term, finer, formula, terms_of
 from radiometer.reconciliation.propose.law import Law, acted, effect_of, round_to
-from radiometer.reconciliation.propose.proposal import effect_source, source_of_test
+from radiometer.reconciliation.propose.search import effect_source, source_of_test
 from radiometer.reconciliation.tile_model import TileContext
 from simulators.chain.stages import LINKS
 from simulators.effects import registry
@@ -115,9 +115,13 @@ def test_a_form_has_the_value_worked_out_by_hand(form, covariate, constants, val
     assert float(found) == pytest.approx(expected, abs=1e-12)
 
 
-def test_every_form_was_worked_out():
-    """No form of the grammar is without a figure."""
+def test_forms_and_constants_of_the_grammar_are_known():
+    """Each form has a figure by hand, each constant its unit."""
     assert {row[0] for row in WORKED} == set(FORMS)
+    law = Law("charge", (Term("power", "exposure_s", {"reference": 1.0}, {"power": 0.5}),
+                         Term("decay", "since_frame_s", {}, {"tau": 3.0})))  # fmt: skip
+    units = {entry.name: entry.unit for entry in type(effect_of(law, 1.0)).parameters()}
+    assert units == {"amplitude_e": "e-", "power_exposure": "1", "tau_rest_s": "s"}
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -134,14 +138,6 @@ def test_a_spot_lies_where_it_was_put():
     effect = effect_of(spot, 8.0)
     assert effect.mean(np.array([0.0]), at(100.0, 50.0))[0] == pytest.approx(4.0)
     assert effect.mean(np.array([0.0]), at(120.0, 50.0))[0] == pytest.approx(4.0 * math.exp(-0.5))
-
-
-def test_each_constant_carries_its_unit():
-    """A time constant of seconds, a middle in kelvin's degrees, a power without unit, an amplitude of its stage."""
-    law = Law("charge", (Term("power", "exposure_s", {"reference": 1.0}, {"power": 0.5}),
-                         Term("decay", "since_frame_s", {}, {"tau": 3.0})))  # fmt: skip
-    units = {entry.name: entry.unit for entry in type(effect_of(law, 1.0)).parameters()}
-    assert units == {"amplitude_e": "e-", "power_exposure": "1", "tau_rest_s": "s"}
 
 
 def test_the_first_frame_counts_by_its_share():
@@ -181,8 +177,8 @@ def test_a_series_goes_on_with_the_time(frames):
     assert effect.drifts
 
 
-def test_a_noise_that_goes_with_the_signal():
-    """An amplification that trembles by 0.4 %: 16 DN² at 1000 DN, no mean, and drawn as it says."""
+def test_a_noise_goes_with_the_signal_or_beyond_a_temperature():
+    """16 DN² at 1000 DN, drawn as it says; 3 DN where it is warmer than 25 °C."""
     effect = effect_of(Law("tremble"), 0.004)
     signal = np.full(200_000, 1000.0)
     assert effect.variance(signal, at())[0] == pytest.approx(16.0)
@@ -193,10 +189,6 @@ def test_a_noise_that_goes_with_the_signal():
     after = effect.moments(before, at())
     assert (after.mean[0], after.variance[0]) == (1000.0, pytest.approx(25.0))
     assert (effect.block, effect.acts_by_square, effect.where) == ("variance", True, "signal")
-
-
-def test_a_noise_beyond_a_temperature():
-    """3 DN of noise where it is warmer than 25 °C, none below."""
     effect = effect_of(Law("hiss", (Term("step", "temperature_C", {}, {"at": 25.0}),)), 3.0)
     assert np.ravel(effect.variance(np.array([50.0]), at()))[0] == pytest.approx(9.0)
     cold = replace(at(), settings=replace(at().settings, temperature_c=20.0))
@@ -204,17 +196,13 @@ def test_a_noise_beyond_a_temperature():
     assert acted(Law("hiss", (Term("step", "temperature_C", {}, {"at": 25.0}),)), 3.0, 50.0, at()) == pytest.approx(9.0)
 
 
-def test_charge_on_its_way_collects_the_light_of_its_column():
-    """Columns of 1000 and 3000 e-/s on average, 2 ms on the way: 2 and 6 e- next to what the exposure gave."""
+def test_light_on_its_way_and_a_dimming_screen_go_by_the_picture():
+    """2 and 6 e- of columns; 6 % per unit beyond 0.2 are 1.2 %."""
     settings = FrameSettings(exposure_s=0.5)
     image = ExposureContext(settings, FrameGeometry.of_image(2, 3), CameraDescription(bit_depth=12))
     light = np.array([[500.0, 1500.0], [0.0, 3000.0], [1000.0, 0.0]])
     effect = effect_of(Law("transfer", (Term("proportion", "column_light", {}, {}),)), 2e-3)
     assert effect.mean(light, image) == pytest.approx(light + np.array([[2.0, 6.0]]))
-
-
-def test_a_screen_that_dims_with_its_picture():
-    """A picture of 40 % of the brightest on average, at half its level: 6 % per unit beyond 0.2 are 1.2 %."""
     settings = FrameSettings(exposure_s=0.5, source_level=0.5)
     image = ExposureContext(settings, FrameGeometry.of_image(2, 1), CameraDescription(bit_depth=12), peak_radiance=10.0)
     shown = np.array([[1.0, 3.0]])  # of 5 at this level

@@ -120,8 +120,8 @@ def test_each_pixel_format_shows_the_same_light_in_its_own_numbers(camera, name,
     assert electrons == pytest.approx(expected, abs=4 * sigma + rounding_e)
 
 
-def test_region_of_interest_is_the_same_part_of_the_whole_frame(model, limits):
-    """A region shows what the whole sensor would have shown there."""
+def test_a_region_is_the_same_part_of_the_whole_frame(model, limits):
+    """What the whole sensor would have shown there, pixel by pixel."""
     chart = StepChartScene(steps=Steps(count=6, lowest=0.01, highest=1.0))
     roi = Roi(10, 5, 20, 30)
     frames = []
@@ -130,10 +130,13 @@ def test_region_of_interest_is_the_same_part_of_the_whole_frame(model, limits):
             camera.configure(replace(SETTINGS, roi=region))
             frames.append(camera.capture()[0].dn)
     assert np.array_equal(frames[1], frames[0][5:35, 10:30])
+    whole = ForwardModelSource(sensor())(REQUEST)
+    part = ForwardModelSource(sensor())(replace(REQUEST, x=8, y=4, width=16, height=10))
+    np.testing.assert_array_equal(part, whole[4:14, 8:24])
 
 
-def test_binning_sums_pixels(camera):
-    """2 × 2 binning halves the size and collects four times the electrons."""
+def test_closed_shutters_and_binning_change_the_light(camera):
+    """Dark frames say so; 2 × 2 collects four times the electrons."""
     with camera:
         camera.configure(SETTINGS)
         single = camera.capture()[0].dn
@@ -143,10 +146,6 @@ def test_binning_sums_pixels(camera):
     signal = 4 * (single.mean() - 64)
     sigma = np.sqrt(signal / 5.95 / binned.size) * np.sqrt(2)
     assert binned.mean() - 64 == pytest.approx(signal, abs=4 * max(sigma, 0.5))
-
-
-def test_closed_shutter_gives_dark_frames(camera):
-    """With the shutter closed the frame is dark and says so."""
     with camera:
         camera.configure(SETTINGS)
         camera.set_shutter(closed=True)
@@ -155,15 +154,11 @@ def test_closed_shutter_gives_dark_frames(camera):
     assert frame.dn.mean() == pytest.approx(64.0, abs=4 * np.sqrt((5.4 / 5.95) ** 2 + 1 / 12) / np.sqrt(frame.dn.size))
 
 
-def test_camera_without_shutter_says_what_to_do(model, limits):
-    """Where there is no shutter the way out is named."""
+def test_a_camera_refuses_what_it_does_not_have(model, limits, camera):
+    """A shutter that is not there, an unknown pattern or level, with the way out."""
     camera = SimulatedCamera(model, UniformScene(), limits=replace(limits, has_shutter=False))
     with camera, pytest.raises(DeviceError, match="cover the lens"):
         camera.set_shutter(closed=True)
-
-
-def test_unknown_pattern_and_level_are_refused(camera):
-    """What the bench's source cannot do is stated at once."""
     with pytest.raises(ConfigurationError, match="no pattern 'x'; it shows default"):
         camera.set_source(pattern="x")
     with pytest.raises(SettingOutOfRange, match="source level 2"):
@@ -213,22 +208,11 @@ def sensor() -> VirtualSensor:
     return VirtualSensor(model, scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": 0.2}), 64, 48, seed=5)
 
 
-def test_a_region_is_the_whole_picture_cut():
-    """A region of a frame holds the very pixels that the whole frame has there."""
-    whole = ForwardModelSource(sensor())(REQUEST)
-    part = ForwardModelSource(sensor())(replace(REQUEST, x=8, y=4, width=16, height=10))
-    np.testing.assert_array_equal(part, whole[4:14, 8:24])
-
-
-def test_a_closed_shutter_leaves_the_black_level():
-    """With the shutter closed only black level and dark signal remain."""
+def test_a_shutter_and_a_drive_change_the_light_alone():
+    """Only black and dark signal remain; half the drive is half the signal within 5 sigma."""
     dark = ForwardModelSource(sensor())(replace(REQUEST, is_shutter_closed=True))
     sigma = np.hypot(5.4 / 5.95, 0.29) / np.sqrt(dark.size)
     assert dark.mean() == pytest.approx(64.0, abs=5 * sigma + 0.01)  # dark signal: 0.04 e⁻
-
-
-def test_the_source_level_scales_the_light():
-    """Half the drive gives half the signal, within 5 sigma of the means."""
     full = ForwardModelSource(sensor())(REQUEST).mean() - 64
     half = ForwardModelSource(sensor())(replace(REQUEST, source_level=0.5)).mean() - 64
     assert half / full == pytest.approx(0.5, abs=5 * 0.75 / np.sqrt(full * 5.95 * 64 * 48))
@@ -247,23 +231,15 @@ def test_a_pool_is_drawn_anew_when_settings_change():
     assert int(pooled(replace(REQUEST, exposure_s=0.02))[0, 0]) == 3
 
 
-def test_gamma_keeps_black_and_full_scale():
-    """Gamma bends what lies between and leaves the ends."""
+def test_processing_bends_sharpens_and_exposes():
+    """Gamma keeps black and white; an edge overshoots; automatic exposure moves by two at most."""
     bent = gamma_corrected(np.array([0, 1024, 4095], np.uint16), 0.5, 4095)
     assert bent.tolist() == [0, round(4095 * (1024 / 4095) ** 0.5), 4095]
-
-
-def test_sharpening_steepens_an_edge_and_leaves_a_plane():
-    """An edge overshoots; an even field stays."""
     edge = np.repeat(np.array([[100] * 4 + [200] * 4], np.uint16), 6, axis=0)
     crisp = sharpened(edge, 4095)
     assert crisp[3, 3] < 100
     assert crisp[3, 4] > 200
     assert crisp[3, 0] == 100
-
-
-def test_automatic_exposure_moves_towards_half_of_full_scale():
-    """Too dark lengthens, too bright shortens, by a factor of two at most and within the limits."""
     assert steered(0.01, 1000, 4095, 1e-5, 30) == pytest.approx(0.02)
     assert steered(0.01, 4000, 4095, 1e-5, 30) == pytest.approx(0.01 * 0.5 * 4095 / 4000)
     assert steered(20.0, 10, 4095, 1e-5, 30) == 30
@@ -278,8 +254,8 @@ def features():
     return blackfly_features(default_limits(), 12, 40.0)
 
 
-def test_no_two_registers_overlap(features):
-    """Every feature that is not an alias has bytes of its own, inside the device's memory."""
+def test_the_register_map_is_sound(features):
+    """No two registers overlap, every node referred to exists, limits are the preset's."""
     taken: dict[int, str] = {}
     for feature in features:
         if feature.kind in ("formula", "string") or feature.name in {"BinningVertical", "AcquisitionStop"}:
@@ -288,15 +264,16 @@ def test_no_two_registers_overlap(features):
             assert byte not in taken, f"{feature.name} overlaps {taken[byte]}"
             assert byte < 0x10000
             taken[byte] = feature.name
-
-
-def test_every_node_that_is_referred_to_exists(features):
-    """No pValue, pMax, pFeature or variable points to a node that is not there."""
     root = ElementTree.fromstring(genicam_xml(features, "FLIR", "BFS-U3-19S4M"))
     names = {node.get("Name") for node in root}
     for node in root.iter():
         if node.tag.removeprefix(NAMESPACE) in ("pValue", "pMin", "pMax", "pFeature", "pVariable", "pPort"):
             assert node.text in names
+    by_name = {feature.name: feature for feature in features}
+    assert by_name["ExposureTime"].minimum == pytest.approx(11.0)
+    assert by_name["ExposureTime"].maximum == pytest.approx(30e6)
+    assert by_name["Gain"].maximum == 47.9943
+    assert by_name["BlackLevel"].maximum == pytest.approx(511 / 4095 * 100)
 
 
 @pytest.mark.parametrize("make", [blackfly_features, awkward_features], ids=["plain", "awkward"])
@@ -317,8 +294,8 @@ def test_names_units_and_kinds_are_those_of_the_real_camera(make, shared_data):
     assert absent == []
 
 
-def test_chunks_are_laid_out_as_the_real_camera_s(shared_data):
-    """Identifier, formula and byte order of each chunk are those of FLIR's description."""
+def test_chunks_and_formats_are_those_of_the_standards(shared_data):
+    """FLIR's identifiers and order; low bytes first; nibbles in the middle byte."""
     text = (shared_data / "genicam" / "FLIR_BFS_PGE_19S4M.xml").read_text(encoding="utf-8", errors="replace")
     features = {feature.name: feature for feature in awkward_features(default_limits(), 12, 40.0)}
     for name, number in CHUNK_IDS.items():
@@ -326,15 +303,11 @@ def test_chunks_are_laid_out_as_the_real_camera_s(shared_data):
         assert int(port.group(1), 16) == number
         assert f"<Formula>{features[f'Chunk{name}'].formula}</Formula>" in text
     assert re.search(r'<IntReg Name="ChunkExposureTime_Val">.*?<Endianess>LittleEndian</Endianess>', text, re.DOTALL)
-
-
-def test_the_limits_are_those_of_the_preset(features):
-    """Exposure in µs, gain in dB and black level in % of full scale have the preset's bounds."""
-    by_name = {feature.name: feature for feature in features}
-    assert by_name["ExposureTime"].minimum == pytest.approx(11.0)
-    assert by_name["ExposureTime"].maximum == pytest.approx(30e6)
-    assert by_name["Gain"].maximum == 47.9943
-    assert by_name["BlackLevel"].maximum == pytest.approx(511 / 4095 * 100)
+    assert pack_pixels(np.array([[0x0102]], np.uint16), "Mono16") == b"\x02\x01"
+    assert pack_pixels(np.array([0xABC, 0x123], np.uint16), "Mono12Packed") == bytes([0xAB, 0x3C, 0x12])
+    for number, name, message in ((4096, "Mono12p", "4096 DN do not fit Mono12p"), (0, "RGB8Packed", "Mono12p")):
+        with pytest.raises(ConfigurationError, match=message):
+            pack_pixels(np.array([number], np.uint16), name)
 
 
 @pytest.mark.parametrize("name", ["Mono10p", "Mono12p"])
@@ -347,12 +320,3 @@ def test_a_bit_stream_holds_the_pixels_lowest_bit_first(name, count):
     stream = int.from_bytes(payload, "little")
     assert [stream >> bits * n & (1 << bits) - 1 for n in range(count)] == values.tolist()
     assert len(payload) == -(-count * bits // 8)
-
-
-def test_formats_of_words_and_of_packed_pairs():
-    """16-bit formats send the low byte first; Mono12Packed: low nibbles in the middle byte (GigE Vision 1.2)."""
-    assert pack_pixels(np.array([[0x0102]], np.uint16), "Mono16") == b"\x02\x01"
-    assert pack_pixels(np.array([0xABC, 0x123], np.uint16), "Mono12Packed") == bytes([0xAB, 0x3C, 0x12])
-    for number, name, message in ((4096, "Mono12p", "4096 DN do not fit Mono12p"), (0, "RGB8Packed", "Mono12p")):
-        with pytest.raises(ConfigurationError, match=message):
-            pack_pixels(np.array([number], np.uint16), name)

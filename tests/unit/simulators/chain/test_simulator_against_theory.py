@@ -96,8 +96,8 @@ def test_a_square_has_the_moments_of_a_squared_normal_value(middle, sigma):
     assert mirrored == pytest.approx((-expected[0], expected[1], expected[2]), rel=1e-9)
 
 
-def test_about_the_corner_a_root_is_that_of_draws():
-    """Mean, variance and slope E[z·g]/σ of a power 0.8 within a sigma of its beginning, to half a per cent."""
+def test_a_root_is_that_of_draws_and_its_straight_beginning_exact():
+    """A power 0.8 to half a per cent about its corner; many values as each alone."""
     z = np.random.default_rng(4).standard_normal(2_000_000)
     for middle in (0.0, 4.0, 12.0):
         value = middle + 6.0 * z
@@ -106,18 +106,10 @@ def test_about_the_corner_a_root_is_that_of_draws():
         assert mean - 15.0 == pytest.approx(bent.mean(), abs=0.005 * bent.std())
         assert variance == pytest.approx(bent.var(), rel=0.005)
         assert slope == pytest.approx(np.mean(z * bent) / 6.0, rel=0.005)
-
-
-def test_the_straight_beginning_is_exact():
-    """Within the toe, all nodes included, y = lift·x: mean, variance lift²σ² and slope lift to rounding."""
     toe, power = 0.05, 0.5
     lift = toe ** (power - 1.0)
     for middle in (0.0, 5.0, -20.0):
         assert moments(middle, 3.0, power, toe, lift) == pytest.approx((lift * middle, 9.0 * lift**2, lift), rel=1e-12)
-
-
-def test_many_values_are_each_reported_as_if_alone():
-    """More than are worked on at once, near and far mixed."""
     rng = np.random.default_rng(1)
     middle, sigma = rng.uniform(-20.0, 900.0, 1500), rng.uniform(0.5, 20.0, 1500)
     black, room = np.full(1500, 10.0), np.full(1500, 1000.0)
@@ -166,13 +158,24 @@ class NotFinite(Broken):
 
 
 def test_mean_follows_the_equations_from_radiance_to_dn(staged):
-    """Expected DN of the whole chain equals the figure worked out by hand from the same equations."""
+    """By hand; binning sums four pixels, 45° leaves a quarter."""
     context = staged.context(SETTINGS, FrameGeometry.of_image(4, 3))
     irradiance = np.pi * 0.95 * 0.5 / (4 * 4.0**2)
     photon_j = 6.62607015e-34 * 299_792_458.0 / 550e-9
     electrons = 0.62 * irradiance * 0.01 * (4.5e-6) ** 2 / photon_j + 1.0 * 0.01
     expected = electrons / 2.6 + 64.0
     assert staged.mean(np.full((3, 4), 0.5), context) == pytest.approx(np.full((3, 4), expected), rel=1e-12)
+    single = staged.context(SETTINGS, FrameGeometry.of_image(1, 1))
+    binned = staged.context(SETTINGS, FrameGeometry.of_image(1, 1, binning=2))
+    radiance = np.full((1, 1), 0.4)
+    until = Stage.WELL
+    assert staged.mean(radiance, binned, until)[0, 0] == pytest.approx(4 * staged.mean(radiance, single, until)[0, 0])
+    assert staged.mean(np.full((1, 1), 99.0), binned, until)[0, 0] == pytest.approx(4 * 10_500)
+    lens = LensDescription(focal_length_mm=4.5, f_number=4.0, vignetting="cos4", principal_point_px=(0.0, 0.0))
+    staged = CameraModel.ideal(STAGED, lens)
+    geometry = FrameGeometry.of_image(1001, 1, principal_point_px=(0.0, 0.0), pixel_spacing_um=4.5)
+    irradiance = staged.mean(np.ones((1, 1001)), staged.context(SETTINGS, geometry), until=Stage.OPTICS)
+    assert irradiance[0, 1000] / irradiance[0, 0] == pytest.approx(0.25, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -210,14 +213,10 @@ def test_noise_of_one_effect_does_not_depend_on_another(staged):
     assert not np.array_equal(noisy.dn, quiet.dn)
 
 
-def test_missing_stage_is_refused_by_the_name_of_the_effect_that_does_not_fit(staged):
-    """Without the shutter, exposure never comes about: the message names the effect after the hole."""
+def test_a_chain_that_cannot_run_names_the_effect(staged):
+    """The one after a hole, one that fails, and one that gives NaN."""
     with pytest.raises(ConfigurationError, match=r"'photon_conversion'.*takes J m-2.*'lens' before it gives W m-2"):
         staged.without_effect("shutter")
-
-
-def test_an_effect_that_fails_or_gives_nan_names_itself(staged):
-    """An error and what is not finite reach the user under the name of the effect that made it."""
     context = staged.context(SETTINGS, FrameGeometry.of_image(2, 2))
     with pytest.raises(MeasurementError, match=r"effect 'broken' failed: out of coffee"):
         staged.with_effect(Broken()).sample(np.ones((2, 2)), context, (0,))
@@ -274,16 +273,6 @@ def test_output_depth_scales_black_level_and_signal(staged, bits):
     assert output == pytest.approx(native * 2.0 ** (bits - 12), rel=1e-12)
 
 
-def test_binned_pixels_collect_four_times_light_and_dark_current(staged):
-    """2 × 2 binning sums area, dark current and full well of four pixels."""
-    single = staged.context(SETTINGS, FrameGeometry.of_image(1, 1))
-    binned = staged.context(SETTINGS, FrameGeometry.of_image(1, 1, binning=2))
-    radiance = np.full((1, 1), 0.4)
-    until = Stage.WELL
-    assert staged.mean(radiance, binned, until)[0, 0] == pytest.approx(4 * staged.mean(radiance, single, until)[0, 0])
-    assert staged.mean(np.full((1, 1), 99.0), binned, until)[0, 0] == pytest.approx(4 * 10_500)
-
-
 @pytest.mark.parametrize(("binning", "temperature_c"), [(1, None), (2, None), (2, 39.0), (1, 18.0)])
 def test_declared_dark_charge_is_what_the_chain_collects(staged, binning, temperature_c):
     """What effects take for declared is what a frame without light holds: 1 e⁻/s at 25 °C, twice that every 7 K."""
@@ -295,17 +284,8 @@ def test_declared_dark_charge_is_what_the_chain_collects(staged, binning, temper
     assert dark == pytest.approx(0.01 * warmer * binning**2, rel=1e-6)
 
 
-def test_cos4_falls_off_with_the_field_angle():
-    """At a field angle of 45° a lens with cos⁴ passes a quarter of the light on its axis."""
-    lens = LensDescription(focal_length_mm=4.5, f_number=4.0, vignetting="cos4", principal_point_px=(0.0, 0.0))
-    staged = CameraModel.ideal(STAGED, lens)
-    geometry = FrameGeometry.of_image(1001, 1, principal_point_px=(0.0, 0.0), pixel_spacing_um=4.5)
-    irradiance = staged.mean(np.ones((1, 1001)), staged.context(SETTINGS, geometry), until=Stage.OPTICS)
-    assert irradiance[0, 1000] / irradiance[0, 0] == pytest.approx(0.25, rel=1e-12)
-
-
-def test_fitted_figures_stay_within_what_a_camera_can_have():
-    """A step of a fit by e^30 of the gain or the noise ends at the bound: 1e-4 and 1e4 e⁻/DN, 1e4 e⁻, 1e7 e⁻."""
+def test_figures_stay_within_what_a_camera_can_have():
+    """A step of a fit ends at the bound; declared ones beyond it are refused."""
     camera = CameraDescription(bit_depth=12)
     assert completed(camera, Undeclared(log_gain=30.0)).conversion_gain_e_per_dn == 1e-4
     far = completed(camera, Undeclared(log_gain=-30.0, log_read=60.0))
@@ -313,10 +293,6 @@ def test_fitted_figures_stay_within_what_a_camera_can_have():
     near = completed(camera, Undeclared(log_gain=np.log(2.0), log_read=2.0 * np.log(3.0)))
     assert (near.conversion_gain_e_per_dn, near.read_noise_e) == pytest.approx((1.25, 15.0))
     assert near.full_well_e == pytest.approx(4.0 * 4095 * 1.25)
-
-
-def test_declared_figures_are_refused_out_of_their_bounds():
-    """They are not moved to the bound without a word."""
     camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2e4)
     with pytest.raises(ConfigurationError, match=r"conversion_gain_e_per_dn = 20000 .* is out of range"):
         undeclared_chain(camera, LensDescription(), Undeclared(), np.zeros(1, dtype=np.intp), ends_in_well=True)

@@ -13,33 +13,20 @@ from scipy.signal import fftconvolve
 from radiometer.data import CameraDescription, FrameSettings
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.base import Moments, Stage
-from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
-from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.brighter_fatter import BrighterFatter, push_of
 from simulators.effects.catalogue import well_e
 from simulators.effects.context import ExposureContext, FrameGeometry
-from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
-from simulators.effects.excess_read_noise import ExcessReadNoise
-from simulators.effects.exposure_label_error import ExposureLabelError
-from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.free_law import axis_values, freed
-from simulators.effects.gamma_enabled import GammaEnabled
-from simulators.effects.image_lag import ImageLag
 from simulators.effects.mechanical_vignetting import MechanicalVignetting, common_area
-from simulators.effects.missing_codes import MissingCodes
-from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.pixel_mixing import (
     disc_edge_share,
     exchange_between_neighbours,
     exchange_moments,
     spread_over_disc,
 )
-from simulators.effects.quantisation import Quantisation
 from simulators.effects.registry import EFFECTS, EffectEntry, make_effect
-from simulators.effects.response_nonlinearity import ResponseNonlinearity
-from simulators.effects.soft_saturation import SoftSaturation
-from simulators.effects.stray_light_kernel import StrayLightKernel
 from simulators.effects.tile_moments import TileMoments
+from testing import effect_kinds as fx
 from testing.effect_context import CATALOGUE, HEIGHT, WIDTH, effect_context, starts_of
 
 NAMES = """
@@ -96,18 +83,14 @@ def test_switched_off_effect_changes_nothing(name):
     )
 
 
-def test_area_common_to_two_circles_is_what_points_thrown_at_them_say():
-    """The pupil that a barrel leaves free agrees with a million points of a grid to 1e-3 of the pupil."""
+def test_pictures_of_circles_show_the_predicted_areas():
+    """Two pupils by a million points to 1e-3; the edge of a disc to 4e-3."""
     axis = (np.arange(1000) + 0.5) / 500 - 1
     x, y = np.meshgrid(axis, axis)
     for pupil, barrel, apart in ((1.0, 1.2, 0.5), (1.0, 0.8, 0.1), (1.0, 0.8, 0.6), (0.7, 0.7, 0.0), (0.5, 0.4, 1.0)):
         inside = (np.hypot(x, y) <= pupil) & (np.hypot(x - apart, y) <= barrel)
         expected = 4.0 * np.count_nonzero(inside) / axis.size**2
         assert float(common_area(pupil, barrel, apart)) == pytest.approx(expected, abs=1e-3 * pupil**2)
-
-
-def test_disc_carries_across_an_edge_what_its_image_shows():
-    """The share of a step in the last line before it, of a picture spread over a disc, is the predicted one to 4e-3."""
     step = np.repeat(np.where(np.arange(WIDTH) < WIDTH // 2, 0.0, 1.0)[None, :], HEIGHT, axis=0)
     for radius in (0.4, 0.8, 1.5, 3.0):
         before = float(spread_over_disc(step, radius, effect_context())[HEIGHT // 2, WIDTH // 2 - 1])
@@ -144,28 +127,24 @@ def test_barrel_spares_a_circle_that_grows_with_the_f_number():
 def test_missing_codes_leave_the_moments_of_the_codes_that_occur(step, kept, added, mean_dn):
     """Rounded normal values, drawn one by one and freed of the missing codes, have the mean and noise predicted."""
     rng, count, sigma = np.random.default_rng(4), 400_000, 1.1
-    effect = MissingCodes(float(step), float(kept), float(added))
+    effect = fx.MissingCodes(float(step), float(kept), float(added))
     codes = effect.mean(np.rint(mean_dn + sigma * rng.standard_normal(count)), effect_context())
     assert set(np.unique(codes % step)) <= set(range(kept))
     nothing = np.zeros(1)
     before = Moments(np.array([mean_dn]), np.array([sigma**2]), nothing, nothing)
-    expected = effect.moments(Quantisation().moments(before, effect_context()), effect_context())
+    expected = effect.moments(fx.Quantisation().moments(before, effect_context()), effect_context())
     assert float(codes.mean()) == pytest.approx(float(expected.mean[0]), abs=5 * codes.std() / count**0.5)
     square = np.square(codes - codes.mean())
     assert float(square.mean()) == pytest.approx(float(expected.variance[0]), abs=5 * square.std() / count**0.5)
 
 
-def test_dead_time_spares_the_first_frame():
-    """Frame 0 of a run has its whole exposure, the next one is shorter by the dead time."""
+def test_dead_time_spares_the_first_frame_and_takes_no_more_than_the_light():
+    """The next is shorter by it; 20 ms of 1/60 s are all."""
     effect = EFFECTS["shutter_dead_time"](dead_time_s=1e-4)  # type: ignore[call-arg]
     signal = np.ones((HEIGHT, WIDTH))
     first, second = (effect.mean(signal, replace(effect_context(), frame_index=i)).mean() for i in (0, 1))
     assert first == 1.0
     assert second == pytest.approx(1 - 1e-4 * 60)
-
-
-def test_dead_time_beyond_the_exposure_leaves_nothing():
-    """No frame loses more than its light: 20 ms of 1/60 s are all of it, for one frame and for the mean of a run."""
     effect = EFFECTS["shutter_dead_time"](dead_time_s=0.01)  # type: ignore[call-arg]
     short = replace(effect_context(), settings=replace(effect_context().settings, exposure_s=1e-3), frame_index=1)
     assert effect.mean(np.ones((HEIGHT, WIDTH)), short).max() == 0.0
@@ -178,9 +157,9 @@ def test_lag_of_traps_fills_up_and_no_pixel_leaves_more_than_its_well():
     held = np.array([[500.0, 5000.0, 2.0 * well]])
     context = replace(effect_context(), previous_e=held)
     nothing = np.zeros((1, 3))
-    plain = ImageLag(share=0.002).mean(nothing, context)
+    plain = fx.ImageLag(share=0.002).mean(nothing, context)
     np.testing.assert_allclose(plain, [[1.0, 10.0, 0.002 * well]])
-    filling = ImageLag(share=0.002, fullness_per_e=1 / 20).mean(nothing, context)
+    filling = fx.ImageLag(share=0.002, fullness_per_e=1 / 20).mean(nothing, context)
     np.testing.assert_allclose(filling, 20.0 * (1.0 - np.exp(-plain / 20.0)))
 
 
@@ -191,11 +170,10 @@ def _at(exposure_s, timestamp_s):
 
 def test_label_is_wrong_for_the_captures_that_are_meant():
     """A label may lie for one capture and tell the truth for another of the same exposure; wrong labels add up."""
-    single = ExposureLabelError(0.01, 1.25, from_s=50.0, to_s=70.0)
+    single = fx.ExposureLabelError(0.01, 1.25, from_s=50.0, to_s=70.0)
     assert float(single.factor(_at(0.01, 60.0))) == 1.25
     assert float(single.factor(_at(0.01, 80.0))) == 1.0
-    both = single.joined(ExposureLabelError(0.02, 0.8))
-    assert isinstance(both, ExposureLabelError)
+    both = single.joined(fx.ExposureLabelError(0.02, 0.8))
     assert [float(both.factor(_at(t, s))) for t, s in ((0.01, 60.0), (0.01, 80.0), (0.02, 80.0))] == [1.25, 1.0, 0.8]
     assert both.free() == ("ratio", "further_ratios[0]")
 
@@ -203,7 +181,7 @@ def test_label_is_wrong_for_the_captures_that_are_meant():
 @pytest.mark.parametrize("form", [{"hardness": 1.0}, {"hardness": 2.0}, {"charging": 1.0}])
 def test_soft_saturation_is_never_a_clip(form):
     """Wherever the ceiling is put, light one percent of the full well above the knee still counts for a part."""
-    effect = SoftSaturation(knee=0.8, ceiling=0.5, **form)
+    effect = fx.SoftSaturation(knee=0.8, ceiling=0.5, **form)
     above = np.array([0.80, 0.81]) * 10_500.0
     kept = np.diff(np.asarray(effect.mean(above, effect_context())))[0] / np.diff(above)[0]
     assert 0.5 < kept < 0.95
@@ -215,7 +193,7 @@ def test_soft_saturation_is_never_a_clip(form):
 def test_looser_knee_follows_a_law_that_no_plain_one_follows():
     """Of a knee of hardness 1.4 one of a free hardness leaves nothing, one of 2 leaves 0.2 % of the well."""
     light = np.linspace(0.5, 1.3, 81) * 10_500.0
-    true = np.asarray(SoftSaturation(0.67, 1.05, 1.4).mean(light, effect_context()))
+    true = np.asarray(fx.SoftSaturation(0.67, 1.05, 1.4).mean(light, effect_context()))
 
     def misfit(form):
         def left(values):
@@ -225,7 +203,7 @@ def test_looser_knee_follows_a_law_that_no_plain_one_follows():
         found = least_squares(left, [getattr(form, name) for name in form.free()], bounds=(0.5, 1.9), x_scale=0.1)
         return float(np.max(np.abs(found.fun)))
 
-    plain = SoftSaturation(0.7, 1.0)
+    plain = fx.SoftSaturation(0.7, 1.0)
     free, charging = plain.loosened(effect_context())
     assert misfit(free) < 1e-4
     assert misfit(plain) > 2e-3
@@ -239,7 +217,7 @@ def test_amplified_offset_may_bend_with_the_gain():
     base = effect_context()
     gains: Any = np.array([0.0, 20.0])
     context = replace(base, settings=replace(base.settings, gain_db=gains))
-    *_, bent = BlackLevelGainSlope(0.5).loosened(context)
+    *_, bent = fx.BlackLevelGainSlope(0.5).loosened(context)
     assert bent.free() == ("slope_dn", "bend")
     np.testing.assert_allclose(bent.with_parameters(bend=-0.02).offset(context), [0.0, 0.5 * (9 - 0.02 * 81)])
 
@@ -307,9 +285,9 @@ def _free(plain, law, **knots):
     return kind(**plain.values(), law=law, **{f"at_{axis}": at for axis, at in knots.items()})
 
 
-def test_a_law_of_ones_is_the_effects_own():
-    """Mean and every variance are those of the plain effect; the name is its name."""
-    plain = ResponseNonlinearity(0.02)
+def test_a_law_of_ones_is_the_effects_own_and_model_files_hold_it():
+    """Mean, variances and name; what is written is read again."""
+    plain = fx.ResponseNonlinearity(0.02)
     free = _free(plain, (1.0, 1.0, 1.0), signal=(10.0, 1000.0, 10_000.0))
     before = TileMoments.exactly(np.array([[[50.0, 900.0, 4000.0, 9000.0]]]))
     before = replace(before, variance=before.mean + 4.0, first_excess=0.01 * before.mean)
@@ -317,20 +295,20 @@ def test_a_law_of_ones_is_the_effects_own():
     for name in ("mean", "variance", "first_excess"):
         assert getattr(other, name) == pytest.approx(getattr(own, name), rel=1e-5)
     assert free.name == "response_nonlinearity"
+    free = _free(fx.ExposureTimeOffset(1e-4), (0.5, 2.0), exposure_s=(1e-3, 1e-2))
+    again = EffectEntry.from_mapping(EffectEntry(free).to_mapping(), "here").effect
+    assert again == free
+    assert make_effect("exposure_time_offset", {"offset_s": 1e-4}) == fx.ExposureTimeOffset(1e-4)
 
 
-def test_the_factor_goes_through_its_knots():
-    """Half of the lost exposure at 1 ms, twice at 10 ms; beyond the knots as at the last; between them between."""
-    free = _free(ExposureTimeOffset(1e-4), (0.5, 2.0), exposure_s=(1e-3, 1e-2))
+def test_a_law_goes_through_its_knots_along_one_and_two_covariates():
+    """Between them between, in octaves; beyond them as at the last."""
+    free = _free(fx.ExposureTimeOffset(1e-4), (0.5, 2.0), exposure_s=(1e-3, 1e-2))
     lost = {}
     for exposure_s in (1e-4, 1e-3, 10**-2.5, 1e-2, 1.0):
         signal = np.full((2, 2), 1000.0)
         lost[exposure_s] = (free.mean(signal, _context(exposure_s=exposure_s))[0, 0] / 1000.0 - 1.0) * exposure_s
     assert list(lost.values()) == pytest.approx([0.5e-4, 0.5e-4, 1.25e-4, 2e-4, 2e-4], rel=1e-9)
-
-
-def test_a_table_holds_two_covariates():
-    """Along radius and stop each knot has its own factor; halfway between two stops it is their mean (in octaves)."""
     plain = MechanicalVignetting(0.2, 2.0)
     free = _free(plain, (1.0, 3.0, 1.0, 3.0), field_radius=(0.0, 1.0), f_number=(2.0, 8.0))
     signal = np.full((6, 8), 100.0)
@@ -340,18 +318,14 @@ def test_a_table_holds_two_covariates():
         assert free.mean(signal, context) - signal == pytest.approx(factor * change)
 
 
-def test_noise_is_carried_by_the_laws_own_slope():
-    """Where the law goes with the signal its derivative has the curve's part too: held against small steps."""
-    free = _free(ResponseNonlinearity(0.1), (0.0, 1.0, 3.0), signal=(10.0, 1000.0, 10_000.0))
+def test_a_law_scatters_by_its_own_slope():
+    """By the curve's part too; a factor of 4 on an added noise is four times its variance."""
+    free = _free(fx.ResponseNonlinearity(0.1), (0.0, 1.0, 3.0), signal=(10.0, 1000.0, 10_000.0))
     signal = np.array([300.0, 2000.0, 7000.0])
     before = Moments(signal, np.ones(3), np.zeros(3), np.zeros(3))
     rise = (free.mean(signal + 0.5, _context()) - free.mean(signal - 0.5, _context())) / 1.0
     assert free.moments(before, _context()).variance == pytest.approx(rise**2, rel=1e-3)
-
-
-def test_what_acts_by_its_square_scatters_by_the_root():
-    """A factor of 4 on an added noise is four times its variance, in the moments and in pictures."""
-    plain = ExcessReadNoise(3.0)
+    plain = fx.ExcessReadNoise(3.0)
     free = _free(plain, (4.0, 4.0), gain_db=(0.0, 12.0))
     signal = np.full((200, 200), 500.0)
     drawn = free.sample(signal, _context(), np.random.default_rng(6))
@@ -359,21 +333,13 @@ def test_what_acts_by_its_square_scatters_by_the_root():
     assert np.max(free.moments(Moments.exactly(signal), _context()).variance) == pytest.approx(36.0)
 
 
-def test_model_files_hold_the_law():
-    """What is written is read again: the same kind, law and knots."""
-    free = _free(ExposureTimeOffset(1e-4), (0.5, 2.0), exposure_s=(1e-3, 1e-2))
-    again = EffectEntry.from_mapping(EffectEntry(free).to_mapping(), "here").effect
-    assert again == free
-    assert make_effect("exposure_time_offset", {"offset_s": 1e-4}) == ExposureTimeOffset(1e-4)
-
-
 @pytest.mark.parametrize(
     ("plain", "highest"),
     [
-        (StrayLightKernel(0.25), 2.0),  # at most half of the light is scattered
-        (StrayLightKernel(0.5), 1.0),  # as much as the entry allows already
-        (ExposureTimeOffset(-1e-4), 100.0),  # the end of its range lies farther off than any law goes
-        (GammaEnabled(2.0), 4.0),  # from 1, which does nothing, to 5
+        (fx.StrayLightKernel(0.25), 2.0),  # at most half of the light is scattered
+        (fx.StrayLightKernel(0.5), 1.0),  # as much as the entry allows already
+        (fx.ExposureTimeOffset(-1e-4), 100.0),  # the end of its range lies farther off than any law goes
+        (fx.GammaEnabled(2.0), 4.0),  # from 1, which does nothing, to 5
     ],
 )
 def test_no_law_goes_beyond_the_entrys_own_bounds(plain, highest):
@@ -389,7 +355,7 @@ def test_no_law_goes_beyond_the_entrys_own_bounds(plain, highest):
 def test_a_signal_counts_from_black_on_with_a_thousandth_of_its_range(unit, well_e, added):
     """Of the full well, 10 000 e⁻ where not stated, or of full scale; black is taken off digital numbers only."""
     context = replace(_context(), camera=CameraDescription(bit_depth=12, full_well_e=well_e))
-    kinds = {"e-": ImageLag, "DN": BlackLevelOffset, "W m-2": NaturalVignetting}
+    kinds = {"e-": fx.ImageLag, "DN": fx.BlackLevelOffset, "W m-2": fx.NaturalVignetting}
     effect = kinds[unit]()
     assert effect.unit_in == unit
     black = 100.0 if unit == "DN" else 0.0
@@ -462,7 +428,7 @@ def border(x, y, height):
 
 
 def test_borders_move_by_the_field_over_them():
-    """Each border takes the field's integral over it; the four nearest get four times the share together."""
+    """Four times the share together; a step loses what its last line does."""
     push = push_of(3, 0.6, 0.4)
     nearest = 0.5 * (border(0.5, 0.0, 0.6) + border(0.5, 0.0, 0.4))
     for i, j in ((0, 0), (1, 0), (0, 1), (2, 2), (-1, 0), (-3, 1)):
@@ -475,6 +441,15 @@ def test_borders_move_by_the_field_over_them():
     assert push.own[0] == pytest.approx(2.0 * -4.0, rel=1e-5)  # to first order in the share
     assert push.right[0] == pytest.approx(2.0 * neighbour, rel=1e-4)
     assert push.below[0] == pytest.approx(2.0 * push.kernel[4, 3], rel=1e-4)
+    well = well_e(effect_context())
+    low, step = 0.5 * well, 1e-3 * well
+    halves = np.where(np.arange(60) < 30, low + step, low)[None, :] * np.ones((60, 1))
+    even = replace(FAR, share=1e-4, edge_fill=1.0, height_y_px=FAR.height_x_px)
+    moved = even.sample(halves, effect_context(), np.random.default_rng(0)) - halves
+    lost = -moved[30, 29] / step
+    predicted = even.moments(TileMoments.exactly(np.full((1, 1, 1), low)), effect_context()).edge_share.item()
+    assert lost == pytest.approx(predicted, rel=5e-3)
+    assert lost > 1.2 * 1e-4 * 0.5  # more than the nearest border alone
 
 
 def test_noise_of_flats_has_the_moments_that_are_predicted():
@@ -516,8 +491,8 @@ def _of_gathered_noise(effect, level, terms=16):
     return total
 
 
-def test_sums_over_farther_pixels_are_those_of_all_covariances():
-    """Along a row, a column, and over all rows below; all lags together sum to the shot noise: no charge is lost."""
+def test_farther_pixels_share_what_is_pushed_again():
+    """Sums over rows and columns; no charge is lost; the plain form leaves little beyond."""
     level, strong = 6000.0, replace(FAR, share=0.08)
     one = np.full((1, 1, 1), level)
     predicted = strong.moments(replace(TileMoments.exactly(one), variance=one), effect_context())
@@ -531,10 +506,6 @@ def test_sums_over_farther_pixels_are_those_of_all_covariances():
     assert beyond_rows == pytest.approx(below, rel=1e-3)
     sides = predicted.neighbour_x.item() + predicted.neighbour_y.item() + beyond_x + beyond_rows
     assert predicted.variance.item() + 2.0 * sides == pytest.approx(level, rel=1e-6)
-
-
-def test_the_nearest_borders_alone_leave_little_beyond():
-    """The plain form gives four neighbours all to first order: farther ones have what is pushed again."""
     level = 6000.0
     one = np.full((1, 1, 1), level)
     predicted = BrighterFatter(share=0.002).moments(replace(TileMoments.exactly(one), variance=one), effect_context())
@@ -542,27 +513,16 @@ def test_the_nearest_borders_alone_leave_little_beyond():
     assert abs(float(np.ravel(predicted.beyond_rows)[0])) < 0.02 * predicted.neighbour_x.item()
 
 
-def test_a_step_between_patches_loses_what_its_last_line_does():
-    """The share of a step that the last line inside a patch loses is the predicted one, by a picture of two halves."""
-    well = well_e(effect_context())
-    low, step = 0.5 * well, 1e-3 * well
-    halves = np.where(np.arange(60) < 30, low + step, low)[None, :] * np.ones((60, 1))
-    even = replace(FAR, share=1e-4, edge_fill=1.0, height_y_px=FAR.height_x_px)
-    moved = even.sample(halves, effect_context(), np.random.default_rng(0)) - halves
-    lost = -moved[30, 29] / step
-    predicted = even.moments(TileMoments.exactly(np.full((1, 1, 1), low)), effect_context()).edge_share.item()
-    assert lost == pytest.approx(predicted, rel=5e-3)
-    assert lost > 1.2 * 1e-4 * 0.5  # more than the nearest border alone
-
-
-def test_a_fit_may_take_the_far_form():
-    """The plain form loosens to one with heights, once."""
+def test_searches_start_from_plain_forms():
+    """A push loosens to heights once; darks from nothing, half and all of the black level."""
     plain = BrighterFatter(0.005)
     (far,) = plain.loosened(effect_context())
     assert plain.free() == ("share", "edge_fill")
     assert far.free() == ("share", "edge_fill", "height_x_px", "height_y_px")
     assert far.share == 0.005
     assert far.loosened(effect_context()) == ()
+    starts = {(start.pedestal_dn, start.share) for start in fx.DarkFrameSubtracted.starts(_setting())}
+    assert starts == {(kept, share) for kept in (0.0, 32.0, 64.0) for share in (1.0, 0.1)}
 
 
 @pytest.mark.parametrize("sensor", ["e2v", "itl"])
@@ -647,7 +607,7 @@ def test_moments_are_those_of_frames_less_a_drawn_dark(count, pedestal, dark_e, 
     What is cut holds to a tenth and 0.05 DN: counts of few electrons and codes of one sigma are not normal. Tiles
     within four sigmas of zero are not compared.
     """
-    context, effect = _setting(gain_db=gain_db, dark_e=dark_e), DarkFrameSubtracted(1.0 / count, pedestal)
+    context, effect = _setting(gain_db=gain_db, dark_e=dark_e), fx.DarkFrameSubtracted(1.0 / count, pedestal)
     seen, noise = _by_hand(light_e, dark_e, 10.0 ** (gain_db / 20.0), count, pedestal)
     reported = _reported(light_e, context, effect)
     mean, variance, fixed = (
@@ -659,25 +619,20 @@ def test_moments_are_those_of_frames_less_a_drawn_dark(count, pedestal, dark_e, 
     assert mean == pytest.approx(seen.mean(), abs=5 * seen.std() / root + 0.05 * cut)
     assert variance == pytest.approx(noise.mean(), abs=5 * noise.std() / root + 0.02 * cut, rel=0.1 if cut else 0.02)
     assert fixed == pytest.approx(pattern.mean(), abs=5 * pattern.std() / root + 0.02 * cut, rel=0.1 if cut else 0.02)
-    assert isinstance(reported, TileMoments)
     assert float(np.ravel(reported.renewed_variance)[0]) == pytest.approx(fixed)
     assert not np.any(reported.limit_variance)
 
 
-def test_the_highest_code_comes_down_and_shows_the_dark_s_noise():
-    """Where the converter is full all pixels show its highest code less their own dark."""
-    context, effect = _setting(), DarkFrameSubtracted(1.0, 10.0)
+def test_a_dark_is_shared_by_frames_of_one_setting():
+    """Its noise shows where the converter is full; another exposure has another."""
+    context, effect = _setting(), fx.DarkFrameSubtracted(1.0, 10.0)
     seen, noise = _by_hand(15_000.0, 20.0, 1.0, 1, 10.0)
     reported = _reported(15_000.0, context, effect)
     assert noise.max() == 0.0
     assert float(np.ravel(reported.variance)[0]) == pytest.approx(0.0, abs=1e-6)
     assert float(np.ravel(reported.mean)[0]) == pytest.approx(seen.mean(), abs=5 * seen.std() / np.sqrt(seen.size))
     assert float(np.ravel(reported.spatial_variance)[0]) == pytest.approx(seen.var(), rel=0.05)
-
-
-def test_frames_of_one_setting_share_their_dark():
-    """Two frames of one exposure differ by noise alone; the pattern of another exposure is another one."""
-    effect = DarkFrameSubtracted(1.0, 32.0)
+    effect = fx.DarkFrameSubtracted(1.0, 32.0)
     dice = np.random.default_rng(1)
     signal = np.full((ROWS, COLUMNS), 200.0)
     first, again = (effect.sample(signal, _setting(), dice) for _ in range(2))
@@ -690,16 +645,10 @@ def test_frames_of_one_setting_share_their_dark():
 def test_what_a_dark_holds_must_be_stated(lacking):
     """Without gain, read noise or black level no one says what a dark frame holds."""
     context = _setting()
-    assert DarkFrameSubtracted.usable(context)
+    assert fx.DarkFrameSubtracted.usable(context)
     if lacking == "black_level_dn":
         settings: Any = replace(context.settings, black_level_dn=None)
-        assert not DarkFrameSubtracted.usable(replace(context, settings=settings))
+        assert not fx.DarkFrameSubtracted.usable(replace(context, settings=settings))
     else:
         camera = CameraDescription(**context.camera.model_dump() | {lacking: None})
-        assert not DarkFrameSubtracted.usable(replace(context, camera=camera))
-
-
-def test_a_search_starts_from_nothing_half_and_all_of_the_black_level():
-    """With the noise of one dark and that of ten."""
-    starts = {(start.pedestal_dn, start.share) for start in DarkFrameSubtracted.starts(_setting())}
-    assert starts == {(kept, share) for kept in (0.0, 32.0, 64.0) for share in (1.0, 0.1)}
+        assert not fx.DarkFrameSubtracted.usable(replace(context, camera=camera))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from functools import cache
@@ -15,62 +16,13 @@ from radiometer.data import CameraDescription, FrameSettings, LensDescription, T
 from radiometer.reconciliation.tile_model import CapturesPast, FrameTimes, TileContext
 from simulators.chain.camera_model import CameraModel, FadingPast
 from simulators.chain.unsteady_pixels import unsteady_from
-from simulators.effects.adc_saturation import AdcSaturation
-from simulators.effects.ambient_light_leak import AmbientLightLeak
-from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.base import Moments
-from simulators.effects.black_level_drift import BlackLevelDrift
-from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
-from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.catalogue import well_e
 from simulators.effects.context import ExposureContext, FrameGeometry
-from simulators.effects.conversion_gain import ConversionGain
-from simulators.effects.conversion_gain_error import ConversionGainError
-from simulators.effects.correlated_read_noise import CorrelatedReadNoise
-from simulators.effects.dark_current import DarkCurrent
-from simulators.effects.dark_current_clamped import DarkCurrentClamped
-from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
-from simulators.effects.display_black_leak import DisplayBlackLeak
-from simulators.effects.display_gamma_error import DisplayGammaError
-from simulators.effects.event_offset import EventOffset
-from simulators.effects.exposure_quantisation import ExposureQuantisation
-from simulators.effects.exposure_time_offset import ExposureTimeOffset
-from simulators.effects.first_frame_offset import FirstFrameOffset
-from simulators.effects.fnumber_tstop_error import FnumberTstopError
-from simulators.effects.full_well_saturation import FullWellSaturation
-from simulators.effects.gain_step_error import GainStepError
-from simulators.effects.gamma_enabled import GammaEnabled
-from simulators.effects.hot_pixels import HotPixels
-from simulators.effects.image_lag import ImageLag
-from simulators.effects.lamp_step import LampStep
-from simulators.effects.led_thermal_droop import LedThermalDroop
-from simulators.effects.lens import Lens
-from simulators.effects.line_start_offset import LineStartOffset
-from simulators.effects.mains_ripple import MainsRipple
-from simulators.effects.missing_codes import MissingCodes
-from simulators.effects.natural_vignetting import NaturalVignetting
-from simulators.effects.nominal_settings import NominalSettings
-from simulators.effects.parasitic_light_sensitivity import ParasiticLightSensitivity
-from simulators.effects.polarisation import Polarisation
-from simulators.effects.pwm_flicker import PwmFlicker
-from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
-from simulators.effects.random_telegraph_noise import RandomTelegraphNoise
-from simulators.effects.readout_dark_charge import ReadoutDarkCharge
-from simulators.effects.reciprocity_failure import ReciprocityFailure
 from simulators.effects.registry import EFFECTS
-from simulators.effects.residual_charge import ResidualCharge
-from simulators.effects.response_nonlinearity import ResponseNonlinearity
-from simulators.effects.rolling_shutter_banding import RollingShutterBanding
-from simulators.effects.rounding import excess_kurtosis, rounded, rounded_normal, rounding_amplitude
-from simulators.effects.row_dependent_exposure import RowDependentExposure
-from simulators.effects.series_settling import SeriesSettling
-from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
-from simulators.effects.source_warmup_drift import SourceWarmupDrift
-from simulators.effects.spectral_mismatch import SpectralMismatch
-from simulators.effects.stray_light_kernel import StrayLightKernel
-from simulators.effects.tap_gain import TapGain
-from simulators.effects.tap_noise import TapNoise
+from simulators.effects.rounding import excess_kurtosis, rounded, rounded_normal
 from simulators.effects.tile_moments import TileMoments
+from testing import effect_kinds as fx
 from testing.effect_context import effect_context
 from testing.relatively import relatively
 
@@ -96,29 +48,29 @@ def at(
 @pytest.mark.parametrize(
     ("effect", "context", "expected"),
     [
-        (SpectralMismatch(0.01, 0.02, 0.03), at(pattern="green"), 1.02),
-        (SpectralMismatch(0.01, 0.02, 0.03), at(pattern="blue"), 1.03),
-        (SpectralMismatch(0.01, 0.02, 0.03), at(pattern="white"), 1.0),
-        (SourceWarmupDrift(0.1, 100.0, 0.05, 1000.0), at(timestamp_s=100.0), 1 + 0.1 / math.e + 0.05 * math.exp(-0.1)),
-        (DisplayGammaError(0.2), at(code=0.5), 0.5**0.2),
-        (DisplayGammaError(0.2, 0.1), at(code=0.5), 0.5**0.2 * math.exp(0.1 * math.log(2.0) ** 2)),
-        (ExposureTimeOffset(5e-6, 2e-6, 6.0), at(gain_db=0.0), 1.005),
-        (ExposureTimeOffset(5e-6, 2e-6, 6.0), at(gain_db=12.0), 1.007),
-        (ExposureTimeOffset(-5e-6), at(1e-6), 0.0),
-        (ExposureQuantisation(1e-4, 0.0), at(1.26e-3), 1.2 / 1.26),
-        (ExposureQuantisation(1e-4, 0.5), at(1.26e-3), 1.3 / 1.26),
-        (ExposureQuantisation(1e-4, 0.5), at(1.24e-3), 1.2 / 1.24),
-        (ReciprocityFailure(0.01), at(1e-2), 10.0**0.01),
-        (ReciprocityFailure(0.01, 2e-3), at(1e-2), 2.0**0.01),
-        (ReciprocityFailure(0.01, 2e-3), at(5e-4), 0.5**0.01),
-        (SourceNotProportionalToExposure(0.1, 0.01), at(1e-2), 1.0 - 0.1 / math.e),
-        (LedThermalDroop(0.1, 0.05, 0.02), at(source_level=0.5), 1.0 - 0.05 - 0.0125 - 0.0025),
-        (LedThermalDroop(levels=(0.01, 1.0), errors_rel=(0.0, 0.1)), at(source_level=0.1), 1.05),
-        (QuantumEfficiencyTemperature(0.001, 1e-5), at(temperature_c=45.0), 1.024),
-        (FnumberTstopError(0.02), at(f_number=8.0), 1.02**2),
-        (FnumberTstopError(0.0, 0.01), at(f_number=8.0), 1.04),
-        (FnumberTstopError(f_numbers=(2.0, 8.0), errors_rel=(0.0, 0.1)), at(f_number=4.0), 1.05),
-        (GainStepError(gains_db=(0.0, 12.0), errors_rel=(0.0, 0.02)), at(gain_db=6.0), 1.01),
+        (fx.SpectralMismatch(0.01, 0.02, 0.03), at(pattern="green"), 1.02),
+        (fx.SpectralMismatch(0.01, 0.02, 0.03), at(pattern="blue"), 1.03),
+        (fx.SpectralMismatch(0.01, 0.02, 0.03), at(pattern="white"), 1.0),
+        (fx.SourceWarmupDrift(0.1, 100.0, 0.05, 1e3), at(timestamp_s=100.0), 1 + 0.1 / math.e + 0.05 * math.exp(-0.1)),
+        (fx.DisplayGammaError(0.2), at(code=0.5), 0.5**0.2),
+        (fx.DisplayGammaError(0.2, 0.1), at(code=0.5), 0.5**0.2 * math.exp(0.1 * math.log(2.0) ** 2)),
+        (fx.ExposureTimeOffset(5e-6, 2e-6, 6.0), at(gain_db=0.0), 1.005),
+        (fx.ExposureTimeOffset(5e-6, 2e-6, 6.0), at(gain_db=12.0), 1.007),
+        (fx.ExposureTimeOffset(-5e-6), at(1e-6), 0.0),
+        (fx.ExposureQuantisation(1e-4, 0.0), at(1.26e-3), 1.2 / 1.26),
+        (fx.ExposureQuantisation(1e-4, 0.5), at(1.26e-3), 1.3 / 1.26),
+        (fx.ExposureQuantisation(1e-4, 0.5), at(1.24e-3), 1.2 / 1.24),
+        (fx.ReciprocityFailure(0.01), at(1e-2), 10.0**0.01),
+        (fx.ReciprocityFailure(0.01, 2e-3), at(1e-2), 2.0**0.01),
+        (fx.ReciprocityFailure(0.01, 2e-3), at(5e-4), 0.5**0.01),
+        (fx.SourceNotProportionalToExposure(0.1, 0.01), at(1e-2), 1.0 - 0.1 / math.e),
+        (fx.LedThermalDroop(0.1, 0.05, 0.02), at(source_level=0.5), 1.0 - 0.05 - 0.0125 - 0.0025),
+        (fx.LedThermalDroop(levels=(0.01, 1.0), errors_rel=(0.0, 0.1)), at(source_level=0.1), 1.05),
+        (fx.QuantumEfficiencyTemperature(0.001, 1e-5), at(temperature_c=45.0), 1.024),
+        (fx.FnumberTstopError(0.02), at(f_number=8.0), 1.02**2),
+        (fx.FnumberTstopError(0.0, 0.01), at(f_number=8.0), 1.04),
+        (fx.FnumberTstopError(f_numbers=(2.0, 8.0), errors_rel=(0.0, 0.1)), at(f_number=4.0), 1.05),
+        (fx.GainStepError(gains_db=(0.0, 12.0), errors_rel=(0.0, 0.02)), at(gain_db=6.0), 1.01),
     ],
 )  # fmt: skip
 def test_a_factor_at_one_setting(effect: Any, context: ExposureContext, expected: float) -> None:
@@ -131,23 +83,23 @@ def test_polarised_light_comes_and_goes_twice_a_turn(turn_rad: float, expected: 
     """Largest along the axis, smallest across it."""
     context = at()
     turned = replace(context, geometry=replace(context.geometry, screen_rotation_rad=turn_rad))
-    assert np.mean(np.asarray(Polarisation(0.1, 0.3).factor(turned))) == pytest.approx(expected)
+    assert np.mean(np.asarray(fx.Polarisation(0.1, 0.3).factor(turned))) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
     ("effect", "context", "expected"),
     [
-        (DarkCurrent(10.0, 25.0, 7.0), at(0.5, temperature_c=39.0), 20.0),
-        (DarkCurrent(10.0, 25.0, 7.0), at(0.5, temperature_c=18.0), 2.5),
-        (AmbientLightLeak(2.0, 0.5), at(f_number=8.0), 1.25),
-        (AmbientLightLeak(2.0), at(f_number=8.0), 2.0),
-        (AmbientLightLeak(2.0, 1.0), at(f_number=2.0), 8.0),
-        (DisplayBlackLeak(0.01), at(source_level=0.5), 0.015),
-        (BlackLevelDrift(0.1, 25.0), at(temperature_c=35.0), 1.0),
-        (BlackLevelDrift(0.1, 25.0, 0.01), at(temperature_c=35.0), 2.0),
-        (BlackLevelGainSlope(0.5, 0.0), at(gain_db=2 * SIX_DB), 1.5),
-        (BlackLevelGainSlope(0.5, SIX_DB, 0.1), at(gain_db=2 * SIX_DB), 0.55),
-        (BlackLevelGainSlope(0.5, SIX_DB, 0.1), at(gain_db=0.0), 0.0),
+        (fx.DarkCurrent(10.0, 25.0, 7.0), at(0.5, temperature_c=39.0), 20.0),
+        (fx.DarkCurrent(10.0, 25.0, 7.0), at(0.5, temperature_c=18.0), 2.5),
+        (fx.AmbientLightLeak(2.0, 0.5), at(f_number=8.0), 1.25),
+        (fx.AmbientLightLeak(2.0), at(f_number=8.0), 2.0),
+        (fx.AmbientLightLeak(2.0, 1.0), at(f_number=2.0), 8.0),
+        (fx.DisplayBlackLeak(0.01), at(source_level=0.5), 0.015),
+        (fx.BlackLevelDrift(0.1, 25.0), at(temperature_c=35.0), 1.0),
+        (fx.BlackLevelDrift(0.1, 25.0, 0.01), at(temperature_c=35.0), 2.0),
+        (fx.BlackLevelGainSlope(0.5, 0.0), at(gain_db=2 * SIX_DB), 1.5),
+        (fx.BlackLevelGainSlope(0.5, SIX_DB, 0.1), at(gain_db=2 * SIX_DB), 0.55),
+        (fx.BlackLevelGainSlope(0.5, SIX_DB, 0.1), at(gain_db=0.0), 0.0),
     ],
 )  # fmt: skip
 def test_an_offset_at_one_setting(effect: Any, context: ExposureContext, expected: float) -> None:
@@ -158,15 +110,13 @@ def test_an_offset_at_one_setting(effect: Any, context: ExposureContext, expecte
 @pytest.mark.parametrize(
     ("effect", "signal", "context", "expected"),
     [
-        (ResponseNonlinearity(0.01, 0.02), 5000.0, at(), 4950.0),
-        (ConversionGain(2.0), 100.0, at(gain_db=SIX_DB), 100.0),
-        (FullWellSaturation(8000.0), 9000.0, at(), 8000.0),
-        (FullWellSaturation(8000.0), 7000.0, at(), 7000.0),
-        (FullWellSaturation(8000.0), 99_000.0, at(binning=3), 72_000.0),
-        (FirstFrameOffset(0.5), 100.0, at(frame_index=0), 100.5),
-        (FirstFrameOffset(0.5), 100.0, at(frame_index=3), 100.0),
-        (Lens(transmittance=0.9), 1.0, at(f_number=4.0), math.pi * 0.9 / 64.0),
-        (Lens(magnification=0.5, pupil_magnification=2.0), 1.0, at(f_number=4.0), math.pi / 100.0),
+        (fx.ResponseNonlinearity(0.01, 0.02), 5000.0, at(), 4950.0),
+        (fx.ConversionGain(2.0), 100.0, at(gain_db=SIX_DB), 100.0),
+        (fx.FullWellSaturation(8000.0), 9000.0, at(), 8000.0),
+        (fx.FullWellSaturation(8000.0), 7000.0, at(), 7000.0),
+        (fx.FullWellSaturation(8000.0), 99_000.0, at(binning=3), 72_000.0),
+        (fx.Lens(transmittance=0.9), 1.0, at(f_number=4.0), math.pi * 0.9 / 64.0),
+        (fx.Lens(magnification=0.5, pupil_magnification=2.0), 1.0, at(f_number=4.0), math.pi / 100.0),
     ],
 )  # fmt: skip
 def test_a_signal_behind_an_effect(effect: Any, signal: float, context: ExposureContext, expected: float) -> None:
@@ -178,7 +128,7 @@ def test_a_signal_behind_an_effect(effect: Any, signal: float, context: Exposure
 def test_wells_of_binned_pixels_differ_by_the_root_of_their_number() -> None:
     """Four wells of 8000 ± 80 hold 32000 ± 160, drawn and predicted."""
     effect, context = (
-        FullWellSaturation(8000.0, 0.01),
+        fx.FullWellSaturation(8000.0, 0.01),
         replace(at(), geometry=FrameGeometry.of_image(300, 200, binning=2)),
     )
     drawn = effect.sample(np.full((200, 300), 5e4), context, np.random.default_rng(1))
@@ -188,18 +138,22 @@ def test_wells_of_binned_pixels_differ_by_the_root_of_their_number() -> None:
     assert spread[0] == pytest.approx(160.0, rel=0.02)
 
 
-def test_a_field_falls_off_by_the_fourth_power_of_the_cosine() -> None:
-    """Where tan α is 1 a quarter is left; with half the law, five eighths."""
+def test_stops_and_fields_have_the_light_of_exact_optics() -> None:
+    """f/5.6 is f/5.657; where tan α is 1 a quarter is left."""
     geometry = FrameGeometry.of_image(800, 600)
     context = replace(at(f_number=4.0), geometry=geometry)
     far_mm = float(np.max(geometry.radius_um())) / 1000.0
     for share, left in ((1.0, 1.0 / 4.0), (0.5, 5.0 / 8.0)):
-        lit = np.asarray(Lens(focal_length_mm=far_mm, cos4=share).mean(np.ones((600, 800)), context))
+        lit = np.asarray(fx.Lens(focal_length_mm=far_mm, cos4=share).mean(np.ones((600, 800)), context))
         assert np.min(lit) == pytest.approx(math.pi / 64.0 * left, rel=1e-6)
         assert np.max(lit) == pytest.approx(math.pi / 64.0, rel=1e-4)
+    context = context_of(FrameSettings(1 / 60, f_number=5.6))
+    time, stop = 60 / 64, (5.6 / 2**2.5) ** 2
+    for times, stops, factor in ((1.0, 1.0, time * stop), (1.0, 0.0, time), (0.0, 1.0, stop)):
+        assert fx.NominalSettings(times, stops).factor(context) == pytest.approx(factor)
 
 
-@pytest.mark.parametrize("kind", [PwmFlicker, MainsRipple])
+@pytest.mark.parametrize("kind", [fx.PwmFlicker, fx.MainsRipple])
 @pytest.mark.parametrize(
     ("exposure_s", "left"), [(1e-9, 1.0), (2.5e-3, 8 / math.pi**2), (1e-2, 0.0), (1.5e-2, 4 / (9 * math.pi**2))]
 )
@@ -215,7 +169,7 @@ def test_hot_pixels_that_stand_out_are_counted() -> None:
 
     Four frames of 3 e⁻ leave 1.5 e⁻, and six of these are passed by exp(−9/80) of an exponential distribution.
     """
-    effect = HotPixels(share=0.01, rate_e_per_s=10.0, reference_C=25.0, doubling_K=7.0)
+    effect = fx.HotPixels(share=0.01, rate_e_per_s=10.0, reference_C=25.0, doubling_K=7.0)
     context = at(2.0, temperature_c=39.0)
     assert np.mean(np.asarray(effect.electrons(context))) == pytest.approx(80.0)
 
@@ -251,7 +205,7 @@ def test_jumping_pixels_are_counted_and_scatter_as_drawn_ones() -> None:
     The numbers of those whose time mean stands out by six sigmas, or that scatter far more without their highest value,
     are predicted. So are the pattern without the former, and the noise without both.
     """
-    effect = RandomTelegraphNoise(share=0.05, height_e=20.0)
+    effect = fx.RandomTelegraphNoise(share=0.05, height_e=20.0)
     context = at(shutter="closed")
     rng = np.random.default_rng(5)
     even = np.zeros((400, 600))
@@ -275,7 +229,7 @@ def test_jumping_pixels_are_counted_and_scatter_as_drawn_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    "effect", [HotPixels(share=0.05, rate_e_per_s=100.0), DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=1.0)]
+    "effect", [fx.HotPixels(share=0.05, rate_e_per_s=100.0), fx.DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=1.0)]
 )
 def test_leaking_pixels_are_unsteady_by_their_shot_noise(effect: Any) -> None:
     """Charge that leaks into a pixel scatters by its root: where it is much more than the others', the pixel counts."""
@@ -296,20 +250,20 @@ def test_taps_that_are_no_quarters_have_a_size_each() -> None:
     """Four taps of one column each, of sizes 0, 1, 2 and 5 %: gains of −2, −1, 0 and 3 % about their mean."""
     taps = tuple(TapDescription(name=str(x), x=x, y=0, width=1, height=3) for x in range(4))
     context = replace(at(), camera=CAMERA.model_copy(update={"taps": taps}))
-    (cover,) = TapGain.covers(context)
+    (cover,) = fx.TapGain.covers(context)
     assert cover.free() == ("taps_rel[1]", "taps_rel[2]", "taps_rel[3]")
     known = replace(cover, taps_rel=(0.0, 0.01, 0.02, 0.05))
     np.testing.assert_allclose(known.mean(np.full((3, 4), 100.0), context), [[98.0, 99.0, 100.0, 103.0]] * 3)
     for table, added in (((4.0, 1.0, 1.0, 9.0),) * 2, ((0.0, -3.0, -3.0, 5.0), (3.0, 0.0, 0.0, 8.0))):  # none below 0
-        noisy = replace(TapNoise(), taps_e2=table)
+        noisy = replace(fx.TapNoise(), taps_e2=table)
         np.testing.assert_allclose(noisy.variance(np.full((3, 4), 100.0), context), [added] * 3)
     halves = (taps[0].model_copy(update={"width": 2}), taps[2].model_copy(update={"width": 2}))
-    assert TapGain.covers(replace(context, camera=CAMERA.model_copy(update={"taps": halves}))) == ()
+    assert fx.TapGain.covers(replace(context, camera=CAMERA.model_copy(update={"taps": halves}))) == ()
 
 
 def test_leaks_that_differ_are_drawn_with_the_spread_that_is_stated() -> None:
     """30 e⁻/s for 2 s at the stated temperature: 60 e⁻ of scatter and no mean, in the same pixels each time."""
-    effect = DarkCurrentNonuniformity(sigma_e_per_s=30.0, reference_C=25.0, shape=0.4)
+    effect = fx.DarkCurrentNonuniformity(sigma_e_per_s=30.0, reference_C=25.0, shape=0.4)
     context = replace(at(2.0, temperature_c=25.0), geometry=FrameGeometry.of_image(400, 300))
     drawn = np.asarray(effect.sample(np.full((300, 400), 1e4), context, np.random.default_rng(1))) - 1e4
     assert drawn.std() == pytest.approx(60.0, rel=0.02)
@@ -333,15 +287,7 @@ def context_of(settings):
 )  # fmt: skip
 def test_printed_stops_are_near_stops_and_not_all_on_them(times_s, usable):
     """Within 7 % of one, to more than a thousandth off, in more than two ways: else nothing was rounded."""
-    assert NominalSettings.usable(context_of(FrameSettings(np.array(times_s)))) is usable
-
-
-def test_a_printed_stop_gives_the_light_of_the_exact_one():
-    """1/60 s at f/5.6 is 1/64 s at f/5.657; time and stop each by their own switch."""
-    context = context_of(FrameSettings(1 / 60, f_number=5.6))
-    time, stop = 60 / 64, (5.6 / 2**2.5) ** 2
-    for times, stops, factor in ((1.0, 1.0, time * stop), (1.0, 0.0, time), (0.0, 1.0, stop)):
-        assert NominalSettings(times, stops).factor(context) == pytest.approx(factor)
+    assert fx.NominalSettings.usable(context_of(FrameSettings(np.array(times_s)))) is usable
 
 
 FILLS = np.array([0.0, 0.3, 1.0, 1.2, 1.67, 3.0])
@@ -350,7 +296,7 @@ FILLS = np.array([0.0, 0.3, 1.0, 1.2, 1.67, 3.0])
 @pytest.mark.parametrize(("a2", "a3"), [(0.018, -0.0025), (-0.02, 0.0), (0.0, 0.004)])
 def test_the_curve_goes_on_beyond_the_declared_full_well(a2: float, a3: float) -> None:
     """S·(1 − a₂·z − a₃·z²) at every fill: a full well that is declared too small makes no kink."""
-    context, effect = effect_context(), ResponseNonlinearity(a2=a2, a3=a3)
+    context, effect = effect_context(), fx.ResponseNonlinearity(a2=a2, a3=a3)
     signal = FILLS * well_e(context)
     np.testing.assert_allclose(effect.mean(signal, context), signal * (1 - a2 * FILLS - a3 * FILLS**2), rtol=1e-12)
     np.testing.assert_allclose(effect.slope(signal, context), 1 - 2 * a2 * FILLS - 3 * a3 * FILLS**2, rtol=1e-12)
@@ -359,7 +305,7 @@ def test_the_curve_goes_on_beyond_the_declared_full_well(a2: float, a3: float) -
 @pytest.mark.parametrize(("a2", "a3"), [(0.3, 0.0), (0.5, 0.5), (-0.2, 0.2), (-0.5, -0.5), (0.0, 0.0)])
 def test_more_light_never_gives_less(a2: float, a3: float) -> None:
     """Where the polynomial would fall, the response stays; far beyond it goes straight on; no light stays none."""
-    context, effect = effect_context(), ResponseNonlinearity(a2=a2, a3=a3)
+    context, effect = effect_context(), fx.ResponseNonlinearity(a2=a2, a3=a3)
     signal = np.linspace(-0.1, 40.0, 4001) * well_e(context)
     bent = effect.mean(signal, context)
     assert np.all(np.diff(bent) >= -1e-9 * well_e(context))
@@ -374,18 +320,31 @@ def test_no_range_is_a_number_of_codes_of_one_bit_depth(kind: type) -> None:
         assert known.of_full_scale == known.unit.startswith("DN")
 
 
-def test_a_deeper_converter_has_a_wider_range() -> None:
-    """A black level of 16 bits may be off by up to 65535, one of 8 bits by up to 255; a time as for all cameras."""
-    (offset,) = (one for one in BlackLevelOffset.parameters() if one.name == "offset_dn")
+def test_ranges_go_with_the_converter_and_a_step_beyond() -> None:
+    """65535 of 16 bits, 255 of 8; a search may try a little more; times are the same for all."""
+    (offset,) = (one for one in fx.BlackLevelOffset.parameters() if one.name == "offset_dn")
     assert offset.bounds(65535.0) == pytest.approx((-65535.0, 65535.0))
     assert offset.bounds(255.0) == pytest.approx((-255.0, 255.0))
-    (exposure,) = (one for one in ExposureTimeOffset.parameters() if one.name == "offset_s")
+    (exposure,) = (one for one in fx.ExposureTimeOffset.parameters() if one.name == "offset_s")
     assert exposure.bounds(65535.0) == (exposure.low, exposure.high)
+    assert fx.AdcSaturation(65535.0).with_parameters(clip_dn=70646.4).clip_dn == 70646.4
+    wells = [one.full_well_e / 1e4 for one in fx.FullWellSaturation.starts(at())]  # of the declared full well
+    assert (wells[0], wells[-1]) == pytest.approx((1.0, 1 / 3), abs=0.04)
+    assert all(0.7 < after / before < 1.0 for before, after in itertools.pairwise(wells))
 
 
-def test_an_effect_may_be_tried_beyond_the_camera_s_own_codes() -> None:
-    """A search steps a little beyond the highest code of 16 bits without being refused."""
-    assert AdcSaturation(65535.0).with_parameters(clip_dn=70646.4).clip_dn == 70646.4
+@pytest.mark.parametrize(
+    "effect", [fx.DarkCurrent(10.0, 25.0, 7.0), fx.ReadoutDarkCharge(charge_e=8.0, reference_C=25.0, doubling_K=7.0)]
+)
+def test_charge_of_a_sensor_that_warms_up_is_less_in_the_first_frame(effect):
+    """7 K more behind it double what leaks: the first of four frames holds half of what the others do."""
+    geometry = FrameGeometry.of_image(8, 5)
+    first, later, mean = (_capture(settings=FrameSettings(1.0, temperature_c=c)) for c in (25.0, 32.0, 30.25))
+    series = replace(mean, frames=4.0, first_frame=first, later_frames=later)
+    after = effect.moments(TileMoments.exactly(np.full(geometry.shape, 100.0)), series)
+    expected = np.asarray(effect.offset(first)) - np.asarray(effect.offset(later))
+    assert float(np.mean(after.first_excess)) == pytest.approx(float(np.mean(expected)), rel=1e-6)
+    assert np.mean(expected) == pytest.approx(-np.mean(np.asarray(effect.offset(first))))
 
 
 # Rounding and missing codes.
@@ -416,21 +375,17 @@ def test_moments_are_those_of_rounded_samples(mean: float, noise: float, pattern
     assert abs(of_pixel.mean() - after.mean[0]) < 4.5 * of_pixel.std() / np.sqrt(PIXELS)
     assert abs(within.mean() - after.variance[0]) < 4.5 * within.std() / np.sqrt(PIXELS) + 1e-4 * within.mean()
     assert abs(between - after.spatial_variance[0]) < 4.5 * u_between + 1e-6
+    assert noise < 0.7 or after.mean[0] == mean
 
 
-def test_fine_noise_leaves_the_mean_and_adds_a_twelfth() -> None:
-    """With noise above half a code the mean stays and the variance grows by 1/12 DN²."""
-    before = _moments(17.3, 1.0, 0.5)
-    after = rounded(before)
-    assert after.mean[0] == before.mean[0]
-    assert after.variance[0] == pytest.approx(before.variance[0] + 1 / 12)
-    assert float(rounding_amplitude(before)[0]) < 1e-10
-
-
-def test_light_that_all_pixels_share_is_swallowed_by_a_code() -> None:
-    """Far from the border between codes hardly any noise means that a common change does not show."""
+def test_hardly_any_noise_is_swallowed_by_a_code() -> None:
+    """A common change far from a border does not show; less than no noise is none."""
     assert rounded(_moments(60.0, 0.06, 0.0)).common_variance[0] < 1e-12
     assert rounded(_moments(60.5, 0.06, 0.0)).common_variance[0] > 1e-6
+    mean = np.array([60.3, 7.8, 60.3, 7.8])
+    average, variance, _ = rounded_normal(mean, np.array([-4.0, -1e-9, 0.0, 0.0]))
+    np.testing.assert_allclose(average, [60.0, 8.0, 60.0, 8.0])
+    np.testing.assert_allclose(variance, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("phase", "noise"), [(0.0, 0.31), (0.5, 0.31), (0.2, 0.4), (0.0, 0.7)])
@@ -476,8 +431,7 @@ def test_neighbours_share_what_the_codes_leave_of_it(mean: float, noise: float, 
     products = (codes[0] - codes[0].mean()) * (codes[1] - codes[1].mean())
     after = rounded(_tiles(mean, noise, share))
     if step > 1:
-        after = MissingCodes(step_codes=float(step)).moments(after, _CONTEXT)
-    assert isinstance(after, TileMoments)
+        after = fx.MissingCodes(step_codes=float(step)).moments(after, _CONTEXT)
     found = float(np.ravel(after.neighbour_x)[0])
     second_order = share * max(float(products.mean()), 1e-6)  # what a pair's square has in common counts by the share²
     assert abs(found - products.mean()) < 4.5 * products.std() / np.sqrt(products.size) + second_order
@@ -518,14 +472,6 @@ def test_many_signals_are_rounded_as_each_by_itself() -> None:
             assert values[number] == relatively(float(np.ravel(getattr(alone, field))[0]), rel=1e-9), (field, case)
 
 
-def test_less_than_no_noise_is_none() -> None:
-    """A variance below zero, which a step of a fit may try, is rounded as none: to the code nearest to the mean."""
-    mean = np.array([60.3, 7.8, 60.3, 7.8])
-    average, variance, _ = rounded_normal(mean, np.array([-4.0, -1e-9, 0.0, 0.0]))
-    np.testing.assert_allclose(average, [60.0, 8.0, 60.0, 8.0])
-    np.testing.assert_allclose(variance, 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("period", "kept"), [(2, 1), (4, 1), (8, 1), (16, 1), (3, 2), (4, 2), (4, 3), (8, 7), (16, 15)]
 )
@@ -533,7 +479,7 @@ def test_a_search_tries_the_codes_that_converters_leave_out(period: int, kept: i
     """Bits that are stuck, one code of a period that never comes: some trial leaves exactly those codes."""
     codes, anywhere = np.arange(64.0), cast(Any, None)
     expected = set(codes[codes % period < kept])
-    found = [set(np.ravel(MissingCodes(**trial).mean(codes, anywhere))) for trial in MissingCodes.trials]
+    found = [set(np.ravel(fx.MissingCodes(**trial).mean(codes, anywhere))) for trial in fx.MissingCodes.trials]
     assert expected in found
 
 
@@ -555,30 +501,22 @@ def test_rows_are_exposed_as_the_maker_s_model_says(exposure_s: float) -> None:
     a2, a3 = 9.2e-8 * 10, 1.58e-5 * 10  # a RedEdge's, per row of a tenth of its rows
     y = np.arange(ROWS)
     reported = (exposure_s + a2 * y - a3 * exposure_s * y) / exposure_s
-    effect = RowDependentExposure(added_s=a2 * (ROWS - 1), lost_share=a3 * (ROWS - 1))
+    effect = fx.RowDependentExposure(added_s=a2 * (ROWS - 1), lost_share=a3 * (ROWS - 1))
     factor = np.asarray(effect.factor(_at(exposure_s)))
     np.testing.assert_allclose(np.ravel(factor), reported, rtol=1e-12)
 
 
-def test_no_row_is_exposed_for_less_than_nothing() -> None:
-    """Where more time is taken away than there is, the row stays dark."""
-    factor = np.asarray(RowDependentExposure(added_s=-2e-4).factor(_at(1e-4)))
+def test_rows_lose_no_more_than_their_exposure_and_gain_as_a_leak_does() -> None:
+    """No row below nothing; time alone is the leak's equation, which takes none."""
+    factor = np.asarray(fx.RowDependentExposure(added_s=-2e-4).factor(_at(1e-4)))
     assert factor.min() == 0.0
     assert factor.max() == 1.0
-
-
-def test_time_alone_is_what_leaking_light_does() -> None:
-    """Without a share that goes with the exposure it is the leak's equation: no data can tell them apart."""
     context = _at(3e-4)
-    row = np.asarray(RowDependentExposure(added_s=1e-5).factor(context))
-    leak = np.asarray(ParasiticLightSensitivity(leak_s=1e-5).factor(context))
+    row = np.asarray(fx.RowDependentExposure(added_s=1e-5).factor(context))
+    leak = np.asarray(fx.ParasiticLightSensitivity(leak_s=1e-5).factor(context))
     np.testing.assert_allclose(row, leak, rtol=1e-7)
-
-
-def test_a_leak_takes_no_light_away() -> None:
-    """The leak's range begins at nothing; the exposure of rows may go either way."""
-    leak = next(entry for entry in ParasiticLightSensitivity.parameters() if entry.name == "leak_s")
-    added = next(entry for entry in RowDependentExposure.parameters() if entry.name == "added_s")
+    leak = next(entry for entry in fx.ParasiticLightSensitivity.parameters() if entry.name == "leak_s")
+    added = next(entry for entry in fx.RowDependentExposure.parameters() if entry.name == "added_s")
     assert leak.low == 0.0
     assert added.low < 0.0 < added.high
 
@@ -586,8 +524,8 @@ def test_a_leak_takes_no_light_away() -> None:
 FRAME = FrameGeometry.of_image(8, 6, pixel_spacing_um=5.0)
 
 
-def test_coordinates_count_pixels_of_the_sensor() -> None:
-    """From 0 at the upper left; a crop begins at its corner, a binned pixel is in the middle of its four."""
+def test_coordinates_run_from_the_corner_and_from_the_middle() -> None:
+    """In pixels, µm, half diagonals, and −1 to 1 over the longer side."""
     assert FRAME.x_px.tolist() == [list(range(8))]
     assert FRAME.y_px.tolist() == [[float(y)] for y in range(6)]
     assert FRAME.shape == (6, 8)
@@ -596,10 +534,8 @@ def test_coordinates_count_pixels_of_the_sensor() -> None:
     assert binned.x_px.tolist() == [[10.5, 12.5, 14.5]]
     assert binned.y_px.ravel().tolist() == [20.5, 22.5]
     assert (binned.sensor_width, binned.sensor_height) == (16, 24)
-
-
-def test_the_axis_is_the_middle_or_as_stated() -> None:
-    """Of 8 × 6 pixels 3.5 and 2.5; distances are in µm, in half diagonals, and as (x, y) of those."""
+    assert FRAME.row_fraction().ravel() == pytest.approx(np.arange(6) / 5.0)
+    assert FrameGeometry.of_image(4, 1).row_fraction().tolist() == [[0.0]]
     assert FRAME.centre_px == (3.5, 2.5)
     assert FRAME.radius_um()[0, 0] == pytest.approx(5.0 * math.hypot(3.5, 2.5))
     assert FRAME.field_radius()[0, 0] == pytest.approx(math.hypot(3.5, 2.5) / 5.0)  # half of √(8² + 6²) is 5 px
@@ -609,10 +545,6 @@ def test_the_axis_is_the_middle_or_as_stated() -> None:
     neighbour = replace(FRAME, principal_point_px=(0.0, 0.0))
     assert neighbour.centre_px == (0.0, 0.0)
     assert neighbour.radius_um()[5, 7] == pytest.approx(5.0 * math.hypot(7.0, 5.0))
-
-
-def test_sensor_and_screen_run_from_minus_one_to_one_over_the_longer_side() -> None:
-    """Half of 8 pixels is 1; a screen turned by 90° exchanges its axes, a shifted one is next to it."""
     for x, y in (FRAME.sensor_xy(), FRAME.screen_xy()):
         assert np.broadcast_to(x, FRAME.shape)[0] == pytest.approx((np.arange(8) - 3.5) / 4.0)
         assert np.broadcast_to(y, FRAME.shape)[:, 0] == pytest.approx((np.arange(6) - 2.5) / 4.0)
@@ -621,12 +553,6 @@ def test_sensor_and_screen_run_from_minus_one_to_one_over_the_longer_side() -> N
     assert np.broadcast_to(v, FRAME.shape)[0] == pytest.approx(-(np.arange(8) - 3.5) / 4.0)
     u, v = replace(FRAME, screen_shift_px=(1.0, -2.0)).screen_xy()
     assert (float(u[0, 0]), float(v[0, 0])) == pytest.approx((-4.5 / 4.0, -0.5 / 4.0))
-
-
-def test_rows_are_read_from_the_first_to_the_last() -> None:
-    """0 and 1, and a frame of one row is read at once."""
-    assert FRAME.row_fraction().ravel() == pytest.approx(np.arange(6) / 5.0)
-    assert FrameGeometry.of_image(4, 1).row_fraction().tolist() == [[0.0]]
 
 
 # Jumping lamps, first frames of a series, and charge that gathers during readout, against values by hand.
@@ -647,58 +573,48 @@ def _capture(**more: Any) -> TileContext:
     return TileContext(**({"settings": plain.settings, "geometry": plain.geometry, "camera": plain.camera} | more))
 
 
-def test_a_lamp_jumps_at_its_moment():
-    """Frames until the moment have their light, those after it 2 % more."""
-    factor = LampStep(step_rel=0.02, time_s=100.0).factor(_series(np.array([0.0, 100.0, 100.1])))
+def test_a_lamp_jumps_at_its_moment_between_captures():
+    """2 % more after it; it is looked for after the fourth to the sixth of ten captures."""
+    factor = fx.LampStep(step_rel=0.02, time_s=100.0).factor(_series(np.array([0.0, 100.0, 100.1])))
     assert np.asarray(factor).tolist() == [1.0, 1.0, 1.02]
-
-
-def test_a_jump_is_looked_for_between_any_two_of_many_captures():
-    """Of ten captures a jump may lie after the fourth to the sixth, halfway to the next; of seven nowhere."""
-    times = [start.time_s for start in LampStep.starts(_series(10.0 * np.arange(10)))]
+    times = [start.time_s for start in fx.LampStep.starts(_series(10.0 * np.arange(10)))]
     assert times == [35.0, 45.0, 55.0]
-    assert LampStep.usable(_series(np.arange(8.0)))
-    assert not LampStep.usable(_series(np.arange(7.0)))
+    assert fx.LampStep.usable(_series(np.arange(8.0)))
+    assert not fx.LampStep.usable(_series(np.arange(7.0)))
 
 
 def test_an_event_lifts_black_and_is_forgotten():
-    """None before it, 6 DN at it, 6/e a time constant later."""
-    lift = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0).offset(_series(np.array([0.0, 99.9, 100.0, 120.0])))
+    """6 DN at it, 6/e a time constant later, in the frames of a series that lie behind it."""
+    lift = fx.EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0).offset(_series(np.array([0.0, 99.9, 100.0, 120.0])))
     assert np.asarray(lift) == pytest.approx([0.0, 0.0, 6.0, 6.0 / math.e])
-
-
-def test_an_event_within_a_series_is_in_the_frames_behind_it():
-    """Two of four frames lie before it, one is at it and one half a time constant behind."""
     times_s = np.array([80.0, 90.0, 100.0, 110.0])[None, None, None]
     first, later = _capture(frame_times_s=times_s[..., :1]), _capture(frame_times_s=times_s[..., 1:])
     series = _capture(frames=4.0, first_frame=first, later_frames=later, frame_times_s=times_s)
-    effect = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0)
+    effect = fx.EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0)
     both = 6.0 * (1.0 + math.exp(-0.5))
     assert float(np.ravel(effect.offset(series))[0]) == pytest.approx(both / 4)
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
-    assert isinstance(after, TileMoments)
     assert float(np.ravel(after.first_excess)[0]) == pytest.approx(-both / 3)
 
 
 def test_an_event_is_looked_for_in_front_of_captures():
     """Of eight captures 10 s apart it may lie in front of the fourth and fifth, short and long, up and down."""
-    starts = EventOffset.starts(_series(10.0 * np.arange(8)))
+    starts = fx.EventOffset.starts(_series(10.0 * np.arange(8)))
     tried = {(s.event_s, s.tau_s, s.offset_dn) for s in starts}
     assert tried == {(at, tau, size) for at in (30.0, 40.0) for tau in (30.0, 200.0) for size in (1.0, -1.0)}
     assert len(starts) == len(tried)
-    assert EventOffset.usable(_series(np.arange(6.0)))
-    assert not EventOffset.usable(_series(np.arange(5.0)))
-    assert not EventOffset.starts(_series(np.zeros(1)))
+    assert fx.EventOffset.usable(_series(np.arange(6.0)))
+    assert not fx.EventOffset.usable(_series(np.arange(5.0)))
+    assert not fx.EventOffset.starts(_series(np.zeros(1)))
 
 
 def test_the_first_frame_alone_is_off():
     """Of four frames the mean is off by a quarter of what the first is; a second frame is not off at all."""
-    effect, signal = FirstFrameOffset(offset_dn=4.0), np.full((5, 8), 100.0)
+    effect, signal = fx.FirstFrameOffset(offset_dn=4.0), np.full((5, 8), 100.0)
     assert float(effect.mean(signal, _context())[0, 0]) == 104.0
     assert float(effect.mean(signal, replace(_context(), frame_index=1))[0, 0]) == 100.0
     series = _capture(frames=np.full((1, 1, 1), 4.0))
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
-    assert isinstance(after, TileMoments)
     assert float(after.mean[0, 0, 0]) == 101.0
     assert float(np.ravel(after.first_excess)[0]) == 4.0
 
@@ -709,20 +625,10 @@ def test_the_first_frame_alone_is_off():
 )
 def test_charge_gathers_until_a_row_is_read(more, column):
     """Of five rows the first has none and the last all, or the other way; a wait adds to every row; 7 K double it."""
-    effect = ReadoutDarkCharge(charge_e=8.0, reference_C=20.0, doubling_K=7.0, **more)
+    effect = fx.ReadoutDarkCharge(charge_e=8.0, reference_C=20.0, doubling_K=7.0, **more)
     for exposure_s, celsius, factor in ((1e-6, 20.0, 1.0), (10.0, 27.0, 2.0)):  # the exposure does not count
         found = np.ravel(effect.offset(_context(exposure_s=exposure_s, temperature_c=celsius)))
         assert found == pytest.approx(factor * np.array(column))
-
-
-def test_a_wait_before_the_first_row_is_fitted_by_the_looser_form_only():
-    """The plain form has charge and doubling; once loosened there is no further form."""
-    plain = ReadoutDarkCharge(charge_e=8.0)
-    (loose,) = plain.loosened(_context())
-    assert plain.free() == ("charge_e", "doubling_K")
-    assert loose.free() == ("charge_e", "doubling_K", "wait_share")
-    assert loose.wait_share > 0.0
-    assert loose.loosened(_context()) == ()
 
 
 @pytest.mark.parametrize(
@@ -732,31 +638,28 @@ def test_a_wait_before_the_first_row_is_fitted_by_the_looser_form_only():
 def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c, stated_c):
     """25 °C where a dark frame is within 10 K of it, else the nearest whole °C that they have, or the only one."""
     session = _context(temperature_c=np.array(warm_c))
-    for kind in (DarkCurrent, DarkCurrentClamped, DarkCurrentNonuniformity, HotPixels, ReadoutDarkCharge):
+    leaks = (fx.DarkCurrent, fx.DarkCurrentClamped, fx.DarkCurrentNonuniformity, fx.HotPixels, fx.ReadoutDarkCharge)
+    for kind in leaks:
         starts = kind.starts(session)
         assert {start.reference_C for start in starts} == {stated_c}
         ratio = getattr(starts[0], kind.heated) / kind.trials[0][kind.heated]
         assert ratio == pytest.approx(2.0 ** ((stated_c - 25.0) / starts[0].doubling_K), rel=0.15)  # the same leak
 
 
-def test_a_rate_is_stated_at_a_temperature_of_darks():
-    """Light at 25 and 45 °C next to darks at 40.2 °C alone: their very temperature, where no doubling matters."""
+def test_leaks_are_stated_where_darks_are():
+    """At 40.2 °C of the darks alone; readings within 2 K tell no doubling."""
     session = _context(temperature_c=np.array([25.0, 40.2, 45.0]), shutter=np.array(["open", "closed", "open"]))
-    assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.2}
-    assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
-
-
-def test_leaks_bring_their_own_doubling_where_temperatures_differ():
-    """Readings within 2 K tell no law: the doubling is the usual one and stays."""
+    assert {start.reference_C for start in fx.DarkCurrent.starts(session)} == {40.2}
+    assert "doubling_K" not in fx.DarkCurrentNonuniformity.starts(session)[0].free()
     for warm_c, free in (((20.0, 45.0), True), ((24.9, 25.1), False), ((np.nan,), False)):
         session = _context(temperature_c=np.array(warm_c))
-        for start in DarkCurrentNonuniformity.starts(session):
+        for start in fx.DarkCurrentNonuniformity.starts(session):
             assert ("doubling_K" in start.free()) is free
 
 
 def test_leaks_below_nothing_and_those_left_out_move_the_mean():
     """Of 4 million leaks the mean is of those that hold no less than nothing and do not stand out by 6 sigma."""
-    effect = DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=0.6)
+    effect = fx.DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=0.6)
     leak = np.exp(0.6 * np.random.default_rng(3).standard_normal(4_000_000))
     leak = 30.0 * (leak - leak.mean()) / leak.std()
     dark = _context(exposure_s=1.0, shutter="closed")
@@ -783,7 +686,8 @@ def test_leaks_that_differ_act_on_all_that_leaks():
     figures = {"pixel_pitch_um": 4.5, "conversion_gain_e_per_dn": 2.0, "read_noise_e": 3.0, "quantum_efficiency": 0.5}
     camera = CameraDescription(bit_depth=12, full_well_e=8000.0, **figures)
     model = CameraModel.ideal(camera, LensDescription())
-    for order in ((DarkCurrent(4.0), DarkCurrentNonuniformity(2.0)), (DarkCurrentNonuniformity(2.0), DarkCurrent(4.0))):
+    pair = (fx.DarkCurrent(4.0), fx.DarkCurrentNonuniformity(2.0))
+    for order in (pair, pair[::-1]):
         chain = model.with_effect(order[0]).with_effect(order[1]).effects
         names = [effect.name for effect in chain]
         assert names.count("dark_current") == 2
@@ -793,28 +697,24 @@ def test_leaks_that_differ_act_on_all_that_leaks():
         ]
 
 
-def test_a_line_begins_high_and_settles():
-    """Of 8 columns the first, a sixteenth into its line, is up by 10·exp(−1/4) DN; exposure and rows do not count."""
-    effect = LineStartOffset(offset_dn=10.0, decay_share=0.25)
+def test_a_line_settles_by_a_quick_and_a_slow_part():
+    """10·exp(−x/0.25) from either end; −8·exp(−x/0.1) + 2·exp(−x/0.5)."""
+    effect = fx.LineStartOffset(offset_dn=10.0, decay_share=0.25)
     for exposure_s in (1e-6, 10.0):
         line = np.ravel(effect.offset(_context(exposure_s=exposure_s, temperature_c=27.0)))
         assert line == pytest.approx([10.0 * math.exp(-(k + 0.5) / 8.0 / 0.25) for k in range(8)])
-    low = LineStartOffset(offset_dn=-10.0, decay_share=0.25, from_right=1.0)
+    low = fx.LineStartOffset(offset_dn=-10.0, decay_share=0.25, from_right=1.0)
     assert np.ravel(low.offset(_context())) == pytest.approx(-line[::-1])
-
-
-def test_a_slow_part_of_a_settling_adds_to_the_quick_one():
-    """A quick −8 DN and a slow 2 DN: −8·exp(−x/0.1) + 2·exp(−x/0.5), above nothing from ln(4)/8 of the line on."""
-    effect = LineStartOffset(-8.0, 0.1, slow_dn=2.0, slow_share=0.5)
+    effect = fx.LineStartOffset(-8.0, 0.1, slow_dn=2.0, slow_share=0.5)
     place = (np.arange(8) + 0.5) / 8.0
     line = np.ravel(effect.offset(_context()))
     assert line == pytest.approx(-8.0 * np.exp(-place / 0.1) + 2.0 * np.exp(-place / 0.5))
     assert (line > 0.0).tolist() == (place > math.log(4.0) / 8.0).tolist()
 
 
-def test_a_slow_part_is_tried_next_to_a_quick_one_only():
-    """The plain form has two parameters and two looser ones, which have four and none."""
-    plain = LineStartOffset(-8.0, 0.1)
+def test_looser_forms_have_one_part_more():
+    """A slow part next to a quick one, a wait before the first row; then there are none."""
+    plain = fx.LineStartOffset(-8.0, 0.1)
     looser = plain.loosened(_context())
     assert plain.free() == ("offset_dn", "decay_share")
     assert [np.sign(form.slow_dn) for form in looser] == [1.0, -1.0]
@@ -822,16 +722,21 @@ def test_a_slow_part_is_tried_next_to_a_quick_one_only():
         assert form.free() == ("offset_dn", "decay_share", "slow_dn", "slow_share")
         assert form.slow_share > form.decay_share
         assert form.loosened(_context()) == ()
+    plain = fx.ReadoutDarkCharge(charge_e=8.0)
+    (loose,) = plain.loosened(_context())
+    assert plain.free() == ("charge_e", "doubling_K")
+    assert loose.free() == ("charge_e", "doubling_K", "wait_share")
+    assert loose.wait_share > 0.0
+    assert loose.loosened(_context()) == ()
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_successive_pixels_share_read_noise(sign):
     """Frames of 2 e- have the variance 4 e-², neighbours in a line the covariance ±2 e-², others none: as reported."""
-    effect = CorrelatedReadNoise(sigma_e=2.0, sign=sign)
+    effect = fx.CorrelatedReadNoise(sigma_e=2.0, sign=sign)
     drawn = effect.sample(np.zeros((1000, 1000)), _context(), np.random.default_rng(4))
     before = TileMoments.exactly(np.zeros((1, 1, 1)))
     predicted = effect.moments(before, _context())
-    assert isinstance(predicted, TileMoments)
     along, further = (np.mean(drawn[:, :-k] * drawn[:, k:]) for k in (1, 2))
     down = np.mean(drawn[:-1] * drawn[1:])
     assert float(np.ravel(predicted.variance)[0]) == 4.0 == pytest.approx(drawn.var(), abs=0.03)
@@ -844,7 +749,7 @@ def test_successive_pixels_share_read_noise(sign):
 @pytest.mark.parametrize("slow_dn", [0.0, -4.0])
 def test_tiles_have_mean_slope_and_columns_of_their_pixels(decay_share, from_right, slow_dn):
     """Two tiles of 512 columns: mean, rise and what a parabola leaves are those of the line's 1024 pixels to 1 %."""
-    effect = LineStartOffset(10.0, decay_share, from_right, slow_dn)
+    effect = fx.LineStartOffset(10.0, decay_share, from_right, slow_dn)
     line = np.ravel(effect.offset(replace(_context(), geometry=FrameGeometry.of_image(1024, 1)))).reshape(2, 512)
     u = (2.0 * np.arange(512) + 1.0) / 512 - 1.0
     middle, side = np.array([255.5, 767.5]), np.array([-1.0, 1.0, -1.0, 1.0]) / math.sqrt(3.0)
@@ -864,12 +769,11 @@ def test_tiles_have_mean_slope_and_columns_of_their_pixels(decay_share, from_rig
 @pytest.mark.parametrize("frames", [1, 2, 3, 5])
 def test_a_source_settles_within_each_series(frames):
     """Mean, first frame and scatter of a series are those of its frames, worked out one by one."""
-    effect = SeriesSettling(excess_rel=0.02, ratio=0.5)
+    effect = fx.SeriesSettling(excess_rel=0.02, ratio=0.5)
     one = [float(effect.mean(np.full((1, 1), 100.0), replace(_context(), frame_index=k))[0, 0]) for k in range(frames)]
     assert one == pytest.approx([100.0 * (1 + 0.02 * 0.5**k) for k in range(frames)])
     series = _capture(frames=np.full((1, 1, 1), float(frames)))
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
-    assert isinstance(after, TileMoments)
     assert float(after.mean[0, 0, 0]) == pytest.approx(np.mean(one))
     first = one[0] - float(np.mean(one[1:])) if frames > 1 else 0.0
     assert float(np.ravel(after.first_excess)[0]) == pytest.approx(first, abs=1e-12)
@@ -879,9 +783,9 @@ def test_a_source_settles_within_each_series(frames):
 
 def test_a_gamma_begins_at_the_black_level():
     """Full scale and black stay, less than black bends as much the other way; a power of 1 changes nothing."""
-    effect, context = GammaEnabled(1.25, above_black=1.0), _context(black_level_dn=100.0)
+    effect, context = fx.GammaEnabled(1.25, above_black=1.0), _context(black_level_dn=100.0)
     assert effect.mean(np.array([4095.0, 100.0, 99.0]), context) == pytest.approx([4095.0, 100.0, 94.748], abs=1e-3)
-    nothing = GammaEnabled(1.0, above_black=1.0)
+    nothing = fx.GammaEnabled(1.0, above_black=1.0)
     assert nothing.mean(np.array([90.0, 100.0, 3000.0]), context) == pytest.approx([90.0, 100.0, 3000.0])
 
 
@@ -889,7 +793,7 @@ def test_a_gamma_begins_at_the_black_level():
 @pytest.mark.parametrize("toe", [0.0, 0.03])
 def test_moments_of_a_gamma_are_integrals_over_the_noise(dn, toe):
     """Close to the corners of the curve, on both sides of black, and far off: mean and variance of 4 DN of noise."""
-    effect = GammaEnabled(1.4, toe=toe, above_black=1.0)
+    effect = fx.GammaEnabled(1.4, toe=toe, above_black=1.0)
     context = _context(black_level_dn=64.0)
     z = np.linspace(-8.0, 8.0, 200_001)
     chance = np.exp(-0.5 * z**2) / np.exp(-0.5 * z**2).sum()
@@ -903,43 +807,16 @@ def test_moments_of_a_gamma_are_integrals_over_the_noise(dn, toe):
     assert float(predicted.variance[0, 0]) == pytest.approx(float(chance @ (bent - mean) ** 2), rel=0.02)
 
 
-def test_wings_of_one_width_are_the_kernel():
-    """A sum of Gaussians in which one has all is that Gaussian; what it scatters is taken from the light itself."""
+def test_wings_of_one_width_are_the_kernel_in_either_order():
+    """A sum in which one has all; the border is asked before and after."""
     picture = np.zeros((20, 40))
     picture[8:12, 10:20] = 1000.0
     context = replace(_context(), geometry=FrameGeometry.of_image(40, 20))
-    wings = StrayLightKernel(share=0.0, wings=(0.0, 0.0, 0.03, 0.0, 0.0))
-    assert wings.mean(picture, context) == pytest.approx(StrayLightKernel(0.03, 0.08).mean(picture, context))
+    wings = fx.StrayLightKernel(share=0.0, wings=(0.0, 0.0, 0.03, 0.0, 0.0))
+    assert wings.mean(picture, context) == pytest.approx(fx.StrayLightKernel(0.03, 0.08).mean(picture, context))
     assert wings.slope(picture, context) == pytest.approx(0.97)
     assert wings.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share")
-
-
-@pytest.mark.parametrize("k", range(5))
-def test_free_wings_begin_at_the_width_that_was_found(k):
-    """Of 0.02, 0.04 … 0.32 the width nearest in octaves gets six tenths of the share, each of the others a tenth."""
-    for away in (1.0, 1.3, 1.0 / 1.3):
-        kernel = StrayLightKernel(0.05, max(0.02 * 2.0**k * away, 0.02))
-        _, near, _ = kernel.loosened(_context())
-        assert near.wings == pytest.approx([0.03 if n == k else 0.005 for n in range(5)])
-        assert near.share == 0.0
-
-
-@pytest.mark.parametrize("beyond", [1.0, 0.5, 0.0])
-def test_light_beyond_the_border_is_scattered_in(beyond):
-    """Of an even picture a bell brings what lies inside, the normal integral, and its share of what lies beyond."""
-    picture, width_px = np.full((64, 64), 1000.0), 0.08 * 64
-    context = replace(_context(), geometry=FrameGeometry.of_image(64, 64))
-    kernel = StrayLightKernel(share=0.0, wings=(0.0, 0.0, 0.2, 0.0, 0.0), beyond=beyond)
-    scattered = (kernel.mean(picture, context) - 800.0) / 200.0
-    inside = 0.5 * (1.0 + math.erf(0.5 / width_px / math.sqrt(2.0)))  # of the first pixel's bell
-    assert scattered[32, 32] == pytest.approx(1.0, abs=1e-6)
-    assert scattered[32, 0] == pytest.approx(inside + beyond * (1.0 - inside), abs=2e-3)
-    assert scattered[0, 0] == pytest.approx(inside**2 + beyond * (1.0 - inside**2), abs=2e-3)
-
-
-def test_what_lies_beyond_the_border_is_asked_before_and_after_wings():
-    """The bell itself may end at the border, or take wings, in either order."""
-    bell = StrayLightKernel(0.03, 0.08)
+    bell = fx.StrayLightKernel(0.03, 0.08)
     ended, *winged = bell.loosened(_context())
     assert (ended.beyond, ended.wings, ended.share) == (0.5, (), 0.03)
     assert ended.free() == ("share", "radius", "edge_share", "beyond")
@@ -951,19 +828,38 @@ def test_what_lies_beyond_the_border_is_asked_before_and_after_wings():
     assert further.loosened(_context()) == ()
 
 
-def test_what_was_fitted_is_fitted_on_where_the_axis_is_free():
-    """About an axis of its own the plain law has three parameters, with the k₄ that was found four; none is held."""
-    plain, bent = NaturalVignetting(0.05, 0.03).loosened(_context())
+@pytest.mark.parametrize("k", range(5))
+def test_free_wings_begin_at_the_width_that_was_found(k):
+    """Of 0.02, 0.04 … 0.32 the width nearest in octaves gets six tenths of the share, each of the others a tenth."""
+    for away in (1.0, 1.3, 1.0 / 1.3):
+        kernel = fx.StrayLightKernel(0.05, max(0.02 * 2.0**k * away, 0.02))
+        _, near, _ = kernel.loosened(_context())
+        assert near.wings == pytest.approx([0.03 if n == k else 0.005 for n in range(5)])
+        assert near.share == 0.0
+
+
+@pytest.mark.parametrize("beyond", [1.0, 0.5, 0.0])
+def test_light_beyond_the_border_is_scattered_in(beyond):
+    """Of an even picture a bell brings what lies inside, the normal integral, and its share of what lies beyond."""
+    picture, width_px = np.full((64, 64), 1000.0), 0.08 * 64
+    context = replace(_context(), geometry=FrameGeometry.of_image(64, 64))
+    kernel = fx.StrayLightKernel(share=0.0, wings=(0.0, 0.0, 0.2, 0.0, 0.0), beyond=beyond)
+    scattered = (kernel.mean(picture, context) - 800.0) / 200.0
+    inside = 0.5 * (1.0 + math.erf(0.5 / width_px / math.sqrt(2.0)))  # of the first pixel's bell
+    assert scattered[32, 32] == pytest.approx(1.0, abs=1e-6)
+    assert scattered[32, 0] == pytest.approx(inside + beyond * (1.0 - inside), abs=2e-3)
+    assert scattered[0, 0] == pytest.approx(inside**2 + beyond * (1.0 - inside**2), abs=2e-3)
+
+
+def test_what_was_fitted_is_kept_or_dropped_by_looser_forms():
+    """k₄ stays about a free axis; a table of gains begins at the exact gain."""
+    plain, bent = fx.NaturalVignetting(0.05, 0.03).loosened(_context())
     assert (plain.strength, plain.k4, plain.free()) == (0.05, 0.0, ("strength", "axis_x", "axis_y"))
     assert (bent.strength, bent.k4, bent.free()) == (0.05, 0.03, ("strength", "k4", "axis_x", "axis_y"))
     (further,) = plain.loosened(_context())
     assert "k4" in further.free()
     assert further.loosened(_context()) == ()
-
-
-def test_a_table_does_not_stand_on_a_law_that_was_fitted():
-    """What a looser form does not fit it does not hold either: the table over the gains begins at the exact gain."""
-    (table,) = GainStepError(error_rel=0.02).loosened(_context(gain_db=np.array([0.0, 6.0, 12.0])))
+    (table,) = fx.GainStepError(error_rel=0.02).loosened(_context(gain_db=np.array([0.0, 6.0, 12.0])))
     assert table.error_rel == 0.0
     assert table.free() == ("errors_rel[1]", "errors_rel[2]")
 
@@ -971,7 +867,7 @@ def test_a_table_does_not_stand_on_a_law_that_was_fitted():
 def test_a_gain_error_says_what_was_stated_and_what_the_noise_shows():
     """2.06 e-/DN, with 6.64 ± 0.17 % more DN for each electron, are 1.932 ± 0.0031; unknown figures tell nothing."""
     camera = CameraDescription(bit_depth=16, conversion_gain_e_per_dn=2.06)
-    found = ConversionGainError(error_rel=0.0664)
+    found = fx.ConversionGainError(error_rel=0.0664)
     text = found.remark(camera, {"error_rel": 0.0017})
     assert text == "gain: stated 2.06 e⁻/DN, the noise says 1.932 ± 0.0031"
     assert found.remark(camera, {"error_rel": None}) == ""
@@ -982,7 +878,7 @@ def test_a_gain_error_says_what_was_stated_and_what_the_noise_shows():
 @pytest.mark.parametrize("exposure_s", [0.0002, 0.001, 0.02])
 def test_light_of_a_sagging_lamp_is_its_mean_over_the_exposure(stretch, exposure_s):
     """A lamp that sags as 1 − a·(1 − exp(−(t/τ)^β)) gives its mean over the exposure, here summed in small steps."""
-    effect = SourceNotProportionalToExposure(0.05, 0.001, stretch)
+    effect = fx.SourceNotProportionalToExposure(0.05, 0.001, stretch)
     times = (np.arange(200_000) + 0.5) / 200_000 * exposure_s
     light = 1.0 - 0.05 * -np.expm1(-((times / 0.001) ** stretch))
     assert effect.factor(_context(exposure_s=exposure_s)) == pytest.approx(float(light.mean()), abs=1e-7)
@@ -990,7 +886,7 @@ def test_light_of_a_sagging_lamp_is_its_mean_over_the_exposure(stretch, exposure
 
 def test_a_sag_is_freed_to_either_side_of_an_exponential():
     """A straight sag and a slow one, with the size and time that were fitted and one parameter more to pay for."""
-    plain = SourceNotProportionalToExposure(0.03, 0.002)
+    plain = fx.SourceNotProportionalToExposure(0.03, 0.002)
     forms = plain.loosened(_context())
     assert plain.free() == ("droop_rel", "tau_s")
     assert {form.free() for form in forms} == {("droop_rel", "tau_s", "stretch")}
@@ -1001,7 +897,7 @@ def test_a_sag_is_freed_to_either_side_of_an_exponential():
 
 def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted():
     """A row's light over random phases: (m·L·sinc(f·t))²/2 of 100 Hz in 2 ms, as frames and tiles have it."""
-    effect = RollingShutterBanding(modulation=0.1, frequency_hz=100.0, row_time_s=2e-5)
+    effect = fx.RollingShutterBanding(modulation=0.1, frequency_hz=100.0, row_time_s=2e-5)
     context, rng = _context(exposure_s=2e-3), np.random.default_rng(6)
     rows = np.array([effect.sample(np.full((5, 8), 1000.0), context, rng)[2, 0] for _ in range(4000)])
     predicted = effect.tile(
@@ -1022,37 +918,25 @@ def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted():
 )  # fmt: skip
 def test_powers_of_an_angle_are_fitted_where_they_are_not_the_plain_ones(powers, fitted):
     """One unknown for a loss as radius squared over the stop; all three else; slant and cone where no stop counts."""
-    assert AngleDependence(0.03, *powers).free() == fitted
+    assert fx.AngleDependence(0.03, *powers).free() == fitted
 
 
 # Charge that traps let go: by figures worked out by hand, of single frames, of captures and of the camera.
 
 
-TRAPS = ResidualCharge(share=0.01, tau_s=20.0)
+TRAPS = fx.ResidualCharge(share=0.01, tau_s=20.0)
 TIMES = FrameTimes(np.array([0.0, 5.0, 30.0, 40.0]), np.array([0, 0, 1, 2]), np.array([0, 1, 0, 0]), 3)
 HELD = np.array([[1000.0, 0.0], [10.0, 400.0], [7.0, 7.0]])
 
 
-def test_what_three_frames_left_comes_free_by_their_age():
-    """Each frame by its own age: two of 1000 e-, one of 10 e- later; within a series the second sees the first."""
+def test_charge_of_traps_comes_free_by_the_age_of_each_frame():
+    """1 % of 5000 e- 10 s old over 4 s with τ = 20 s; it scatters as electrons do."""
     past = CapturesPast(TIMES, HELD)
     older = 1000.0 * (math.exp(-30.0 / 20.0) + math.exp(-25.0 / 20.0))
     last = 1000.0 * (math.exp(-2.0) + math.exp(-1.75)) + 10.0 * math.exp(-0.5)
     own = 1000.0 * math.exp(-0.25) / 2  # the second frame behind the first, on average over both
     assert past.faded(20.0)[:, 0, 0] == pytest.approx([own, older, last])
     assert past.faded(20.0)[:, 1, 0] == pytest.approx([0.0, 0.0, 400.0 * math.exp(-0.5)])
-
-
-@pytest.mark.parametrize(("part", "own"), [("first", 0.0), ("later", 1000.0 * math.exp(-0.25)), ("all", 389.4003915)])
-def test_the_first_of_a_series_sees_none_of_its_own(part, own):
-    """Others see those before them; a lone frame is first and later."""
-    found = CapturesPast(TIMES, HELD, part).faded(20.0)[:, 0, 0]
-    assert found[0] == pytest.approx(own)
-    assert found[1] == pytest.approx(CapturesPast(TIMES, HELD).faded(20.0)[1, 0, 0])
-
-
-def test_an_exposure_takes_what_comes_free_in_it():
-    """1 % of 5000 e- that are 10 s old, over 4 s with τ = 20 s; it scatters as so many electrons do."""
     context = replace(
         at(4.0), past=CapturesPast(FrameTimes(np.array([0.0, 10.0]), np.arange(2), np.zeros(2), 2), HELD[:2] * 5)
     )
@@ -1066,13 +950,20 @@ def test_an_exposure_takes_what_comes_free_in_it():
     assert TRAPS.mean(signal, at(4.0)) == pytest.approx(signal)  # nothing is known of frames before
 
 
+@pytest.mark.parametrize(("part", "own"), [("first", 0.0), ("later", 1000.0 * math.exp(-0.25)), ("all", 389.4003915)])
+def test_the_first_of_a_series_sees_none_of_its_own(part, own):
+    """Others see those before them; a lone frame is first and later."""
+    found = CapturesPast(TIMES, HELD, part).faded(20.0)[:, 0, 0]
+    assert found[0] == pytest.approx(own)
+    assert found[1] == pytest.approx(CapturesPast(TIMES, HELD).faded(20.0)[1, 0, 0])
+
+
 def test_the_camera_remembers_every_frame_once():
-    """Three frames at 0, 10 and 25 s; another shape forgets, a frame without a time is none."""
+    """Three frames at 0, 10 and 25 s; traps of 1, 7.5 and 50 s where half a second lies between."""
     past = FadingPast()
     seen = []
     for now_s, charge in ((0.0, 100.0), (10.0, 50.0), (25.0, 1.0)):
         view = past.at(now_s, (1, 2))
-        assert view is not None
         seen.append(float(view.faded(20.0)[0, 1]))
         past.add(np.full((1, 2), charge), now_s)
     first, second = 100.0 * math.exp(-0.5), 100.0 * math.exp(-1.25) + 50.0 * math.exp(-0.75)
@@ -1081,18 +972,10 @@ def test_the_camera_remembers_every_frame_once():
     past.add(np.full((1, 2), 9.0), None)
     assert past.at(25.0, (1, 2)).faded(20.0)[0, 0] == pytest.approx(second * 1.0 + 1.0)
     assert not past.at(25.0, (2, 2)).faded(20.0).any()
-
-
-def test_starts_are_some_and_many_intervals_between_frames():
-    """Half a second between frames: traps of 1, 7.5 and 50 s; times that are not known leave the usual ones."""
-    since = np.array([np.inf, 0.5, 0.5, 9.0])
-    assert [start.tau_s for start in ResidualCharge.starts(replace(at(1.0), since_frame_s=since))] == [1.0, 7.5, 50.0]
-    assert [start.tau_s for start in ResidualCharge.starts(replace(at(1.0), since_frame_s=None))] == [
-        30.0,
-        225.0,
-        1500.0,
-    ]
-    assert not ResidualCharge.usable(at(1.0))
+    for since, tried in ((np.array([np.inf, 0.5, 0.5, 9.0]), [1.0, 7.5, 50.0]), (None, [30.0, 225.0, 1500.0])):
+        starts = fx.ResidualCharge.starts(replace(at(1.0), since_frame_s=since))
+        assert [start.tau_s for start in starts] == tried
+    assert not fx.ResidualCharge.usable(at(1.0))
 
 
 def after_charge(held_e: Any, full_well_e: float = 10_000.0, **more: Any) -> TileContext:
@@ -1102,36 +985,33 @@ def after_charge(held_e: Any, full_well_e: float = 10_000.0, **more: Any) -> Til
     return TileContext(settings, geometry, camera, previous_e=np.asarray(held_e), **({"frames": None} | more))
 
 
-def _left(lag: ImageLag, previous: float) -> float:
+def _left(lag: fx.ImageLag, previous: float) -> float:
     return float(lag.mean(np.zeros((1, 1)), after_charge([[previous]]))[0, 0])
 
 
 @pytest.mark.parametrize(("power", "expected"), [(1.0, 80.0), (0.5, 40.0), (2.0, 320.0)])
 def test_lag_by_a_power_goes_through_its_share_at_a_thousand_electrons(power: float, expected: float) -> None:
     """2 % of 1000 e- is 20 e- for every power; of 4000 e- it is 80 e- by a line, 40 by a root, 320 by a square."""
-    lag = ImageLag(share=0.02, power=power)
+    lag = fx.ImageLag(share=0.02, power=power)
     assert _left(lag, 1000.0) == pytest.approx(20.0)
     assert _left(lag, 4000.0) == pytest.approx(expected)
     assert _left(lag, 40000.0) == pytest.approx(20.0 * 10.0**power)  # no pixel holds more than its full well
 
 
-def test_the_power_is_fitted_where_it_is_not_one() -> None:
-    """The plain share alone is fitted of a line; a form of another power comes among its forms."""
-    assert ImageLag(share=0.02).free() == ("share",)
-    assert ImageLag(share=0.02, power=0.6).free() == ("share", "power")
+def test_lag_of_darkness_is_nothing_and_its_power_is_fitted_where_not_one() -> None:
+    """A negative share adds no noise; other powers come among the forms."""
+    assert fx.ImageLag(share=0.02).free() == ("share",)
+    assert fx.ImageLag(share=0.02, power=0.6).free() == ("share", "power")
     context = after_charge([[0.0]])
-    assert any(form.power != 1.0 for form in ImageLag.covers(context))
-    assert any(form.power != 1.0 for form in ImageLag(share=0.02).loosened(context))
-    assert [form.free() for form in ImageLag(share=0.02, power=0.6).loosened(context)] == [("share", "power", "noise")]
-    assert ImageLag(share=0.02, power=0.6, noise=0.5).loosened(context) == ()
-
-
-def test_nothing_is_left_by_a_dark_frame() -> None:
-    """A frame that held nothing leaves neither charge nor noise; a share below zero takes charge and adds no noise."""
+    assert any(form.power != 1.0 for form in fx.ImageLag.covers(context))
+    assert any(form.power != 1.0 for form in fx.ImageLag(share=0.02).loosened(context))
+    (noisy,) = fx.ImageLag(share=0.02, power=0.6).loosened(context)
+    assert noisy.free() == ("share", "power", "noise")
+    assert fx.ImageLag(share=0.02, power=0.6, noise=0.5).loosened(context) == ()
     context = after_charge([[0.0, 500.0]])
     signal = np.full((1, 2), 100.0)
-    assert ImageLag(share=0.02).variance(signal, context).tolist() == [[0.0, 10.0]]
-    assert ImageLag(share=-0.02).variance(signal, context).tolist() == [[0.0, 0.0]]
+    assert fx.ImageLag(share=0.02).variance(signal, context).tolist() == [[0.0, 10.0]]
+    assert fx.ImageLag(share=-0.02).variance(signal, context).tolist() == [[0.0, 0.0]]
 
 
 @pytest.mark.parametrize("frames", [1, 2, 4, 6])
@@ -1143,7 +1023,7 @@ def test_noise_that_comes_back_makes_frames_alike(frames: int, share: float, old
     seen = held[2:] + share * held[1:-1] + older * held[:-2]
     context = after_charge([[[5000.0]]], full_well_e=20_000.0, frames=float(frames))
     before = replace(TileMoments.exactly(np.array([[[5000.0]]])), variance=np.array([[[5000.0]]]))
-    lag = ImageLag(share=share, older_share=older, noise=0.0)
+    lag = fx.ImageLag(share=share, older_share=older, noise=0.0)
     predicted = lag.moments(before, context)
     counted = seen[1:] if frames > 2 else seen
     if frames > 1:

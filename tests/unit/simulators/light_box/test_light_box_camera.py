@@ -43,17 +43,13 @@ def seen(ambient: float = 0.0, time_s: float = 0.0, **channels: tuple[float, flo
     return BoxView(twin, ambient).look(time_s)
 
 
-def test_light_of_channels_and_room_adds_up() -> None:
-    """Radiances add; wavelengths are a mean by radiance, of white and of the room 555 nm, and of darkness too."""
+def test_a_box_is_seen_with_its_room_as_it_is_at_that_moment() -> None:
+    """Radiances add, wavelengths are a mean by radiance; ten seconds later it is brighter."""
     assert seen(red=(3.0, 640.0)) == (3.0, 640.0)
     assert seen(red=(3.0, 640.0), blue=(1.0, 440.0)) == pytest.approx((4.0, 590.0))
     assert seen(white=(2.0, None)) == (2.0, 555.0)
     assert seen(1.0, red=(1.0, 655.0)) == pytest.approx((2.0, 605.0))
     assert seen(red=(0.0, 640.0)) == (0.0, 555.0)
-
-
-def test_a_box_is_seen_as_it_is_at_that_moment_and_never_before_its_own() -> None:
-    """Ten seconds later it is brighter; a camera whose clock is behind sees the box's own moment."""
     assert seen(time_s=10.0, red=(3.0, 640.0)) == pytest.approx((33.0, 640.0))
     twin: Any = Twin(red=(3.0, 640.0))
     twin.time_s = 4.0

@@ -142,8 +142,22 @@ def test_whole_milliseconds_are_counted_whole(steps: tuple[float, ...]) -> None:
 BLUE = REFERENCE_LEDS["spot"]
 
 
-def test_a_led_at_full_duty_droops_and_reddens_by_the_stated_amounts():
-    """Settled it is dimmer by efficiency times heating, and redder; half of the droop is there after τ·ln 2."""
+def test_emission_is_that_of_waveform_current_and_heating():
+    """Low current is dimmer and more efficient; full duty droops and reddens."""
+    led = LedState(BLUE)
+    duty = 1001 / 8192
+    led.drive(duty, high=True, time_s=0.0)
+    cycle_s = BLUE.pwm_period_s * BLUE.dither_periods
+    times_s = (np.arange(800_000) + 0.5) * cycle_s / 800_000
+    assert led.waveform(times_s).mean() == pytest.approx(led.emission(0.0).radiance_w_sr_m2, rel=2e-5)
+    low, high = LedState(BLUE), LedState(BLUE)
+    low.drive(0.5, high=False, time_s=0.0)
+    high.drive(0.5, high=True, time_s=0.0)
+    ratio = low.emission(0.0).radiance_w_sr_m2 / high.emission(0.0).radiance_w_sr_m2
+    assert ratio == pytest.approx(BLUE.low_current_ratio * BLUE.low_efficacy_gain, rel=1e-9)
+    assert effective_duty(BLUE, 8 / 8192) / (8 / 8192) < 0.75
+    assert effective_duty(BLUE, 0.5) / 0.5 == pytest.approx(1.0, abs=1e-3)
+    assert LedState(BLUE).emission(5.0).radiance_w_sr_m2 == 0.0
     led = LedState(BLUE)
     led.drive(1.0, high=True, time_s=0.0)
     droop = BLUE.efficiency_per_kelvin * BLUE.heating_kelvin
@@ -152,36 +166,6 @@ def test_a_led_at_full_duty_droops_and_reddens_by_the_stated_amounts():
     assert 1 - half.radiance_w_sr_m2 / cold.radiance_w_sr_m2 == pytest.approx(-droop / 2, rel=1e-6)
     shift_nm = BLUE.peak_shift_nm_per_kelvin * BLUE.heating_kelvin
     assert led.emission(1e4).peak_nm == pytest.approx(BLUE.peak_nm + shift_nm, abs=1e-6)
-
-
-def test_mean_of_the_waveform_is_the_emission():
-    """What an integrating detector sees over whole dithering cycles is the stated mean."""
-    led = LedState(BLUE)
-    duty = 1001 / 8192
-    led.drive(duty, high=True, time_s=0.0)
-    cycle_s = BLUE.pwm_period_s * BLUE.dither_periods
-    times_s = (np.arange(800_000) + 0.5) * cycle_s / 800_000
-    assert led.waveform(times_s).mean() == pytest.approx(led.emission(0.0).radiance_w_sr_m2, rel=2e-5)
-
-
-def test_low_current_is_dimmer_by_ratio_and_more_efficient():
-    """The ranges' ratio is not exactly that of the currents: it has to be measured."""
-    low, high = LedState(BLUE), LedState(BLUE)
-    low.drive(0.5, high=False, time_s=0.0)
-    high.drive(0.5, high=True, time_s=0.0)
-    ratio = low.emission(0.0).radiance_w_sr_m2 / high.emission(0.0).radiance_w_sr_m2
-    assert ratio == pytest.approx(BLUE.low_current_ratio * BLUE.low_efficacy_gain, rel=1e-9)
-
-
-def test_short_pulses_lose_light():
-    """At the smallest duties the turn-on takes its share, so that radiance is not proportional to level."""
-    assert effective_duty(BLUE, 8 / 8192) / (8 / 8192) < 0.75
-    assert effective_duty(BLUE, 0.5) / 0.5 == pytest.approx(1.0, abs=1e-3)
-
-
-def test_dark_is_dark():
-    """Duty 0 emits nothing."""
-    assert LedState(BLUE).emission(5.0).radiance_w_sr_m2 == 0.0
 
 
 class _Clock:
@@ -209,14 +193,20 @@ def _pass(clock: _Clock, server: PtyServer, until_s: float, step_s: float) -> No
         server.device.exchange(b"", server.time_s())
 
 
-def test_a_box_kept_from_running_does_not_take_that_for_its_host_s_silence() -> None:
-    """Five seconds without a processor end no session; a second of true silence after them does."""
+def test_a_box_kept_from_running_loses_time_and_no_session() -> None:
+    """Five seconds end none; what is given up never comes back."""
     clock, server, twin = _greeted()
     clock.now_s = 5.2
     server.device.exchange(b"", server.time_s())
     assert twin.session
     _pass(clock, server, 6.2, 0.1)
     assert not twin.session
+    clock, server, _ = _greeted()
+    times_s = []
+    for clock.now_s in (0.3, 0.7, 3.0, 3.1, 3.4, 9.0, 9.001):
+        times_s.append(server.time_s())
+    steps_s = [later - earlier for earlier, later in pairwise([0.2, *times_s])]
+    assert steps_s == pytest.approx([0.1, 0.4, LAG_S, 0.1, 0.3, LAG_S, 0.001])
 
 
 @pytest.mark.parametrize("step_s", [0.002, 0.3])
@@ -227,13 +217,3 @@ def test_a_box_that_runs_goes_dark_for_a_silent_host(step_s: float) -> None:
     assert twin.session
     _pass(clock, server, 1.6, step_s)
     assert not twin.session
-
-
-def test_device_time_is_real_time_in_steps_no_longer_than_the_lag() -> None:
-    """What is given up never comes back, and nothing else is lost."""
-    clock, server, _ = _greeted()
-    times_s = []
-    for clock.now_s in (0.3, 0.7, 3.0, 3.1, 3.4, 9.0, 9.001):
-        times_s.append(server.time_s())
-    steps_s = [later - earlier for earlier, later in pairwise([0.2, *times_s])]
-    assert steps_s == pytest.approx([0.1, 0.4, LAG_S, 0.1, 0.3, LAG_S, 0.001])

@@ -19,45 +19,29 @@ from simulators.observers.observer import Habits, Observer, ObserverAtBox
 from testing.drawn_eyes import drawn_eye
 
 
-def test_bleach_settles_where_bleaching_and_regeneration_balance():
-    """At I = Q/t₀ half of the pigment is bleached in the end; at once a little light bleaches I·t/Q."""
+def test_pigment_settles_where_bleaching_and_regeneration_balance():
+    """Half is bleached at I = Q/t₀; a tenth of the bleach recovers 1/0.24 min sooner."""
     assert bleached(2.4e6 / 120, 1e5, 2.4e6, 120.0) == pytest.approx(0.5, rel=1e-9)
     assert bleached(1000.0, 0.01, 2.4e6, 120.0) == pytest.approx(1000.0 * 0.01 / 2.4e6, rel=1e-4)
-
-
-def test_rate_limited_recovery_ends_with_the_slope_asked_for():
-    """A bleach ten times as weak, far below saturation, recovers 1/0.24 min sooner."""
     assert recovery_min(0.01, 0.24) - recovery_min(0.001, 0.24) == pytest.approx(
         1 / 0.24 + 0.009 / (0.24 * math.log(10) * 0.2), rel=1e-6
     )
 
 
-def test_blue_shows_a_break_and_red_does_not():
-    """At 453 nm the rods take over after a strong bleach; at 640 nm they never become clearly the more sensitive."""
+def test_rods_show_in_the_blue_and_after_long_bleaches():
+    """A break at 453 nm, none at 640 nm; 2 s leave the rods alone; longer takes longer."""
     eye = Eye()
     assert eye.break_min(453.0) == pytest.approx(11.3, abs=1.5)
     late = [eye.threshold_log10(time, 640.0) for time in (15.0, 45.0)]
     assert late[0] - late[1] < 0.15
     blue = [eye.threshold_log10(time, 453.0) for time in (10.0, 45.0)]
     assert blue[0] - blue[1] > 2.5
-
-
-def test_short_bleach_leaves_the_rods_alone():
-    """After 2 s of 300 cd/m² the rods are the more sensitive ones from the first minute on, for blue light."""
     eye = eye_after_bleach(Eye(), 300.0, 2.0)
     assert eye.break_min(453.0) is None
     assert eye.rod_log10(1.0) < eye.cone_log10(1.0, 453.0)
-
-
-def test_longer_bleach_takes_longer():
-    """Cone amplitude and the end of S2 grow with the bleach."""
     short, long = (eye_after_bleach(replace(Eye(), pupil_mm=8.0), 3000.0, time) for time in (20.0, 300.0))
     assert short.cone_amplitude < long.cone_amplitude
     assert short.s2_zero_min < long.s2_zero_min
-
-
-def test_scotopic_ratio_is_high_in_the_blue_and_low_in_the_red():
-    """Blue light weighs more for rods, red for cones."""
     assert scotopic_per_photopic(453.0) > 10
     assert scotopic_per_photopic(640.0) < 0.1
 
@@ -69,16 +53,12 @@ def test_drawn_eyes_have_their_break_where_it_was_requested():
     assert all(value is not None and 5.9 < value < 12.1 for value in breaks)
 
 
-def test_psychometric_function_at_threshold():
-    """At threshold 1 − 1/e is seen, one log unit above all but the lapses, one below only the false alarms."""
+def test_answers_come_as_often_as_they_should():
+    """1 − 1/e at threshold, lapses above, false alarms below; 4000 blinks within three deviations."""
     observer = Observer(Eye(), Habits(lapses=0.02, false_alarms=0.03))
     threshold = observer.eye.threshold_log10(5.0, 453.0)
     at = [observer.seen_probability(threshold + step, 300.0, 453.0) for step in (-1.0, 0.0, 1.0)]
     assert at == pytest.approx([0.03, 0.03 + 0.95 * (1 - math.exp(-1)), 0.98], abs=1e-3)
-
-
-def test_answers_come_as_often_as_they_should():
-    """Over 4000 blinks at threshold the share of answers is within three binomial standard deviations."""
     observer = Observer(Eye(), Habits(lapses=0.0, false_alarms=0.0), np.random.default_rng(2))
     threshold = observer.eye.threshold_log10(5.0, 453.0)
     answers = [observer.answer(threshold, 300.0, 453.0) for _ in range(4000)]
@@ -103,8 +83,8 @@ def test_subject_presses_the_simulated_box_after_its_reaction_time():
     assert any(" D " in event for event in twin.events.values() if event.startswith("BT"))
 
 
-def test_false_alarms_at_the_box_come_as_often_as_they_should():
-    """In 3000 s of darkness at 0.01 per s the presses are Poisson of mean 30 (4 sigmas), and follow no light."""
+def test_false_alarms_and_the_blind_spot_come_as_often_as_they_should() -> None:
+    """Poisson of mean 30 in darkness; 30 % of glances see the spot."""
     twin = SimulatedLightBox()
     seat = ObserverAtBox(Observer(Eye(), Habits(false_alarms=0.01), np.random.default_rng(5)), twin)
     seat.sit_down()
@@ -112,10 +92,6 @@ def test_false_alarms_at_the_box_come_as_often_as_they_should():
     lines = [line.line for line in twin.emitted]
     assert sum(b" BT D " in line for line in lines) == pytest.approx(30, abs=4 * math.sqrt(30))
     assert seat.answered == 0
-
-
-def test_light_in_the_blind_spot_is_seen_as_often_as_the_eye_looks_elsewhere() -> None:
-    """15.5° temporal, 1.5° below: never by an eye that fixates; with 30 % glances in 30 % (within four sigmas)."""
     bright, place, count = 2.0, (15.5, -1.5), 2000
     for losses in (0.0, 0.3):
         habits = Habits(lapses=0.0, false_alarms=0.0, fixation_losses=losses)
