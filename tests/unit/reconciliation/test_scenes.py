@@ -32,7 +32,7 @@ def shown(*pictures):
     return [scenes_of(seen)[n] for n in range(len(pictures))]
 
 
-def test_scenes_are_told_by_their_details():
+def test_scenes_are_recognised_by_their_details():
     """Numbered as they come; from noise, even fields and clipped frames none is seen."""
     one, other = scene(1), scene(2)
     lights = zip((one, one, other, one, other, scene(3)), (400.0, 3000.0, 1000.0, 800.0, 3000.0, 900.0), strict=True)

@@ -80,8 +80,8 @@ def test_noise_of_all_tiles_follows_the_light_of_the_same_few_frames(design, fli
         assert error.covariance("variance")[0][0] == pytest.approx(flicker2 / n[0] * 0.9 * response[0])
 
 
-def test_tiles_share_rows_and_waves(design):
-    """1/40 side by side; by the cosine of their distance in a wave."""
+def test_tiles_share_rows_and_waves_with_their_few_phases(design):
+    """1/40 side by side, the cosine of a distance, 2ρ²/(n−1) − (½+ρ²)/n of squares."""
     shared = design.rows_of_tiles @ design.rows_of_tiles.T
     assert shared[0, 1] * design.tile_height[0] == pytest.approx(1.0, abs=0.1)  # a margin may take rows off
     assert shared[0, 2] == 0.0
@@ -91,10 +91,6 @@ def test_tiles_share_rows_and_waves(design):
         left = TileBands.of(design, periods / distance)
         quadratures = left.quadratures(np.ones(3))
         assert quadratures[0] @ quadratures[2] == pytest.approx(correlation, abs=1e-9)
-
-
-def test_scores_of_one_wave_follow_its_few_phases(design):
-    """The squares of two coefficients of correlation ρ have the covariance 2ρ²/(n−1) − (½+ρ²)/n in units of ρ = 1."""
     bins = RowBins.of(design)
     basis = np.zeros((1, 3, bins.number))
     basis[0, 1, 3], basis[0, 2, 8] = 1.0, 1.0

@@ -198,8 +198,8 @@ def test_predictions_are_compared_with_one_another_as_with_the_data(plain):
     assert changes[spatial, 1].any()
 
 
-def test_thresholds_and_taken_off_black_are_fitted_to_their_end(make_capture):
-    """A power of −0.02 up to 1 ms; darks without noise are none."""
+def test_thresholds_lines_and_taken_off_black_are_fitted_to_their_end(make_capture):
+    """Next to an offset each exposure has its true number of lines."""
     captured = make_capture(5, plan=LADDER * 2, exposure=lambda t: t * (min(t, 1e-3) / 1e-3) ** -0.02)
     found = converged_fit(refit(with_effects(start_of(captured), [fx.ReciprocityFailure(-0.01, 6e-4)])))
     assert (abs(found.parameters.values - (-0.02, 1e-3)) < 4.0 * uncertainty_of(found)).all()
@@ -207,10 +207,6 @@ def test_thresholds_and_taken_off_black_are_fitted_to_their_end(make_capture):
     with pytest.raises(UnfitError, match="dark_frame_subtracted"):
         included(start, fx.DarkFrameSubtracted(0.1, 0.0))
     assert [fit.effects for fit in start.models] == [()]
-
-
-def test_what_jumps_is_fitted_anew_next_to_a_further_effect(make_capture):
-    """Exposures are whole lines of 12 µs: next to an offset each has its true number of lines, which some had not."""
     captured = make_capture(5, plan=LADDER * 2, exposure=lambda t: 12e-6 * round(t / 12e-6), extra_dn=lambda s: 3.0)
     wrong = refit(with_effects(start_of(captured), [fx.ExposureQuantisation(12.012e-6, 0.5)]))
     found = included(wrong, fx.BlackLevelOffset(2.0))

@@ -177,8 +177,8 @@ def behind_a_curve(u=1e-6, valid=(2, 254), read_e=0.01):
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 12.0])
-def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
-    """Over 10 000 pixels between two and three thousandths of each other the errors are as large as u says."""
+def test_noise_of_frames_is_that_of_reading_darkness_and_rounding(gain_db):
+    """Behind a curve its scatter is what u states."""
     camera, calibration = behind_a_curve()
     gain = 10.0 ** (gain_db / 20.0)
     truth = np.linspace(20.0, 60.0, 10_000).reshape(100, 100) / gain
@@ -187,6 +187,15 @@ def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
     unit = np.median(found.radiance / truth)
     pull = (found.radiance / unit - truth) / (found.u_radiance / unit)
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.05)
+    noise = replace(NOISE, dark_current_e_per_s=30.0)
+    situation = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, noise=noise)))
+    terms = frame_terms(FrameSettings(2.0, gain_db=gain_db), situation, (), through_lens=False)
+    assert terms.gain == pytest.approx(gain)
+    assert terms.variance == pytest.approx((25.0 + 60.0) / 2.5**2 + 1.0 / 12.0 / gain**2)
+    assert terms.exposure == 2.0
+    assert terms.dark.tolist() == pytest.approx([24.0])  # 60 electrons, which light no longer has room for
+    if not gain_db:
+        assert terms.clips_at == pytest.approx(FULL_SCALE - 0.5 - BLACK - 24.0)
 
 
 def test_white_and_black_behind_a_curve_are_distinguished_and_marked():
@@ -524,21 +533,6 @@ def test_u_falls_by_the_root_of_the_frames(seed, count):
     copies = merged([frame] * count)
     assert np.array_equal(copies.u_radiance, one.u_radiance)
     assert any("no exposure counts twice" in line for line in copies.provenance.assumptions) == (count > 1)
-
-
-@pytest.mark.parametrize("gain_db", [0.0, 12.0])
-def test_the_variance_of_a_frame_is_read_noise_dark_noise_and_rounding(gain_db):
-    """c of x in DN at 0 dB: (σ_d² + dark)/K'² + 1/(12·G²); each term is there once, with its sign."""
-    noise = replace(NOISE, dark_current_e_per_s=30.0)
-    situation = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, noise=noise)))
-    terms = frame_terms(FrameSettings(2.0, gain_db=gain_db), situation, (), through_lens=False)
-    gain = 10.0 ** (gain_db / 20.0)
-    assert terms.gain == pytest.approx(gain)
-    assert terms.variance == pytest.approx((25.0 + 60.0) / 2.5**2 + 1.0 / 12.0 / gain**2)
-    assert terms.exposure == 2.0
-    assert terms.dark.tolist() == pytest.approx([24.0])  # 60 electrons, which light no longer has room for
-    if not gain_db:
-        assert terms.clips_at == pytest.approx(FULL_SCALE - 0.5 - BLACK - 24.0)
 
 
 def test_a_frame_clips_at_full_scale_and_starts_above_black():
