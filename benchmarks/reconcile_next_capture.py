@@ -17,8 +17,8 @@ import numpy as np
 
 from benchmarks._sections import write_section
 from radiometer.reconciliation.engine import examine
-from radiometer.reconciliation.next_capture import CapturePool
 from radiometer.reconciliation.search import Reconciled
+from radiometer.reconciliation.separability import CapturePool
 from testing.generator.plan import Setting, bracket
 from testing.generator.session import make_session
 

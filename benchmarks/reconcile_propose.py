@@ -32,7 +32,7 @@ from radiometer.reconciliation.design import Design
 from radiometer.reconciliation.engine import reconcile_capture, whole_catalogue
 from radiometer.reconciliation.propose import Proposal, propose_law
 from radiometer.reconciliation.propose.law import effect_class, effect_of, round_to
-from radiometer.reconciliation.propose.proposal import write_files
+from radiometer.reconciliation.propose.search import write_files
 from radiometer.reconciliation.reduce import reduce_frames
 from radiometer.reconciliation.state import FitState
 from simulators.effects.catalogue import CatalogueEffect

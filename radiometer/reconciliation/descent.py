@@ -506,14 +506,19 @@ def scatter_of(state: FitState) -> float:
 def effect_covariance(state: FitState) -> Array:
     """Return the covariance of the free effect parameters in units of their scales, what statistics share included.
 
-    While structure is left, it is widened by what that structure does to the parameters.
+    While structure is left, it is widened by what that structure does to the parameters. It is worked out once for a
+    state: verdict, doubts, report and model file all ask for it.
     """
-    covariance = _of_a_model_that_is_right(state)
-    if not (covariance.size and is_misfit(state)):
-        return covariance
-    own = np.diag(covariance)
-    wider = np.sqrt(np.maximum(_by_misfit(state), own) / np.where(own > 0, own, 1.0))
-    return np.asarray(covariance * wider[:, None] * wider)
+    known = vars(state)
+    if "effect_covariance" not in known:
+        covariance = _of_a_model_that_is_right(state)
+        if covariance.size and is_misfit(state):
+            own = np.diag(covariance)
+            wider = np.sqrt(np.maximum(_by_misfit(state), own) / np.where(own > 0, own, 1.0))
+            covariance = np.asarray(covariance * wider[:, None] * wider)
+        known["effect_covariance"] = covariance
+    found: Array = known["effect_covariance"]
+    return found
 
 
 def _by_misfit(state: FitState) -> Array:

@@ -28,19 +28,21 @@ from radiometer.numbers import lower_limit
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.descent import first_state, fitted_parameters, is_misfit, scatter_of
 from radiometer.reconciliation.design import CaptureStatistics, Design
-from radiometer.reconciliation.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
 from radiometer.reconciliation.localise import Disagreement, axis_of, global_p_value, places
-from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconciliation.nuisances import dark_current_is_free
 from radiometer.reconciliation.propose.search import held_to_laws
-from radiometer.reconciliation.reduce import (
-    FrameReader,
-    PatternImages,
-    Progress,
-    reduce_frames,
-    with_even_tiles,
+from radiometer.reconciliation.reduce import FrameReader, PatternImages, Progress, reduce_frames, with_even_tiles
+from radiometer.reconciliation.repeatability import (
+    FrameLight,
+    Periodic,
+    black_by_noise,
+    drift_of_black,
+    periodic,
+    repeats_of,
+    scenes_of,
+    steadied,
+    wander_of_black,
 )
-from radiometer.reconciliation.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
 from radiometer.reconciliation.result import (
     CovariateGap,
     FittedParameter,
@@ -54,7 +56,15 @@ from radiometer.reconciliation.result import (
     Verdict,
 )
 from radiometer.reconciliation.search import Reconciled, Search, search
-from radiometer.reconciliation.separability import Separability, inseparable, limits, separability
+from radiometer.reconciliation.separability import (
+    Separability,
+    inseparable,
+    limits,
+    propose,
+    propose_for_blind,
+    propose_for_unnamed,
+    separability,
+)
 from radiometer.reconciliation.state import FitState, with_effects
 from radiometer.reconciliation.verdict import (
     UNNAMED,

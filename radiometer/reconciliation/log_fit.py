@@ -279,10 +279,6 @@ class LogState:
     trends: tuple[tuple[str, Array], ...] = ()  # columns of trends without a name, with the axis of each
     measured: bool = False  # whether terms and trends along the signal or the reference take these as measured
 
-    def on(self, log: LogTable, trends: tuple[tuple[str, Array], ...]) -> LogState:
-        """Return the model fitted to other readings."""
-        return replace(self, log=log, whiteners=self.scatter.whiteners(log), trends=trends).fitted()
-
     def whitened(self, columns: Array) -> Array:
         """Return columns, or a residual, with each night's covariance taken out; rows come night by night."""
         return np.concatenate([inverse @ columns[rows] for rows, inverse in self.whiteners])
@@ -374,6 +370,24 @@ class LogState:
         begins = np.concatenate([self.parameters[:1], *(term.begins for term in self.terms)])
         return replace(self, measured=not self.measured, trends=trends, parameters=begins).fitted()
 
+    @cached_property
+    def night_error(self) -> float:
+        """Return the root mean square relative error of nights that are predicted from the others."""
+        squares, log = 0.0, self.log
+        for night in range(log.nights):
+            others, own = np.flatnonzero(log.night != night), np.flatnonzero(log.night == night)
+            numbers = np.asarray(np.unique(log.night[others], return_inverse=True)[1], dtype=np.intp)
+            part = replace(log.take(others), night=numbers)
+            trends = tuple((name, columns[others]) for name, columns in self.trends)
+            fitted = replace(self, log=part, whiteners=self.scatter.whiteners(part), trends=trends).fitted()
+            ahead = log.take(own)
+            shown = _predicted_log(ahead, self.terms, fitted.parameters, measured=self.measured)
+            if self.trends:
+                weights = fitted.fit.step[fitted.parameters.size :]
+                shown = shown + np.column_stack([columns[own] for _, columns in self.trends]) @ weights
+            squares += float(np.sum(np.square(np.expm1(np.log(ahead.value) - shown))))
+        return math.sqrt(squares / log.size)
+
     def uncertainty(self) -> Array:
         """Return the standard uncertainties of the terms' parameters, (parameters,)."""
         return np.asarray(np.sqrt(np.diag(self.fit.covariance))[1 : self.parameters.size])
@@ -415,9 +429,9 @@ def fit_log(log: LogTable, *, control: bool = True) -> LogFit:
     if control:
         reported = _search(_start(_lacking_nothing(state)))[1]
         silent = str(_verdict(reported))
-    before, after = (_night_error(one) for one in (start, state))
-    result = _result(start, state, steps, before, after, silent)
-    return LogFit(replace(result, seconds=time.monotonic() - begun), state, start, before, after, silent)
+    result = _result(start, state, steps, silent)
+    result = replace(result, seconds=time.monotonic() - begun)
+    return LogFit(result, state, start, start.night_error, state.night_error, silent)
 
 
 def _start(log: LogTable) -> LogState:
@@ -535,7 +549,7 @@ def _is_shown(old: LogState, new: LogState, limit: float) -> bool:
     if chance >= limit or _score(old, new) + PARAMETER_NATS < NAMED_NATS:
         return False
     known = len(new.terms) == len(old.terms) or _is_determined(new)
-    return known and _night_error(new) <= _night_error(old)
+    return known and new.night_error <= old.night_error
 
 
 def _is_determined(state: LogState) -> bool:
@@ -565,24 +579,6 @@ def _lacking_nothing(state: LogState) -> LogTable:
     return replace(log, value=np.exp(values))
 
 
-def _night_error(state: LogState) -> float:
-    squares = 0.0
-    log = state.log
-    for night in range(log.nights):
-        others, own = np.flatnonzero(log.night != night), np.flatnonzero(log.night == night)
-        numbers = np.asarray(np.unique(log.night[others], return_inverse=True)[1], dtype=np.intp)
-        part = replace(log.take(others), night=numbers)
-        trends = tuple((name, columns[others]) for name, columns in state.trends)
-        fitted = state.on(part, trends)
-        weights = fitted.fit.step[fitted.parameters.size :]
-        ahead = log.take(own)
-        shown = _predicted_log(ahead, state.terms, fitted.parameters, measured=state.measured)
-        if state.trends:
-            shown = shown + np.column_stack([columns[own] for _, columns in state.trends]) @ weights
-        squares += float(np.sum(np.square(np.expm1(np.log(ahead.value) - shown))))
-    return math.sqrt(squares / log.size)
-
-
 # ---- in the words of reconcile --------------------------------------------------------------------------------------
 def _verdict(steps: Sequence[FoundEffect]) -> Verdict:
     named, unnamed = (any((s.name == "unnamed") is kind for s in steps) for kind in (False, True))
@@ -597,13 +593,11 @@ _REMEDIES: Final = {  # what to record so that the terms show that a log cannot 
 }
 
 
-def _result(
-    start: LogState, state: LogState, steps: Sequence[FoundEffect], before: float, after: float, control: str
-) -> ReconcileResult:
+def _result(start: LogState, state: LogState, steps: Sequence[FoundEffect], control: str) -> ReconcileResult:
     log, verdict, scatter = state.log, _verdict(steps), astuple(state.scatter)
     extra: dict[str, Any] = {
         "nights": log.nights,
-        "night_error_rel": {"before": before, "after": after},
+        "night_error_rel": {"before": start.night_error, "after": state.night_error},
         "scatter": dict(zip(("reading_rel", "clouds_share", "neighbours", "night_rel"), scatter, strict=True)),
         "taken": list(log.taken),
         "negative_control": control or None,

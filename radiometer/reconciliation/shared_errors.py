@@ -22,7 +22,7 @@ from radiometer.reconciliation.design import SURFACE_LINES, CaptureStatistics, D
 from radiometer.reconciliation.lines import SHARPEST, RowBins, TileBands
 from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.statistics import STATISTICS, Prediction, Scale
-from radiometer.reconciliation.tile_model import Nuisance, TileModel, Trace
+from radiometer.reconciliation.tile_model import TileModel, Trace
 from radiometer.statistics.chances import frames_counted, score_slope
 from radiometer.typing import Array, Mask
 from simulators.effects.catalogue import CatalogueEffect
@@ -435,14 +435,20 @@ _FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that 
 
 def light_response(model: TileModel, here: Trace) -> tuple[Array, Array]:
     """Return d(mean)/d(log light) in DN and |d(ln variance)/d(log light)| by a finite difference."""
-    base, moved = here.prediction, model.predict(_brighter(here.nuisance), here)
+    base, moved = here.prediction, _brighter(model, here)
     mean = (moved.mean - base.mean) / _SENSITIVITY_STEP
     variance = np.abs(np.log(moved.variance / base.variance)) / _SENSITIVITY_STEP
     return np.asarray(mean), np.asarray(variance)
 
 
-def _brighter(nuisance: Nuisance) -> Nuisance:
-    return nuisance.with_off(log_responsivity=nuisance.off.log_responsivity + _SENSITIVITY_STEP)
+def _brighter(model: TileModel, here: Trace) -> Prediction:
+    """Return what a model predicts of a little more light; it is worked out once for each run of its chain."""
+    known, off = vars(here), here.nuisance.off
+    if "brighter" not in known:
+        more = here.nuisance.with_off(log_responsivity=off.log_responsivity + _SENSITIVITY_STEP)
+        known["brighter"] = model.predict(more, here)
+    found: Prediction = known["brighter"]
+    return found
 
 
 def darkness_of(model: TileModel, here: Trace, seen: CaptureStatistics) -> Darkness | None:
@@ -468,7 +474,7 @@ def form_floors(model: TileModel, here: Trace) -> dict[str, Array]:
     floors: dict[str, Array] = {}
     base, everything = here.prediction, (*model.given, *model.effects)
     held = [name for name, row in STATISTICS.items() if row.holds_form]
-    brighter = model.predict(_brighter(here.nuisance), here) if everything else base
+    brighter = _brighter(model, here) if everything else base
     for index in range(len(everything)):
         without = tuple(effect for i, effect in enumerate(everything) if i != index)
         other = replace(model, given=(), effects=without).predict(here.nuisance, here)

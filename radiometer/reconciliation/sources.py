@@ -26,12 +26,7 @@ from radiometer.reconciliation.reduce import Progress
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
 from radiometer.reconciliation.search import Reconciled
 from radiometer.reconciliation.state import FitState
-from radiometer.reconciliation.tables import (
-    DriveFit,
-    MeterReconciled,
-    reconcile_drive_table,
-    reconcile_meter_table,
-)
+from radiometer.reconciliation.tables import DriveFit, MeterReconciled, reconcile_drive_table, reconcile_meter_table
 from radiometer.reporting.origin import Origin
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.undeclared import completed
@@ -92,7 +87,7 @@ class DoneCapture:
 
     def write_plan(self, path: Path) -> bool:
         """Write the captures of this set and the next one as a plan, and return whether there is a next one."""
-        from radiometer.reconciliation.next_capture import write_plan
+        from radiometer.reconciliation.separability import write_plan
 
         return write_plan(path, self._reconciled.result, self._reconciled.outcome.state.design)
 

@@ -22,8 +22,8 @@ import numpy as np
 
 from radiometer.reconciliation.comparison import FAMILY, Comparison
 from radiometer.reconciliation.descent import fitted_parameters, is_misfit, refit
-from radiometer.reconciliation.frame_order import Periodic
 from radiometer.reconciliation.localise import Disagreement, axis_of, departing, own_place
+from radiometer.reconciliation.repeatability import Periodic
 from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
 from radiometer.reconciliation.search import Search, Step
 from radiometer.reconciliation.state import FitState, ModelFit, with_effects, with_terms

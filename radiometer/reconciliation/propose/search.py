@@ -2,7 +2,8 @@
 
 First all laws of the grammar are tested on the tiles' means, slopes and first frames, linearised about the starting
 camera with all nuisances following. The best of each kind are then fitted to all statistics as effects, and judged as
-names are. Source of the score: docs/decisions/0011.
+names are. A law is written with its evidence: effect file, test, and captures that would refute it. Source of the
+score: docs/decisions/0011.
 
 Statistics that follow the light of a tile move with the law as well: the nuisances take them along. A law that left
 them in place would seem to disagree with them as soon as a radiance adapts to it.
@@ -11,16 +12,20 @@ them in place would seem to disagree with them as soon as a radiance adapts to i
 from __future__ import annotations
 
 import operator
+import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
+from pathlib import Path
+from pprint import pformat
 from typing import Any, Final
 
 import numpy as np
 from scipy.special import ndtr
 
-from radiometer.errors import ConfigurationError, MeasurementError
+from radiometer.data.storage import write_text_atomic, write_yaml_atomic
+from radiometer.errors import ConfigurationError, MeasurementError, OutputError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.descent import (
     Candidate,
@@ -32,11 +37,13 @@ from radiometer.reconciliation.descent import (
     judged_gain,
     scatter_of,
 )
-from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
-from radiometer.reconciliation.propose.law import Law, effect_of, round_to
-from radiometer.reconciliation.propose.proposal import Proposal, Rival
+from radiometer.reconciliation.propose.grammar import COVARIATES, FORMS, PER_FRAME, PLACES, Term, finer, terms_of
+from radiometer.reconciliation.propose.law import Law, acted, context_at, effect_of, round_to
+from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.screening import best_start
 from radiometer.reconciliation.search import Contender, Search, Step, contenders_of, worth
+from radiometer.reconciliation.separability import FORMAT as PLAN_FORMAT
+from radiometer.reconciliation.separability import FRAMES, CapturePool
 from radiometer.reconciliation.state import FitState
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
@@ -48,6 +55,271 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 from simulators.effects.surroundings import column_light, picture_mean
 
+_WIDTH: Final = 116
+
+
+def effect_source(
+    law: Law,
+    amplitude: float,
+    *,
+    sentence: str = "A law that was proposed.",
+    source: str = "a law proposed by radiometer reconcile",
+) -> str:
+    """Return the text of an effect file: the law as data, of which its class is made.
+
+    Args:
+        amplitude: Its amplitude; trials start there and at its negative.
+        sentence: What it does, for its docstring.
+        source: Where its values come from.
+    """
+    link = LINKS[law.link]
+    plain = link.code.format(law=law.formula()).replace("np.", "")
+    words = [_in_docstring(textwrap.fill(text, _WIDTH)) for text in (sentence, f"Source: {source}.")]
+    does = textwrap.fill(f"{link.action[0].upper()}{link.action[1:]}: {plain}.", _WIDTH - 8, subsequent_indent="    ")
+    rounded = law.with_parameters({name: round_to(value) for name, value in law.parameters.items()})
+    return f'''"""{words[0]}
+
+{words[1]}
+"""
+
+from radiometer.reconciliation.propose.grammar import Term
+from radiometer.reconciliation.propose.law import Law, effect_class
+
+LAW = {pformat(rounded, width=_WIDTH - 6)}
+
+
+class {law.class_name}(effect_class(LAW, {round_to(amplitude)!r})):
+    """{does}"""
+'''
+
+
+def _in_docstring(text: str) -> str:
+    """Return text that ends no docstring and is no escape in one: names of folders come from anybody."""
+    shown = "".join(one if one.isprintable() or one == "\n" else "?" for one in text)
+    return shown.replace("\\", r"\\").replace('"', r"\"")
+
+
+def source_of_test(
+    law: Law,
+    amplitude: float,
+    file_name: str,
+    settings: Mapping[str, float],
+    shape: tuple[int, int],
+    values: Sequence[tuple[float, float, float, float]],
+) -> str:
+    """Return the text of a test of an effect file: its values at some places, and nothing at amplitude 0.
+
+    Args:
+        settings: Of the frame, by their names in `FrameSettings`.
+        shape: Height and width of the sensor in pixels.
+        values: Column, row, signal in front of it and what `acted` makes of it.
+    """
+    found = {law.amplitude: round_to(amplitude)} | {name: round_to(value) for name, value in law.parameters.items()}
+    rows = [tuple(round_to(float(v), 10) for v in row) for row in values]
+    nothing = "0.0" if LINKS[law.link].is_noise else "before"
+    return f'''"""The law `{law.name}` gives what it was proposed with."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiometer.reconciliation.propose.law import context_at
+from simulators.effects.registry import make_effect, register_file
+
+register_file(Path(__file__).with_name("{file_name}"))
+FOUND = {pformat(found)}
+SETTINGS = {pformat(dict(settings))}
+# column, row, signal before, {law.shown} after
+VALUES = {pformat(rows)}
+
+
+@pytest.mark.parametrize(("column", "row", "before", "after"), VALUES)
+def test_the_law_gives_what_was_found(column, row, before, after):
+    """What the effect makes of the signal is what the proposal was made with."""
+    found = make_effect("{law.name}", FOUND).{law.shown}(np.array([before]), context_at(column, row, {shape}, SETTINGS))
+    assert np.ravel(found)[0] == pytest.approx(after, rel=1e-6)
+
+
+@pytest.mark.parametrize(("column", "row", "before", "after"), VALUES)
+def test_without_its_amplitude_it_does_nothing(column, row, before, after):
+    """An amplitude of 0 leaves the signal as it is."""
+    nothing = make_effect("{law.name}", FOUND | {{"{law.amplitude}": 0.0}})
+    assert np.ravel(nothing.{law.shown}(np.array([before]), context_at(column, row, {shape}, SETTINGS)))[0] == {nothing}
+'''
+
+
+_ENDS: Final = ("left", "middle", "right"), ("upper", "middle", "lower")
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another law that the data do not rule out: name, stage, covariates, and how many nats it is behind.
+
+    Negative where it is ahead of one that acts at a plainer stage.
+    """
+
+    name: str
+    stage: str
+    covariates: tuple[str, ...]
+    behind_nats: float
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A law for what no entry explains."""
+
+    law: Law  # the law at its fitted parameters
+    amplitude: float  # its amplitude
+    parameters: Mapping[str, FittedParameter]  # all parameters with ± and unit
+    nats: float  # improvement of the held-out log density against the starting camera
+    before: FitState  # the starting camera as fitted
+    after: FitState  # the same with the law
+    rivals: tuple[Rival, ...] = ()  # laws within odds of 150, each further parameter and a second factor paid for
+
+    @property
+    def name(self) -> str:
+        """Return the effect's name."""
+        return self.law.name
+
+    @property
+    def stage(self) -> str:
+        """Return where in the chain it acts."""
+        return LINKS[self.law.link].stage
+
+    @property
+    def stages_alike(self) -> tuple[str, ...]:
+        """Return further stages at which a rival acts."""
+        return tuple(dict.fromkeys(rival.stage for rival in self.rivals if rival.stage != self.stage))
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Return the covariates on which it depends, those of its stage included."""
+        return tuple(dict.fromkeys((*self.law.covariates, *LINKS[self.law.link].goes_with)))
+
+    @property
+    def closed(self) -> float:
+        """Return the share of the excess of the held-out gap over 1 that it closes."""
+        excess = self.before.gap - 1.0
+        return float(np.clip((self.before.gap - self.after.gap) / excess, 0.0, 1.0)) if excess > 0 else 0.0
+
+    def sentence(self) -> str:
+        """Return in one sentence what it does and what kind of cause acts so."""
+        link = LINKS[self.law.link]
+        forms = [_in_words(term, self.before.design.shape) for term in self.law.terms]
+        return f"{', '.join([link.action, *filter(None, [' and '.join(forms)])])}: like {link.like}"
+
+    def source(self, origin: str) -> str:
+        """Return the text of the effect file."""
+        text = self.sentence()
+        return effect_source(
+            self.law,
+            self.amplitude,
+            sentence=f"{text[0].upper()}{text[1:]}.",
+            source=f"proposed by radiometer reconcile from {origin}",
+        )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping under `proposal` of the JSON form."""
+        return {
+            "name": self.name,
+            "stage": self.stage,
+            "stages_alike": list(self.stages_alike),
+            "covariates": list(self.covariates),
+            "formula": self.law.formula(),
+            "parameters": {name: entry.to_mapping() for name, entry in self.parameters.items()},
+            "sentence": self.sentence(),
+            "gain_nats": self.nats,
+            "gap_before": self.before.gap,
+            "gap_after": self.after.gap,
+            "excess_closed": self.closed,
+            "rivals": [
+                {"name": r.name, "stage": r.stage, "covariates": list(r.covariates), "behind_nats": r.behind_nats}
+                for r in self.rivals
+            ],
+        }
+
+
+def _in_words(term: Any, shape: tuple[int, int]) -> str:
+    if term.form == "spot":
+        height, width = shape
+        side = max(shape)
+        column = _ENDS[0][int(np.clip(3.0 * term.values["at_x"] * side / width, 0, 2))]
+        row = _ENDS[1][int(np.clip(3.0 * term.values["at_y"] * side / height, 0, 2))]
+        place = "the middle" if (row, column) == ("middle", "middle") else f"the {row} {column}"
+        corner = " corner" if "middle" not in (row, column) else ""
+        return f"falling off as a Gaussian from {place}{corner}"
+    return FORMS[term.form].words.format(covariate=COVARIATES[term.covariate].words)
+
+
+_CAPTURES: Final = 3
+_SHOWS_CHI2: Final = 9.0
+
+
+def _refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return frames for `radiometer bracket --plan`, and for each what the law predicts there."""
+    pool = CapturePool.of(proposal.after)
+    with_law, without = pool.predicted(proposal.after), pool.predicted(proposal.before)
+    worth = np.nan_to_num(pool.separation(with_law, without))
+    worth = np.where(pool.is_new, worth, 0.5 * worth)
+    is_noise = LINKS[proposal.law.link].is_noise
+    apart = np.sqrt(with_law.variance) - np.sqrt(without.variance) if is_noise else with_law.mean - without.mean
+    does = "scatters by" if is_noise else "differs by"
+    frames, reasons = list[dict[str, Any]](), list[str]()
+    for index in np.argsort(-worth)[:_CAPTURES].tolist():
+        if worth[index] < _SHOWS_CHI2 and frames:
+            break
+        tile = int(np.argmax(np.abs(apart[index])))
+        frame = pool.frame(index)
+        shown = frame.model_dump(mode="json", exclude_none=True, exclude={"file", "black_level_dn"})
+        frames.append(shown | {"repeat": FRAMES})
+        reasons.append(
+            f"{frame.exposure_s:.3g} s at {frame.gain_db:g} dB, source level {frame.source_level:g}, shutter "
+            f"{frame.shutter}: with {proposal.name} patch {pool.design.tiles[tile].name} {does} "
+            f"{apart[index, tile]:+.3g} DN relative to the camera without it; the law is refuted where that is not seen"
+        )
+    return frames, reasons
+
+
+def write_files(proposal: Proposal, folder: Path, origin: str) -> tuple[Path, ...]:
+    """Write effect file, test and the plan that would refute a law, and return their paths.
+
+    Raises:
+        OutputError: If a file cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make the folder {folder}: {error.strerror or error}; name another") from error
+    name = proposal.name
+    effect, test, plan = folder / f"{name}.py", folder / f"test_{name}.py", folder / "plan.yaml"
+    frames, reasons = _refuting_frames(proposal)
+    write_text_atomic(effect, proposal.source(origin))
+    write_text_atomic(test, _test(proposal, effect.name))
+    write_yaml_atomic(plan, {"format": PLAN_FORMAT, "reasons": reasons, "frames": frames})
+    return effect, test, plan
+
+
+def _test(proposal: Proposal, file_name: str) -> str:
+    design, amplitude = proposal.before.design, round_to(proposal.amplitude)
+    warm, (height, width) = design.temperature_c, design.shape
+    settings = {
+        "exposure_s": float(np.max(design.exposure_s)),
+        "gain_db": float(np.max(design.gain_db)),
+        "f_number": float(np.min(design.f_number)),
+        "temperature_c": float(np.nanmax(warm)) if np.isfinite(warm).any() else 25.0,
+        "timestamp_s": float(np.median(design.timestamp_s)),
+        "source_level": 1.0,
+    }
+    places = ((0.0, 0.0, 100.0), (0.5 * width, 0.3 * height, 1000.0), (width - 1.0, height - 1.0, 50.0))
+    rows = [
+        (x, y, signal, acted(proposal.law, amplitude, signal, context_at(x, y, design.shape, settings)))
+        for x, y, signal in places
+    ]
+    return source_of_test(proposal.law, amplitude, file_name, settings, design.shape, rows)
+
+
+# ---- a law with its evidence, and its files ------------------------------------------------------------------------
 _AT_ONCE: Final = 64  # laws that are projected together
 _FAINT: Final = 1e-9
 _FOLLOWING: Final = ("mean", *(name for name, row in STATISTICS.items() if row.follows_light))
@@ -66,15 +338,6 @@ class Screened:
     def score(self) -> float:
         """Return nats less what the parameters cost."""
         return 0.5 * self.gain - PARAMETER_NATS * self.law.size
-
-
-def screened(state: FitState, laws: Iterable[Law]) -> list[Screened]:
-    """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following."""
-    look, terms = _Look(state), _Terms(state)
-    waiting, found, laws = list[Law](), list[Screened](), iter(laws)
-    while waiting := list(islice(laws, _AT_ONCE)):
-        found += look.gains(waiting, [terms.of_law(law) for law in waiting])
-    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,25 +360,53 @@ class _Values:
 
 
 class _Look:
-    """Changes that laws make in the tested statistics, and how much of the residual they would take up."""
+    """Changes that laws make in the tested statistics of one state, and how much of the residual they would take up."""
 
     def __init__(self, state: FitState) -> None:
         whole, self._cuts, at = state.comparison.cuts, dict[str, slice](), 0
         for block in (*_FOLLOWING, "slope_x", "slope_y", "first"):
             self._cuts[block] = slice(at, at := at + whole[block].stop - whole[block].start)
         rows = np.concatenate([np.arange(whole[block].start, whole[block].stop) for block in self._cuts])
-        self._comparison, self._projected = state.comparison, state.fit.projected[rows]
-        self._fit = state.fit.within(rows)
+        self.state, self.known = state, _known_values(state)
+        self._projected, self._fit = state.fit.projected[rows], state.fit.within(rows)
         self._response = {key: _response(state, key) for key, link in LINKS.items() if not link.is_noise}
+        self._found: dict[tuple[object, ...], Array] = {}  # values of terms, and of products of them: laws at several
+        self._shown: dict[tuple[object, ...], _Values] = {}  # places of the chain share them
 
-    def gains(self, laws: Sequence[Law], shown: Sequence[Sequence[_Values]]) -> list[Screened]:
+    def screened(self, laws: Iterable[Law]) -> list[Screened]:
+        """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following."""
+        waiting, found, laws = list[Law](), list[Screened](), iter(laws)
+        while waiting := list(islice(laws, _AT_ONCE)):
+            found += self._gains(waiting, [self._of_law(law) for law in waiting])
+        self._found.clear()
+        self._shown.clear()
+        return found
+
+    def _of_law(self, law: Law) -> list[_Values]:
+        found = [self._product(law.terms)]
+        if any("phase" in term.values for term in law.terms):
+            found.append(self._product([_ahead(term) for term in law.terms]))
+        return found
+
+    def _product(self, terms: Sequence[Term]) -> _Values:
+        keys = tuple((term.form, term.covariate, *term.constants.items(), *term.values.items()) for term in terms)
+        if keys not in self._shown:
+            product: Array = np.ones((1, 1, 1, 1))
+            for key, term in zip(keys, terms, strict=True):
+                if key not in self._found:
+                    self._found[key] = _values_of(self.state, term, self.known)
+                product = product * self._found[key]
+            self._shown[keys] = _Values.of(product, self.state.design.frame_count[:, None, None])
+        return self._shown[keys]
+
+    def _gains(self, laws: Sequence[Law], shown: Sequence[Sequence[_Values]]) -> list[Screened]:
         """Return laws, of one column each or (a wave) of two, with amplitude and χ²."""
         columns = [(values, self._response[law.link]) for law, own in zip(laws, shown, strict=True) for values in own]
         changes = np.zeros((self._fit.residual.size, len(columns)))
         for block, cut in self._cuts.items():
             own = self._changes(block, columns)
             if own.any():
-                changes[cut] = self._comparison.whiten(block, np.moveaxis(own, 0, -1)).reshape(-1, len(columns))
+                changes[cut] = self.state.comparison.whiten(block, np.moveaxis(own, 0, -1)).reshape(-1, len(columns))
         followed, part = self._fit.followed_with_half(changes)
         slope = followed.T @ self._projected
         squares, rows = np.einsum("ij,ij->j", changes, changes), np.ascontiguousarray(followed.T)
@@ -142,6 +433,11 @@ class _Look:
             if factor is not None:
                 np.multiply(factor, response.get(block, response["mean"]), out=own)
         return found
+
+
+def screened(state: FitState, laws: Iterable[Law]) -> list[Screened]:
+    """Return laws with the amplitude and the χ² that the tile means alone give them in a state, nuisances following."""
+    return _Look(state).screened(laws)
 
 
 def _known_values(state: FitState) -> dict[str, Array]:
@@ -195,33 +491,6 @@ def _response(state: FitState, link: str) -> dict[str, Array]:
     moved = state.comparison.expected(state.predicted_with((*state.effects, effect_of(Law(link), step))))
     base = state.comparison.expected(state.prediction)
     return {name: np.asarray((moved[name] - base[name]) / step) for name in _FOLLOWING}
-
-
-class _Terms:
-    """The values of laws in one state; what those at several places of the chain share is worked out once."""
-
-    def __init__(self, state: FitState) -> None:
-        self._state, self._known = state, _known_values(state)
-        self._frames = state.design.frame_count[:, None, None]
-        self._found: dict[tuple[object, ...], Array] = {}
-        self._shown: dict[tuple[object, ...], _Values] = {}
-
-    def of_law(self, law: Law) -> list[_Values]:
-        found = [self._product(law.terms)]
-        if any("phase" in term.values for term in law.terms):
-            found.append(self._product([_ahead(term) for term in law.terms]))
-        return found
-
-    def _product(self, terms: Sequence[Term]) -> _Values:
-        keys = tuple((term.form, term.covariate, *term.constants.items(), *term.values.items()) for term in terms)
-        if keys not in self._shown:
-            product: Array = np.ones((1, 1, 1, 1))
-            for key, term in zip(keys, terms, strict=True):
-                if key not in self._found:
-                    self._found[key] = _values_of(self._state, term, self._known)
-                product = product * self._found[key]
-            self._shown[keys] = _Values.of(product, self._frames)
-        return self._shown[keys]
 
 
 def _ahead(term: Term) -> Term:
@@ -283,16 +552,17 @@ def propose_law(state: FitState, along: Collection[str] = ()) -> Proposal | None
     Args:
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
     """
-    singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)))
+    look = _Look(state)
+    singles = look.screened(law for law in _singles(look.known) if not along or set(law.covariates) <= set(along))
     for forms in _REFINED:
-        singles += screened(state, _finer(state, singles, forms))
+        singles += look.screened(_finer(look.known, singles, forms))
     plain = {_formula(entry.law): entry.score for entry in sorted(singles, key=lambda entry: entry.score)}
     products = [
         entry
-        for entry in (screened(state, _products(state, singles)) if not along else ())
+        for entry in (look.screened(_products(look.known, singles)) if not along else ())
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
-    judged = _judged(state, _chosen([*singles, *products, *_noises(state, along)]))
+    judged = _judged(state, _chosen([*singles, *products, *_noises(look, along)]))
     if not judged:
         return None
     best = _plainest(judged)
@@ -311,8 +581,7 @@ def propose_law(state: FitState, along: Collection[str] = ()) -> Proposal | None
 
 
 # ---- which laws are looked at ------------------------------------------------------------------------------
-def _singles(state: FitState) -> Iterator[Law]:
-    known = _known_values(state)
+def _singles(known: Mapping[str, Array]) -> Iterator[Law]:
     terms = {name: tuple(terms_of(name, known)) for name in known}
     for link in (link for link in LINKS.values() if not link.is_noise):
         if "f_number" in link.goes_with and "f_number" not in known:
@@ -328,24 +597,24 @@ def _singles(state: FitState) -> Iterator[Law]:
                     yield Law(link.key, (term,))
 
 
-def _noises(state: FitState, along: Collection[str]) -> list[Screened]:
-    known, found = _known_values(state), list[Screened]()
+def _noises(look: _Look, along: Collection[str]) -> list[Screened]:
+    known, found = look.known, list[Screened]()
     for link in (link for link in LINKS.values() if link.is_noise):
         terms = [term for name in link.covariates if name in known for term in terms_of(name, known)]
         laws = [Law(link.key, (term,)) for term in terms if term.form in _OF_NOISE]
         for law in [*([Law(link.key)] if link.goes_with else []), *laws]:
             if along and not {*law.covariates, *link.goes_with} <= set(along):
                 continue
-            start = best_start(state, [effect_of(law, size) for size in _NOISES[link.unit]])
+            start = best_start(look.state, [effect_of(law, size) for size in _NOISES[link.unit]])
             if start is not None:
                 found.append(Screened(law, float(start.effect.values()[law.amplitude]), start.gain))
     return found
 
 
-def _finer(state: FitState, singles: Sequence[Screened], forms: Collection[str]) -> Iterator[Law]:
+def _finer(known: Mapping[str, Array], singles: Sequence[Screened], forms: Collection[str]) -> Iterator[Law]:
     """Yield the laws whose place the fit leaves where it is, between the places at which they were looked at."""
-    known, sharp = _known_values(state), [entry.law for entry in sorted(singles, key=lambda e: -e.score)]
-    sharp = [law for law in sharp if _is_sharp(law) and law.terms[0].form in forms]
+    ranked = (entry.law for entry in sorted(singles, key=lambda e: -e.score))
+    sharp = [law for law in ranked if _is_sharp(law) and law.terms[0].form in forms]
     for law in sharp[:_FINER]:
         alike = [other.terms[0].values["at"] for other in sharp if other.name == law.name]
         yield from (Law(law.link, (term,)) for term in finer(law.terms[0], known[law.terms[0].covariate], alike))
@@ -355,8 +624,7 @@ def _is_sharp(law: Law) -> bool:
     return [term.form for term in law.terms] in (["step"], ["border"])
 
 
-def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
-    known = _known_values(state)
+def _products(known: Mapping[str, Array], singles: Iterable[Screened]) -> Iterator[Law]:
     for place in PLACES if "source_level" in known else ():
         tilts = [term for term in terms_of(place, known) if term.form in ("ramp", "bow")]
         levels = [term for term in terms_of("source_level", known) if term.form in ("power", "step")]

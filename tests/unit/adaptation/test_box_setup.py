@@ -186,10 +186,14 @@ def test_room_must_be_shown_to_be_dark(quick, value, u, message):
     assert message in str(judge_room(value, u, quick).refusal)
 
 
-def test_simulated_subject_sits_before_the_simulated_box_only(quick):
-    """No box is opened for the refusal."""
+def test_simulated_subject_sits_before_the_simulated_box_only(quick, tmp_path):
+    """No box is opened for the refusal; the firmware in simavr has pins, no LEDs."""
     with pytest.raises(UsageError, match="--box sim"), open_box_stage(RunRequest(quick, box="LB1", simulate="steady")):
         pass
+    with pytest.raises(UsageError, match="leave out one"):
+        served_box("TWIN0001", tmp_path / "port", firmware=tmp_path / "x.hex", subject="steady")
+    with pytest.raises(UsageError, match="choose steady"):
+        served_box("TWIN0001", tmp_path / "port", subject="asleep")
 
 
 def test_red_mark_has_the_protocols_luminance(quick):
@@ -202,14 +206,6 @@ def test_red_mark_has_the_protocols_luminance(quick):
         assert stage.facts()["u_scale_log10"] == pytest.approx(0.01127 / 2.3026, abs=1e-4)  # 1.127 % shared by all
     with open_box_stage(before_box(quick, fixation_w_sr_m2=0.0)) as (stage, _):
         assert stage.lights.fixation_w_sr_m2 == 0.0
-
-
-def test_served_box_has_its_subject_before_the_twin_only(tmp_path):
-    """The firmware in simavr has pins, no LEDs."""
-    with pytest.raises(UsageError, match="leave out one"):
-        served_box("TWIN0001", tmp_path / "port", firmware=tmp_path / "x.hex", subject="steady")
-    with pytest.raises(UsageError, match="choose steady"):
-        served_box("TWIN0001", tmp_path / "port", subject="asleep")
 
 
 def _preset(path, text):

@@ -54,13 +54,7 @@ def test_a_sound_camera_has_no_warning(radiance):
 @pytest.mark.parametrize(
     ("made", "black_dn", "check", "health", "words"),
     [
-        (
-            {"kind": BentCamera},
-            0,
-            lambda c: check_linearity(c, 0.0),
-            Health.WARNING,
-            "gives 0.535",
-        ),  # 0.5**0.9 = 0.5359
+        ({"kind": BentCamera}, 0, lambda c: check_linearity(c, 0.0), Health.WARNING, "gives 0.535"),  # 0.5**0.9
         ({"radiance": 1e-9}, 64, lambda c: check_linearity(c, 64.0), Health.NOTE, "light"),
         ({}, 0, lambda c: check_dark_level(c)[0], Health.WARNING, "raise the black level"),
         ({}, 64, check_temperature, Health.OK, ""),

@@ -8,7 +8,7 @@ import pytest
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.reconciliation.design import Design, group_captures
 from radiometer.reconciliation.engine import examine, jumps
-from radiometer.reconciliation.frame_order import FrameLight, periodic
+from radiometer.reconciliation.repeatability import FrameLight, periodic
 from testing.reconciled import reconcile
 
 EXPOSURES = [{"t": float(t)} for t in np.geomspace(2e-4, 5e-3, 7)]

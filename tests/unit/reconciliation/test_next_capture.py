@@ -5,7 +5,7 @@ import pytest
 
 from radiometer.acquire.capture_plan import read_capture_plan
 from radiometer.reconciliation.engine import examine, whole_catalogue
-from radiometer.reconciliation.next_capture import write_plan
+from radiometer.reconciliation.separability import write_plan
 from simulators.scenes.kinds import ScreenPatch, ScreenScene
 from testing.reduced import start_of
 

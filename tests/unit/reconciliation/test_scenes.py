@@ -7,8 +7,8 @@ from scipy.ndimage import gaussian_filter
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
 from radiometer.errors import CaptureError
 from radiometer.reconciliation.design import Design
-from radiometer.reconciliation.frame_order import FineStructure, scenes_of
 from radiometer.reconciliation.reduce import with_even_tiles
+from radiometer.reconciliation.repeatability import FineStructure, scenes_of
 from testing.reconciled import reconcile
 
 BLACK, E_PER_DN, READ_E, FULL = 100.0, 2.0, 4.0, 4095

@@ -13,7 +13,7 @@ import pytest
 from radiometer.data import CameraDescription, FrameSettings
 from radiometer.reconciliation.propose.grammar import FORMS, Term, finer, formula, terms_of
 from radiometer.reconciliation.propose.law import Law, acted, effect_of, round_to
-from radiometer.reconciliation.propose.proposal import effect_source, source_of_test
+from radiometer.reconciliation.propose.search import effect_source, source_of_test
 from radiometer.reconciliation.tile_model import TileContext
 from simulators.chain.stages import LINKS
 from simulators.effects import registry
