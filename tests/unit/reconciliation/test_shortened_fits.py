@@ -80,8 +80,8 @@ def test_fits_end_at_the_least_squares_of_their_own_weights(plain):
     assert (off_by(found, again) < 0.1).all()
 
 
-def test_what_is_next_to_is_followed_without_new_derivatives(plain):
-    """All else follows an effect that is held, as in a fit of its own; the effect does not move."""
+def test_what_is_next_to_is_followed_and_predictions_compared(plain):
+    """As in a fit of its own; what models expect alike differs by nothing."""
     state = refit(with_effects(plain, [fx.ExposureTimeOffset(1e-6)]))
     held = fx.ResponseNonlinearity(0.02)
     assert state.fit.effects.shape[1] == 1  # the derivatives that are used
@@ -94,6 +94,17 @@ def test_what_is_next_to_is_followed_without_new_derivatives(plain):
     assert start.cost - fitted.cost > 10.0, "there must be something to follow"
     assert found.cost == pytest.approx(fitted.cost, abs=1e-3 * (start.cost - fitted.cost))
     assert found.effects[0].values()["offset_s"] == pytest.approx(fitted.effects[0].values()["offset_s"], abs=1e-8)
+    effects = (fx.ExposureTimeOffset(4e-6), fx.Prnu(0.01))
+    alone = np.stack([plain.comparison.residual(plain.predicted_with((effect,))) for effect in effects], axis=1)
+    models = [(plain.model.with_effects((effect,)), plain.nuisance) for effect in effects]
+    ((numbers, several),) = predict_several(models, plain.trace)
+    assert plain.comparison.residual(several) == pytest.approx(alone[:, numbers], abs=1e-12)
+    changes = -plain.moved_by([(effect,) for effect in effects])
+    assert changes == pytest.approx(alone - plain.plain_residual[:, None], abs=1e-9)
+    mean, spatial = (plain.comparison.cuts[name] for name in ("mean", "spatial"))
+    assert changes[mean, 0].any()
+    assert not changes[mean, 1].any()
+    assert changes[spatial, 1].any()
 
 
 def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_capture):
@@ -181,21 +192,6 @@ def test_chain_goes_on_from_the_first_step_that_differs(plain):
         )
         assert not np.array_equal(again.prediction.mean, here.prediction.mean)
     assert model.trace(here.nuisance, here) is here
-
-
-def test_predictions_are_compared_with_one_another_as_with_the_data(plain):
-    """Residuals of several predictions at once are those of each; what they expect alike differs by nothing at all."""
-    effects = (fx.ExposureTimeOffset(4e-6), fx.Prnu(0.01))
-    alone = np.stack([plain.comparison.residual(plain.predicted_with((effect,))) for effect in effects], axis=1)
-    models = [(plain.model.with_effects((effect,)), plain.nuisance) for effect in effects]
-    ((numbers, several),) = predict_several(models, plain.trace)
-    assert plain.comparison.residual(several) == pytest.approx(alone[:, numbers], abs=1e-12)
-    changes = -plain.moved_by([(effect,) for effect in effects])
-    assert changes == pytest.approx(alone - plain.plain_residual[:, None], abs=1e-9)
-    mean, spatial = (plain.comparison.cuts[name] for name in ("mean", "spatial"))
-    assert changes[mean, 0].any()
-    assert not changes[mean, 1].any()
-    assert changes[spatial, 1].any()
 
 
 def test_thresholds_lines_and_taken_off_black_are_fitted_to_their_end(make_capture):

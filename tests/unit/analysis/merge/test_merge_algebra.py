@@ -855,13 +855,22 @@ def test_the_estimate_is_the_likeliest_and_its_variance_the_curvature(rate, vari
     assert not contradiction
 
 
-def test_shot_noise_makes_a_clipped_frame_say_less():
-    """Noise that grows with the light, κ·x·t next to the rest: the same as that noise stated beforehand."""
+def test_clipped_and_noiseless_frames_are_heard_in_numbers():
+    """Shot noise as if stated beforehand; none in the dark, or behind a curve."""
     plain = FRAMES[1:2].copy()
     found = with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.8)
     plain[0, 5] += 0.8 * 2.0 * found[0]
     assert found[:2] == pytest.approx(with_censored(104.0, 4.0, np.uint64(0), plain, 0, 1, 0.0)[:2], rel=2e-3)
     assert found[0] < with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.0)[0]
+    frames = np.array([frame_row(1.0, 0.0, 40.0), frame_row(4.0, 0.0, 40.0)])
+    for rate in (-0.3, 0.0):
+        found = with_censored(rate, 0.2, np.uint64(0b01), frames, 0, 2, 0.3)
+        assert found == (rate, pytest.approx(0.2, rel=1e-12), False)
+    frames = np.array([frame_row(1.0, 0.0, 4.6), frame_row(1e4, 0.0, 4.6, at_clipping=1.7e-4)])
+    value, variance, contradiction = with_censored(-2e-3, 1e-6, np.uint64(0b01), frames, 0, 2, 4e-7)
+    assert -2e-3 < value < 4.6e-4 + 2e-3
+    assert 0.0 < variance < 1e-6
+    assert not contradiction
 
 
 @pytest.mark.parametrize(("clips_at", "heard"), [(120.0, False), (208.0, True)])
@@ -880,19 +889,6 @@ def test_a_frame_that_clips_far_below_its_level_contradicts(rate, contradicts):
     found, _, text = with_censored(rate, 1.0, np.uint64(0), FRAMES, 1, 2, 0.0)
     assert text is contradicts
     assert (found == rate) is (rate < 50.0)
-
-
-def test_values_without_noise_are_numbers():
-    """No read noise and no light: a frame far above contradicts or says nothing, also behind a curve."""
-    frames = np.array([frame_row(1.0, 0.0, 40.0), frame_row(4.0, 0.0, 40.0)])
-    for rate in (-0.3, 0.0):
-        found = with_censored(rate, 0.2, np.uint64(0b01), frames, 0, 2, 0.3)
-        assert found == (rate, pytest.approx(0.2, rel=1e-12), False)
-    frames = np.array([frame_row(1.0, 0.0, 4.6), frame_row(1e4, 0.0, 4.6, at_clipping=1.7e-4)])
-    value, variance, contradiction = with_censored(-2e-3, 1e-6, np.uint64(0b01), frames, 0, 2, 4e-7)
-    assert -2e-3 < value < 4.6e-4 + 2e-3
-    assert 0.0 < variance < 1e-6
-    assert not contradiction
 
 
 # Photographs from the hand: how they lie to each other, and what becomes of their values.
