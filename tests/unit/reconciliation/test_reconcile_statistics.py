@@ -247,8 +247,8 @@ def test_masked_pixels_leave_row_and_column_ratios_at_one(make_capture):
 
 
 @pytest.mark.slow
-def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture):
-    """64 rows tell a standard deviation to 1/√128 at best: the reported one is no smaller, the truth within 3 of it."""
+def test_few_rows_and_what_stands_still_tell_no_more_than_they_can(make_capture):
+    """64 rows to 1/√128; a drift on its bound hides no offset."""
     sigma_e = 0.6
     rows = sigma_e * np.random.default_rng(11).standard_normal((64, 1))
     state = start_of(make_capture(extra_dn=lambda setting: rows / 2.6 * 10 ** (setting["g"] / 20)))
@@ -256,11 +256,6 @@ def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture):
     entry = fitted_parameters(found)["row_pattern"]["sigma_e"]
     assert entry.u / entry.value > 1.0 / np.sqrt(128.0)
     assert entry.value == pytest.approx(sigma_e, abs=3.0 * entry.u)
-
-
-@pytest.mark.slow
-def test_what_stands_still_hides_nothing(make_capture):
-    """A drift on its bound is no offset; a blur of a tenth of a pixel stays."""
     state = start_of(make_capture(extra_dn=lambda setting: 4.0))
     found = converged_fit(refit(with_effects(state, [BlackLevelDrift(0.1, -20.0)])))
     assert found.parameters.on_bounds()[0].any(), "the reference temperature runs to its bound"
@@ -438,19 +433,14 @@ def test_a_tile_keeps_of_a_wave_what_random_phases_show(make_capture):
 
 
 @pytest.mark.slow
-def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture):
-    """Bands lead in `bands`; a flicker that all rows share leaves nothing there."""
+def test_bands_flicker_and_scatter_show_in_statistics_of_their_own(make_capture):
+    """A flicker that rows share leaves no bands; 0.5 % from frame to frame shows in means."""
     plan = [{"t": t, "d": d} for t in (1e-3, 2e-3, 3e-3) for d in (0.5, 0.9) for _ in range(3)]
     banded = significant(localise(start_of(make_capture(plan=plan, picture=_bands(6, PERIODS_PER_ROW), seed=6))))
     assert banded[0].block == "bands"
     shaken = {test.block for test in significant(localise(start_of(make_capture(plan=plan, picture=_bands(7, 0.0)))))}
     assert "common" in shaken
     assert "bands" not in shaken
-
-
-@pytest.mark.slow
-def test_scatter_without_any_trend_is_reported(make_capture):
-    """Patches that differ at random from frame to frame by 0.5 % scatter the means beyond their noise."""
     rng = np.random.default_rng(9)
 
     def uneasy(image, setting):

@@ -52,17 +52,12 @@ def _sets(found):
 
 
 @pytest.mark.slow
-def test_one_chart_cannot_separate_stray_lights_nor_flickers(separated):
-    """They stand together, and a capture that shows more is asked for."""
+def test_stray_lights_are_separated_by_another_surround_alone(separated, make_capture):
+    """One chart leaves them and flickers together; stated radiances count."""
     entry = next(entry for entry in separated.together if {entry.name, *entry.others} >= STRAY)
     assert entry.capture["frames"][0]["shutter"] == "open"
     assert "polarisation" in separated.blind
     assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(separated))
-
-
-@pytest.mark.slow
-def test_stated_radiances_and_other_surrounds_separate_them(make_capture):
-    """Hundreds of χ² next to a bright surround; no two of the three stand together."""
     state, veil = _state(make_capture, [*BRACKET, *DARKS, OTHERS[0]]), fx.VeilingGlare(0.02)
     left, _ = left_by_fit(noiseless(state, veil), veil, Candidate(fx.AmbientLightLeak(0.01), 0.0, 1))
     assert left > 100.0

@@ -259,8 +259,8 @@ def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(declared):
 
 
 @pytest.mark.slow
-def test_captures_of_one_setting_tell_its_own_pattern_once(declared):
-    """Means scatter by the pattern over the root of their pixels; m captures of one setting by √m of that each."""
+def test_captures_of_one_setting_tell_their_pattern_once(declared):
+    """By √m of the pattern over the root of their pixels; what cannot be is refused by name."""
     assert renewed_patterns(declared.design, declared.seen, declared.prediction) == {}
     pattern = replace(declared.prediction, renewed_variance=4.0 * np.ones_like(declared.prediction.mean))
     found = renewed_patterns(declared.design, declared.seen, pattern)
@@ -269,6 +269,8 @@ def test_captures_of_one_setting_tell_its_own_pattern_once(declared):
     assert np.all(found["spatial"][number == 1] == 0.0)
     assert np.all(found["spatial"][number > 1] > 0.0)
     assert set(found) == {"mean", "slope_x", "slope_y", "spatial"}
+    with pytest.raises(UnfitError, match="impossible"):
+        included(declared, _Impossible(0.5))
 
 
 @dataclass(frozen=True)
@@ -288,13 +290,6 @@ class _Impossible(Scaling):
         """Return the root of a negative number."""
         with np.errstate(invalid="ignore"):
             return np.sqrt(-abs(self.size) * np.ones_like(context.settings.exposure_s))
-
-
-@pytest.mark.slow
-def test_effect_that_cannot_be_is_refused_by_name(declared):
-    """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
-    with pytest.raises(UnfitError, match="impossible"):
-        included(declared, _Impossible(0.5))
 
 
 @pytest.mark.parametrize("electrons", [0.2, 50.0])

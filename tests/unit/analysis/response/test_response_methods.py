@@ -485,8 +485,8 @@ def test_a_curve_at_given_labels_is_the_fit_with_these_labels_held(lying):
 
 
 @pytest.mark.slow
-def test_shares_are_judged_as_quadrants_are(lying):
-    """What is left out is cut in another way; of two planes alike the errors and the rows are twice those of one."""
+def test_shares_are_judged_as_quadrants_and_give_one_label(lying):
+    """Of two planes alike errors and rows are twice those of one; estimates hold the label."""
     plane = lying[0]
     fitted = settle(plane.samples, plane.start)
     left_out = LeftOut.of([plane], without_shares([plane], JointFit.of([fitted])))
@@ -499,6 +499,13 @@ def test_shares_are_judged_as_quadrants_are(lying):
     both = LeftOut.of([plane, plane], without_shares([plane, plane], JointFit.of([fitted, fitted])))
     assert both.rows == pytest.approx(2.0 * left_out.rows)
     assert both.error_dn == pytest.approx(2.0 * left_out.error_dn)
+    estimates = solve_colours_auto([plane.samples for plane in lying])
+    (together,) = find_wrong_labels(lying)
+    for estimate in estimates:
+        (label,) = estimate.details["wrong_labels"]
+        assert (label["frame"], label["ratio"]) == (together.frame, pytest.approx(together.ratio))
+        found = np.exp(estimate.details["log_time_errors"][3])
+        assert found == pytest.approx(together.ratio, abs=together.u_ratio)
 
 
 def test_errors_are_counted_by_rows_and_without_each_share_that_shows_the_frame():
@@ -509,18 +516,6 @@ def test_errors_are_counted_by_rows_and_without_each_share_that_shows_the_frame(
     assert left_out.mean_dn(1, 0) == pytest.approx(16.0 / 10.0)
     assert left_out.means_without_one_dn(0) == pytest.approx([5.0 / 4.0, 7.0 / 5.0, 6.0 / 3.0])
     assert left_out.means_without_one_dn(1) == pytest.approx([1.0, 2.0])
-
-
-@pytest.mark.slow
-def test_estimates_of_colours_take_the_label_found_together(lying):
-    """Each colour's curve comes with the same wrong label, and with the exposure that all of them tell."""
-    estimates = solve_colours_auto([plane.samples for plane in lying])
-    (together,) = find_wrong_labels(lying)
-    for estimate in estimates:
-        (label,) = estimate.details["wrong_labels"]
-        assert (label["frame"], label["ratio"]) == (together.frame, pytest.approx(together.ratio))
-        found = np.exp(estimate.details["log_time_errors"][3])
-        assert found == pytest.approx(together.ratio, abs=together.u_ratio)
 
 
 @pytest.mark.parametrize("gamma", [0.55, 0.7])
